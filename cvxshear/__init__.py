@@ -1,0 +1,1 @@
+"""cvxshear: floor masses and story stiffnesses of shear-type frames from measured modes."""

@@ -1,0 +1,164 @@
+"""Checks of values that come from outside, each with a message that says what would be right.
+
+Every function takes the value, and the place it was found as a person would name it, and returns the
+value in the type that the library works with, or raises `InputError`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+
+from cvxshear.errors import InputError
+from cvxshear.typing import Floats, Ints
+
+T = TypeVar("T", bound=np.generic)
+
+
+def shown(value: object) -> str:
+    """`value` as an error message shows it: its repr, cut to a readable length."""
+    text = repr(value.tolist() if isinstance(value, np.ndarray) else value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def keys(table: object, known: Collection[str], required: Collection[str], where: str) -> Mapping[str, Any]:
+    """The table itself, once no key is unknown and none is missing."""
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where} must be a table of keys and values, not {shown(table)}")
+    for key in table:
+        if key not in known:
+            near = difflib.get_close_matches(str(key), list(known), n=1, cutoff=0.5)
+            hint = f"did you mean {near[0]!r}?" if near else f"known keys are {', '.join(sorted(known))}"
+            raise InputError(f"{where}: unknown key {str(key)!r}; {hint}")
+    for key in required:
+        if key not in table:
+            raise InputError(f"{where}: the key {key!r} is missing")
+    return table
+
+
+def number(value: object, where: str, *, above: float = -math.inf, least: float = -math.inf) -> float:
+    """A finite number, greater than `above` and not less than `least`."""
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
+        raise InputError(f"{where} must be a number, not {shown(value)}")
+    try:
+        result = float(value)
+    except OverflowError:
+        result = math.inf
+    if not math.isfinite(result):
+        raise InputError(f"{where} must be a finite number, not {shown(value)}")
+    if result <= above:
+        raise InputError(f"{where} = {result:g} must be greater than {above:g}")
+    if result < least:
+        raise InputError(f"{where} = {result:g} must not be less than {least:g}")
+    return result
+
+
+def whole(value: object, where: str, *, least: int, most: int) -> int:
+    """A whole number from `least` to `most`."""
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
+        raise InputError(f"{where} must be a whole number, not {shown(value)}")
+    if not least <= value <= most:
+        raise InputError(f"{where} = {int(value)} must lie between {least} and {most}")
+    return int(value)
+
+
+def flag(value: object, where: str) -> bool:
+    """True or false."""
+    if not isinstance(value, bool | np.bool_):
+        raise InputError(f"{where} must be true or false, not {shown(value)}")
+    return bool(value)
+
+
+def text(value: object, where: str) -> str:
+    """A text that is not empty."""
+    if not isinstance(value, str) or not value.strip():
+        raise InputError(f"{where} must be a text that is not empty, not {shown(value)}")
+    return value
+
+
+def choice(value: object, options: Sequence[str], where: str) -> str:
+    """One of the named options."""
+    if not isinstance(value, str) or value not in options:
+        near = difflib.get_close_matches(str(value), list(options), n=1, cutoff=0.5)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise InputError(f"{where} must be one of {', '.join(options)}, not {shown(value)}{hint}")
+    return value
+
+
+def _items(value: object, where: str, what: str) -> list[object]:
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if not isinstance(value, list | tuple):
+        raise InputError(f"{where} must be a list of {what}, not {shown(value)}")
+    return list(value)
+
+
+def vector(
+    value: object,
+    where: str,
+    *,
+    length: int | None = None,
+    above: float = -math.inf,
+    least: float = -math.inf,
+    nan: bool = False,
+) -> Floats:
+    """A list of numbers as a read-only array; entries may be nan only where `nan` says so."""
+    items = _items(value, where, "numbers")
+    if length is not None and len(items) != length:
+        raise InputError(f"{where} must have {length} entries, not {len(items)}")
+    if not items:
+        raise InputError(f"{where} must not be empty")
+    result = np.array(
+        [
+            math.nan
+            if nan and isinstance(item, float) and math.isnan(item)
+            else number(item, f"{where}, entry {place}", above=above, least=least)
+            for place, item in enumerate(items, 1)
+        ]
+    )
+    return frozen(result)
+
+
+def one_or_many(
+    value: object, where: str, length: int, *, above: float = -math.inf, least: float = -math.inf
+) -> Floats:
+    """One number for all `length` places, or a list of that many."""
+    if isinstance(value, list | tuple | np.ndarray):
+        return vector(value, where, length=length, above=above, least=least)
+    return frozen(np.full(length, number(value, where, above=above, least=least)))
+
+
+def ascending_whole(value: object, where: str, *, most: int) -> Ints:
+    """A list of whole numbers from 1 to `most`, ascending, none twice."""
+    items = _items(value, where, "whole numbers")
+    if not items:
+        raise InputError(f"{where} must not be empty")
+    result = [whole(item, f"{where}, entry {place}", least=1, most=most) for place, item in enumerate(items, 1)]
+    for before, after in zip(result, result[1:], strict=False):
+        if after <= before:
+            raise InputError(f"{where} must be ascending, none twice; {after} comes after {before}")
+    return frozen(np.array(result, dtype=np.int64))
+
+
+def table(value: object, where: str, *, rows: int, nan: bool = False, above: float = -math.inf) -> Floats:
+    """A list of `rows` lists of numbers, all of one length, as a read-only array of shape (rows, columns)."""
+    items = _items(value, where, "lists of numbers, one a mode")
+    if len(items) != rows:
+        raise InputError(f"{where} must have {rows} rows, one for each frequency, not {len(items)}")
+    lines = [vector(item, f"{where}, row {place}", nan=nan, above=above) for place, item in enumerate(items, 1)]
+    for place, line in enumerate(lines, 1):
+        if len(line) != len(lines[0]):
+            raise InputError(
+                f"{where}, row {place} has {len(line)} entries, row 1 has {len(lines[0])}: give one a measured floor"
+            )
+    return frozen(np.array(lines))
+
+
+def frozen(array: np.ndarray[Any, np.dtype[T]]) -> np.ndarray[Any, np.dtype[T]]:
+    """The array, no longer writable."""
+    array.setflags(write=False)
+    return array

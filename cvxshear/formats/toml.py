@@ -1,0 +1,68 @@
+"""The measurement file: an experiment as TOML."""
+
+from __future__ import annotations
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+
+from cvxshear.errors import InputError
+from cvxshear.experiment import Experiment
+
+LARGEST_FILE = 50_000_000
+"""Bytes; a larger file is taken for a mistake (a record in place of a measurement file, say)."""
+
+
+def load(path: str | Path) -> Experiment:
+    """Read a measurement file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file, or "paper" for the published two-story test frame in three configurations. A file of
+        that name in the current folder is reached as "./paper".
+
+    Returns
+    -------
+    Experiment
+
+    Raises
+    ------
+    InputError
+        Naming the file, and the key, the value found and what would be right.
+    """
+    if str(path) == "paper":
+        text = resources.files("cvxshear").joinpath("paper", "paper.toml").read_text(encoding="utf-8")
+        return Experiment.from_dict(tomllib.loads(text), name="paper")
+    path = Path(path)
+    declared = parse(read_text(path), path)
+    try:
+        return Experiment.from_dict(declared, name=path.stem)
+    except InputError as error:
+        raise type(error)(f"{path}: {error}") from error
+
+
+def read_text(path: Path) -> str:
+    """The text of a file that a user named."""
+    if path.is_dir():
+        raise InputError(f"{path} is a folder; name a file in it")
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise InputError(f"{path} has {path.stat().st_size / 1e6:.0f} MB, too many for a measurement file")
+        return path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file (the built-in example is called 'paper')") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is not UTF-8 text (byte {error.start}); is it a measurement file?") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from None
+
+
+def parse(text: str, path: Path) -> dict[str, object]:
+    """The tables of a TOML text."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path} is not valid TOML: {error}") from None
+    except RecursionError:
+        raise InputError(f"{path} is not valid TOML: nested too deeply") from None

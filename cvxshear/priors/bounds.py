@@ -1,0 +1,74 @@
+"""Bounds: every floor mass or story stiffness lies between two values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from cvxshear import checks
+from cvxshear.errors import InputError
+from cvxshear.priors.base import UNITS, Constraints, Prior, check_quantity, set_field
+from cvxshear.typing import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds(Prior):
+    """lower <= x <= upper, exact.
+
+    Parameters
+    ----------
+    quantity : str
+        "floor_mass" or "story_stiffness".
+    lower, upper : float or array_like, shape (N,), optional
+        kg or N/m; one number for all, or one a floor or story; at least one of the two.
+    """
+
+    kind: ClassVar[str] = "bounds"
+    quantity: str
+    lower: float | Floats | None = None
+    upper: float | Floats | None = None
+
+    def __post_init__(self) -> None:
+        check_quantity(self)
+        if self.lower is None and self.upper is None:
+            raise InputError("the bounds prior needs a key 'lower' or 'upper'")
+        for name in ("lower", "upper"):
+            value = getattr(self, name)
+            if isinstance(value, list | tuple | np.ndarray):
+                set_field(self, name, checks.vector(value, f"{name} of the bounds prior", least=0.0))
+            elif value is not None:
+                set_field(self, name, checks.number(value, f"{name} of the bounds prior", least=0.0))
+
+    def check(self, stories: int) -> None:
+        for name in ("lower", "upper"):
+            value = getattr(self, name)
+            if isinstance(value, np.ndarray) and len(value) != stories:
+                raise InputError(
+                    f"{name} of the bounds prior has {len(value)} entries, the frame has {stories} stories"
+                )
+        lower, upper = self._limits(stories)
+        if np.any(lower > upper):
+            place = int(np.argmax(lower > upper))
+            raise InputError(
+                f"the bounds prior on {self.quantity} {place + 1}: lower {lower[place]:g} is above upper {upper[place]:g}"
+            )
+
+    def _limits(self, stories: int) -> tuple[Floats, Floats]:
+        lower = np.broadcast_to(-np.inf if self.lower is None else self.lower, stories)
+        upper = np.broadcast_to(np.inf if self.upper is None else self.upper, stories)
+        return lower.astype(float), upper.astype(float)
+
+    def constraints(self, stories: int) -> Constraints:
+        lower, upper = self._limits(stories)
+        return Constraints(lower=lower, upper=upper)
+
+    def describe(self) -> str:
+        unit = UNITS[self.quantity]
+        limits = [
+            f"{word} {np.array2string(np.asarray(value), separator=', ')} {unit}"
+            for word, value in (("at least", self.lower), ("at most", self.upper))
+            if value is not None
+        ]
+        return f"{self.quantity} {' and '.join(limits)}"

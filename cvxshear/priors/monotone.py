@@ -1,0 +1,41 @@
+"""Monotone: floor masses or story stiffnesses only decrease, or only increase, with height."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from cvxshear import checks
+from cvxshear.priors.base import Constraints, Prior, check_quantity
+
+DIRECTIONS = ("decreasing", "increasing")
+
+
+@dataclass(frozen=True, eq=False)
+class Monotone(Prior):
+    """x[i+1] <= x[i] ("decreasing") or x[i+1] >= x[i] ("increasing"), exact.
+
+    Parameters
+    ----------
+    quantity : str
+        "floor_mass" or "story_stiffness".
+    direction : str
+        "decreasing" or "increasing", with height.
+    """
+
+    kind: ClassVar[str] = "monotone"
+    quantity: str
+    direction: str
+
+    def __post_init__(self) -> None:
+        check_quantity(self)
+        checks.choice(self.direction, DIRECTIONS, "direction of the monotone prior")
+
+    def constraints(self, stories: int) -> Constraints:
+        climb = np.eye(stories)[1:] - np.eye(stories)[:-1]
+        return Constraints(G=climb if self.direction == "decreasing" else -climb, h=np.zeros(stories - 1))
+
+    def describe(self) -> str:
+        return f"{self.quantity} only {self.direction} with height"

@@ -1,0 +1,88 @@
+"""Nominal: the design values of all floor masses or all story stiffnesses, perhaps up to a common factor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from cvxshear import checks
+from cvxshear.errors import InputError
+from cvxshear.priors.base import Constraints, Prior, check_quantity, set_field
+from cvxshear.typing import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Nominal(Prior):
+    """x = values, or x = c values with any c > 0; exact or soft.
+
+    Soft, r_i = (x_i / v_i - 1) / std. With a free scale r is log(x_i / v_i) / std less its mean over the
+    floors, expressed in an orthonormal basis of the N - 1 directions that change the distribution, so that
+    it counts as N - 1 statements.
+
+    Parameters
+    ----------
+    quantity : str
+        "floor_mass" or "story_stiffness".
+    values : array_like, shape (N,)
+        kg or N/m.
+    std : float, optional
+        Relative standard deviation; exact without it.
+    free_scale : bool, optional
+        Whether the values are known only up to a common factor.
+    """
+
+    kind: ClassVar[str] = "nominal"
+    quantity: str
+    values: Floats
+    std: float | None = None
+    free_scale: bool = False
+
+    def __post_init__(self) -> None:
+        check_quantity(self)
+        set_field(self, "values", checks.vector(self.values, "values of the nominal prior", above=0.0))
+        set_field(self, "free_scale", checks.flag(self.free_scale, "free_scale of the nominal prior"))
+        if self.std is not None:
+            set_field(self, "std", checks.number(self.std, "std of the nominal prior", above=0.0))
+
+    @property
+    def fixes_scale(self) -> bool:
+        return not self.free_scale
+
+    def check(self, stories: int) -> None:
+        if len(self.values) != stories:
+            raise InputError(
+                f"values of the nominal prior has {len(self.values)} entries, the frame has {stories} stories"
+            )
+
+    def constraints(self, stories: int) -> Constraints:
+        if self.std is not None:
+            return Constraints()
+        if not self.free_scale:
+            return Constraints(A=np.eye(stories), b=self.values)
+        scaled = np.diag(1.0 / self.values)
+        return Constraints(A=scaled[1:] - scaled[:-1], b=np.zeros(stories - 1))
+
+    def residual(self, x: Floats) -> tuple[Floats, Floats]:
+        if self.std is None:
+            return super().residual(x)
+        if not self.free_scale:
+            return (x / self.values - 1.0) / self.std, np.diag(1.0 / (self.values * self.std))
+        basis = _distribution_basis(len(x)) / self.std
+        return basis @ np.log(x / self.values), basis / x
+
+    def describe(self) -> str:
+        sure = "" if self.std is None else f" within {100 * self.std:g} %"
+        scale = " up to a common factor" if self.free_scale else ""
+        return f"{self.quantity} is {np.array2string(self.values, separator=', ')}{scale}{sure}"
+
+
+def _distribution_basis(n: int) -> Floats:
+    """Orthonormal rows, shape (n - 1, n), each orthogonal to (1, ..., 1): the Helmert contrasts."""
+    rows = np.zeros((n - 1, n))
+    for i in range(1, n):
+        rows[i - 1, :i] = 1.0
+        rows[i - 1, i] = -i
+        rows[i - 1] /= np.sqrt(i * (i + 1.0))
+    return rows

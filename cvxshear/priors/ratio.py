@@ -1,0 +1,70 @@
+"""Ratio: two floor masses or two story stiffnesses stand in a known ratio."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from cvxshear import checks
+from cvxshear.errors import InputError
+from cvxshear.priors.base import Constraints, Prior, check_quantity, set_field
+from cvxshear.typing import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Ratio(Prior):
+    """x[of] = value x[to], exact, or soft: r = log(x[of] / (value x[to])) / std.
+
+    The logarithm makes a soft ratio say the same whichever way round it is declared.
+
+    Parameters
+    ----------
+    quantity : str
+        "floor_mass" or "story_stiffness".
+    of, to : int
+        Floors or stories, 1 the lowest.
+    value : float
+        x[of] / x[to].
+    std : float, optional
+        Relative standard deviation of the ratio; exact without it.
+    """
+
+    kind: ClassVar[str] = "ratio"
+    quantity: str
+    of: int
+    to: int
+    value: float
+    std: float | None = None
+
+    def __post_init__(self) -> None:
+        check_quantity(self)
+        set_field(self, "value", checks.number(self.value, "value of the ratio prior", above=0.0))
+        if self.std is not None:
+            set_field(self, "std", checks.number(self.std, "std of the ratio prior", above=0.0))
+
+    def check(self, stories: int) -> None:
+        checks.whole(self.of, "of of the ratio prior", least=1, most=stories)
+        checks.whole(self.to, "to of the ratio prior", least=1, most=stories)
+        if self.of == self.to:
+            raise InputError(f"the ratio prior compares {self.quantity} {self.of} with itself; 'of' and 'to' must differ")
+
+    def constraints(self, stories: int) -> Constraints:
+        if self.std is not None:
+            return Constraints()
+        row = np.zeros((1, stories))
+        row[0, self.of - 1], row[0, self.to - 1] = 1.0, -self.value
+        return Constraints(A=row, b=np.zeros(1))
+
+    def residual(self, x: Floats) -> tuple[Floats, Floats]:
+        if self.std is None:
+            return super().residual(x)
+        of, to = self.of - 1, self.to - 1
+        row = np.zeros((1, len(x)))
+        row[0, of], row[0, to] = 1.0 / (x[of] * self.std), -1.0 / (x[to] * self.std)
+        return np.array([np.log(x[of] / (self.value * x[to])) / self.std]), row
+
+    def describe(self) -> str:
+        sure = "" if self.std is None else f" within {100 * self.std:g} %"
+        return f"{self.quantity} {self.of} is {self.value:g} times {self.quantity} {self.to}{sure}"
