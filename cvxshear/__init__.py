@@ -1,1 +1,34 @@
-"""cvxshear: floor masses and story stiffnesses of shear-type frames from measured modes."""
+"""cvxshear: floor masses and story stiffnesses of shear-type frames from measured modes.
+
+>>> import cvxshear
+>>> found = cvxshear.identify(cvxshear.load("paper"), method="two-stage")
+>>> [round(float(k) / 1000, 1) for k in found.parts[0].frame.story_stiffness]
+[25.5, 25.2]
+"""
+
+from cvxshear import backends, effects, priors
+from cvxshear.errors import CvxshearError, InfeasibleError, InputError, NoSolutionError, UnsuitableError
+from cvxshear.experiment import Configuration, Experiment, Frame
+from cvxshear.formats.toml import load
+from cvxshear.identify import Identification, identify
+from cvxshear.priors import Prior
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Configuration",
+    "CvxshearError",
+    "Experiment",
+    "Frame",
+    "Identification",
+    "InfeasibleError",
+    "InputError",
+    "NoSolutionError",
+    "Prior",
+    "UnsuitableError",
+    "backends",
+    "effects",
+    "identify",
+    "load",
+    "priors",
+]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import reprlib
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, TypeVar
 
@@ -18,42 +19,82 @@ from cvxshear.typing import Floats, Ints
 
 T = TypeVar("T", bound=np.generic)
 
+MOST_STORIES = 2000
+"""More are taken for a mistake in the file: the matrices alone would fill the memory."""
+
+LARGEST = 1e30
+"""No quantity of a structure is larger in SI units, and squares of what passes do not overflow."""
+
+SMALLEST = 1e-30
+"""Nor is a positive one smaller; squares of what passes do not vanish."""
+
+_short = reprlib.Repr()
+_short.maxlevel, _short.maxlist, _short.maxtuple, _short.maxdict = 3, 6, 6, 3
+_short.maxstring = _short.maxlong = _short.maxother = 60
+
 
 def shown(value: object) -> str:
     """`value` as an error message shows it: its repr, cut to a readable length."""
-    text = repr(value.tolist() if isinstance(value, np.ndarray) else value)
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    try:
+        text = _short.repr(value)
+    except ValueError:
+        # Python refuses to print whole numbers of more than a few thousand digits.
+        text = f"a {type(value).__name__} too long to print"
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def keys(table: object, known: Collection[str], required: Collection[str], where: str) -> Mapping[str, Any]:
-    """The table itself, once no key is unknown and none is missing."""
+def keys(
+    table: object,
+    known: Collection[str],
+    required: Collection[str],
+    where: str,
+    *,
+    elsewhere: Mapping[str, str] | None = None,
+) -> Mapping[str, Any]:
+    """The table itself, once no key is unknown and none is missing.
+
+    `elsewhere` names, for keys that another table has, that table: a key below the wrong header is the most
+    common slip in TOML.
+    """
     if not isinstance(table, Mapping):
         raise InputError(f"{where} must be a table of keys and values, not {shown(table)}")
     for key in table:
         if key not in known:
-            near = difflib.get_close_matches(str(key), list(known), n=1, cutoff=0.5)
-            hint = f"did you mean {near[0]!r}?" if near else f"known keys are {', '.join(sorted(known))}"
-            raise InputError(f"{where}: unknown key {str(key)!r}; {hint}")
+            raise InputError(f"{where}: unknown key {shown(key)}; {_hint(key, known, elsewhere or {})}")
     for key in required:
         if key not in table:
             raise InputError(f"{where}: the key {key!r} is missing")
     return table
 
 
+def _hint(key: object, known: Collection[str], elsewhere: Mapping[str, str]) -> str:
+    """What to do about a key that nothing knows."""
+    if isinstance(key, str) and key in elsewhere:
+        return f"it belongs in {elsewhere[key]}"
+    near = difflib.get_close_matches(str(key)[:60].lower(), list(known), n=1, cutoff=0.5)
+    return f"did you mean {near[0]!r}?" if near else f"known keys are {', '.join(sorted(known))}"
+
+
 def number(value: object, where: str, *, above: float = -math.inf, least: float = -math.inf) -> float:
     """A finite number, greater than `above` and not less than `least`."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
         raise InputError(f"{where} must be a number, not {shown(value)}")
     try:
         result = float(value)
     except OverflowError:
-        result = math.inf
+        result = math.copysign(LARGEST * 10, value)
     if not math.isfinite(result):
         raise InputError(f"{where} must be a finite number, not {shown(value)}")
     if result <= above:
         raise InputError(f"{where} = {result:g} must be greater than {above:g}")
     if result < least:
         raise InputError(f"{where} = {result:g} must not be less than {least:g}")
+    if abs(result) > LARGEST or (above == 0.0 and result < SMALLEST):
+        raise InputError(f"{where} = {shown(value)} must lie between {SMALLEST:g} and {LARGEST:g} in size; check its unit")
     return result
 
 
@@ -62,7 +103,7 @@ def whole(value: object, where: str, *, least: int, most: int) -> int:
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
         raise InputError(f"{where} must be a whole number, not {shown(value)}")
     if not least <= value <= most:
-        raise InputError(f"{where} = {int(value)} must lie between {least} and {most}")
+        raise InputError(f"{where} = {shown(int(value))} must lie between {least} and {most}")
     return int(value)
 
 
@@ -83,7 +124,7 @@ def text(value: object, where: str) -> str:
 def choice(value: object, options: Sequence[str], where: str) -> str:
     """One of the named options."""
     if not isinstance(value, str) or value not in options:
-        near = difflib.get_close_matches(str(value), list(options), n=1, cutoff=0.5)
+        near = difflib.get_close_matches(value[:60].lower(), list(options), n=1) if isinstance(value, str) else []
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise InputError(f"{where} must be one of {', '.join(options)}, not {shown(value)}{hint}")
     return value
@@ -102,16 +143,20 @@ def vector(
     where: str,
     *,
     length: int | None = None,
+    of: str = "",
     above: float = -math.inf,
     least: float = -math.inf,
     nan: bool = False,
 ) -> Floats:
-    """A list of numbers as a read-only array; entries may be nan only where `nan` says so."""
+    """A list of numbers as a read-only array; entries may be nan only where `nan` says so.
+
+    `of` says what the entries stand for, for the message about a wrong `length`: ", one a mode".
+    """
     items = _items(value, where, "numbers")
-    if length is not None and len(items) != length:
-        raise InputError(f"{where} must have {length} entries, not {len(items)}")
     if not items:
         raise InputError(f"{where} must not be empty")
+    if length is not None and len(items) != length:
+        raise InputError(f"{where} must have {entries(length)}{of}, not {len(items)}")
     result = np.array(
         [
             math.nan
@@ -123,12 +168,22 @@ def vector(
     return frozen(result)
 
 
+def entries(count: int) -> str:
+    """ "1 entry", "2 entries", ...: a count as a message says it."""
+    return f"{count} {'entry' if count == 1 else 'entries'}"
+
+
+def many(value: object) -> bool:
+    """Whether the value is a list or the like, and not a single one."""
+    return isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim > 0)
+
+
 def one_or_many(
-    value: object, where: str, length: int, *, above: float = -math.inf, least: float = -math.inf
+    value: object, where: str, length: int, *, of: str = "", above: float = -math.inf, least: float = -math.inf
 ) -> Floats:
     """One number for all `length` places, or a list of that many."""
-    if isinstance(value, list | tuple | np.ndarray):
-        return vector(value, where, length=length, above=above, least=least)
+    if many(value):
+        return vector(value, where, length=length, of=of, above=above, least=least)
     return frozen(np.full(length, number(value, where, above=above, least=least)))
 
 
@@ -140,7 +195,7 @@ def ascending_whole(value: object, where: str, *, most: int) -> Ints:
     result = [whole(item, f"{where}, entry {place}", least=1, most=most) for place, item in enumerate(items, 1)]
     for before, after in zip(result, result[1:], strict=False):
         if after <= before:
-            raise InputError(f"{where} must be ascending, none twice; {after} comes after {before}")
+            raise InputError(f"{where} must be ascending, none twice; found {after} after {before}")
     return frozen(np.array(result, dtype=np.int64))
 
 
@@ -148,12 +203,14 @@ def table(value: object, where: str, *, rows: int, nan: bool = False, above: flo
     """A list of `rows` lists of numbers, all of one length, as a read-only array of shape (rows, columns)."""
     items = _items(value, where, "lists of numbers, one a mode")
     if len(items) != rows:
-        raise InputError(f"{where} must have {rows} rows, one for each frequency, not {len(items)}")
+        lying = all(isinstance(item, list | tuple) and len(item) == rows for item in items)
+        hint = ": a row is a mode, not a floor" if items and lying else ""
+        raise InputError(f"{where} must have {rows} row{'s' * (rows != 1)}, one for each frequency, not {len(items)}{hint}")
     lines = [vector(item, f"{where}, row {place}", nan=nan, above=above) for place, item in enumerate(items, 1)]
     for place, line in enumerate(lines, 1):
         if len(line) != len(lines[0]):
             raise InputError(
-                f"{where}, row {place} has {len(line)} entries, row 1 has {len(lines[0])}: give one a measured floor"
+                f"{where}, row {place} has {entries(len(line))}, row 1 has {len(lines[0])}: give one a measured floor"
             )
     return frozen(np.array(lines))
 

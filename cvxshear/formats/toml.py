@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import tomllib
 from importlib import resources
 from pathlib import Path
 
+from cvxshear.checks import shown
 from cvxshear.errors import InputError
 from cvxshear.experiment import Experiment
 
@@ -34,6 +36,8 @@ def load(path: str | Path) -> Experiment:
     if str(path) == "paper":
         text = resources.files("cvxshear").joinpath("paper", "paper.toml").read_text(encoding="utf-8")
         return Experiment.from_dict(tomllib.loads(text), name="paper")
+    if not isinstance(path, str | os.PathLike):
+        raise InputError(f"load takes the name of a measurement file, not {shown(path)}; a dict goes to Experiment.from_dict")
     path = Path(path)
     declared = parse(read_text(path), path)
     try:
@@ -44,18 +48,25 @@ def load(path: str | Path) -> Experiment:
 
 def read_text(path: Path) -> str:
     """The text of a file that a user named."""
-    if path.is_dir():
-        raise InputError(f"{path} is a folder; name a file in it")
     try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise InputError(f"{path} has {path.stat().st_size / 1e6:.0f} MB, too many for a measurement file")
-        return path.read_text(encoding="utf-8-sig")
+        if path.is_dir():
+            raise InputError(f"{path} is a folder; name a file in it")
+        # What is no regular file, a pipe say, tells no size beforehand and may never end.
+        with path.open("rb") as file:
+            content = file.read(LARGEST_FILE + 1)
+        if len(content) > LARGEST_FILE:
+            raise InputError(f"{path} has more than {LARGEST_FILE / 1e6:.0f} MB, too many for a measurement file")
+        return content.decode("utf-8-sig")
     except FileNotFoundError:
         raise InputError(f"{path}: no such file (the built-in example is called 'paper')") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path} is not UTF-8 text (byte {error.start}); is it a measurement file?") from None
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{str(path)!r} cannot be the name of a file: {error}") from None
 
 
 def parse(text: str, path: Path) -> dict[str, object]:
@@ -64,5 +75,8 @@ def parse(text: str, path: Path) -> dict[str, object]:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path} is not valid TOML: {error}") from None
+    except ValueError:
+        # The one that tomllib passes on: Python refuses whole numbers of more than a few thousand digits.
+        raise InputError(f"{path}: a number in it has thousands of digits; is it a measurement file?") from None
     except RecursionError:
         raise InputError(f"{path} is not valid TOML: nested too deeply") from None

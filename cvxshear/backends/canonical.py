@@ -1,0 +1,148 @@
+"""The scaled program that solvers work on, and the way back.
+
+Masses are of order 1e4 kg and stiffnesses of order 1e7 N/m, rows of order 1e-2: no solver's tolerance means
+anything there. With the QR factorization of the rows, in which equalities may be stacked below since they
+vanish at every feasible point,
+
+    [W R; sigma A] = Q U,        z = U x / tau,
+
+the objective becomes |z - q|^2 with q = Q' [W s; sigma b] / tau. Its Hessian is the identity, nothing was
+squared, and first-order methods converge as fast as the constraints allow. Rows of the constraints are
+scaled to unit length. tau makes q, and what the constraints demand beyond it, of order one.
+
+Where the stacked rows do not determine x (only inequalities do) U is singular, and the columns are merely
+scaled: C = [W R; sigma A] D, z = D^-1 x / tau, objective |C z - q|^2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from cvxshear.errors import InfeasibleError
+from cvxshear.programs import LeastSquares
+from cvxshear.typing import Bools, Floats
+
+SINGULAR = 1e-12
+"""Reciprocal condition number of the scaled rows below which they are taken not to determine the unknowns."""
+
+
+@dataclass(frozen=True, eq=False)
+class Canonical:
+    """minimize |C z - q|^2 / 2 subject to E z = e, F z <= f.
+
+    Parameters
+    ----------
+    C, q : ndarray, shapes (n, n) and (n,)
+        C is the identity unless `singular`.
+    E, e : ndarray, shapes (a, n) and (a,)
+        Independent equalities, rows of unit length.
+    F, f : ndarray, shapes (g, n) and (g,)
+        Inequalities, bounds among them, rows of unit length.
+    singular : bool
+        Whether the rows and the equalities leave a direction free.
+    """
+
+    C: Floats
+    q: Floats
+    E: Floats
+    e: Floats
+    F: Floats
+    f: Floats
+    singular: bool
+    _inverse: Floats
+    _tau: float
+    _equality_scale: Floats
+    _inequality_scale: Floats
+    _independent: Bools
+
+    def to_z(self, x: Floats) -> Floats:
+        """The scaled unknowns of x."""
+        return np.linalg.solve(self._inverse, x) / self._tau
+
+    def to_x(self, z: Floats) -> Floats:
+        """The unknowns in their own units."""
+        return self._tau * (self._inverse @ z)
+
+    def multipliers(self, y: Floats, w: Floats) -> tuple[Floats, Floats]:
+        """The multipliers in the units of the original program, zero for equalities that follow from others."""
+        full = np.zeros(len(self._independent))
+        full[self._independent] = self._tau**2 * self._equality_scale * y
+        return full, self._tau**2 * self._inequality_scale * w
+
+
+def canonical(program: LeastSquares) -> Canonical:
+    """Scale a program.
+
+    Raises
+    ------
+    InfeasibleError
+        Where equalities contradict each other, or a bound says that 0 x is at most a negative number.
+    """
+    R, s = program.weighted
+    A, b = program.equalities
+    independent = _independent_rows(A, b)
+    A, b = A[independent], b[independent]
+    inverse, C, q, singular = _whitening(R, s, A, b)
+    E, e, equality_scale = _unit_rows(A @ inverse, b)
+    G, h = program.inequalities
+    F, f, inequality_scale = _unit_rows(G @ inverse, h)
+    tau = max(float(np.linalg.norm(q)), float(np.max(np.abs(e), initial=0.0)), float(np.max(-f, initial=0.0)))
+    tau = tau if tau > 0 else 1.0
+    return Canonical(
+        C, q / tau, E, e / tau, F, f / tau, singular, inverse, tau,
+        equality_scale / tau, inequality_scale / tau, independent,
+    )  # fmt: skip
+
+
+def _whitening(R: Floats, s: Floats, A: Floats, b: Floats) -> tuple[Floats, Floats, Floats, bool]:
+    """x = inverse @ z and the objective |C z - q|^2."""
+    lengths = np.linalg.norm(R, axis=0)
+    D = 1.0 / np.where(lengths > 0, lengths, 1.0)
+    scaled_A = A * D
+    a_lengths = np.linalg.norm(scaled_A, axis=1)
+    sigma = 1.0 / np.where(a_lengths > 0, a_lengths, 1.0)
+    stacked = np.concatenate([R * D, sigma[:, None] * scaled_A])
+    side = np.concatenate([s, sigma * b])
+    Q, U = np.linalg.qr(stacked)
+    n = R.shape[1]
+    if len(U) == n:
+        values = np.linalg.svd(U, compute_uv=False)
+        if values[-1] > SINGULAR * values[0]:
+            inverse = D[:, None] * linalg.solve_triangular(U, np.eye(n))
+            return inverse, np.eye(n), Q.T @ side, False
+    square = np.zeros((n, n))
+    square[: len(U)] = U
+    q = np.zeros(n)
+    q[: len(U)] = Q.T @ side
+    return np.diag(D), square, q, True
+
+
+def _unit_rows(rows: Floats, side: Floats) -> tuple[Floats, Floats, Floats]:
+    """The rows scaled to unit length, the right side with them, and the scale of each."""
+    lengths = np.linalg.norm(rows, axis=1)
+    scale = 1.0 / np.where(lengths > 0, lengths, 1.0)
+    return rows * scale[:, None], side * scale, scale
+
+
+def _independent_rows(A: Floats, b: Floats) -> Bools:
+    """Which equalities to keep, the others following from them."""
+    keep = np.ones(len(A), dtype=bool)
+    if not len(A):
+        return keep
+    scale = np.linalg.norm(A, axis=1)
+    rows = A / np.where(scale > 0, scale, 1.0)[:, None]
+    side = b / np.where(scale > 0, scale, 1.0)
+    _, triangle, order = linalg.qr(rows.T, mode="economic", pivoting=True)
+    diagonal = np.abs(np.diag(triangle))
+    rank = int(np.sum(diagonal > 1e-12 * max(diagonal[0], 1e-300)))
+    if rank == len(A):
+        return keep
+    keep[order[rank:]] = False
+    point = np.linalg.lstsq(rows[keep], side[keep], rcond=None)[0]
+    error = np.abs(rows @ point - side)
+    if np.any(error > 1e-9 * max(1e-300, float(np.abs(side).max()))):
+        raise InfeasibleError("the equalities contradict each other")
+    return keep

@@ -1,0 +1,40 @@
+"""The catalogue of physical effects that a shear model lacks, one file an effect.
+
+`catalogue()` lists them; `register` adds one of your own to it.
+"""
+
+from cvxshear.effects.added_mass import AddedMass
+from cvxshear.effects.axial_columns import AxialColumns
+from cvxshear.effects.base import Effect, Parameter, Place, Placed, State
+from cvxshear.effects.base_rocking import BaseRocking
+from cvxshear.effects.composition import compose
+from cvxshear.effects.flexibility import add_flexibility
+from cvxshear.effects.gravity import Gravity
+from cvxshear.effects.ground_spring import GroundSpring
+from cvxshear.effects.joint_rotation import JointRotation
+from cvxshear.effects.mass_coupling import MassCoupling
+from cvxshear.effects.registry import catalogue, named, register
+from cvxshear.effects.sensor_gain import SensorGain
+from cvxshear.effects.story_change import StoryChange
+
+__all__ = [
+    "AddedMass",
+    "AxialColumns",
+    "BaseRocking",
+    "Effect",
+    "Gravity",
+    "GroundSpring",
+    "JointRotation",
+    "MassCoupling",
+    "Parameter",
+    "Place",
+    "Placed",
+    "SensorGain",
+    "State",
+    "StoryChange",
+    "add_flexibility",
+    "catalogue",
+    "compose",
+    "named",
+    "register",
+]

@@ -1,0 +1,27 @@
+"""A floor that is held by something else than the frame."""
+
+from __future__ import annotations
+
+from cvxshear.effects.base import Effect, Parameter, Place, State
+from cvxshear.typing import Floats
+
+
+class GroundSpring(Effect):
+    """K + s e e' at one floor above the first, where it would be story 1's own stiffness."""
+
+    name = "ground_spring"
+    summary = "Something besides the frame holds one floor: a brace to the ground, a neighbour, a cable or a shaker's rod."
+    formula = "K + s e_j e_j'"
+    source = "linear spring from floor j to the ground"
+    stage = "spring"
+    parameters = (Parameter("s", "N/m", lower=0.0),)
+    sits_at = ("floor",)
+    lowest_floor = 2
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        assert place.floor is not None
+        at = place.floor - 1
+        K, dK = state.system.K.copy(), state.system.dK.copy()
+        K[at, at] += values[0]
+        dK[own, at, at] += 1.0
+        return state.with_stiffness(K, dK)

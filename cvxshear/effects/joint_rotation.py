@@ -1,0 +1,68 @@
+"""Beams that are not rigid let the joints turn."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import linalg
+
+from cvxshear.effects.base import Effect, Parameter, Place, State
+from cvxshear.typing import Floats
+
+
+class JointRotation(Effect):
+    """Columns that bend between joints that turn, the rotations condensed out.
+
+    A story of stiffness k = 12 E I / h^3 and height h, with sway u and joint rotation theta at either end,
+    has the stiffness of the Bernoulli beam, k [1, h/2; h^2/3, h^2/6 coupling]. The beams of each floor resist
+    with r, N m/rad; the columns are clamped at the ground. eta = mean(k h^2) / r, zero for rigid beams.
+    """
+
+    name = "joint_rotation"
+    summary = "The beams bend, so that the joints turn and each story is softer than columns clamped at both ends."
+    formula = "story element k [[1, h/2], [h/2, h^2/3]] with coupling h^2/6, plus r = mean(k h^2) / eta a floor, rotations condensed"
+    source = "Bernoulli beam element, Przemieniecki, Theory of Matrix Structural Analysis; static condensation, Guyan 1965"
+    stage = "elastic"
+    parameters = (Parameter("eta", "", lower=0.0, upper=100.0, null=0.0, start=0.05),)
+    needs = ("heights",)
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        eta = values[0]
+        k, h = state.story_stiffness, state.heights
+        stories = len(k)
+        beam = float(np.mean(state.frame_stiffness * h**2))
+        units = [_story(i, h[i], stories) for i in range(stories)]
+        Kuu, Kut, Ktt = (np.einsum("i,iab->ab", k, np.array([unit[part] for unit in units])) for part in range(3))
+        # With S = eta / beam the inverse of Ktt + I / S is S (1 + Ktt S)^-1, which stays finite for rigid beams.
+        S = eta / beam
+        turn = S * linalg.solve(np.eye(stories) + S * Ktt, np.eye(stories))
+        K = Kuu - Kut @ turn @ Kut.T
+        # Condensation is a congruence with [1; -turn Kut'], so a derivative of the full matrix passes through it.
+        down = -turn @ Kut.T
+        each = np.array([uu + ut @ down + down.T @ ut.T + down.T @ tt @ down for uu, ut, tt in units])
+        dK = np.einsum("pi,iab->pab", state.d_story_stiffness, each)
+        # d turn / dS = (1 + S Ktt)^-1 (1 + S Ktt)^-1, with which S itself depends on eta and on the stiffnesses.
+        inner = linalg.solve(np.eye(stories) + S * Ktt, Kut.T)
+        by_S = -inner.T @ inner
+        dK[own] += by_S / beam
+        dK[stories : 2 * stories] += by_S * (-S / beam) * (h**2 / stories)[:, None, None]
+        return state.with_stiffness(K, dK)
+
+
+def _story(i: int, h: float, stories: int) -> tuple[Floats, Floats, Floats]:
+    """Story i of unit stiffness: its blocks (u, u), (u, theta), (theta, theta), each of shape (N, N).
+
+    theta > 0 turns the joint so that the column leans towards +u: the drift is resisted by
+    u_i - u_(i-1) - h (theta_i + theta_(i-1)) / 2.
+    """
+    sway = np.zeros(stories)
+    sway[i] = 1.0
+    joints = np.zeros(stories)
+    joints[i] = 1.0
+    tt = np.zeros((stories, stories))
+    tt[i, i] = h**2 / 3
+    if i > 0:
+        sway[i - 1] = -1.0
+        joints[i - 1] = 1.0
+        tt[i - 1, i - 1] = h**2 / 3
+        tt[i, i - 1] = tt[i - 1, i] = h**2 / 6
+    return np.outer(sway, sway), -0.5 * h * np.outer(sway, joints), tt

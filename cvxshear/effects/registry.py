@@ -1,0 +1,53 @@
+"""Which effects there are, in the order that reports list them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cvxshear import checks
+from cvxshear.effects.added_mass import AddedMass
+from cvxshear.effects.axial_columns import AxialColumns
+from cvxshear.effects.base import Effect
+from cvxshear.effects.base_rocking import BaseRocking
+from cvxshear.effects.gravity import Gravity
+from cvxshear.effects.ground_spring import GroundSpring
+from cvxshear.effects.joint_rotation import JointRotation
+from cvxshear.effects.mass_coupling import MassCoupling
+from cvxshear.effects.sensor_gain import SensorGain
+from cvxshear.effects.story_change import StoryChange
+
+_catalogue: dict[str, Effect] = {
+    effect.name: effect
+    for effect in (
+        Gravity(),
+        JointRotation(),
+        AxialColumns(),
+        BaseRocking(),
+        GroundSpring(),
+        AddedMass(),
+        MassCoupling(),
+        SensorGain(),
+        StoryChange(),
+    )
+}
+
+
+def catalogue() -> tuple[Effect, ...]:
+    """Every effect that is known, one's own registered ones last."""
+    return tuple(_catalogue.values())
+
+
+def register(effect: Effect) -> None:
+    """Add an effect to the catalogue; one of the same name is replaced."""
+    _catalogue[effect.name] = effect
+
+
+def named(names: Sequence[str]) -> tuple[Effect, ...]:
+    """The effects of these names.
+
+    Raises
+    ------
+    InputError
+        Where there is none of a name; the message lists those there are.
+    """
+    return tuple(_catalogue[checks.choice(name, list(_catalogue), "effect")] for name in names)

@@ -1,0 +1,34 @@
+"""A sensor whose calibration is off."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from cvxshear.effects.base import Effect, Parameter, Place, State
+from cvxshear.experiment import Experiment
+from cvxshear.typing import Floats
+
+
+class SensorGain(Effect):
+    """The measured shape entry at one floor is 1 + g times the true one, in every configuration and mode."""
+
+    name = "sensor_gain"
+    summary = "The sensor at one floor reads too much or too little by the same factor in every mode."
+    formula = "measured phi_j = (1 + g) phi_j"
+    source = "calibration error of one sensor"
+    stage = "shape"
+    parameters = (Parameter("g", "", lower=-0.9, upper=9.0),)
+    sits_at = ("floor",)
+
+    def places(self, experiment: Experiment) -> list[Place]:
+        seen = {int(floor) for each in experiment.configurations for floor in each.measured_floors}
+        return [place for place in super().places(experiment) if place.floor in seen]
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        assert place.floor is not None
+        at = place.floor - 1
+        gain, d_gain = state.gain.copy(), state.d_gain.copy()
+        d_gain[:, at] *= 1.0 + values[0]
+        d_gain[own, at] += gain[at]
+        gain[at] *= 1.0 + values[0]
+        return dataclasses.replace(state, gain=gain, d_gain=d_gain)

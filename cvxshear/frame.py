@@ -1,0 +1,148 @@
+"""The forward model: mass and stiffness matrices of the shear frame, its modes, and their derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from cvxshear.errors import InputError
+from cvxshear.typing import Floats
+
+
+def transformation(stories: int) -> Floats:
+    """T of Eq. 19, shape (N, N): T' u are the story drifts, floor less floor below."""
+    return np.eye(stories) - np.eye(stories, k=1)
+
+
+def mass_matrix(floor_mass: Floats) -> Floats:
+    """M = diag(m) of Eq. 1, shape (N, N), kg."""
+    return np.diag(floor_mass)
+
+
+def stiffness_matrix(story_stiffness: Floats) -> Floats:
+    """K = T diag(k) T' of Eq. 18, shape (N, N), N/m: symmetric and tridiagonal."""
+    T = transformation(len(story_stiffness))
+    return (T * story_stiffness) @ T.T
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """Mass and stiffness matrices, and their derivatives with respect to P parameters.
+
+    Parameters
+    ----------
+    M, K : ndarray, shape (N, N)
+        kg and N/m.
+    dM, dK : ndarray, shape (P, N, N)
+        dM/dtheta_p and dK/dtheta_p, a row a parameter.
+    """
+
+    M: Floats
+    K: Floats
+    dM: Floats
+    dK: Floats
+
+
+def shear_system(floor_mass: Floats, story_stiffness: Floats) -> System:
+    """The shear frame, with derivatives by every floor mass and then every story stiffness (P = 2N)."""
+    n = len(floor_mass)
+    T = transformation(n)
+    zeros = np.zeros((n, n, n))
+    unit_masses = zeros.copy()
+    unit_masses[np.arange(n), np.arange(n), np.arange(n)] = 1.0
+    unit_stories = T.T[:, :, None] * T.T[:, None, :]
+    return System(
+        M=mass_matrix(floor_mass),
+        K=stiffness_matrix(story_stiffness),
+        dM=np.concatenate([unit_masses, zeros]),
+        dK=np.concatenate([zeros, unit_stories]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """Undamped modes of a frame, all N of them, ascending.
+
+    Parameters
+    ----------
+    eigenvalues : ndarray, shape (N,)
+        lambda = omega^2, (rad/s)^2.
+    shapes : ndarray, shape (N, N)
+        One column a mode, mass-normalized: shapes' M shapes = 1.
+    """
+
+    eigenvalues: Floats
+    shapes: Floats
+
+    @property
+    def frequencies(self) -> Floats:
+        """Natural frequencies, shape (N,), Hz."""
+        return np.sqrt(self.eigenvalues) / (2 * np.pi)
+
+
+def modes(M: Floats, K: Floats) -> Modes:
+    """Solve K phi = lambda M phi.
+
+    Parameters
+    ----------
+    M, K : ndarray, shape (N, N)
+        Symmetric; M positive definite.
+
+    Returns
+    -------
+    Modes
+        Each shape has its largest entry positive.
+
+    Raises
+    ------
+    InputError
+        Where M is not positive definite, or K has a negative eigenvalue: the frame would buckle.
+    """
+    try:
+        eigenvalues, shapes = linalg.eigh(K, M, check_finite=False)
+    except linalg.LinAlgError:
+        raise InputError("the mass matrix is not positive definite") from None
+    if eigenvalues[0] <= 0:
+        raise InputError(f"the frame is not stable: the lowest eigenvalue is {eigenvalues[0]:g} (rad/s)^2")
+    largest = shapes[np.argmax(np.abs(shapes), axis=0), np.arange(len(shapes))]
+    return Modes(eigenvalues, shapes * np.sign(largest))
+
+
+def mode_derivatives(of: Modes, system: System, which: slice | Floats | list[int]) -> tuple[Floats, Floats]:
+    """Derivatives of eigenvalues and mass-normalized shapes, by modal superposition (Fox and Kapoor, 1968).
+
+    With S = dK - lambda_j dM,
+
+        dlambda_j = phi_j' S phi_j
+        dphi_j    = sum over l != j of phi_l (phi_l' S phi_j) / (lambda_j - lambda_l) - phi_j (phi_j' dM phi_j) / 2
+
+    which is exact, since all modes of the frame are at hand.
+
+    Parameters
+    ----------
+    of : Modes
+    system : System
+        With derivatives by P parameters.
+    which : index
+        The modes j wanted, m of them, zero-based.
+
+    Returns
+    -------
+    dlam : ndarray, shape (P, m)
+    dphi : ndarray, shape (P, N, m)
+    """
+    lam, phi = of.eigenvalues, of.shapes
+    lam_j, phi_j = lam[which], phi[:, which]
+    stiff = phi.T @ (system.dK @ phi_j)
+    heavy = phi.T @ (system.dM @ phi_j)
+    S = stiff - lam_j * heavy
+    own = np.arange(len(lam))[which]
+    column = np.arange(len(own))
+    dlam = S[:, own, column]
+    gap = lam_j[None, :] - lam[:, None]
+    gap[own, column] = 1.0
+    share = S / gap
+    share[:, own, column] = -0.5 * heavy[:, own, column]
+    return dlam, phi @ share

@@ -1,0 +1,179 @@
+"""The efficient estimator: one fit over all configurations together, weighted by what the noise is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.backends import Backend
+from cvxshear.effects import Placed
+from cvxshear.errors import CvxshearError, NoSolutionError
+from cvxshear.experiment import Experiment
+from cvxshear.identify.domain import domain_of
+from cvxshear.identify.gauss_newton import Domain, Fit, gauss_newton
+from cvxshear.identify.misfit import Misfit
+from cvxshear.identify.quality import Quality, quality
+from cvxshear.identify.results import IdentifiedFrame, Part, Prediction, predictions
+from cvxshear.identify.start import starts
+from cvxshear.identify.uncertainty import Uncertainty, uncertainty
+from cvxshear.typing import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A joint fit with its uncertainty.
+
+    Parameters
+    ----------
+    misfit : Misfit
+        With the experiment and the effects of the fit.
+    fit : Fit
+    uncertainty : Uncertainty
+        In units of the declared noise; see `noise_scale`.
+    noise_scale : float
+        1 where the noise is declared; else the estimated common factor of all standard deviations.
+    """
+
+    misfit: Misfit
+    domain: Domain
+    fit: Fit
+    uncertainty: Uncertainty
+
+    @property
+    def experiment(self) -> Experiment:
+        """What was measured."""
+        return self.misfit.experiment
+
+    @property
+    def effects(self) -> tuple[Placed, ...]:
+        """The effects in the model."""
+        return self.misfit.effects
+
+    @property
+    def theta(self) -> Floats:
+        """All parameters, shape (P,)."""
+        return self.fit.theta
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squared residuals in units of the declared (or default) standard deviations."""
+        return self.fit.at.chi2
+
+    @property
+    def dof(self) -> int:
+        """Number of data less number of parameters that they determine."""
+        return self.misfit.count(self.theta) - self.uncertainty.free
+
+    @property
+    def noise_scale(self) -> float:
+        """Factor of all standard deviations: 1 where declared, else estimated, nan where nothing is left to do so."""
+        if self.experiment.noise_declared:
+            return 1.0
+        return float(np.sqrt(self.chi2 / self.dof)) if self.dof > 0 else float("nan")
+
+    @property
+    def std(self) -> Floats:
+        """Standard deviations of all parameters, shape (P,); nan where undetermined."""
+        return self.noise_scale * self.uncertainty.std
+
+    @property
+    def quality(self) -> Quality:
+        """Errors and chi-square."""
+        return quality(self.misfit, self.fit.at.matches, self.chi2, self.dof)
+
+    @property
+    def predictions(self) -> tuple[Prediction, ...]:
+        """All modes at all floors, one prediction a configuration."""
+        return predictions(self.misfit, self.fit.at.matches)
+
+    @property
+    def frame(self) -> IdentifiedFrame:
+        """The frame, nan where the data do not determine a value."""
+        n = self.experiment.stories
+        values = np.where(self.uncertainty.determined, self.theta, np.nan)
+        std = self.std
+        return IdentifiedFrame(values[:n], values[n : 2 * n], std[:n], std[n : 2 * n])
+
+    @property
+    def part(self) -> Part:
+        """The estimate in the form that every method returns."""
+        return Part(
+            name="",
+            converged=self.fit.converged,
+            iterations=self.fit.steps,
+            frame=self.frame,
+            fit=self.quality,
+            predictions=self.predictions,
+            reason=self.fit.reason,
+        )
+
+
+def parameter_names(experiment: Experiment, effects: Sequence[Placed]) -> tuple[str, ...]:
+    """Names of the parameters of a fit, in order."""
+    stories = range(1, experiment.stories + 1)
+    return (
+        *(f"floor_mass {i}" for i in stories),
+        *(f"story_stiffness {i}" for i in stories),
+        *(
+            placed.label if len(placed.effect.parameters) == 1 else f"{placed.label} {item.name}"
+            for placed in effects
+            for item in placed.effect.parameters
+        ),
+    )
+
+
+def fitted(misfit: Misfit, theta: Floats, backend: Backend) -> Estimate:
+    """The estimate that Gauss-Newton reaches from a starting point.
+
+    Parameters
+    ----------
+    misfit : Misfit
+    theta : ndarray, shape (P,)
+    backend : Backend
+    """
+    domain = domain_of(misfit.experiment, misfit.effects, theta)
+    fit = gauss_newton(misfit, theta, domain, backend)
+    names = parameter_names(misfit.experiment, misfit.effects)
+    return Estimate(misfit, domain, fit, uncertainty(fit.at.J, fit.theta, domain, names))
+
+
+def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed] = ()) -> Estimate:
+    """Fit floor masses, story stiffnesses and effects to all configurations together.
+
+    The starting points are tried in order until one leads to a fit that the data do not speak against; the
+    best is kept.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    backend : Backend
+    effects : sequence of Placed, optional
+
+    Returns
+    -------
+    Estimate
+
+    Raises
+    ------
+    NoSolutionError
+        Where no starting point leads to a fit.
+    """
+    misfit = Misfit(experiment, effects)
+    own = np.array([item.start for placed in effects for item in placed.effect.parameters])
+    best: Estimate | None = None
+    failure: CvxshearError | None = None
+    for start in starts(experiment):
+        try:
+            found = fitted(misfit, np.concatenate([start, own]), backend)
+        except NoSolutionError as error:
+            failure = error
+            continue
+        if best is None or found.chi2 < best.chi2:
+            best = found
+        if best.chi2 <= 3.0 * max(best.dof, 1):
+            break
+    if best is None:
+        raise failure if failure is not None else NoSolutionError(backend.name, "no starting point has modes")
+    return best

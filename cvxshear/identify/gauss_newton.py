@@ -1,0 +1,158 @@
+"""Gauss-Newton, every step of which is one least-squares program, with a step control that never accepts a worse fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.backends import Backend
+from cvxshear.errors import InputError
+from cvxshear.identify.misfit import Evaluation, Misfit
+from cvxshear.priors import Constraints
+from cvxshear.programs import LeastSquares
+from cvxshear.programs.feasibility import Statement
+from cvxshear.programs.rows import constrained
+from cvxshear.typing import Floats
+
+CONVERGED_STEP = 1e-6
+"""Largest change of a residual, in standard deviations and relative to their root mean square where that is above
+one, of a step that counts as none."""
+
+MOST_STEPS = 60
+MOST_HALVINGS = 30
+DAMPING = 1e-7
+"""Weight of the rows that hold a step back, relative to the sensitivity of the data to each parameter. They move no
+stationary point; they keep a step along a direction that the data do not determine from being arbitrary."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Where Gauss-Newton stopped.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (P,)
+    at : Evaluation
+        Residuals and derivatives there.
+    reason : str
+        "step below tolerance", "no step lowers the misfit", or "step limit".
+    steps : int
+        Number of step programs solved.
+    """
+
+    theta: Floats
+    at: Evaluation
+    reason: str
+    steps: int
+
+    @property
+    def converged(self) -> bool:
+        """Whether it stopped because there was nothing left to gain."""
+        return self.reason != "step limit"
+
+
+@dataclass(frozen=True, eq=False)
+class Domain:
+    """Where the parameters may lie.
+
+    Parameters
+    ----------
+    statements : sequence of Statement
+        Exact statements about theta.
+    scale : ndarray, shape (P,)
+        Size of each parameter at the start, to which a change is compared.
+    """
+
+    statements: Sequence[Statement]
+    scale: Floats
+
+
+def step_program(at: Evaluation, theta: Floats, domain: Domain) -> LeastSquares:
+    """The program of one step d: minimize |J d + r|^2, theta + d within its domain."""
+    sensitivity = np.linalg.norm(at.J, axis=0)
+    damping = DAMPING * np.where(sensitivity > 0, sensitivity, 1.0)
+    program = LeastSquares(
+        R=np.concatenate([at.J, np.diag(damping)]),
+        s=np.concatenate([-at.r, np.zeros(len(theta))]),
+    )
+    return constrained(program, domain.statements, theta)
+
+
+def gauss_newton(misfit: Misfit, theta: Floats, domain: Domain, backend: Backend) -> Fit:
+    """Minimize the sum of squared standardized residuals.
+
+    Parameters
+    ----------
+    misfit : Misfit
+    theta : ndarray, shape (P,)
+        Start, at which the model has modes.
+    domain : Domain
+    backend : Backend
+
+    Returns
+    -------
+    Fit
+        Of no larger misfit than the start, once the start keeps the exact statements.
+
+    Raises
+    ------
+    NoSolutionError, UnsuitableError
+        From the backend, where it cannot solve a step.
+    """
+    theta = _made_feasible(theta, domain, backend)
+    at = misfit.evaluate(theta)
+    for step in range(1, MOST_STEPS + 1):
+        d = backend.solve(step_program(at, theta, domain)).x
+        rms = np.sqrt(at.chi2 / max(len(at.r), 1))
+        if np.max(np.abs(at.J @ d), initial=0.0) < CONVERGED_STEP * max(1.0, rms):
+            return Fit(theta, at, "step below tolerance", step)
+        taken = _halved(misfit, theta, d, at)
+        if taken is None:
+            return Fit(theta, at, "no step lowers the misfit", step)
+        theta = taken
+        at = misfit.evaluate(theta)
+    return Fit(theta, at, "step limit", MOST_STEPS)
+
+
+def _halved(misfit: Misfit, theta: Floats, d: Floats, at: Evaluation) -> Floats | None:
+    """theta + d, or + d/2, d/4, ...: the first that lowers the misfit; None where none does."""
+    length = 1.0
+    for _ in range(MOST_HALVINGS):
+        trial = theta + length * d
+        try:
+            chi2 = misfit.evaluate(trial, derivatives=False).chi2
+        except InputError:
+            # Outside the model's domain (a mass not positive, a frame that buckles): too long a step.
+            chi2 = np.inf
+        if chi2 < at.chi2:
+            return trial
+        length *= 0.5
+    return None
+
+
+def _made_feasible(theta: Floats, domain: Domain, backend: Backend) -> Floats:
+    """The nearest point, in relative change, that keeps the exact statements."""
+    nearest = LeastSquares(R=np.diag(1.0 / domain.scale), s=np.zeros(len(theta)))
+    return theta + backend.solve(constrained(nearest, domain.statements, theta)).x
+
+
+def embedded(said: Constraints, at: slice, size: int) -> Constraints:
+    """Statements about some of the parameters as statements about all of them."""
+
+    def wide(rows: Floats | None) -> Floats | None:
+        if rows is None:
+            return None
+        full = np.zeros((len(rows), size))
+        full[:, at] = rows
+        return full
+
+    def padded(bound: Floats | None, fill: float) -> Floats | None:
+        if bound is None:
+            return None
+        full = np.full(size, fill)
+        full[at] = bound
+        return full
+
+    return Constraints(padded(said.lower, -np.inf), padded(said.upper, np.inf), wide(said.G), said.h, wide(said.A), said.b)

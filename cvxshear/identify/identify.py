@@ -1,0 +1,88 @@
+"""The identification: a method, a backend, priors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cvxshear import backends, checks
+from cvxshear.backends import Backend
+from cvxshear.errors import UnsuitableError
+from cvxshear.experiment import Experiment
+from cvxshear.identify.baselines import berman, qi
+from cvxshear.identify.efficient import efficient, parameter_names
+from cvxshear.identify.one_shot import one_shot
+from cvxshear.identify.results import Identification, Part
+from cvxshear.identify.separate import Setting, setting
+from cvxshear.identify.two_stage import two_stage
+from cvxshear.priors import Prior
+from cvxshear.typing import Floats
+
+METHODS = ("efficient", "two-stage", "one-shot", "berman", "qi")
+
+
+def identify(
+    experiment: Experiment,
+    method: str = "efficient",
+    backend: str | Backend = "auto",
+    priors: Sequence[Prior] = (),
+    initial_mass: Sequence[float] | Floats | None = None,
+) -> Identification:
+    """Identify the floor masses and story stiffnesses of a frame.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    method : str, optional
+        "efficient": one weighted fit over all configurations, which takes incomplete data. "two-stage": the
+        paper's, and "one-shot", "berman", "qi": each configuration by itself; these need all modes at all
+        floors and the total mass.
+    backend : str or Backend, optional
+        Which solver solves the programs; `cvxshear.backends.available()` lists them.
+    priors : sequence of Prior, optional
+        Besides those of the experiment.
+    initial_mass : array_like, shape (N,), optional
+        Where the mass iteration starts, kg without added mass (two-stage, berman, qi).
+
+    Returns
+    -------
+    Identification
+
+    Raises
+    ------
+    UnsuitableError
+        Where the method cannot use these data.
+    InfeasibleError
+        Where declared masses and priors contradict each other.
+    NoSolutionError
+        Where the backend does not solve a program.
+    """
+    checks.choice(method, METHODS, "method")
+    experiment = experiment.with_priors(tuple(priors))
+    solver = backends.get(backend)
+    start = None
+    if initial_mass is not None:
+        if method in ("efficient", "one-shot"):
+            raise UnsuitableError(f"method {method} takes no initial mass; two-stage, berman and qi do")
+        start = checks.vector(np.asarray(initial_mass), "initial mass", length=experiment.stories, above=0.0)
+    if method == "efficient":
+        estimate = efficient(experiment, solver)
+        return Identification(
+            experiment,
+            method,
+            solver.name,
+            (estimate.part,),
+            joint=True,
+            correlation=estimate.uncertainty.correlation,
+            parameter_names=parameter_names(experiment, ()),
+            undetermined=estimate.uncertainty.null_directions,
+        )
+    settings = [setting(experiment, each, method) for each in experiment.configurations]
+    return Identification(experiment, method, solver.name, tuple(_part(method, of, solver, start) for of in settings))
+
+
+def _part(method: str, of: Setting, solver: Backend, start: Floats | None) -> Part:
+    if method == "one-shot":
+        return one_shot(of, solver)
+    return {"two-stage": two_stage, "berman": berman, "qi": qi}[method](of, solver, start)

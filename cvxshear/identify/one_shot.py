@@ -1,0 +1,53 @@
+"""All masses from one program, without an iteration."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cvxshear.backends import Backend
+from cvxshear.identify.results import Part
+from cvxshear.identify.separate import Setting, finished
+from cvxshear.identify.stiffness import MOST_ROUNDS, UNCHANGED, identified_stiffness
+from cvxshear.programs import one_shot_masses
+from cvxshear.programs.rows import constrained, softened
+
+
+def one_shot(of: Setting, backend: Backend) -> Part:
+    """Identify one configuration from the off-diagonal orthogonality conditions and the total mass.
+
+    Parameters
+    ----------
+    of : Setting
+    backend : Backend
+    """
+    plain = one_shot_masses(of.shapes, of.total)
+    # Each row is a mass times the shapes' error: its standard deviation goes with the mean floor mass.
+    row_std = of.shape_std * of.total / plain.unknowns
+    added = of.configuration.added_mass
+    mass = backend.solve(constrained(plain, of.mass_statements, -added)).x
+    iterations = 1
+    while iterations <= MOST_ROUNDS:
+        soft = softened(plain, of.experiment.priors, "floor_mass", mass - added, row_std, step=False)
+        if soft is plain:
+            break
+        # The soft rows speak of the masses without added mass.
+        shifted = soft.replace(s=soft.s + _shift(soft.R, plain.R.shape[0], added))
+        before, mass = mass, backend.solve(constrained(shifted, of.mass_statements, -added)).x
+        iterations += 1
+        if np.max(np.abs(mass - before)) <= UNCHANGED * np.max(np.abs(mass)):
+            break
+    return finished(
+        of,
+        mass,
+        identified_stiffness(of, mass, backend),
+        converged=iterations <= MOST_ROUNDS,
+        iterations=iterations,
+        reason="solved",
+    )
+
+
+def _shift(R: np.ndarray, own_rows: int, added: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    """What the added mass contributes to the soft rows, zero for the program's own."""
+    shift = R @ added
+    shift[:own_rows] = 0.0
+    return shift

@@ -1,0 +1,202 @@
+"""What an identification returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cvxshear.experiment import Experiment
+from cvxshear.identify.misfit import Match, Misfit
+from cvxshear.identify.quality import Quality
+from cvxshear.typing import Floats, Json
+
+
+def plain(values: Floats | None) -> list[object] | None:
+    """An array as lists, None in place of nan, as JSON has it."""
+    if values is None:
+        return None
+    return [plain(item) if isinstance(item, np.ndarray) else None if np.isnan(item) else float(item) for item in values]
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedFrame:
+    """Floor masses and story stiffnesses, nan where the data do not determine one.
+
+    Parameters
+    ----------
+    floor_mass : ndarray, shape (N,)
+        kg, without added mass.
+    story_stiffness : ndarray, shape (N,)
+        N/m.
+    floor_mass_std, story_stiffness_std : ndarray, shape (N,), optional
+        Standard deviations in the same units, of the methods that give them.
+    """
+
+    floor_mass: Floats
+    story_stiffness: Floats
+    floor_mass_std: Floats | None = None
+    story_stiffness_std: Floats | None = None
+
+    def to_dict(self) -> Json:
+        """The fields as lists."""
+        return {
+            "floor_mass": plain(self.floor_mass),
+            "floor_mass_std": plain(self.floor_mass_std),
+            "story_stiffness": plain(self.story_stiffness),
+            "story_stiffness_std": plain(self.story_stiffness_std),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """All modes of the model at all floors, in one configuration.
+
+    Parameters
+    ----------
+    configuration : str
+    frequencies : ndarray, shape (N,)
+        Hz.
+    mode_shapes : ndarray, shape (N, N)
+        One row a mode, largest entry 1.
+    """
+
+    configuration: str
+    frequencies: Floats
+    mode_shapes: Floats
+
+    @staticmethod
+    def of(name: str, match: Match) -> Prediction:
+        """The prediction for a configuration of this name."""
+        shapes = match.modes.shapes.T
+        largest = shapes[np.arange(len(shapes)), np.argmax(np.abs(shapes), axis=1)]
+        return Prediction(name, match.modes.frequencies, shapes / largest[:, None])
+
+    def to_dict(self) -> Json:
+        """The fields as lists."""
+        return {
+            "configuration": self.configuration,
+            "frequencies": plain(self.frequencies),
+            "mode_shapes": plain(self.mode_shapes),
+        }
+
+
+def predictions(misfit: Misfit, matches: tuple[Match, ...]) -> tuple[Prediction, ...]:
+    """One prediction a configuration."""
+    return tuple(
+        Prediction.of(target.configuration.name, match) for target, match in zip(misfit.targets, matches, strict=True)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """An identification from one configuration, or from all together.
+
+    Parameters
+    ----------
+    name : str
+        Of the configuration; empty for all together.
+    converged : bool
+    iterations : int
+    frame : IdentifiedFrame
+    fit : Quality
+    predictions : tuple of Prediction
+    history : ndarray, shape (iterations + 1, N), optional
+        Floor masses without added mass at the start and after each iteration, kg.
+    mass_matrix : ndarray, shape (N, N), optional
+        Where a baseline's corrected mass matrix is full; with added mass, kg.
+    reason : str
+        Why the iteration stopped.
+    """
+
+    name: str
+    converged: bool
+    iterations: int
+    frame: IdentifiedFrame
+    fit: Quality
+    predictions: tuple[Prediction, ...]
+    history: Floats | None = None
+    mass_matrix: Floats | None = None
+    reason: str = ""
+
+    def to_dict(self) -> Json:
+        """The fields as plain values; the full mass matrix only where there is one."""
+        result: Json = {
+            "name": self.name,
+            "converged": self.converged,
+            "iterations": self.iterations,
+            "reason": self.reason,
+            "frame": self.frame.to_dict(),
+            "fit": self.fit.to_dict(),
+            "predictions": [item.to_dict() for item in self.predictions],
+            "history": plain(self.history),
+        }
+        if self.mass_matrix is not None:
+            result["mass_matrix"] = plain(self.mass_matrix)
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """The result of `identify`.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    method, backend : str
+    parts : tuple of Part
+        One for all configurations together, or one a configuration.
+    joint : bool
+        Whether all configurations were fitted together.
+    correlation : ndarray, shape (P, P), optional
+    parameter_names : tuple of str
+    undetermined : tuple of tuple of str
+        For each direction that the data leave open, the parameters that take part in it.
+    """
+
+    experiment: Experiment
+    method: str
+    backend: str
+    parts: tuple[Part, ...]
+    joint: bool = False
+    correlation: Floats | None = None
+    parameter_names: tuple[str, ...] = ()
+    undetermined: tuple[tuple[str, ...], ...] = field(default=())
+
+    @property
+    def single(self) -> Part | None:
+        """The only part, where there is only one."""
+        return self.parts[0] if len(self.parts) == 1 else None
+
+    @property
+    def frame(self) -> IdentifiedFrame | None:
+        """The identified frame; None where several configurations were identified each by itself."""
+        return None if self.single is None else self.single.frame
+
+    @property
+    def fit(self) -> Quality | None:
+        """Its errors; None where several configurations were identified each by itself."""
+        return None if self.single is None else self.single.fit
+
+    @property
+    def converged(self) -> bool:
+        """Whether every part converged."""
+        return all(part.converged for part in self.parts)
+
+    def to_dict(self) -> Json:
+        """The documented JSON."""
+        single = None if self.single is None else self.single.to_dict()
+        top = {
+            key: None if single is None else single[key]
+            for key in ("iterations", "reason", "frame", "fit", "predictions", "history")
+        }
+        result: Json = {"method": self.method, "backend": self.backend, "converged": self.converged, **top}
+        if single is not None and "mass_matrix" in single:
+            result["mass_matrix"] = single["mass_matrix"]
+        if self.joint:
+            result["parameters"] = list(self.parameter_names)
+            result["correlation"] = plain(self.correlation)
+            result["undetermined"] = [list(names) for names in self.undetermined]
+        else:
+            result["configurations"] = [part.to_dict() for part in self.parts]
+        return result

@@ -1,0 +1,124 @@
+"""What the methods share that identify each configuration by itself: what they need, and what they return."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.errors import UnsuitableError
+from cvxshear.experiment import Configuration, Experiment
+from cvxshear.identify.misfit import Misfit
+from cvxshear.identify.quality import quality
+from cvxshear.identify.results import IdentifiedFrame, Part, predictions
+from cvxshear.programs.feasibility import Statement, refuse_contradictions
+from cvxshear.programs.rows import statements
+from cvxshear.typing import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """One configuration with everything that a method of this kind needs.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    configuration : Configuration
+    shapes : ndarray, shape (N, N)
+        One column a mode.
+    eigenvalues : ndarray, shape (N,)
+        (2 pi f)^2.
+    total : float
+        kg, with added mass.
+    mass_statements, stiffness_statements : list of Statement
+        Exact statements about the floor masses without added mass, and about the story stiffnesses.
+    shape_std : float
+        Relative standard deviation of the shapes, root mean square; soft priors weigh against it.
+    """
+
+    experiment: Experiment
+    configuration: Configuration
+    shapes: Floats
+    eigenvalues: Floats
+    total: float
+    mass_statements: list[Statement]
+    stiffness_statements: list[Statement]
+    shape_std: float
+
+
+def setting(experiment: Experiment, configuration: Configuration, method: str) -> Setting:
+    """The setting of one configuration.
+
+    Raises
+    ------
+    UnsuitableError
+        Where a mode, a floor or the total mass is missing.
+    InfeasibleError
+        Where declared masses and exact priors contradict each other.
+    """
+    n = experiment.stories
+    where = f'method {method} cannot use configuration "{configuration.name}"'
+    if len(configuration.frequencies) < n:
+        missing = sorted(set(range(1, n + 1)) - {int(mode) for mode in configuration.modes})
+        raise UnsuitableError(f"{where}: it needs all {n} modes, {_listed('mode', missing)} missing; use method efficient")
+    if len(configuration.measured_floors) < n:
+        missing = sorted(set(range(1, n + 1)) - {int(floor) for floor in configuration.measured_floors})
+        raise UnsuitableError(f"{where}: it needs every floor, {_listed('floor', missing)} unmeasured; use method efficient")
+    if not configuration.complete:
+        mode, floor = np.argwhere(~configuration.measured)[0] + 1
+        raise UnsuitableError(f"{where}: mode {mode} has no value at floor {floor}; use method efficient")
+    total = experiment.frame.known_total
+    if total is None:
+        raise UnsuitableError(f"{where}: it needs frame: total_mass or floor_masses; use method efficient")
+    heavy = statements(experiment.priors, "floor_mass", n, experiment.frame)
+    stiff = statements(experiment.priors, "story_stiffness", n)
+    refuse_contradictions(heavy, n)
+    refuse_contradictions(stiff, n)
+    relative = configuration.entry_std / np.max(np.abs(configuration.mode_shapes), axis=1, keepdims=True)
+    return Setting(
+        experiment=experiment,
+        configuration=configuration,
+        shapes=configuration.mode_shapes.T,
+        eigenvalues=(2 * np.pi * configuration.frequencies) ** 2,
+        total=total + float(configuration.added_mass.sum()),
+        mass_statements=heavy,
+        stiffness_statements=stiff,
+        shape_std=float(np.sqrt(np.mean(relative**2))),
+    )
+
+
+def _listed(what: str, numbers: list[int]) -> str:
+    return f"{what} {numbers[0]} is" if len(numbers) == 1 else f"{what}s {', '.join(map(str, numbers))} are"
+
+
+def start_mass(of: Setting, initial: Floats | None) -> Floats:
+    """The first guess of the floor masses with added mass: the one handed in, else the total spread evenly."""
+    n = of.experiment.stories
+    net = of.total - of.configuration.added_mass.sum()
+    return (np.full(n, net / n) if initial is None else initial) + of.configuration.added_mass
+
+
+def finished(of: Setting, mass: Floats, stiffness: Floats, **more: object) -> Part:
+    """The part for a configuration: the frame without its added mass, its errors and predictions.
+
+    Parameters
+    ----------
+    of : Setting
+    mass : ndarray, shape (N,)
+        With added mass.
+    stiffness : ndarray, shape (N,)
+    **more
+        Further fields of `Part`.
+    """
+    net = mass - of.configuration.added_mass
+    alone = Experiment(of.experiment.frame, (of.configuration,), of.experiment.priors, of.experiment.name)
+    misfit = Misfit(alone)
+    theta = np.concatenate([net, stiffness])
+    at = misfit.evaluate(theta, derivatives=False)
+    return Part(
+        name=of.configuration.name,
+        frame=IdentifiedFrame(net, stiffness),
+        fit=quality(misfit, at.matches, at.chi2, misfit.count(theta) - (2 * len(net) - 1)),
+        predictions=predictions(misfit, at.matches),
+        **more,  # type: ignore[arg-type]
+    )

@@ -1,0 +1,122 @@
+"""Where the efficient estimator starts: masses and stiffnesses from the story equations, linear in both.
+
+Above story i the inertia forces of a mode are carried by that story,
+
+    k_i (phi_i - phi_(i-1)) - lambda sum over l >= i of m_l phi_l = lambda sum over l >= i of a_l phi_l,
+
+with a the added mass. Every mode of every configuration gives N such rows for the 2N unknowns. Floors
+without a sensor are filled in from the modes of the model found so far.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cvxshear import backends
+from cvxshear.errors import CvxshearError, InputError
+from cvxshear.experiment import Configuration, Experiment
+from cvxshear.frame import Modes, mass_matrix, modes, shear_system, stiffness_matrix, transformation
+from cvxshear.programs import LeastSquares
+from cvxshear.programs.rows import constrained, statements
+from cvxshear.typing import Floats
+
+ROUNDS = 6
+SMALLEST = 0.05
+"""Smallest start of a mass or stiffness, as a part of their mean: a start at zero is none."""
+
+
+def starts(experiment: Experiment) -> list[Floats]:
+    """Starting points theta, each of shape (2N,): from the story equations, and frames of uniform stiffness.
+
+    The points are tried in this order; each keeps masses and stiffnesses positive.
+    """
+    uniform = _uniform(experiment, taper=0.0)
+    points = []
+    theta = uniform
+    for _ in range(1 if all(each.complete for each in experiment.configurations) else ROUNDS):
+        try:
+            theta = _from_story_equations(experiment, theta)
+        except CvxshearError:
+            break
+        points.append(theta)
+    return [*points[-1:], uniform, _uniform(experiment, taper=0.6)]
+
+
+def _uniform(experiment: Experiment, taper: float) -> Floats:
+    """A frame of equal masses and of stiffnesses that fall by `taper` to the top, at the right first frequency."""
+    n = experiment.stories
+    frame = experiment.frame
+    shape = 1.0 - taper * np.arange(n) / max(n - 1, 1)
+    known = frame.known_total
+    mass = np.full(n, (known if known is not None else _guessed_total(experiment)) / n)
+    if frame.floor_masses is not None:
+        mass = frame.floor_masses.copy()
+    for prior in experiment.priors:
+        if prior.quantity == "floor_mass" and prior.fixes_scale and known is None:
+            nominal = getattr(prior, "values", None)
+            mass = np.array(nominal) if nominal is not None else np.full(n, float(getattr(prior, "value", mass[0])))
+    ratios = []
+    for each in experiment.configurations:
+        found = modes(mass_matrix(mass + each.added_mass), stiffness_matrix(shape))
+        at = each.modes - 1
+        ratios.append(float(np.mean(np.log((2 * np.pi * each.frequencies) ** 2 / found.eigenvalues[at]))))
+    return np.concatenate([mass, shape * np.exp(np.mean(ratios))])
+
+
+def _guessed_total(experiment: Experiment) -> float:
+    """A total mass where none is declared: that of the scaled shapes, else the added mass itself."""
+    for each in experiment.configurations:
+        if each.mass_normalized:
+            largest = np.nanmax(each.mode_shapes**2, axis=1)
+            return float(experiment.stories / np.mean(largest))
+    return float(np.max([each.added_mass.sum() for each in experiment.configurations])) or 1.0
+
+
+def _from_story_equations(experiment: Experiment, theta: Floats) -> Floats:
+    """One least-squares program for all masses and stiffnesses, shapes filled in by the model at theta."""
+    n = experiment.stories
+    mass, stiffness = theta[:n], theta[n:]
+    rows, sides = [], []
+    for each in experiment.configurations:
+        model = modes(mass_matrix(mass + each.added_mass), stiffness_matrix(stiffness))
+        for j in range(len(each.frequencies)):
+            phi = filled(each, j, model)
+            lam = (2 * np.pi * each.frequencies[j]) ** 2
+            above = np.triu(np.broadcast_to(phi, (n, n)))
+            drifts = np.diag(transformation(n).T @ phi)
+            weight = 1.0 / (lam * np.linalg.norm(phi) * mass.mean())
+            rows.append(weight * np.hstack([-lam * above, drifts]))
+            sides.append(weight * lam * (above @ each.added_mass))
+    ridge = 1e-6 / theta
+    program = LeastSquares(
+        R=np.concatenate([*rows, np.diag(ridge)]), s=np.concatenate([*sides, ridge * theta]),
+    )  # fmt: skip
+    heavy = statements(experiment.priors, "floor_mass", n, experiment.frame)
+    stiff = statements(experiment.priors, "story_stiffness", n)
+    from cvxshear.identify.domain import spread
+
+    x = backends.get("auto").solve(constrained(program, spread(heavy, stiff, n, 2 * n), np.zeros(2 * n))).x
+    m, k = x[:n], x[n:]
+    if m.mean() <= 0 or k.mean() <= 0:
+        raise InputError("the story equations have no solution of positive masses and stiffnesses")
+    return np.concatenate([np.maximum(m, SMALLEST * m.mean()), np.maximum(k, SMALLEST * k.mean())])
+
+
+def filled(configuration: Configuration, j: int, model: Modes) -> Floats:
+    """Mode j at every floor, shape (N,): what was measured, and between it what the model's modes make of it.
+
+    The measured entries are expanded in the model's modes nearest to mode j, half as many as there are entries.
+    """
+    n = len(model.eigenvalues)
+    known = configuration.measured[j]
+    floors = configuration.measured_floors[known] - 1
+    own = int(configuration.modes[j]) - 1
+    if not len(floors):
+        return model.shapes[:, own]
+    count = max(1, len(floors) // 2)
+    near = np.argsort(np.abs(np.arange(n) - own), kind="stable")[:count]
+    values = configuration.mode_shapes[j, known]
+    share = np.linalg.lstsq(model.shapes[np.ix_(floors, near)], values, rcond=None)[0]
+    phi = model.shapes[:, near] @ share
+    phi[floors] = values
+    return phi

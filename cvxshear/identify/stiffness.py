@@ -1,0 +1,45 @@
+"""The story stiffnesses, once the masses are known (Eqs. 20-24)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cvxshear.backends import Backend
+from cvxshear.identify.separate import Setting
+from cvxshear.programs import story_stiffnesses
+from cvxshear.programs.mass import normalized
+from cvxshear.programs.rows import constrained, softened
+from cvxshear.typing import Floats
+
+MOST_ROUNDS = 50
+UNCHANGED = 1e-10
+"""Relative change of the stiffnesses at which soft priors count as linearised where they belong."""
+
+
+def identified_stiffness(of: Setting, mass: Floats, backend: Backend) -> Floats:
+    """Solve Eq. 24 with the priors.
+
+    Parameters
+    ----------
+    of : Setting
+    mass : ndarray, shape (N,) or (N, N)
+        Floor masses with added mass, or a full mass matrix.
+    backend : Backend
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        N/m.
+    """
+    plain = story_stiffnesses(normalized(of.shapes, mass), of.eigenvalues)
+    origin = np.zeros(plain.unknowns)
+    k = backend.solve(constrained(plain, of.stiffness_statements, origin)).x
+    row_std = of.shape_std * float(of.eigenvalues.max())
+    for _ in range(MOST_ROUNDS):
+        soft = softened(plain, of.experiment.priors, "story_stiffness", k, row_std, step=False)
+        if soft is plain:
+            return k
+        before, k = k, backend.solve(constrained(soft, of.stiffness_statements, origin)).x
+        if np.max(np.abs(k - before)) <= UNCHANGED * np.max(np.abs(k)):
+            break
+    return k

@@ -1,0 +1,126 @@
+"""Standard deviations and correlations from the information matrix, and what the data leave undetermined.
+
+With Z an orthonormal basis of the directions that the active constraints leave free, the covariance of the
+parameters is Z (Z' J'J Z)^-1 Z': a Cramer-Rao bound under constraints (Stoica and Ng, 1998), which the
+estimator reaches where the noise is small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from cvxshear.identify.gauss_newton import Domain
+from cvxshear.programs import LeastSquares
+from cvxshear.programs.rows import constrained
+from cvxshear.typing import Bools, Floats
+
+NULL = 1e-6
+"""A direction along which the data change by less than this, each parameter in units of its own sensitivity, is one
+that they do not determine."""
+
+TAKES_PART = 0.1
+"""Share of a null direction's largest entry from which on a parameter is named as part of it."""
+
+TOUCHING = 1e-9
+"""Relative distance from a bound that counts as on it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """What the data say of each parameter's accuracy.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (P, P)
+        Of the determined part; in the parameters' own units.
+    determined : ndarray of bool, shape (P,)
+    null_directions : tuple of tuple of str
+        For each direction that the data leave open, the parameters that take part in it, largest share first.
+    free : int
+        Number of free directions that the data determine, those held only by an active bound included.
+    active : tuple of str
+        Parameters that sit on a bound.
+    """
+
+    covariance: Floats
+    determined: Bools
+    null_directions: tuple[tuple[str, ...], ...]
+    free: int
+    active: tuple[str, ...]
+
+    @property
+    def std(self) -> Floats:
+        """Standard deviations, shape (P,); nan where the data do not determine a parameter."""
+        return np.where(self.determined, np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), np.nan)
+
+    @property
+    def correlation(self) -> Floats:
+        """Correlations, shape (P, P); nan where one of the two is undetermined or fixed."""
+        std = self.std
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return self.covariance / np.outer(std, std)
+
+
+def uncertainty(J: Floats, theta: Floats, domain: Domain, names: Sequence[str]) -> Uncertainty:
+    """Covariance of the parameters at a fit.
+
+    Parameters
+    ----------
+    J : ndarray, shape (d, P)
+        Derivatives of the standardized residuals.
+    theta : ndarray, shape (P,)
+    domain : Domain
+    names : sequence of str
+        Of the P parameters.
+    """
+    here = constrained(LeastSquares(R=J, s=np.zeros(len(J))), domain.statements, theta)
+    length = np.linalg.norm(J, axis=0)
+    unit = 1.0 / np.where(length > 0, length, 1.0)
+    A, _ = here.equalities
+    G, h = here.inequalities
+    reach = np.abs(G) @ np.maximum(np.abs(theta), domain.scale)
+    touching = G[h <= TOUCHING * reach]
+    free = _null_space(A * unit)
+    determined, null = _split(J * unit, free)
+    held = _null_space(np.concatenate([A, touching]) * unit)
+    inside, _ = _split(J * unit, held)
+    basis, values = inside
+    root = unit[:, None] * (basis / values)
+    open_part = np.linalg.norm(null, axis=1) if null.size else np.zeros(len(theta))
+    return Uncertainty(
+        covariance=root @ root.T,
+        determined=open_part < 1e-4,
+        null_directions=tuple(_words(column, names) for column in null.T),
+        free=determined[0].shape[1],
+        active=tuple(name for name, row in zip(names, touching.T if len(touching) else [()] * len(names), strict=True) if np.any(row)),
+    )
+
+
+def _null_space(rows: Floats) -> Floats:
+    """Orthonormal columns that every row is zero on."""
+    if not len(rows):
+        return np.eye(rows.shape[1])
+    lengths = np.linalg.norm(rows, axis=1)
+    space: Floats = linalg.null_space(rows / np.where(lengths > 0, lengths, 1.0)[:, None], rcond=1e-12)
+    return space
+
+
+def _split(J: Floats, basis: Floats) -> tuple[tuple[Floats, Floats], Floats]:
+    """The basis turned into directions that the data determine, with their singular values, and those they do not."""
+    if not basis.shape[1]:
+        return (basis, np.zeros(0)), basis
+    _, values, right = np.linalg.svd(J @ basis, full_matrices=True)
+    values = np.concatenate([values, np.zeros(len(right) - len(values))])
+    known = values > NULL
+    return (basis @ right[known].T, values[known]), basis @ right[~known].T
+
+
+def _words(direction: Floats, names: Sequence[str]) -> tuple[str, ...]:
+    """The parameters that take part in a null direction, largest share first."""
+    size = np.abs(direction)
+    order = np.argsort(-size, kind="stable")
+    return tuple(names[i] for i in order if size[i] > TAKES_PART * size[order[0]])

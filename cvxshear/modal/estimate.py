@@ -1,0 +1,214 @@
+"""From the chosen poles to everything that is reported of a mode, on all the data or on a part of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.errors import InputError
+from cvxshear.modal.clock import Offsets, offsets, undone
+from cvxshear.modal.frf import SKIPPED, DecaySource, FrfSource, markov_factor
+from cvxshear.modal.jackknife import jackknife, surrogate
+from cvxshear.modal.okid import OkidSource
+from cvxshear.modal.picking import Sweep, Values, values_on
+from cvxshear.modal.realization import Source, realize
+from cvxshear.modal.record import Complexes
+from cvxshear.modal.residues import modal_products, modal_scale, participations, residues, unwrapped
+from cvxshear.modal.shapes import main_axis, real_shape
+from cvxshear.modal.stabilization import center, nearest
+from cvxshear.typing import Bools, Floats, Ints
+
+SURROGATES = 20
+LAST_MARKOV = 400
+"""OKID's Markov parameters beyond this are products of those before."""
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What stays the same over the replicates of one identification.
+
+    Parameters
+    ----------
+    source : Source
+    sweep : Sweep
+    floors : array of int, shape (n,)
+    quantity : str
+    shift : float
+        Decay that an exponential window added, 1/s.
+    rule : str
+        For the real normal mode.
+    base : bool
+        Whether the input is a base acceleration.
+    """
+
+    source: Source
+    sweep: Sweep
+    floors: Ints
+    quantity: str
+    shift: float
+    rule: str
+    base: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Details:
+    """The modes of one set of data.
+
+    Parameters
+    ----------
+    eigenvalues : array of complex, shape (m,)
+        The structure's, 1/s; an exponential window's decay has been taken out.
+    shapes : array of complex, shape (m, n)
+        Clock offsets undone, main axis real.
+    real : array, shape (m, n)
+        Real normal modes, a largest entry of 1.
+    scales : array, shape (m,), or None
+        What mass-normalizes `real`.
+    clocks : Offsets
+    products : array of complex, shape (m, n, inputs), or None
+    driven : array of int, shape (inputs,)
+    """
+
+    eigenvalues: Complexes
+    shapes: Complexes
+    real: Floats
+    scales: Floats | None
+    clocks: Offsets
+    products: Complexes | None
+    driven: Ints
+
+    @property
+    def frequencies(self) -> Floats:
+        """Undamped natural frequencies |lambda| / 2 pi, Hz."""
+        return np.abs(self.eigenvalues) / (2 * np.pi)
+
+    @property
+    def damping_ratios(self) -> Floats:
+        """Fraction of critical."""
+        return -self.eigenvalues.real / np.abs(self.eigenvalues)
+
+    def vector(self) -> Floats:
+        """All parameters in one row: log frequencies, damping, shapes, scales, clock offsets."""
+        scales = np.zeros(0) if self.scales is None else self.scales
+        return np.concatenate(
+            [np.log(self.frequencies), self.damping_ratios, self.real.ravel(), scales, self.clocks.seconds]
+        )
+
+
+def details(setting: Setting, values: Values, keep: Bools | None, reference: Details | None = None) -> Details:
+    """What the poles and shapes say, with the residues of the data kept."""
+    products, driven = _products(setting, values, keep)
+    turned = None if products is None else participations(products, values.shapes)
+    clocks = offsets(values.eigenvalues, values.shapes, turned)
+    straight = undone(values.eigenvalues, values.shapes, clocks.seconds)
+    shapes = np.array([main_axis(shape) for shape in straight])
+    real = np.array([real_shape(shape, setting.rule) for shape in straight])
+    places = np.argmax(np.abs(real if reference is None else reference.real), axis=1)
+    real = real / real[np.arange(len(real)), places][:, None]
+    scales = None
+    if products is not None and not setting.base:
+        found = [
+            modal_scale(_turned_back(each, value, clocks), shape, setting.floors, driven)
+            for each, value, shape in zip(products, values.eigenvalues, real, strict=True)
+        ]
+        known = [scale for scale in found if scale is not None]
+        scales = np.array(known) if len(known) == len(found) else None
+    return Details(values.eigenvalues + setting.shift, shapes, real, scales, clocks, products, driven)
+
+
+def _turned_back(products: Complexes, eigenvalue: complex, clocks: Offsets) -> Complexes:
+    """Products of one mode without the turns of the clocks of the channels and of the force."""
+    late = clocks.seconds[: len(products)] - clocks.seconds[-1]
+    return np.asarray(products * np.exp(1j * abs(eigenvalue.imag) * late)[:, None])
+
+
+def _products(setting: Setting, values: Values, keep: Bools | None) -> tuple[Complexes | None, Ints]:
+    source = setting.source
+    if isinstance(source, OkidSource):
+        sequence, start, driven = source.markov(keep)[:LAST_MARKOV], 1, np.zeros(1, dtype=np.int64)
+    elif isinstance(source, FrfSource):
+        sequence, start, driven = source.markov(keep), SKIPPED, source.response(keep)[1]
+    else:
+        return None, np.zeros(0, dtype=np.int64)
+    amplitudes = residues(sequence, values.eigenvalues, source.sampling_rate, start)
+    if isinstance(source, FrfSource) and source.wrapped:
+        amplitudes = unwrapped(amplitudes, values.eigenvalues, source.samples / source.sampling_rate)
+    products = modal_products(
+        amplitudes, values.eigenvalues, source.sampling_rate, setting.quantity, base=setting.base
+    )
+    return products, driven
+
+
+def covariance(setting: Setting, full: Details, seed: int) -> tuple[Floats, str, int]:
+    """Covariance of `full.vector()`, how it was got in words, and how many pieces had to be passed over."""
+    groups = setting.source.groups
+
+    def replicate(keep: Bools) -> Floats | None:
+        values = values_on(setting.source, setting.sweep, keep)
+        if values is None:
+            return None
+        part = details(setting, values, keep, full)
+        if (part.scales is None) != (full.scales is None):
+            return None
+        return part.vector()
+
+    if len(groups):
+        result, lost = jackknife(replicate, groups)
+        return result, f"jackknife over {len(groups)} {setting.source.unit}s", lost
+    return disturbed(setting, full, seed), f"{SURROGATES} surrogates of the residual", 0
+
+
+def disturbed(setting: Setting, full: Details, seed: int) -> Floats:
+    """Covariance where nothing can be left out: the fit is disturbed by noise like its residual, and refitted.
+
+    What the fit leaves of the impulse responses is taken for noise; its spectra are kept and its phases drawn
+    anew, `SURROGATES` times (parametric bootstrap).
+    """
+    source = setting.source
+    if not isinstance(source, FrfSource | DecaySource):
+        raise InputError("the record is too short to be cut into blocks")
+    start = SKIPPED if isinstance(source, FrfSource) else source.start
+    sequence = source.markov()
+    used = sequence[start:]
+    eigenvalues = full.eigenvalues - setting.shift
+    amplitudes = residues(sequence, eigenvalues, source.sampling_rate, start)
+    powers = np.exp(np.outer(np.arange(start, len(sequence)), eigenvalues) / source.sampling_rate)
+    fit = 2 * np.real(np.einsum("kr,roi->koi", powers, amplitudes))
+    residual = (used - fit).reshape(len(used), -1)
+    random = np.random.default_rng(seed)
+    replicates = []
+    for _ in range(SURROGATES):
+        noisy = np.concatenate([sequence[:start], fit + surrogate(residual, random).reshape(fit.shape)])
+        values = _refit(setting, noisy, start)
+        if values is not None:
+            replicates.append(_disturbed_details(setting, values, noisy, start, full).vector())
+    if len(replicates) < SURROGATES // 2:
+        raise InputError("the modes drown in the noise that the fit leaves; record longer, or more hits")
+    return np.cov(np.array(replicates), rowvar=False)
+
+
+def _refit(setting: Setting, sequence: Floats, start: int) -> Values | None:
+    sweep, source = setting.sweep, setting.source
+    needed = sorted({i for item in sweep.chosen for i, _ in item.members})
+    orders = [sweep.poles[i].order for i in needed]
+    fitted = realize(markov_factor(sequence, start), source.outputs, source.sampling_rate, orders)
+    by_order = {poles.order: poles for poles in fitted}
+    eigenvalues, shapes = [], []
+    for item in sweep.chosen:
+        found = []
+        for i, j in item.members:
+            poles = by_order.get(sweep.poles[i].order)
+            k = None if poles is None else nearest(poles, complex(sweep.poles[i].eigenvalues[j]), sweep.poles[i].shapes[j])
+            if poles is not None and k is not None:
+                found.append((poles.eigenvalues[k], poles.shapes[k]))
+        if 2 * len(found) < len(item.members):
+            return None
+        value, shape = center(np.array([f[0] for f in found]), np.array([f[1] for f in found]))
+        eigenvalues.append(value)
+        shapes.append(shape)
+    return Values(np.array(eigenvalues), np.array(shapes))
+
+
+def _disturbed_details(setting: Setting, values: Values, sequence: Floats, start: int, full: Details) -> Details:
+    raise NotImplementedError

@@ -1,0 +1,238 @@
+"""Frequency response functions from hits, impulse responses from either, and windows taken out again.
+
+H1 = S_yf / S_ff is free of the response's noise, H2 = S_yy / S_fy of the force's (Bendat and Piersol,
+"Random Data", 4th ed., sec. 6.1), the spectra summed over the hits at one floor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear import checks
+from cvxshear.errors import InputError
+from cvxshear.modal.realization import block_hankel, left_factor
+from cvxshear.modal.record import Complexes, FrfRecord, Run, TimeRecord
+from cvxshear.typing import Bools, Floats, Ints
+
+ESTIMATORS = ("h1", "h2")
+ROWS = 60
+COLUMNS = 600
+SKIPPED = 3
+"""Samples at the start of an impulse response that its cut at half the sampling rate disturbs most."""
+WEAKEST_FORCE = 0.01
+"""Of the largest force power: lines beyond the first weaker one say nothing of the frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    """One run's contribution to the frequency response of its driving floor.
+
+    Parameters
+    ----------
+    response_force : array of complex, shape (lines, channels)
+        Conjugate force spectrum times response spectrum.
+    force_force : array, shape (lines,)
+    response_response : array, shape (lines, channels)
+    floor : int
+        Where the force acts.
+    """
+
+    response_force: Complexes
+    force_force: Floats
+    response_response: Floats
+    floor: int
+
+
+class FrfSource:
+    """Impulse responses to forces at one or several floors, for the eigensystem realization algorithm.
+
+    Parameters
+    ----------
+    spectra : sequence of Spectra
+        One a hit, or one a frequency response function of a table.
+    sampling_rate : float
+        Hz.
+    samples : int
+        Length of the impulse responses.
+    estimator : str, optional
+        "h1" or "h2".
+    wrapped : bool, optional
+        Whether the lines sample the response to all time: their inverse transform then folds what comes after
+        its end back onto its start, which multiplies each residue by 1 / (1 - exp(eigenvalue * length)).
+
+    Attributes
+    ----------
+    floors : array of int, shape (inputs,)
+        The driving floors, ascending.
+    """
+
+    def __init__(
+        self,
+        spectra: Sequence[Spectra],
+        sampling_rate: float,
+        samples: int,
+        estimator: str = "h1",
+        *,
+        wrapped: bool = False,
+    ) -> None:
+        self.estimator = checks.choice(estimator, ESTIMATORS, "estimator")
+        self.sampling_rate = sampling_rate
+        self.samples = samples
+        self.wrapped = wrapped
+        self.spectra = list(spectra)
+        self.outputs = spectra[0].response_force.shape[1]
+        self.floors: Ints = np.unique([item.floor for item in spectra])
+        counts = [sum(item.floor == floor for item in spectra) for floor in self.floors]
+        if min(counts) >= 2:
+            self.unit = "hit"
+            self.groups: Ints = np.searchsorted(self.floors, [item.floor for item in spectra])
+        elif len(spectra) == len(self.floors) >= 3:
+            self.unit = "driving point"
+            self.groups = np.zeros(len(spectra), dtype=np.int64)
+        else:
+            self.unit = "none"
+            self.groups = np.zeros(0, dtype=np.int64)
+        self.energies: Floats = np.array([float(item.response_response.sum()) for item in spectra])
+
+    def response(self, keep: Bools | None = None) -> tuple[Complexes, Ints]:
+        """Frequency responses, shape (lines, channels, inputs), and their driving floors, shape (inputs,)."""
+        used = self.spectra if keep is None else [s for s, k in zip(self.spectra, keep, strict=True) if k]
+        floors = np.unique([item.floor for item in used])
+        columns = [self._column([item for item in used if item.floor == floor]) for floor in floors]
+        return np.stack(columns, axis=2), floors
+
+    def _column(self, hits: list[Spectra]) -> Complexes:
+        cross = np.sum([hit.response_force for hit in hits], axis=0)
+        if self.estimator == "h1":
+            return np.asarray(cross / np.sum([hit.force_force for hit in hits], axis=0)[:, None])
+        power = np.sum([hit.response_response for hit in hits], axis=0)
+        return np.asarray(power / np.where(cross == 0, np.inf, np.conj(cross)))
+
+    def markov(self, keep: Bools | None = None) -> Floats:
+        """Impulse responses, shape (samples, channels, inputs)."""
+        return np.fft.irfft(self.response(keep)[0], n=self.samples, axis=0)
+
+    def factor(self, keep: Bools | None = None) -> Floats:
+        """Left factor of the block Hankel matrix of the impulse responses."""
+        return markov_factor(self.markov(keep), SKIPPED)
+
+
+class DecaySource:
+    """Free decays, one column a release, for the eigensystem realization algorithm.
+
+    Parameters
+    ----------
+    decays : array, shape (samples, channels, releases)
+        Each release from its start.
+    sampling_rate : float
+        Hz.
+    start : int, optional
+        The first sample used.
+    """
+
+    def __init__(self, decays: Floats, sampling_rate: float, start: int = 0) -> None:
+        self.decays = decays
+        self.sampling_rate = sampling_rate
+        self.start = start
+        self.outputs = decays.shape[1]
+        self.unit = "release" if decays.shape[2] >= 3 else "none"
+        self.groups: Ints = np.zeros(decays.shape[2] if decays.shape[2] >= 3 else 0, dtype=np.int64)
+        self.energies: Floats = np.mean(decays**2, axis=(0, 1))
+
+    def markov(self, keep: Bools | None = None) -> Floats:
+        """The decays kept, shape (samples, channels, releases)."""
+        return self.decays if keep is None else self.decays[:, :, keep]
+
+    def factor(self, keep: Bools | None = None) -> Floats:
+        """Left factor of the block Hankel matrix of the decays."""
+        return markov_factor(self.markov(keep), self.start)
+
+
+def markov_factor(sequence: Floats, start: int) -> Floats:
+    """Left factor of the block Hankel matrix of an impulse response or a decay that starts at sample `start`."""
+    rows = min(ROWS, (len(sequence) - start) // 3)
+    columns = min(COLUMNS, len(sequence) - start - rows)
+    return left_factor(block_hankel(sequence, rows, columns, start))
+
+
+def table_spectra(record: FrfRecord) -> tuple[list[Spectra], int]:
+    """The frequency responses of a table as spectra under a unit force, from 0 Hz on, and the samples they make."""
+    missing = round(float(record.frequencies[0]) / record.step)
+    result = []
+    for run in record.runs:
+        # What lies below the first line was not measured; rigid-body motion of a fixed frame is nil there.
+        padding = np.zeros((missing, run.responses.shape[1]))
+        response = np.vstack([padding, run.responses])
+        result.append(Spectra(response, np.ones(len(response)), np.abs(response) ** 2, run.floor))
+    return result, 2 * (len(result[0].force_force) - 1)
+
+
+def hit_spectra(record: TimeRecord) -> tuple[list[Spectra], int]:
+    """The spectra of every hit, from just before the hammer meets the frame, and the samples of each."""
+    starts = [hit_start(run) for run in record.runs]
+    samples = min(run.samples - start for run, start in zip(record.runs, starts, strict=True))
+    samples -= samples % 2
+    if samples < ROWS:
+        raise InputError(f"a hit leaves only {samples} samples after the blow; record longer or trigger earlier")
+    result = []
+    for run, start in zip(record.runs, starts, strict=True):
+        force = np.fft.rfft(_quiet_after_blow(_excitation(run))[start : start + samples])
+        response = np.fft.rfft(run.responses[start : start + samples], axis=0)
+        result.append(
+            Spectra(
+                np.conj(force)[:, None] * response, np.abs(force) ** 2, np.abs(response) ** 2, run.floor
+            )
+        )
+    return result, samples
+
+
+def reached_lines(spectra: Sequence[Spectra]) -> int:
+    """How many lines from 0 Hz on the force excites; a whole blow's spectrum falls to nothing further up."""
+    power = np.sum([item.force_force for item in spectra], axis=0)
+    weak = np.flatnonzero(power < WEAKEST_FORCE * power.max())
+    weak = weak[weak > np.argmax(power)]
+    return int(weak[0]) if weak.size else len(power)
+
+
+def cut(spectra: Sequence[Spectra], lines: int) -> tuple[list[Spectra], int]:
+    """The spectra up to so many lines, and the samples of the impulse responses that they make."""
+    kept = [
+        Spectra(item.response_force[:lines], item.force_force[:lines], item.response_response[:lines], item.floor)
+        for item in spectra
+    ]
+    return kept, 2 * (lines - 1)
+
+
+def hit_start(run: Run) -> int:
+    """The sample just before the force leaves its noise."""
+    force = np.abs(_excitation(run))
+    loud = np.flatnonzero(force > 0.02 * force.max())
+    blow = int(np.argmax(force))
+    start = blow
+    for place in loud[loud <= blow][::-1]:
+        if place < start - 3:
+            break
+        start = int(place)
+    return max(0, start - 2)
+
+
+def _quiet_after_blow(force: Floats) -> Floats:
+    """The force with its sensor's noise set to zero once the hammer has left the frame.
+
+    The usual force window: outside the blow the force is nought, and what the sensor shows is noise.
+    """
+    loud = np.abs(force) > 0.25 * np.max(np.abs(force))
+    first, last = int(np.argmax(loud)), len(loud) - 1 - int(np.argmax(loud[::-1]))
+    width = max(2, last - first + 1)
+    window = np.zeros(len(force))
+    window[max(0, first - 3 * width) : last + 3 * width + 1] = 1.0
+    return force * window
+
+
+def _excitation(run: Run) -> Floats:
+    if run.excitation is None:
+        raise InputError(f"{run.name} has no force channel")
+    return run.excitation

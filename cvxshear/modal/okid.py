@@ -1,0 +1,91 @@
+"""Observer/Kalman filter identification: Markov parameters from measured input and output.
+
+The responses are regressed on past inputs and past responses, an observer whose Markov parameters are
+finite in number although the structure's are not (Juang, Phan, Horta, Longman 1993, "Identification of
+observer/Kalman filter Markov parameters", J. Guidance 16(2)):
+
+    y_k = D u_k + sum_{i=1}^{p} (B_i u_{k-i} + A_i y_{k-i}) + e_k.
+
+The system's Markov parameters follow by Y_0 = D, Y_k = B_k + sum_{i=1}^{k} A_i Y_{k-i}, with A_i and B_i
+zero beyond p.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import linalg
+
+from cvxshear.modal.realization import block_hankel, left_factor
+from cvxshear.typing import Bools, Floats, Ints
+
+LAGS = 20
+ROWS = 60
+COLUMNS = 600
+
+
+class OkidSource:
+    """A record with measured input, in blocks, for OKID followed by the eigensystem realization algorithm.
+
+    Parameters
+    ----------
+    pieces : sequence of (array, shape (samples, inputs); array, shape (samples, outputs))
+        Blocks of input and output; each carries `lags` samples of what came before it.
+    sampling_rate : float
+        Hz.
+    lags : int, optional
+        p above.
+    """
+
+    unit = "block"
+
+    def __init__(self, pieces: Sequence[tuple[Floats, Floats]], sampling_rate: float, lags: int = LAGS) -> None:
+        self.sampling_rate = sampling_rate
+        self.lags = lags
+        self.inputs = pieces[0][0].shape[1]
+        self.outputs = pieces[0][1].shape[1]
+        self.groups: Ints = np.zeros(len(pieces), dtype=np.int64)
+        self.energies: Floats = np.array([float(np.mean(response**2)) for _, response in pieces])
+        # Triangles, not products: a product would square the condition number of the regression.
+        self._triangles = [_triangle(_regression(u, y, lags)) for u, y in pieces]
+
+    def markov(self, keep: Bools | None = None) -> Floats:
+        """Markov parameters, shape (samples, outputs, inputs), the first one D."""
+        chosen = self._triangles if keep is None else [t for t, k in zip(self._triangles, keep, strict=True) if k]
+        triangle = _triangle(np.vstack(chosen))
+        split = triangle.shape[1] - self.outputs
+        weights = linalg.lstsq(triangle[:split, :split], triangle[:split, split:], check_finite=False)[0]
+        direct = weights[: self.inputs].T
+        lagged = weights[self.inputs :].reshape(self.lags, self.inputs + self.outputs, self.outputs)
+        past = lagged.transpose(0, 2, 1)
+        return _system_markov(direct, past[:, :, : self.inputs], past[:, :, self.inputs :], ROWS + COLUMNS)
+
+    def factor(self, keep: Bools | None = None) -> Floats:
+        """Left factor of the block Hankel matrix of the Markov parameters."""
+        return left_factor(block_hankel(self.markov(keep), ROWS, COLUMNS))
+
+
+def _regression(excitation: Floats, response: Floats, lags: int) -> Floats:
+    """Rows [u_k, u_{k-1}, y_{k-1}, ..., u_{k-p}, y_{k-p} | y_k], shape (samples - lags, ...)."""
+    both = np.hstack([excitation, response])
+    windows = np.lib.stride_tricks.sliding_window_view(both, lags + 1, axis=0)
+    past = windows[:, :, lags - 1 :: -1].transpose(0, 2, 1).reshape(len(windows), -1)
+    return np.hstack([excitation[lags:], past, response[lags:]])
+
+
+def _triangle(matrix: Floats) -> Floats:
+    width = matrix.shape[1]
+    return np.asarray(linalg.qr(matrix, mode="r", check_finite=False)[0][:width])
+
+
+def _system_markov(direct: Floats, inputs: Floats, outputs: Floats, count: int) -> Floats:
+    lags = len(outputs)
+    result = np.zeros((count + 1, *direct.shape))
+    result[0] = direct
+    for k in range(1, count + 1):
+        reach = min(k, lags)
+        result[k] = np.einsum("ioj,ijm->om", outputs[:reach], result[k - 1 :: -1][:reach])
+        if k <= lags:
+            result[k] += inputs[k - 1]
+    return result

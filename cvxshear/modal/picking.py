@@ -1,0 +1,289 @@
+"""Which clusters are modes of the frame, and their values on all the data or on a part of it."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.modal.clock import Offsets, offsets, undone
+from cvxshear.modal.realization import Poles, Source, realize
+from cvxshear.modal.record import Complexes
+from cvxshear.modal.shapes import collinearity, mac, real_shape, sign_changes
+from cvxshear.modal.stabilization import (
+    Cluster,
+    Criteria,
+    center,
+    clusters,
+    energies,
+    nearest,
+    persistence,
+    stable_poles,
+    undivided,
+)
+from cvxshear.typing import Bools, Floats
+
+MOST_CANDIDATES = 8
+"""Candidates for one mode that are weighed against those for the others."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A cluster of stable poles, judged.
+
+    Parameters
+    ----------
+    members : tuple of (int, int)
+        Places in the sweep that its values rest on.
+    eigenvalue : complex
+        1/s, as in the data: an exponential window's decay is still in it.
+    shape : array of complex, shape (outputs,)
+    persistence : float
+        Share of the orders, from its first on, in which it is stable.
+    energy : float
+        Share of the data's energy.
+    physical : bool
+    reason : str
+        Why not, where it is not.
+    """
+
+    members: tuple[tuple[int, int], ...]
+    eigenvalue: complex
+    shape: Complexes
+    persistence: float
+    energy: float
+    physical: bool = True
+    reason: str = ""
+
+    @property
+    def frequency(self) -> float:
+        """Hz."""
+        return abs(self.eigenvalue) / (2 * np.pi)
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """The order sweep of one record, with what was made of it.
+
+    Parameters
+    ----------
+    poles : sequence of Poles
+        One an order, ascending.
+    stable : list of list of int
+        For each order the indices of stable poles.
+    candidates : tuple of Candidate
+        Ascending in frequency.
+    chosen : tuple of Candidate
+        The frame's modes, ascending.
+    """
+
+    poles: list[Poles]
+    stable: list[list[int]]
+    candidates: tuple[Candidate, ...]
+    chosen: tuple[Candidate, ...]
+
+
+def sweep_orders(
+    source: Source,
+    criteria: Criteria,
+    *,
+    count: int,
+    by_signs: bool,
+    band: tuple[float, float] | None = None,
+    shift: float = 0.0,
+) -> Sweep:
+    """Sweep the orders, cluster the stable poles and choose the frame's modes.
+
+    Parameters
+    ----------
+    source : Source
+    criteria : Criteria
+    count : int
+        Most modes to choose.
+    by_signs : bool
+        Choose for mode r a shape with r - 1 changes of sign, which is what the modes of a shear frame have
+        when every floor is measured (its stiffness matrix is a Jacobi matrix: Gantmacher and Krein 1950).
+        Otherwise the modes of most energy are chosen.
+    band : (float, float), optional
+        Hz.
+    shift : float, optional
+        Decay that an exponential window added, 1/s.
+
+    Returns
+    -------
+    Sweep
+    """
+    factor = source.factor()
+    poles = realize(factor, source.outputs, source.sampling_rate, criteria.orders)
+    stable = stable_poles(poles, source.sampling_rate, criteria, shift)
+    found = []
+    for cluster in clusters(poles, stable, criteria):
+        if len(cluster.members) < 2:
+            continue
+        members = undivided(cluster, poles, criteria, shift)
+        value, shape = center(*Cluster(list(members)).gather(poles))
+        found.append(Candidate(tuple(members), value, shape, persistence(cluster, poles), 0.0, *_lasting(cluster, poles, criteria)))
+    found.sort(key=lambda item: item.frequency)
+    found = _weighed(_distinct(_within(found, band), criteria), factor, source.sampling_rate)
+    found = _collinear(found, criteria)
+    usable = [item for item in found if item.physical]
+    chosen = _by_signs(usable, count) if by_signs else _by_energy(usable, count)
+    return Sweep(poles, stable, tuple(found), tuple(chosen))
+
+
+def _lasting(cluster: Cluster, poles: Sequence[Poles], criteria: Criteria) -> tuple[bool, str]:
+    if len(cluster.members) < criteria.least_orders:
+        return False, f"stable in {len(cluster.members)} orders only"
+    share = persistence(cluster, poles)
+    if share < criteria.least_persistence:
+        return False, f"stable in {100 * share:.0f} % of the orders only"
+    return True, ""
+
+
+def _within(found: list[Candidate], band: tuple[float, float] | None) -> list[Candidate]:
+    if band is None:
+        return found
+    return [item for item in found if band[0] <= item.frequency <= band[1]]
+
+
+def _distinct(found: list[Candidate], criteria: Criteria) -> list[Candidate]:
+    """Of clusters with one frequency and one shape, the one that first appeared; the others repeat it."""
+    kept: list[Candidate] = []
+    for item in sorted(found, key=lambda item: (not item.physical, item.members[0][0])):
+        if not any(
+            abs(item.frequency - other.frequency) < 0.05 * other.frequency
+            and mac(item.shape, other.shape) > criteria.shape_agreement
+            for other in kept
+        ):
+            kept.append(item)
+    return sorted(kept, key=lambda item: item.frequency)
+
+
+def _weighed(found: list[Candidate], factor: Floats, sampling_rate: float) -> list[Candidate]:
+    lasting = [item for item in found if item.physical]
+    shares = energies(factor, [(item.eigenvalue, item.shape) for item in lasting], sampling_rate)
+    energy = dict(zip(map(id, lasting), shares.tolist(), strict=True))
+    return [_replaced(item, energy=energy.get(id(item), 0.0)) for item in found]
+
+
+def _replaced(item: Candidate, **changes: object) -> Candidate:
+    values = {name: getattr(item, name) for name in item.__dataclass_fields__}
+    return Candidate(**{**values, **changes})
+
+
+def _collinear(found: list[Candidate], criteria: Criteria) -> list[Candidate]:
+    """Judge the phases, those that a clock offset explains taken away first, by the strongest candidates."""
+    usable = sorted((item for item in found if item.physical), key=lambda item: -item.energy)[:MOST_CANDIDATES]
+    if len(usable) < 2 or len(usable[0].shape) < 2:
+        return found
+    strong = [item for item in usable if item.energy > 1e-3 * usable[0].energy]
+    clocks = offsets(np.array([item.eigenvalue for item in strong]), np.array([item.shape for item in strong]))
+    result = []
+    for item in found:
+        straight = undone(np.array([item.eigenvalue]), item.shape[None], clocks.seconds)[0]
+        measure = max(collinearity(straight), collinearity(item.shape))
+        if item.physical and measure < criteria.least_collinearity:
+            item = _replaced(item, physical=False, reason=f"modal phase collinearity {measure:.2f} only")  # noqa: PLW2901
+        result.append(item)
+    return result
+
+
+def _by_energy(usable: list[Candidate], count: int) -> list[Candidate]:
+    strongest = sorted(usable, key=lambda item: -item.energy)[:count]
+    return sorted(strongest, key=lambda item: item.frequency)
+
+
+def _by_signs(usable: list[Candidate], count: int) -> list[Candidate]:
+    """The candidates, one for each number of sign changes at most, ascending, of most energy together.
+
+    A mode that the record does not hold is left out rather than replaced by one of the wrong shape.
+    """
+    if not usable:
+        return []
+    clocks = offsets(np.array([item.eigenvalue for item in usable]), np.array([item.shape for item in usable]))
+    straight = undone(
+        np.array([item.eigenvalue for item in usable]), np.array([item.shape for item in usable]), clocks.seconds
+    )
+    changes = [sign_changes(real_shape(shape)) for shape in straight]
+    options: list[list[Candidate | None]] = []
+    for wanted in range(count):
+        fitting = [item for item, number in zip(usable, changes, strict=True) if number == wanted]
+        fitting.sort(key=lambda item: -item.energy)
+        options.append([*fitting[: 3 if count > 4 else MOST_CANDIDATES], None])
+    return _best_ascending(options)
+
+
+def _best_ascending(options: list[list[Candidate | None]]) -> list[Candidate]:
+    """Most modes first, then the largest product of energies, among choices that ascend in frequency."""
+    if len(options) > 6:
+        return _ascending_greedily(options)
+    best: tuple[int, float] = (0, -np.inf)
+    result: list[Candidate] = []
+    for choice in itertools.product(*options):
+        picked = [item for item in choice if item is not None]
+        if any(b.frequency <= a.frequency for a, b in itertools.pairwise(picked)):
+            continue
+        rank = (len(picked), float(np.sum(np.log([max(item.energy, 1e-300) for item in picked]))))
+        if rank > best:
+            best, result = rank, picked
+    return result
+
+
+def _ascending_greedily(options: list[list[Candidate | None]]) -> list[Candidate]:
+    result: list[Candidate] = []
+    for several in options:
+        for item in several:
+            if item is not None and (not result or item.frequency > result[-1].frequency):
+                result.append(item)
+                break
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """Eigenvalues and shapes of the chosen modes, from all the data or a part.
+
+    Parameters
+    ----------
+    eigenvalues : array of complex, shape (modes,)
+    shapes : array of complex, shape (modes, outputs)
+    """
+
+    eigenvalues: Complexes
+    shapes: Complexes
+
+
+def values_on(source: Source, sweep: Sweep, keep: Bools | None) -> Values | None:
+    """The chosen modes on a part of the data; None where one of them is not found there.
+
+    The same orders are used as on all the data, in each the pole nearest to that order's.
+    """
+    needed = sorted({i for item in sweep.chosen for i, _ in item.members})
+    factor = source.factor(keep)
+    by_order = {
+        poles.order: poles
+        for poles in realize(factor, source.outputs, source.sampling_rate, [sweep.poles[i].order for i in needed])
+    }
+    eigenvalues, shapes = [], []
+    for item in sweep.chosen:
+        found = []
+        for i, j in item.members:
+            poles = by_order.get(sweep.poles[i].order)
+            if poles is None:
+                continue
+            k = nearest(poles, complex(sweep.poles[i].eigenvalues[j]), sweep.poles[i].shapes[j])
+            if k is not None:
+                found.append((poles.eigenvalues[k], poles.shapes[k]))
+        if 2 * len(found) < len(item.members):
+            return None
+        value, shape = center(np.array([f[0] for f in found]), np.array([f[1] for f in found]))
+        eigenvalues.append(value)
+        shapes.append(shape)
+    return Values(np.array(eigenvalues), np.array(shapes))
+
+
+def clock_offsets(values: Values, participations: Complexes | None) -> Offsets:
+    """Offsets of the clocks from the chosen modes."""
+    return offsets(values.eigenvalues, values.shapes, participations)

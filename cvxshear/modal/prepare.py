@@ -1,0 +1,205 @@
+"""From a record to the source of its Hankel matrix: trend off, decimated to the band, cut into blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy import signal
+
+from cvxshear import checks
+from cvxshear.errors import InputError, UnsuitableError
+from cvxshear.modal import covariance, okid, subspace
+from cvxshear.modal.frf import DecaySource, FrfSource, cut, hit_spectra, reached_lines, table_spectra
+from cvxshear.modal.realization import Source
+from cvxshear.modal.record import FrfRecord, Record, Run, TimeRecord
+from cvxshear.typing import Floats
+
+METHODS = ("era", "okid", "subspace", "ssi")
+BLOCKS = 20
+IMPULSIVE = 0.1
+"""A force that does nearly all its work within this share of the run is a blow."""
+
+
+def default_method(record: Record) -> str:
+    """The method that suits the record's input."""
+    if isinstance(record, FrfRecord) or record.input == "free_decay":
+        return "era"
+    if record.input == "none":
+        return "ssi"
+    if record.input == "base":
+        return "okid"
+    return "era" if all(impulsive(run) for run in record.runs) else "okid"
+
+
+def impulsive(run: Run) -> bool:
+    """Whether the run's force is a blow: 90 % of its energy within a tenth of the run."""
+    if run.excitation is None:
+        return False
+    power = np.sort(run.excitation**2)[::-1]
+    return bool(np.searchsorted(np.cumsum(power), 0.9 * power.sum()) < IMPULSIVE * len(power))
+
+
+def source_of(record: Record, method: str, *, estimator: str = "h1", blocks: int = BLOCKS) -> Source:
+    """The record's data in the form the method needs.
+
+    Parameters
+    ----------
+    record : TimeRecord or FrfRecord
+    method : str
+        "era", "okid", "subspace" or "ssi".
+    estimator : str, optional
+        Frequency response of hits, "h1" or "h2".
+    blocks : int, optional
+        Pieces that a long record is cut into.
+
+    Returns
+    -------
+    Source
+
+    Raises
+    ------
+    UnsuitableError
+        Where the method cannot use the record's input; names one that can.
+    """
+    checks.choice(method, METHODS, "method")
+    checks.whole(blocks, "blocks", least=4, most=200)
+    suited = _suited(record)
+    if method not in suited:
+        kind = "frequency response functions" if isinstance(record, FrfRecord) else f'input = "{record.input}"'
+        raise UnsuitableError(f'method "{method}" cannot use {kind}; use "{suited[0]}"')
+    if isinstance(record, FrfRecord):
+        spectra, _ = table_spectra(record)
+        lines = len(spectra[0].force_force)
+        if record.band is not None:
+            lines = min(lines, int(np.ceil(1.25 * record.band[1] / record.step)) + 1)
+        spectra, samples = cut(spectra, lines)
+        return FrfSource(spectra, 2 * (lines - 1) * record.step, samples, estimator, wrapped=True)
+    if method == "era":
+        return _decays(record) if record.input == "free_decay" else _hits(record, estimator)
+    record = decimated(detrended(record))
+    if method == "ssi":
+        return _ambient(record, blocks)
+    return _driven(record, method, blocks)
+
+
+def _suited(record: Record) -> tuple[str, ...]:
+    if isinstance(record, FrfRecord):
+        return ("era",)
+    return {
+        "none": ("ssi",),
+        "free_decay": ("era", "ssi"),
+        "force": (default_method(record), "era", "okid", "subspace"),
+        "base": ("okid", "subspace"),
+    }[record.input]
+
+
+def detrended(record: TimeRecord) -> TimeRecord:
+    """The record without mean and straight-line drift."""
+    return _mapped(record, lambda values: signal.detrend(values, axis=0), record.sampling_rate)
+
+
+def decimated(record: TimeRecord) -> TimeRecord:
+    """The record at the lowest whole fraction of its sampling rate that keeps its band clear of the filter's edge."""
+    if record.band is None:
+        return record
+    factor = int(record.sampling_rate / (2.5 * record.band[1]))
+    if factor < 2:
+        return record
+    if min(run.samples for run in record.runs) < 40 * factor:
+        raise InputError(f"the record is too short to be decimated to its band of {record.band[1]:g} Hz; widen the band")
+    return _mapped(
+        record,
+        lambda values: signal.decimate(values, factor, ftype="fir", axis=0),
+        record.sampling_rate / factor,
+    )
+
+
+def _mapped(record: TimeRecord, change, rate: float) -> TimeRecord:  # type: ignore[no-untyped-def]
+    runs = tuple(
+        Run(
+            change(run.responses),
+            None if run.excitation is None else change(run.excitation[:, None])[:, 0],
+            run.floor,
+            run.name,
+        )
+        for run in record.runs
+    )
+    return TimeRecord(
+        record.channels,
+        record.stories,
+        record.quantity,
+        record.band,
+        record.exponential_window,
+        record.name,
+        runs,
+        rate,
+        record.input,
+    )
+
+
+def _hits(record: TimeRecord, estimator: str) -> FrfSource:
+    record = _without_offset(record)
+    spectra, samples = hit_spectra(record)
+    lines = reached_lines(spectra)
+    if record.band is not None:
+        wanted = int(np.ceil(1.25 * record.band[1] * samples / record.sampling_rate)) + 1
+        lines = min(lines, wanted)
+    step = record.sampling_rate / samples
+    spectra, samples = cut(spectra, lines)
+    return FrfSource(spectra, 2 * (lines - 1) * step, samples, estimator)
+
+
+def _without_offset(record: TimeRecord) -> TimeRecord:
+    """A decay must not lose its slow part to a fitted line: only the median goes, which a blow does not move."""
+    return _mapped(record, lambda values: values - np.median(values, axis=0), record.sampling_rate)
+
+
+def _decays(record: TimeRecord) -> DecaySource:
+    record = decimated(_without_offset(record))
+    starts = [_release(run.responses) for run in record.runs]
+    samples = min(run.samples - start for run, start in zip(record.runs, starts, strict=True))
+    pieces = [run.responses[start : start + samples] for run, start in zip(record.runs, starts, strict=True)]
+    return DecaySource(np.stack(pieces, axis=2), record.sampling_rate)
+
+
+def _release(responses: Floats) -> int:
+    """The sample at which the decay is under way: the last within a tenth of the largest response."""
+    size = np.linalg.norm(responses / np.maximum(responses.std(axis=0), 1e-300), axis=1)
+    return int(np.flatnonzero(size > 0.9 * size.max())[-1])
+
+
+def _driven(record: TimeRecord, method: str, blocks: int) -> Source:
+    before = okid.LAGS if method == "okid" else 2 * subspace.ROWS - 1
+    pieces = []
+    for run, start, stop in _cuts(record, blocks, before, 0):
+        if run.excitation is None:
+            raise InputError(f"{run.name} lacks the input channel")
+        pieces.append((run.excitation[start - before : stop, None], run.responses[start - before : stop]))
+    if method == "okid":
+        return okid.OkidSource(pieces, record.sampling_rate)
+    return subspace.SubspaceSource(pieces, record.sampling_rate)
+
+
+def _ambient(record: TimeRecord, blocks: int) -> Source:
+    after = covariance.ROWS + covariance.COLUMNS
+    pieces = [run.responses[start : stop + after] for run, start, stop in _cuts(record, blocks, 0, after)]
+    return covariance.CovarianceSource(pieces, record.sampling_rate)
+
+
+def _cuts(record: TimeRecord, blocks: int, before: int, after: int) -> Iterator[tuple[Run, int, int]]:
+    """Blocks of nearly equal length over all runs, each with room for the samples its lags need."""
+    usable = [run.samples - before - after for run in record.runs]
+    total = sum(max(0, count) for count in usable)
+    if total < 4 * (before + after):
+        raise InputError(
+            f"the record has {sum(run.samples for run in record.runs)} samples at {record.sampling_rate:g} Hz; the "
+            f"method needs at least {5 * (before + after)}"
+        )
+    for run, count in zip(record.runs, usable, strict=True):
+        if count < 2:
+            continue
+        pieces = max(1, round(blocks * count / total))
+        edges = before + np.linspace(0, count, pieces + 1).astype(int)
+        for start, stop in zip(edges[:-1], edges[1:], strict=True):
+            yield run, int(start), int(stop)

@@ -1,0 +1,150 @@
+"""From a block Hankel matrix to poles and shapes of every model order.
+
+Every method here ends in the same place: a matrix whose column space is that of the extended
+observability matrix, col(C, CA, CA^2, ...). Its shift invariance gives A, its first block row C.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy import linalg
+
+from cvxshear.modal.record import Complexes
+from cvxshear.typing import Bools, Floats, Ints
+
+
+class Source(Protocol):
+    """Data of one record, reduced to pieces that can be left out one at a time.
+
+    Attributes
+    ----------
+    outputs : int
+    sampling_rate : float
+        Hz, after decimation.
+    groups : array of int, shape (pieces,)
+        The stratum each piece belongs to; pieces are left out within their stratum. Empty where the
+        record has no pieces that could be left out.
+    unit : str
+        What a piece is: "block", "hit", "driving point".
+    energies : array, shape (pieces,)
+        Mean square response of each piece.
+    """
+
+    outputs: int
+    sampling_rate: float
+    groups: Ints
+    unit: str
+    energies: Floats
+
+    def factor(self, keep: Bools | None = None) -> Floats:
+        """Left factor of the data, shape (rows * outputs, m), columns by descending singular value."""
+
+
+@dataclass(frozen=True, eq=False)
+class Poles:
+    """Poles of one model order with positive imaginary part.
+
+    Parameters
+    ----------
+    order : int
+        Number of states.
+    eigenvalues : array of complex, shape (k,)
+        Continuous-time, 1/s.
+    shapes : array of complex, shape (k, outputs)
+        As seen by the sensors, unit norm, largest entry real and positive.
+    """
+
+    order: int
+    eigenvalues: Complexes
+    shapes: Complexes
+
+    @property
+    def frequencies(self) -> Floats:
+        """Natural frequencies, Hz."""
+        return np.abs(self.eigenvalues) / (2 * np.pi)
+
+    @property
+    def damping_ratios(self) -> Floats:
+        """Fraction of critical."""
+        return -self.eigenvalues.real / np.abs(self.eigenvalues)
+
+
+def block_hankel(sequence: Floats, rows: int, columns: int, start: int = 1) -> Floats:
+    """Block Hankel matrix of a sequence of Markov parameters.
+
+    Parameters
+    ----------
+    sequence : array, shape (samples, outputs, inputs)
+    rows, columns : int
+        Block rows and block columns; rows + columns + start - 1 samples are used.
+    start : int, optional
+        The sample of the upper left block.
+
+    Returns
+    -------
+    array, shape (rows * outputs, columns * inputs)
+    """
+    places = start + np.arange(rows)[:, None] + np.arange(columns)[None, :]
+    _, outputs, inputs = sequence.shape
+    return sequence[places].transpose(0, 2, 1, 3).reshape(rows * outputs, columns * inputs)
+
+
+def left_factor(matrix: Floats) -> Floats:
+    """Left singular vectors times singular values, by way of a triangle so that wide matrices stay cheap."""
+    triangle = matrix
+    if matrix.shape[1] > matrix.shape[0]:
+        triangle = linalg.qr(matrix.T, mode="r", check_finite=False)[0][: matrix.shape[0]].T
+    left, values, _ = linalg.svd(triangle, full_matrices=False)
+    return np.asarray(left * values)
+
+
+def realize(factor: Floats, outputs: int, sampling_rate: float, orders: Iterable[int]) -> list[Poles]:
+    """Poles and shapes for each order, from one left factor.
+
+    With U the first n columns of the factor scaled to unit length, A = pinv(U without its last block row)
+    (U without its first), C = the first block row of U (Juang and Pappa 1985, in the balanced or any other
+    scaling: a change of state coordinates moves neither poles nor C times the eigenvectors).
+
+    Parameters
+    ----------
+    factor : array, shape (rows * outputs, m)
+    outputs : int
+    sampling_rate : float
+        Hz.
+    orders : iterable of int
+        Orders beyond the factor's rank are skipped.
+
+    Returns
+    -------
+    list of Poles
+    """
+    norms = np.linalg.norm(factor, axis=0)
+    rank = int(np.sum(norms > norms[0] * 1e-12)) if norms.size else 0
+    basis = factor[:, :rank] / norms[:rank]
+    upper, lower = basis[:-outputs], basis[outputs:]
+    gram, shift = upper.T @ upper, upper.T @ lower
+    result = []
+    for order in orders:
+        if order > min(rank, len(upper)):
+            continue
+        transition = linalg.solve(gram[:order, :order], shift[:order, :order], assume_a="pos")
+        discrete, vectors = linalg.eig(transition)
+        # A pole at the origin is a pure delay and has no continuous-time counterpart.
+        used = (discrete.imag > 0) & (np.abs(discrete) > 1e-6)
+        eigenvalues = np.log(discrete[used]) * sampling_rate
+        shapes = (basis[:outputs, :order] @ vectors[:, used]).T
+        result.append(Poles(order, eigenvalues, normalized(shapes)))
+    return result
+
+
+def normalized(shapes: Complexes) -> Complexes:
+    """Shapes of unit norm whose largest entry is real and positive, shape (k, n)."""
+    if not len(shapes):
+        return shapes
+    size = np.linalg.norm(shapes, axis=1, keepdims=True)
+    largest = np.take_along_axis(shapes, np.argmax(np.abs(shapes), axis=1)[:, None], axis=1)
+    return np.asarray(shapes / size * np.conj(largest) / np.abs(largest))

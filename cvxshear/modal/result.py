@@ -1,0 +1,245 @@
+"""Identified modes with their standard deviations, and what the record got wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cvxshear import checks
+from cvxshear.experiment import Experiment
+from cvxshear.formats.measurement import write_measurement
+from cvxshear.modal.findings import Finding
+from cvxshear.modal.picking import Sweep
+from cvxshear.modal.record import Complexes
+from cvxshear.typing import Floats, Ints, Json
+
+LEAST_STD = 1e-6
+"""Relative; no record is that good, and a zero would weigh infinitely."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModalResult:
+    """Modes of one record.
+
+    Parameters
+    ----------
+    name : str
+    method : str
+        "era", "okid", "subspace", "ssi" or "given".
+    stories : int
+    floors : array of int, shape (n,)
+        Measured floors, ascending.
+    frequencies : array, shape (m,)
+        Natural frequencies, Hz, ascending.
+    frequency_std : array, shape (m,)
+        Relative.
+    damping_ratios, damping_std : array, shape (m,)
+        Fraction of critical.
+    mode_shapes : array, shape (m, n)
+        Real normal modes; 1/sqrt(kg) where `mass_normalized`, a largest entry of 1 otherwise.
+    mode_shape_std : array, shape (m, n)
+        Of the entries as they stand, relative to the mode's largest. Zero at the largest entry of a mode
+        that is not mass-normalized: it is 1 by definition.
+    entry_std : array, shape (m, n)
+        Standard deviations of independent errors on all entries, the mode's scale free, that scatter the
+        shape as `mode_shape_std` says; relative to the mode's largest entry. These go into the
+        measurement file.
+    mass_normalized : bool
+    modes : array of int, shape (m,)
+        Which modes of the frame these are, 1 the lowest.
+    complex_shapes : array of complex, shape (m, n)
+        Before the real normal mode was taken, turned to their main axis.
+    phase_collinearity : array, shape (m,)
+        MPC of the complex shapes, clock offsets removed.
+    lost_phase : array, shape (m,)
+        Degrees, root mean square, which the real normal mode leaves out; clock offsets removed.
+    clock_offsets : dict
+        Channel name to seconds, positive where the channel is late against the median of all; each with its
+        standard deviation: {name: (seconds, std)}.
+    covariance : array, shape (m + m n, m + m n)
+        Of the relative frequencies and the entries of `mode_shapes` over each mode's largest, mode by mode.
+    uncertainty : str
+        How the standard deviations were got.
+    findings : tuple of Finding
+    sweep : Sweep, optional
+        For the stabilization diagram.
+    """
+
+    name: str
+    method: str
+    stories: int
+    floors: Ints
+    frequencies: Floats
+    frequency_std: Floats
+    damping_ratios: Floats
+    damping_std: Floats
+    mode_shapes: Floats
+    mode_shape_std: Floats
+    entry_std: Floats
+    mass_normalized: bool
+    modes: Ints
+    complex_shapes: Complexes
+    phase_collinearity: Floats
+    lost_phase: Floats
+    clock_offsets: Mapping[str, tuple[float, float]]
+    covariance: Floats
+    uncertainty: str
+    findings: tuple[Finding, ...] = ()
+    sweep: Sweep | None = None
+
+    def to_dict(self) -> Json:
+        """The result as plain values."""
+        return {
+            "name": self.name,
+            "method": self.method,
+            "stories": self.stories,
+            "floors": self.floors.tolist(),
+            "modes": self.modes.tolist(),
+            "frequencies": self.frequencies.tolist(),
+            "frequency_std": self.frequency_std.tolist(),
+            "damping_ratios": self.damping_ratios.tolist(),
+            "damping_std": self.damping_std.tolist(),
+            "mode_shapes": self.mode_shapes.tolist(),
+            "mode_shape_std": self.mode_shape_std.tolist(),
+            "entry_std": self.entry_std.tolist(),
+            "mass_normalized": self.mass_normalized,
+            "phase_collinearity": self.phase_collinearity.tolist(),
+            "lost_phase": self.lost_phase.tolist(),
+            "clock_offsets": {
+                name: {"seconds": offset, "std": std} for name, (offset, std) in self.clock_offsets.items()
+            },
+            "uncertainty": self.uncertainty,
+            "findings": [finding.to_dict() for finding in self.findings],
+        }
+
+    def configuration(self, *, added_mass: Sequence[float] | None = None) -> Json:
+        """The table `[[configuration]]` of a measurement file that these modes make."""
+        result: Json = {"name": self.name}
+        if added_mass is not None:
+            result["added_mass"] = [float(mass) for mass in added_mass]
+        result |= {
+            "measured_floors": self.floors.tolist(),
+            "modes": self.modes.tolist(),
+            "frequencies": self.frequencies.tolist(),
+            "mode_shapes": self.mode_shapes.tolist(),
+            "mass_normalized": self.mass_normalized,
+            "frequency_std": np.maximum(self.frequency_std, LEAST_STD).tolist(),
+            "mode_shape_std": np.maximum(self.entry_std, LEAST_STD).tolist(),
+            "mode_shape_noise": "additive",
+            "damping_ratios": np.clip(self.damping_ratios, 0.0, None).tolist(),
+        }
+        return result
+
+    def to_experiment(
+        self,
+        frame: Mapping[str, object] | None = None,
+        *,
+        priors: Sequence[Mapping[str, object]] = (),
+        added_mass: Sequence[float] | None = None,
+    ) -> Json:
+        """A dict of the measurement file's shape, for `Experiment.from_dict`.
+
+        Parameters
+        ----------
+        frame : dict, optional
+            The table `[frame]`: what is known of the frame itself.
+        priors : sequence of dict, optional
+            The tables `[[prior]]`.
+        added_mass : sequence of float, shape (N,), optional
+            kg on each floor during the record.
+
+        Returns
+        -------
+        dict
+
+        Notes
+        -----
+        Where neither the shapes nor the frame nor a prior say how heavy the frame is, the total mass is set
+        to 1 kg: masses and stiffnesses then come out per kilogram of the frame. A comment in the file that
+        `write` makes, and a finding of the result, say so.
+        """
+        table = {"stories": self.stories, **(frame or {})}
+        if self.needs_mass(table, priors):
+            table["total_mass"] = 1.0
+        result: Json = {"frame": table}
+        if priors:
+            result["prior"] = [dict(prior) for prior in priors]
+        result["configuration"] = [self.configuration(added_mass=added_mass)]
+        return result
+
+    def needs_mass(self, frame: Mapping[str, object], priors: Sequence[Mapping[str, object]]) -> bool:
+        """Whether nothing tells how heavy the frame is."""
+        fixed = any(
+            prior.get("kind") == "value" or (prior.get("kind") == "nominal" and not prior.get("free_scale"))
+            for prior in priors
+        )
+        return not (self.mass_normalized or "total_mass" in frame or "floor_masses" in frame or fixed)
+
+    def write(
+        self,
+        path: str | Path,
+        frame: Mapping[str, object] | None = None,
+        *,
+        priors: Sequence[Mapping[str, object]] = (),
+        added_mass: Sequence[float] | None = None,
+    ) -> None:
+        """Write the measurement file, the findings as comments at its head.
+
+        Parameters
+        ----------
+        path : str or Path
+        frame, priors, added_mass
+            As for `to_experiment`.
+
+        Raises
+        ------
+        InputError
+            Where the modes do not make a measurement that `cvxshear.load` would take; nothing is written.
+        """
+        declared = self.to_experiment(frame, priors=priors, added_mass=added_mass)
+        Experiment.from_dict(declared, name=self.name)
+        comments = [f"Modes of {self.name} by {self.method}; standard deviations: {self.uncertainty}"]
+        if self.needs_mass(dict(frame or {}), priors):
+            comments.append("no scale: total_mass = 1 stands for a mass nobody gave; masses and stiffnesses are relative")
+        comments.extend(f"{finding.kind}: {finding.message}" for finding in self.findings)
+        write_measurement(path, declared, comments)
+
+
+def independent_std(covariance: Floats, shape: Floats) -> Floats:
+    """Independent errors on all entries that, the scale free, scatter a shape as a covariance says.
+
+    An error along the shape itself is lost in the scale: with P the projector off the shape, P D P and
+    P cov P have the same diagonal for the diagonal matrix D = diag(std^2) sought, a linear system with
+    the squared entries of P. Solved for non-negative variances.
+
+    Parameters
+    ----------
+    covariance : array, shape (n, n)
+        In any scaling of the shape to a fixed length or entry.
+    shape : array, shape (n,)
+
+    Returns
+    -------
+    array, shape (n,)
+    """
+    from scipy.optimize import nnls  # noqa: PLC0415
+
+    off = np.eye(len(shape)) - np.outer(shape, shape) / (shape @ shape)
+    seen = np.diag(off @ covariance @ off)
+    largest = float(seen.max())
+    if largest <= 0:
+        return np.zeros(len(shape))
+    # The least-squares part keeps the system of full rank where entries cannot be told apart (two floors).
+    rows = np.vstack([off**2, 1e-3 * np.eye(len(shape))])
+    variances = nnls(rows, np.concatenate([seen / largest, np.full(len(shape), 1e-3)]))[0] * largest
+    return np.sqrt(np.maximum(variances, 0.01 * largest))
+
+
+def checked_frame(frame: object) -> Mapping[str, object]:
+    """The table `[frame]` that a record file passes on."""
+    return checks.keys(
+        frame, ["stories", "story_heights", "total_mass", "floor_masses", "gravity"], [], "frame"
+    )

@@ -1,0 +1,75 @@
+"""Comparing complex shapes, and the real normal mode behind one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cvxshear.modal.record import Complexes
+from cvxshear.typing import Floats
+
+RULES = ("magnitude", "projection")
+
+
+def mac(first: Complexes | Floats, second: Complexes | Floats) -> float:
+    """Modal assurance criterion |a^H b|^2 / (a^H a b^H b) of two shapes (Allemang and Brown 1982)."""
+    product = abs(np.vdot(first, second)) ** 2
+    return float(product / (np.vdot(first, first).real * np.vdot(second, second).real))
+
+
+def collinearity(shape: Complexes) -> float:
+    """Modal phase collinearity (MPC): 1 where all entries lie on one line through the origin, 0 for a circle.
+
+    ((Sxx - Syy)^2 + 4 Sxy^2) / (Sxx + Syy)^2 with S the second moments of real and imaginary parts
+    (Pappa, Elliott and Schenk 1993).
+    """
+    x, y = shape.real, shape.imag
+    sxx, syy, sxy = x @ x, y @ y, x @ y
+    return float(((sxx - syy) ** 2 + 4 * sxy**2) / (sxx + syy) ** 2)
+
+
+def main_axis(shape: Complexes) -> Complexes:
+    """The shape turned so that the sum of its squared imaginary parts is least; its largest entry is positive."""
+    turned = shape * np.exp(-0.5j * np.angle(np.sum(shape**2)))
+    largest = turned[np.argmax(np.abs(turned))]
+    return np.asarray(turned if largest.real > 0 else -turned)
+
+
+def real_shape(shape: Complexes, rule: str = "magnitude") -> Floats:
+    """The real normal mode of a complex shape.
+
+    The shape is turned to its main axis. "magnitude": each entry is its modulus, with the sign of its real
+    part; a phase that a clock offset put there costs nothing. "projection": each entry is its real part, the
+    least-squares real shape.
+
+    Parameters
+    ----------
+    shape : array of complex, shape (n,)
+    rule : str, optional
+
+    Returns
+    -------
+    array, shape (n,)
+    """
+    turned = main_axis(shape)
+    if rule == "projection":
+        return np.asarray(turned.real)
+    return np.abs(turned) * np.where(turned.real < 0, -1.0, 1.0)
+
+
+def lost_phase(shape: Complexes) -> float:
+    """What the real shape leaves out: root mean square angle off the main axis, degrees, weighted by modulus squared."""
+    turned = main_axis(shape)
+    angle = np.angle(turned * np.where(turned.real < 0, -1.0, 1.0))
+    weight = np.abs(turned) ** 2
+    return float(np.degrees(np.sqrt(np.sum(weight * angle**2) / np.sum(weight))))
+
+
+def sign_changes(shape: Floats) -> int:
+    """How often the shape changes sign from the ground up."""
+    signs = np.sign(shape[shape != 0])
+    return int(np.sum(signs[1:] != signs[:-1]))
+
+
+def scaled_to_one(shape: Floats) -> Floats:
+    """The shape with a largest entry of 1."""
+    return np.asarray(shape / shape[np.argmax(np.abs(shape))])

@@ -1,0 +1,78 @@
+"""Whether exact statements can all be true at once and, where not, a smallest set that cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linprog
+
+from cvxshear.errors import InfeasibleError
+from cvxshear.priors import Constraints
+from cvxshear.typing import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Statement:
+    """Exact statements about one vector, and their name for a message."""
+
+    name: str
+    constraints: Constraints
+
+
+def _stacked(parts: Sequence[Statement], size: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """G, h, A, b of all the statements, bounds as rows of G."""
+    eye = np.eye(size)
+    G, h, A, b = [np.zeros((0, size))], [np.zeros(0)], [np.zeros((0, size))], [np.zeros(0)]
+    for part in parts:
+        said = part.constraints
+        if said.G is not None and said.h is not None:
+            G.append(said.G)
+            h.append(said.h)
+        if said.A is not None and said.b is not None:
+            A.append(said.A)
+            b.append(said.b)
+        for bound, sign in ((said.lower, -1.0), (said.upper, 1.0)):
+            if bound is not None:
+                finite = np.isfinite(bound)
+                G.append(sign * eye[finite])
+                h.append(sign * bound[finite])
+    return np.concatenate(G), np.concatenate(h), np.concatenate(A), np.concatenate(b)
+
+
+def feasible(parts: Sequence[Statement], size: int) -> bool:
+    """Whether some vector keeps every statement."""
+    G, h, A, b = _stacked(parts, size)
+    scale = max(1e-300, float(np.max(np.abs(np.concatenate([h, b])), initial=0.0)))
+    found = linprog(
+        np.zeros(size),
+        A_ub=G if len(G) else None,
+        b_ub=h / scale if len(G) else None,
+        A_eq=A if len(A) else None,
+        b_eq=b / scale if len(A) else None,
+        bounds=(None, None),
+        method="highs",
+    )
+    return bool(found.status != 2)
+
+
+def refuse_contradictions(parts: Sequence[Statement], size: int) -> None:
+    """Raise where the statements cannot all be true.
+
+    A statement that the others contradict without each other's help is kept, the rest are dropped one by
+    one (the deletion filter of Chinneck and Dravnieks, 1991), so that the message names a smallest set.
+
+    Raises
+    ------
+    InfeasibleError
+        Naming the statements that contradict each other.
+    """
+    if feasible(parts, size):
+        return
+    core = list(parts)
+    for part in parts:
+        without = [other for other in core if other is not part]
+        if without and not feasible(without, size):
+            core = without
+    raise InfeasibleError("these cannot all be true: " + "; ".join(part.name for part in core))

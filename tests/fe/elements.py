@@ -1,0 +1,94 @@
+"""Matrices of a plane beam-column, integrated numerically from its shape functions.
+
+Nothing here is written down from a table: the Hermite cubics are found from their end conditions and every
+matrix is a Gauss-Legendre sum of their derivatives, so that a coefficient such as 6/5 is a result.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+ACROSS = [1, 2, 4, 5]
+"""Of the six end displacements (along, across, turn at either end) those that bend the element."""
+ALONG = [0, 3]
+POINTS, WEIGHTS = np.polynomial.legendre.leggauss(5)
+"""Exact to degree 9; the mass of a cubic has degree 6."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A member's cross section, its material included.
+
+    Parameters
+    ----------
+    bending : float
+        EI, N m2.
+    axial : float
+        EA, N.
+    line_mass : float, optional
+        kg/m.
+    """
+
+    bending: float
+    axial: float
+    line_mass: float = 0.0
+
+
+@lru_cache(maxsize=None)
+def hermite(length: float) -> tuple[Polynomial, ...]:
+    """The four cubics on [0, length] of unit displacement or slope at one end and none of the other three."""
+    ends = []
+    for x in (0.0, length):
+        ends.append([x**power for power in range(4)])
+        ends.append([power * x ** (power - 1) if power else 0.0 for power in range(4)])
+    return tuple(Polynomial(column) for column in np.linalg.inv(np.array(ends)).T)
+
+
+def integral(shapes: tuple[Polynomial, ...], order: int, length: float) -> Floats:
+    """The integrals over the element of all products of the shapes' derivatives of this order."""
+    x = 0.5 * length * (POINTS + 1.0)
+    values = np.array([shape.deriv(order)(x) if order else shape(x) for shape in shapes])
+    return (values * WEIGHTS * 0.5 * length) @ values.T
+
+
+def stiffness(section: Section, length: float) -> Floats:
+    """Elastic stiffness in the element's own axes, shape (6, 6)."""
+    K = np.zeros((6, 6))
+    K[np.ix_(ACROSS, ACROSS)] = section.bending * integral(hermite(length), 2, length)
+    K[np.ix_(ALONG, ALONG)] = section.axial * integral(linear(length), 1, length)
+    return K
+
+
+def consistent_mass(section: Section, length: float) -> Floats:
+    """Consistent mass in the element's own axes, shape (6, 6)."""
+    M = np.zeros((6, 6))
+    M[np.ix_(ACROSS, ACROSS)] = section.line_mass * integral(hermite(length), 0, length)
+    M[np.ix_(ALONG, ALONG)] = section.line_mass * integral(linear(length), 0, length)
+    return M
+
+
+def geometric_stiffness(compression: float, length: float) -> Floats:
+    """What a compressive force, N, takes from the stiffness as the cubic leans and bends, shape (6, 6)."""
+    K = np.zeros((6, 6))
+    K[np.ix_(ACROSS, ACROSS)] = -compression * integral(hermite(length), 1, length)
+    return K
+
+
+def linear(length: float) -> tuple[Polynomial, ...]:
+    """The two straight lines on [0, length], one at one end and zero at the other."""
+    return Polynomial([1.0, -1.0 / length]), Polynomial([0.0, 1.0 / length])
+
+
+def own_axes(run: float, rise: float) -> Floats:
+    """From (ux, uy, turn) at both ends to (along, across, turn), shape (6, 6); run and rise point to the far end."""
+    length = np.hypot(run, rise)
+    cos, sin = run / length, rise / length
+    one_end = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return np.kron(np.eye(2), one_end)

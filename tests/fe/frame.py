@@ -1,0 +1,225 @@
+"""A multi-story plane frame of columns and beams, and its sway modes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from tests.fe.elements import Floats, Section
+from tests.fe.model import Model, Motion, Node
+
+RIGID = np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Building:
+    """A frame of n stories; with the defaults it is a shear frame, whatever else it is said to be it is not.
+
+    Parameters
+    ----------
+    heights : ndarray, shape (n,)
+        Story heights, m.
+    story_stiffness : ndarray, shape (n,)
+        12 EI / h^3, summed over a story's columns, N/m: what gives the columns their EI.
+    floor_mass : ndarray, shape (n,)
+        All mass that moves with a floor, kg: added mass, and half the columns of either adjoining story.
+    column_x : tuple of float, optional
+        Where the columns stand, m; two at least.
+    column_share : tuple of float, optional
+        The columns' shares of each story's stiffness, of its own mass and of the weight; equal where empty.
+    beam_bending : ndarray, shape (n,), optional
+        EI of a floor's beams, the same in every bay, N m2; rigid where None.
+    column_axial : ndarray, shape (n,), optional
+        EA of each column of a story, N; inextensible where None.
+    rocking_stiffness : float, optional
+        Of the spring under the rigid base, N m/rad.
+    column_base : float, optional
+        Of the spring under each column's foot, N m/rad; 0 is a hinge.
+    ground_springs : mapping of int to float, optional
+        From a floor to the ground, N/m.
+    column_mass : float, optional
+        All columns of one story together, kg, the same in every story.
+    gravity : float, optional
+        m/s2; 0 leaves the weight out.
+    on_frame : float, optional
+        The part of the weight that the frame's own columns carry; the rest stands on rigid props, hinged at
+        both ends, that lean with the floors.
+    vertical_inertia : bool, optional
+        Whether floor masses also move up and down, shared among the joints as the columns' shares are.
+    pieces : int, optional
+        Elements a column.
+    """
+
+    heights: Floats
+    story_stiffness: Floats
+    floor_mass: Floats
+    column_x: tuple[float, ...] = (-0.25, 0.25)
+    column_share: tuple[float, ...] = ()
+    beam_bending: Floats | None = None
+    column_axial: Floats | None = None
+    rocking_stiffness: float = RIGID
+    column_base: float = RIGID
+    ground_springs: Mapping[int, float] = field(default_factory=dict)
+    column_mass: float = 0.0
+    gravity: float = 0.0
+    on_frame: float = 1.0
+    vertical_inertia: bool = False
+    pieces: int = 1
+
+    @property
+    def stories(self) -> int:
+        return len(self.heights)
+
+    @property
+    def shares(self) -> tuple[float, ...]:
+        """The columns' shares, which add up to one."""
+        count = len(self.column_x)
+        return self.column_share or (1.0 / count,) * count
+
+    @property
+    def weight(self) -> Floats:
+        """Of all mass at and above each floor, shape (n,), N."""
+        return self.gravity * np.cumsum(self.floor_mass[::-1])[::-1]
+
+
+class SwayModes(NamedTuple):
+    """The n sway modes of a frame, ascending.
+
+    Attributes
+    ----------
+    frequencies : ndarray, shape (n,)
+        Hz.
+    shapes : ndarray, shape (n, n)
+        Sway of the floors, one column a mode, mass-normalized over all the frame's mass, largest entry positive.
+    """
+
+    frequencies: Floats
+    shapes: Floats
+
+
+def sway_modes(building: Building) -> SwayModes:
+    """The modes that move the floors sideways: the n with the largest share of their kinetic energy in sway.
+
+    Raises
+    ------
+    ValueError
+        Where the frame is unstable, or sway cannot be told from other motion.
+    """
+    model = assemble(building)
+    eigenvalues, shapes = model.modes()
+    if eigenvalues[0] <= 0:
+        raise ValueError(f"the frame buckles: lowest eigenvalue {eigenvalues[0]:g}")
+    floors = shapes[[model.coordinates["sway", floor] for floor in range(1, building.stories + 1)]]
+    in_sway = building.floor_mass @ floors**2
+    chosen = np.sort(np.argsort(in_sway)[-building.stories :])
+    if in_sway[chosen].min() < 0.5:
+        raise ValueError("a sway mode is mixed with motion of another kind")
+    floors = floors[:, chosen]
+    largest = floors[np.argmax(np.abs(floors), axis=0), np.arange(building.stories)]
+    return SwayModes(np.sqrt(eigenvalues[chosen]) / (2 * np.pi), floors * np.sign(largest))
+
+
+def assemble(building: Building) -> Model:
+    """The finite-element model of a building; floor i sways by the coordinate ("sway", i)."""
+    model = Model()
+    joints = [[joint(building, floor, x) for x in building.column_x] for floor in range(building.stories + 1)]
+    for floor, (below, above) in enumerate(zip(joints, joints[1:], strict=False), 1):
+        for column in range(len(building.column_x)):
+            stand_column(model, building, floor, column, below[column], above[column])
+        lay_beams(model, building, floor, above)
+        load_floor(model, building, floor, above)
+    hold_base(model, building, joints[0])
+    return model
+
+
+def elevation(building: Building, floor: int) -> float:
+    """Of a floor above the ground, m."""
+    return float(building.heights[:floor].sum())
+
+
+def joint(building: Building, floor: int, x: float) -> Node:
+    """The joint of a column at x with a floor, or its foot where the floor is 0."""
+    y = elevation(building, floor)
+    rises, turns = rigid_base(building, x)
+    if floor == 0:
+        foot: Motion = turns if building.column_base == RIGID else {("foot", x): 1.0}
+        return Node(x, y, {}, rises, foot)
+    sway: Motion = {("sway", floor): 1.0}
+    if building.beam_bending is None:
+        if building.column_axial is None:
+            return Node(x, y, sway, rises, turns)
+        return Node(x, y, sway, {("heave", floor): 1.0, ("tilt", floor): x}, {("tilt", floor): 1.0})
+    if building.column_axial is not None:
+        rises = {("rise", floor, x): 1.0}
+    return Node(x, y, sway, rises, {("turn", floor, x): 1.0})
+
+
+def rigid_base(building: Building, x: float) -> tuple[Motion, Motion]:
+    """How a base that rocks lifts and turns what stands on it at x."""
+    if building.rocking_stiffness == RIGID:
+        return {}, {}
+    return {"rock": x}, {"rock": 1.0}
+
+
+def stand_column(model: Model, building: Building, story: int, column: int, foot: Node, head: Node) -> None:
+    """One column of a story, in as many elements as the building says."""
+    height = float(building.heights[story - 1])
+    share = building.shares[column]
+    section = Section(
+        bending=share * building.story_stiffness[story - 1] * height**3 / 12,
+        axial=0.0 if building.column_axial is None else float(building.column_axial[story - 1]),
+        line_mass=share * building.column_mass / height,
+    )
+    force = share * building.on_frame * float(building.weight[story - 1])
+    nodes = [foot, *(between(building, story, column, part, foot, head) for part in range(1, building.pieces)), head]
+    for near, far in zip(nodes, nodes[1:], strict=False):
+        model.member(near, far, section, compression=force)
+
+
+def between(building: Building, story: int, column: int, part: int, foot: Node, head: Node) -> Node:
+    """A node of a column between two floors."""
+    name = (story, column, part)
+    y = foot.y + (head.y - foot.y) * part / building.pieces
+    rises: Motion = foot.uy if building.column_axial is None else {("rise", *name): 1.0}
+    return Node(foot.x, y, {("sway", *name): 1.0}, rises, {("turn", *name): 1.0})
+
+
+def lay_beams(model: Model, building: Building, floor: int, joints: list[Node]) -> None:
+    """The beams of a floor, which stay as long as they are; none where they are rigid."""
+    if building.beam_bending is None:
+        return
+    section = Section(bending=float(building.beam_bending[floor - 1]), axial=0.0)
+    for left, right in zip(joints, joints[1:], strict=False):
+        model.member(left, right, section)
+
+
+def load_floor(model: Model, building: Building, floor: int, joints: list[Node]) -> None:
+    """A floor's mass, the spring that holds it, and the props that carry their part of the weight."""
+    sway: Motion = {("sway", floor): 1.0}
+    # The consistent mass of the columns brings along what floor_mass holds of them.
+    columns = building.column_mass * (1.0 if floor < building.stories else 0.5)
+    lumped = float(building.floor_mass[floor - 1]) - columns
+    model.mass(sway, lumped)
+    if building.vertical_inertia:
+        for node, share in zip(joints, building.shares, strict=True):
+            model.mass(node.uy, share * lumped)
+    if floor in building.ground_springs:
+        model.spring(sway, building.ground_springs[floor])
+    on_props = (1.0 - building.on_frame) * float(building.weight[floor - 1])
+    if on_props:
+        # A rigid prop that leans by d over its height h falls by d^2 / 2h.
+        lean: Motion = {**sway, ("sway", floor - 1): -1.0} if floor > 1 else sway
+        model.spring(lean, -on_props / float(building.heights[floor - 1]))
+
+
+def hold_base(model: Model, building: Building, feet: list[Node]) -> None:
+    """The springs under the base and under each column's foot."""
+    _, turns = rigid_base(building, 0.0)
+    if turns:
+        model.spring(turns, building.rocking_stiffness)
+    if building.column_base != RIGID:
+        for foot in feet:
+            model.spring({**foot.turn, **{name: -factor for name, factor in turns.items()}}, building.column_base)
