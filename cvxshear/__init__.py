@@ -11,11 +11,13 @@ from cvxshear.errors import CvxshearError, InfeasibleError, InputError, NoSoluti
 from cvxshear.experiment import Configuration, Experiment, Frame
 from cvxshear.formats.toml import load
 from cvxshear.identify import Identification, identify
+from cvxshear.loop import Closure, close_loop
 from cvxshear.priors import Prior
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "Closure",
     "Configuration",
     "CvxshearError",
     "Experiment",
@@ -27,6 +29,7 @@ __all__ = [
     "Prior",
     "UnsuitableError",
     "backends",
+    "close_loop",
     "effects",
     "identify",
     "load",

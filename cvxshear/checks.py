@@ -10,6 +10,7 @@ import difflib
 import math
 import reprlib
 from collections.abc import Collection, Mapping, Sequence
+from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
@@ -94,7 +95,8 @@ def number(value: object, where: str, *, above: float = -math.inf, least: float 
     if result < least:
         raise InputError(f"{where} = {result:g} must not be less than {least:g}")
     if abs(result) > LARGEST or (above == 0.0 and result < SMALLEST):
-        raise InputError(f"{where} = {shown(value)} must lie between {SMALLEST:g} and {LARGEST:g} in size; check its unit")
+        size = f"between {SMALLEST:g} and {LARGEST:g}" if above == 0.0 else f"at most {LARGEST:g} in size"
+        raise InputError(f"{where} = {shown(value)} must be {size}; check its unit")
     return result
 
 
@@ -169,7 +171,7 @@ def vector(
 
 
 def entries(count: int) -> str:
-    """ "1 entry", "2 entries", ...: a count as a message says it."""
+    """A count as a message says it: 1 entry, 2 entries."""
     return f"{count} {'entry' if count == 1 else 'entries'}"
 
 
@@ -193,7 +195,7 @@ def ascending_whole(value: object, where: str, *, most: int) -> Ints:
     if not items:
         raise InputError(f"{where} must not be empty")
     result = [whole(item, f"{where}, entry {place}", least=1, most=most) for place, item in enumerate(items, 1)]
-    for before, after in zip(result, result[1:], strict=False):
+    for before, after in pairwise(result):
         if after <= before:
             raise InputError(f"{where} must be ascending, none twice; found {after} after {before}")
     return frozen(np.array(result, dtype=np.int64))
@@ -205,7 +207,8 @@ def table(value: object, where: str, *, rows: int, nan: bool = False, above: flo
     if len(items) != rows:
         lying = all(isinstance(item, list | tuple) and len(item) == rows for item in items)
         hint = ": a row is a mode, not a floor" if items and lying else ""
-        raise InputError(f"{where} must have {rows} row{'s' * (rows != 1)}, one for each frequency, not {len(items)}{hint}")
+        needed = f"{rows} row{'s' * (rows != 1)}, one for each frequency"
+        raise InputError(f"{where} must have {needed}, not {len(items)}{hint}")
     lines = [vector(item, f"{where}, row {place}", nan=nan, above=above) for place, item in enumerate(items, 1)]
     for place, line in enumerate(lines, 1):
         if len(line) != len(lines[0]):

@@ -6,31 +6,23 @@ Every object is frozen and its arrays are read-only, so a result can refer to th
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from cvxshear import checks
+from cvxshear.checks import MOST_STORIES
+from cvxshear.configuration import Configuration
 from cvxshear.errors import InputError
-from cvxshear.priors import Prior
-from cvxshear.typing import Bools, Floats, Ints, Json
+from cvxshear.priors import Prior, check_quantity
+from cvxshear.typing import Floats, Json
 
-MOST_STORIES = 2000
-"""More are taken for a mistake in the file: the matrices alone would fill the memory."""
+__all__ = ["MOST_STORIES", "Configuration", "Experiment", "Frame", "Prior"]
 
-DEFAULT_FREQUENCY_STD = 0.002
-DEFAULT_MODE_SHAPE_STD = 0.01
-NOISE_KINDS = ("additive", "multiplicative")
-
-
-def _no_floats() -> Floats:
-    return checks.frozen(np.zeros(0))
-
-
-def _no_ints() -> Ints:
-    return checks.frozen(np.zeros(0, dtype=np.int64))
-
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,13 +34,18 @@ class Frame:
     stories : int, optional
         Number of stories N; 0 where it follows from the rest.
     story_heights : float or array_like, shape (N,), optional
-        m.
+        m; one number for all.
     total_mass : float, optional
         kg, without added mass.
     floor_masses : array_like, shape (N,), optional
         kg, known, without added mass.
     gravity : float, optional
         m/s2.
+
+    Raises
+    ------
+    InputError
+        Naming the key, the value found and what would be right.
     """
 
     stories: int = 0
@@ -59,14 +56,11 @@ class Frame:
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        if self.stories != 0 or isinstance(self.stories, bool):
+        # 0 is the default and stands for "not given"; a False or an empty array that equals it does not.
+        if type(self.stories) is not int or self.stories != 0:
             put(self, "stories", checks.whole(self.stories, "frame: stories", least=1, most=MOST_STORIES))
         if self.story_heights is not None:
-            heights: object = self.story_heights
-            if isinstance(heights, list | tuple | np.ndarray):
-                put(self, "story_heights", checks.vector(heights, "frame: story_heights", above=0.0))
-            else:
-                put(self, "story_heights", checks.one_or_many(heights, "frame: story_heights", 1, above=0.0))
+            put(self, "story_heights", self._checked_heights(self.story_heights))
         if self.total_mass is not None:
             put(self, "total_mass", checks.number(self.total_mass, "frame: total_mass", above=0.0))
         if self.floor_masses is not None:
@@ -78,19 +72,43 @@ class Frame:
                 )
         put(self, "gravity", checks.number(self.gravity, "frame: gravity", above=0.0))
 
+    def _checked_heights(self, heights: object) -> Floats:
+        """One height a story; a single number, for all stories, stays one until their number is known."""
+        where = "frame: story_heights"
+        if checks.many(heights):
+            return checks.vector(heights, where, above=0.0)
+        height = checks.number(heights, where, above=0.0)
+        return checks.frozen(np.full(self.stories if self.stories else (), height))
+
     @staticmethod
-    def from_dict(declared: object) -> Frame:
-        """The frame that the table `[frame]` of a measurement file declares."""
+    def from_dict(declared: object, *, elsewhere: Mapping[str, str] | None = None) -> Frame:
+        """The frame that the table `[frame]` of a measurement file declares.
+
+        Parameters
+        ----------
+        declared : dict
+        elsewhere : dict, optional
+            Keys of other tables of the file, each with that table's header, for a message that says where they belong.
+        """
+        if isinstance(declared, list):
+            raise InputError(f"[frame] must be one table, in single brackets, not a list: {checks.shown(declared)}")
         names = [item.name for item in dataclasses.fields(Frame)]
-        table = checks.keys(declared, names, [], "frame")
-        if "stories" in table and table["stories"] == 0:
-            raise InputError(f"frame: stories = 0 must lie between 1 and {MOST_STORIES}")
-        return Frame(**table)
+        table = checks.keys(declared, names, [], "frame", elsewhere=elsewhere)
+        given = {key: value for key, value in table.items() if value is not None}
+        if "stories" in given:
+            given["stories"] = checks.whole(given["stories"], "frame: stories", least=1, most=MOST_STORIES)
+        return Frame(**given)
+
+    def to_dict(self) -> Json:
+        """The table that declares this frame in a measurement file."""
+        values = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
+        given = {key: value for key, value in values.items() if value is not None and (key, value) != ("stories", 0)}
+        return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in given.items()}
 
     @property
     def elevations(self) -> Floats | None:
-        """Heights of the floors above ground, shape (N,), m; None where story heights are not declared."""
-        return None if self.story_heights is None else np.cumsum(self.story_heights)
+        """Heights of the floors above ground, shape (N,), m; None where story heights or stories are not declared."""
+        return None if self.story_heights is None or not self.story_heights.ndim else np.cumsum(self.story_heights)
 
     @property
     def known_total(self) -> float | None:
@@ -99,200 +117,7 @@ class Frame:
 
     def _completed(self, stories: int) -> Frame:
         """The same frame with its number of stories, and one height a story."""
-        heights = self.story_heights
-        if heights is not None and len(heights) == 1:
-            heights = np.repeat(heights, stories)
-        return dataclasses.replace(self, stories=stories, story_heights=heights)
-
-
-@dataclass(frozen=True, eq=False)
-class Configuration:
-    """One tested state of the frame: what was added to it and what was measured on it.
-
-    Parameters
-    ----------
-    frequencies : array_like, shape (m,)
-        Natural frequencies, Hz, ascending.
-    mode_shapes : array_like, shape (m, n)
-        One row a mode, one entry a measured floor, of any scale and sign; nan where not measured. A row of
-        nan alone stands for a mode of which only the frequency is known.
-    name : str, optional
-    added_mass : array_like, shape (N,), optional
-        kg on each floor, known; none where empty.
-    measured_floors : array_like of int, shape (n,), optional
-        Ascending, 1 the lowest; all floors where empty.
-    modes : array_like of int, shape (m,), optional
-        Which modes of the model these are; 1, 2, ..., m where empty.
-    mass_normalized : bool, optional
-        Whether the shapes carry the scale 1/sqrt(kg).
-    frequency_std : float or array_like, shape (m,), optional
-        Relative standard deviation.
-    mode_shape_std : float or array_like, shape (m,) or (m, n), optional
-        Standard deviation of the entries, in the sense of `mode_shape_noise`.
-    mode_shape_noise : str, optional
-        "additive": std times the mode's largest entry; "multiplicative": std times the entry itself.
-    damping_ratios : float or array_like, shape (m,), optional
-        Fraction of critical; reported, not fitted.
-
-    Attributes
-    ----------
-    noise_declared : bool
-        Whether both standard deviations were given.
-    """
-
-    frequencies: Floats
-    mode_shapes: Floats
-    name: str = "configuration 1"
-    added_mass: Floats = field(default_factory=_no_floats)
-    measured_floors: Ints = field(default_factory=_no_ints)
-    modes: Ints = field(default_factory=_no_ints)
-    mass_normalized: bool = False
-    frequency_std: Floats | None = None
-    mode_shape_std: Floats | None = None
-    mode_shape_noise: str = "additive"
-    damping_ratios: Floats | None = None
-
-    def __post_init__(self) -> None:
-        self._check_modes()
-        self._check_shapes()
-        self._check_noise()
-
-    def _put(self, name: str, value: object) -> None:
-        object.__setattr__(self, name, value)
-
-    def _at(self, key: str) -> str:
-        return f'configuration "{self.name}": {key}'
-
-    def _check_modes(self) -> None:
-        checks.text(self.name, "configuration: name")
-        frequencies = checks.vector(self.frequencies, self._at("frequencies"), above=0.0)
-        self._put("frequencies", frequencies)
-        steps = np.flatnonzero(np.diff(frequencies) <= 0)
-        if steps.size:
-            place = int(steps[0])
-            raise InputError(
-                f"{self._at('frequencies')} must be ascending, each greater than the one before; entry {place + 2} "
-                f"is {frequencies[place + 1]:g} Hz after {frequencies[place]:g} Hz (sort the mode shapes with them)"
-            )
-        count = len(frequencies)
-        if not len(self.modes):
-            self._put("modes", checks.frozen(np.arange(1, count + 1)))
-        else:
-            self._put("modes", checks.ascending_whole(self.modes, self._at("modes"), most=MOST_STORIES))
-            if len(self.modes) != count:
-                raise InputError(f"{self._at('modes')} must have {count} entries, one a frequency, not {len(self.modes)}")
-        if self.damping_ratios is not None:
-            ratios = checks.one_or_many(self.damping_ratios, self._at("damping_ratios"), count, least=0.0)
-            if np.any(ratios >= 1):
-                raise InputError(f"{self._at('damping_ratios')} must be below 1 (a fraction of critical), not {ratios.max():g}")
-            self._put("damping_ratios", ratios)
-
-    def _check_shapes(self) -> None:
-        shapes = checks.table(self.mode_shapes, self._at("mode_shapes"), rows=len(self.frequencies), nan=True)
-        self._put("mode_shapes", shapes)
-        self._put("mass_normalized", checks.flag(self.mass_normalized, self._at("mass_normalized")))
-        width = shapes.shape[1]
-        if len(self.measured_floors):
-            self._put("measured_floors", checks.ascending_whole(self.measured_floors, self._at("measured_floors"), most=MOST_STORIES))
-            if len(self.measured_floors) != width:
-                raise InputError(
-                    f"{self._at('measured_floors')} has {len(self.measured_floors)} entries, each row of mode_shapes has "
-                    f"{width}: give one entry a measured floor"
-                )
-        self._refuse_empty_shapes(shapes)
-        self._refuse_equal_shapes(shapes)
-        if len(self.added_mass):
-            self._put("added_mass", checks.vector(self.added_mass, self._at("added_mass"), least=0.0))
-        else:
-            self._put("added_mass", _no_floats())
-
-    def _refuse_empty_shapes(self, shapes: Floats) -> None:
-        for row, shape in enumerate(shapes, 1):
-            known = shape[np.isfinite(shape)]
-            if known.size and not np.any(known):
-                raise InputError(f"{self._at('mode_shapes')}, row {row} is zero at every measured floor; write nan where nothing was measured")
-
-    def _refuse_equal_shapes(self, shapes: Floats) -> None:
-        """Two modes of one frame differ; the same row twice is a mistake in the file."""
-        for i in range(len(shapes)):
-            for j in range(i):
-                both = np.isfinite(shapes[i]) & np.isfinite(shapes[j])
-                if both.sum() < 2:
-                    continue
-                a, b = shapes[i][both], shapes[j][both]
-                if (a @ a) * (b @ b) > 0 and (a @ b) ** 2 >= (1 - 1e-12) * (a @ a) * (b @ b):
-                    raise InputError(f"{self._at('mode_shapes')}, rows {j + 1} and {i + 1} are the same shape; each mode has its own")
-
-    def _check_noise(self) -> None:
-        count, width = self.mode_shapes.shape
-        if self.frequency_std is not None:
-            self._put("frequency_std", checks.one_or_many(self.frequency_std, self._at("frequency_std"), count, above=0.0))
-        if self.mode_shape_std is not None:
-            self._put("mode_shape_std", self._checked_shape_std(self.mode_shape_std, count, width))
-        checks.choice(self.mode_shape_noise, NOISE_KINDS, self._at("mode_shape_noise"))
-
-    def _checked_shape_std(self, value: object, count: int, width: int) -> Floats:
-        where = self._at("mode_shape_std")
-        if isinstance(value, np.ndarray):
-            value = value.tolist()
-        if isinstance(value, list | tuple) and any(isinstance(item, list | tuple) for item in value):
-            std = checks.table(value, where, rows=count, above=0.0)
-            if std.shape[1] != width:
-                raise InputError(f"{where} has {std.shape[1]} entries a row, mode_shapes has {width}")
-            return std
-        return checks.frozen(np.repeat(checks.one_or_many(value, where, count, above=0.0)[:, None], width, axis=1))
-
-    @staticmethod
-    def from_dict(declared: object, *, name: str = "configuration 1") -> Configuration:
-        """The configuration that a table `[[configuration]]` of a measurement file declares.
-
-        Parameters
-        ----------
-        declared : dict
-        name : str, optional
-            Its name where the table gives none.
-        """
-        names = [item.name for item in dataclasses.fields(Configuration)]
-        where = name
-        if isinstance(declared, Mapping) and isinstance(declared.get("name"), str):
-            where = f'configuration "{declared["name"]}"'
-        table = checks.keys(declared, names, ["frequencies", "mode_shapes"], where)
-        return Configuration(**{"name": name, **table})
-
-    @property
-    def noise_declared(self) -> bool:
-        return self.frequency_std is not None and self.mode_shape_std is not None
-
-    @property
-    def measured(self) -> Bools:
-        """Which entries of `mode_shapes` hold a number, shape (m, n)."""
-        return np.isfinite(self.mode_shapes)
-
-    @property
-    def complete(self) -> bool:
-        """Whether every mode was measured at every floor."""
-        stories = len(self.added_mass)
-        return self.mode_shapes.shape == (stories, stories) and bool(self.measured.all())
-
-    @property
-    def log_frequency_std(self) -> Floats:
-        """Standard deviation of the logarithm of each frequency, shape (m,); the default where none is declared."""
-        if self.frequency_std is None:
-            return np.full(len(self.frequencies), DEFAULT_FREQUENCY_STD)
-        return self.frequency_std
-
-    @property
-    def entry_std(self) -> Floats:
-        """Standard deviation of each shape entry in the units of the entry, shape (m, n).
-
-        Multiplicative noise on an entry measured as zero would weigh it infinitely; it is taken to be at
-        least a thousandth of the mode's largest entry.
-        """
-        largest = np.max(np.abs(np.where(self.measured, self.mode_shapes, 0.0)), axis=1, keepdims=True)
-        relative = DEFAULT_MODE_SHAPE_STD if self.mode_shape_std is None else self.mode_shape_std
-        if self.mode_shape_noise == "multiplicative":
-            return relative * np.maximum(np.abs(self.mode_shapes), 1e-3 * largest)
-        return np.broadcast_to(relative * largest, self.mode_shapes.shape)
+        return dataclasses.replace(self, stories=stories)
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,16 +146,21 @@ class Experiment:
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        put(self, "configurations", tuple(self.configurations))
-        put(self, "priors", tuple(self.priors))
+        checks.text(self.name, "name of the experiment")
+        if not isinstance(self.frame, Frame):
+            raise InputError(f"frame must be a Frame, not {checks.shown(self.frame)}")
+        put(self, "configurations", _all_of(Configuration, self.configurations, "configurations"))
+        put(self, "priors", _all_of(Prior, self.priors, "priors"))
         if not self.configurations:
-            raise InputError("at least one [[configuration]] is needed")
+            raise InputError("at least one [[configuration]] is needed: none was found")
         self._check_names()
         stories = self._count_stories()
         put(self, "frame", self.frame._completed(stories))
-        put(self, "configurations", tuple(_fitted(each, stories) for each in self.configurations))
-        for prior in self.priors:
-            prior.check(stories)
+        put(self, "configurations", tuple(each.in_frame(stories) for each in self.configurations))
+        for place, prior in enumerate(self.priors, 1):
+            with _named(place):
+                check_quantity(prior)
+                prior.check(stories)
         self._check_scale()
 
     def _check_names(self) -> None:
@@ -346,7 +176,7 @@ class Experiment:
         frame = self.frame
         if frame.stories:
             said["frame: stories"] = frame.stories
-        if frame.story_heights is not None and len(frame.story_heights) > 1:
+        if frame.story_heights is not None and frame.story_heights.ndim:
             said["frame: story_heights"] = len(frame.story_heights)
         if frame.floor_masses is not None:
             said["frame: floor_masses"] = len(frame.floor_masses)
@@ -362,6 +192,8 @@ class Experiment:
         for key, count in others:
             if count != stories:
                 raise InputError(f"{key} speaks of {count} stories, {first} of {stories}; they must agree")
+        if stories > MOST_STORIES:
+            raise InputError(f"{first} speaks of {stories} stories; {MOST_STORIES} are the most that are taken")
         return stories
 
     def _check_scale(self) -> None:
@@ -369,7 +201,7 @@ class Experiment:
         if (
             self.frame.known_total is None
             and len(set(added)) < 2
-            and not any(each.mass_normalized for each in self.configurations)
+            and not any(each.mass_normalized and each.measured.any() for each in self.configurations)
             and not any(prior.fixes_scale for prior in self.priors)
         ):
             raise InputError(
@@ -397,27 +229,29 @@ class Experiment:
         InputError
             Naming the key, the value found and what would be right.
         """
-        table = checks.keys(declared, ["frame", "configuration", "prior"], [], "the measurement file")
-        if "configuration" not in table:
-            raise InputError("at least one [[configuration]] is needed")
+        frame_keys = {item.name: "[frame]" for item in dataclasses.fields(Frame)}
+        tested_keys = {item.name: "[[configuration]]" for item in dataclasses.fields(Configuration)}
+        tables = ["frame", "configuration", "prior"]
+        table = checks.keys(declared, tables, [], "the measurement file", elsewhere={**tested_keys, **frame_keys})
+        if table.get("configuration") is None:
+            raise InputError("at least one [[configuration]] is needed: none was found")
+        frame = Frame.from_dict({} if table.get("frame") is None else table["frame"], elsewhere=tested_keys)
         configurations = tuple(
-            Configuration.from_dict(item, name=f"configuration {place}")
+            Configuration.from_dict(item, name=f"configuration {place}", elsewhere=frame_keys)
             for place, item in enumerate(_tables(table["configuration"], "configuration"), 1)
         )
         priors = []
-        for place, item in enumerate(_tables(table.get("prior", []), "prior"), 1):
-            try:
+        for place, item in enumerate(_tables(table.get("prior"), "prior"), 1):
+            with _named(place):
                 priors.append(Prior.from_dict(item))
-            except InputError as error:
-                raise InputError(f"prior {place}: {error}") from error
-        return Experiment(Frame.from_dict(table.get("frame", {})), configurations, tuple(priors), name)
+        return Experiment(frame, configurations, tuple(priors), name)
 
     def to_dict(self) -> Json:
         """The dict of the measurement file's shape that declares this experiment."""
-        result: Json = {"frame": _declared(self.frame, Frame())}
+        result: Json = {"frame": self.frame.to_dict()}
         if self.priors:
             result["prior"] = [prior.to_dict() for prior in self.priors]
-        result["configuration"] = [_declared(each, None) for each in self.configurations]
+        result["configuration"] = [each.to_dict() for each in self.configurations]
         return result
 
     @property
@@ -435,35 +269,32 @@ class Experiment:
         return dataclasses.replace(self, priors=(*self.priors, *priors)) if priors else self
 
 
-def _fitted(configuration: Configuration, stories: int) -> Configuration:
-    """The configuration in a frame of so many stories: added mass filled in, floors and modes within it."""
-    at = configuration._at
-    floors, modes = configuration.measured_floors, configuration.modes
-    if not len(floors):
-        floors = checks.frozen(np.arange(1, stories + 1))
-    if floors[-1] > stories:
-        raise InputError(f"{at('measured_floors')} names floor {floors[-1]} of a frame of {stories} stories")
-    if modes[-1] > stories:
-        raise InputError(
-            f"{at('modes')} names mode {modes[-1]}, a frame of {stories} stories has {stories}; leave out what is not a "
-            "sway mode, or give the right number of stories"
-        )
-    added = configuration.added_mass if len(configuration.added_mass) else np.zeros(stories)
-    return dataclasses.replace(configuration, added_mass=added, measured_floors=floors)
+def _all_of(kind: type[T], items: object, where: str) -> tuple[T, ...]:
+    """The items as a tuple, once each is of the kind that is needed."""
+    if not isinstance(items, Iterable) or isinstance(items, str):
+        raise InputError(f"{where} must be a sequence of {kind.__name__}, not {checks.shown(items)}")
+    result = tuple(items)
+    for place, item in enumerate(result, 1):
+        if not isinstance(item, kind):
+            raise InputError(f"{where}, entry {place} must be a {kind.__name__}, not {checks.shown(item)}")
+    return result
+
+
+@contextmanager
+def _named(place: int) -> Iterator[None]:
+    """Say which prior it is that a message is about."""
+    try:
+        yield
+    except InputError as error:
+        raise type(error)(f"prior {place}: {error}") from error
 
 
 def _tables(value: object, key: str) -> list[object]:
-    if not isinstance(value, list | tuple) or (key == "configuration" and not value):
-        raise InputError(f"[[{key}]] must be a list of tables, not {checks.shown(value)}")
+    """What stands below the headers `[[key]]`."""
+    if value is None:
+        return []
+    if isinstance(value, Mapping):
+        raise InputError(f"[{key}] must be a list of tables: write [[{key}]], in double brackets")
+    if not isinstance(value, list | tuple):
+        raise InputError(f"{key} must be a list of tables, each below [[{key}]], not {checks.shown(value)}")
     return list(value)
-
-
-def _declared(item: Frame | Configuration, defaults: Frame | None) -> Json:
-    """The fields as plain values, without those left at their default."""
-    result: Json = {}
-    for each in dataclasses.fields(item):
-        value = getattr(item, each.name)
-        if value is None or (defaults is not None and value is getattr(defaults, each.name)):
-            continue
-        result[each.name] = value.tolist() if isinstance(value, np.ndarray) else value
-    return result

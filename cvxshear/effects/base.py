@@ -65,10 +65,10 @@ class Place:
 
     def describe(self) -> str:
         """In words, such as "floor 3 of test 2"; empty where it sits nowhere in particular."""
-        where = f"floor {self.floor}" if self.floor is not None else f"story {self.story}" if self.story is not None else ""
-        if self.configuration is None:
-            return where
-        return f"{where} of {self.configuration}".strip()
+        parts = [f"{word} {number}" for word, number in (("floor", self.floor), ("story", self.story)) if number is not None]
+        if self.configuration is not None:
+            parts.append(f'"{self.configuration}"')
+        return " of ".join(parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,16 +197,34 @@ class Effect(ABC):
 
 @dataclass(frozen=True)
 class Placed:
-    """An effect at a place."""
+    """An effect at a place.
+
+    Parameters
+    ----------
+    effect : Effect
+    place : Place
+    fixed : tuple of float, optional
+        Values at which its parameters are held; free where empty.
+    """
 
     effect: Effect
-    place: Place
+    place: Place = Place()
+    fixed: tuple[float, ...] = ()
+
+    @property
+    def start(self) -> tuple[float, ...]:
+        """Where a fit of its parameters starts."""
+        return self.fixed or tuple(item.start for item in self.effect.parameters)
 
     @property
     def label(self) -> str:
         """Such as "ground_spring at floor 4"."""
         where = self.place.describe()
         return f"{self.effect.name} at {where}" if where else self.effect.name
+
+    def to_dict(self) -> Json:
+        """Name and place."""
+        return {"name": self.effect.name, **self.place.to_dict()}
 
     def acts_on(self, configuration: Configuration) -> bool:
         """Whether this configuration has the effect in it."""

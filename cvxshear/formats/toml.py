@@ -37,7 +37,9 @@ def load(path: str | Path) -> Experiment:
         text = resources.files("cvxshear").joinpath("paper", "paper.toml").read_text(encoding="utf-8")
         return Experiment.from_dict(tomllib.loads(text), name="paper")
     if not isinstance(path, str | os.PathLike):
-        raise InputError(f"load takes the name of a measurement file, not {shown(path)}; a dict goes to Experiment.from_dict")
+        raise InputError(
+            f"load takes the name of a measurement file, not {shown(path)}; a dict goes to Experiment.from_dict"
+        )
     path = Path(path)
     declared = parse(read_text(path), path)
     try:
@@ -63,9 +65,9 @@ def read_text(path: Path) -> str:
         raise InputError(f"{path} is not UTF-8 text (byte {error.start}); is it a measurement file?") from None
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from None
+    except InputError:
+        raise
     except ValueError as error:
-        if isinstance(error, InputError):
-            raise
         raise InputError(f"{str(path)!r} cannot be the name of a file: {error}") from None
 
 

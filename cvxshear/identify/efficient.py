@@ -9,6 +9,7 @@ import numpy as np
 
 from cvxshear.backends import Backend
 from cvxshear.effects import Placed
+from cvxshear.effects.composition import slices
 from cvxshear.errors import CvxshearError, NoSolutionError
 from cvxshear.experiment import Experiment
 from cvxshear.identify.domain import domain_of
@@ -29,11 +30,10 @@ class Estimate:
     ----------
     misfit : Misfit
         With the experiment and the effects of the fit.
+    domain : Domain
     fit : Fit
     uncertainty : Uncertainty
-        In units of the declared noise; see `noise_scale`.
-    noise_scale : float
-        1 where the noise is declared; else the estimated common factor of all standard deviations.
+        In units of the declared (or default) noise; `std` has the noise scale in it.
     """
 
     misfit: Misfit
@@ -95,6 +95,10 @@ class Estimate:
         values = np.where(self.uncertainty.determined, self.theta, np.nan)
         std = self.std
         return IdentifiedFrame(values[:n], values[n : 2 * n], std[:n], std[n : 2 * n])
+
+    def own(self, placed: Placed) -> slice:
+        """Where an effect's parameters stand in theta."""
+        return next(at for item, at in slices(self.effects, 2 * self.experiment.stories) if item is placed)
 
     @property
     def part(self) -> Part:
@@ -161,7 +165,7 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed
         Where no starting point leads to a fit.
     """
     misfit = Misfit(experiment, effects)
-    own = np.array([item.start for placed in effects for item in placed.effect.parameters])
+    own = np.array([value for placed in effects for value in placed.start])
     best: Estimate | None = None
     failure: CvxshearError | None = None
     for start in starts(experiment):

@@ -25,8 +25,8 @@ that they do not determine."""
 TAKES_PART = 0.1
 """Share of a null direction's largest entry from which on a parameter is named as part of it."""
 
-TOUCHING = 1e-9
-"""Relative distance from a bound that counts as on it."""
+TOUCHING = 1e-5
+"""Distance from a bound, in standard deviations of the data, that counts as on it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +35,8 @@ class Uncertainty:
 
     Parameters
     ----------
-    covariance : ndarray, shape (P, P)
-        Of the determined part; in the parameters' own units.
+    root : ndarray, shape (P, f)
+        Directions of the parameters, each of unit effect on the data: J root has orthonormal columns.
     determined : ndarray of bool, shape (P,)
     null_directions : tuple of tuple of str
         For each direction that the data leave open, the parameters that take part in it, largest share first.
@@ -46,11 +46,17 @@ class Uncertainty:
         Parameters that sit on a bound.
     """
 
-    covariance: Floats
+    root: Floats
     determined: Bools
     null_directions: tuple[tuple[str, ...], ...]
     free: int
     active: tuple[str, ...]
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance of the determined part, shape (P, P), in the parameters' own units."""
+        covariance: Floats = self.root @ self.root.T
+        return covariance
 
     @property
     def std(self) -> Floats:
@@ -82,17 +88,15 @@ def uncertainty(J: Floats, theta: Floats, domain: Domain, names: Sequence[str]) 
     unit = 1.0 / np.where(length > 0, length, 1.0)
     A, _ = here.equalities
     G, h = here.inequalities
-    reach = np.abs(G) @ np.maximum(np.abs(theta), domain.scale)
-    touching = G[h <= TOUCHING * reach]
+    touching = G[h <= TOUCHING * np.linalg.norm(G * unit, axis=1)]
     free = _null_space(A * unit)
     determined, null = _split(J * unit, free)
     held = _null_space(np.concatenate([A, touching]) * unit)
     inside, _ = _split(J * unit, held)
     basis, values = inside
-    root = unit[:, None] * (basis / values)
     open_part = np.linalg.norm(null, axis=1) if null.size else np.zeros(len(theta))
     return Uncertainty(
-        covariance=root @ root.T,
+        root=unit[:, None] * (basis / values),
         determined=open_part < 1e-4,
         null_directions=tuple(_words(column, names) for column in null.T),
         free=determined[0].shape[1],

@@ -55,6 +55,9 @@ class CovarianceSource:
         """Left factor of the block Hankel matrix of the covariances from lag 1 on."""
         return left_factor(block_hankel(self.markov(keep), self.rows, self.columns))
 
+    def impulse(self, keep: Bools | None = None) -> None:
+        """None: covariances decay as impulse responses do, but of an input that nobody measured."""
+
 
 def _covariances(response: Floats, lags: int) -> Floats:
     count = len(response) - lags

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 
 from cvxshear.errors import InputError
 from cvxshear.modal.clock import Offsets, offsets, undone
-from cvxshear.modal.frf import SKIPPED, DecaySource, FrfSource, markov_factor
+from cvxshear.modal.frf import FixedSource
 from cvxshear.modal.jackknife import jackknife, surrogate
-from cvxshear.modal.okid import OkidSource
 from cvxshear.modal.picking import Sweep, Values, values_on
-from cvxshear.modal.realization import Source, realize
+from cvxshear.modal.realization import Impulse, Source
 from cvxshear.modal.record import Complexes
 from cvxshear.modal.residues import modal_products, modal_scale, participations, residues, unwrapped
 from cvxshear.modal.shapes import main_axis, real_shape
-from cvxshear.modal.stabilization import center, nearest
 from cvxshear.typing import Bools, Floats, Ints
 
 SURROGATES = 20
-LAST_MARKOV = 400
-"""OKID's Markov parameters beyond this are products of those before."""
+LAST_SAMPLE = 4000
+"""Of an impulse response, for its residues; a longer one has decayed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,20 +123,15 @@ def _turned_back(products: Complexes, eigenvalue: complex, clocks: Offsets) -> C
 
 
 def _products(setting: Setting, values: Values, keep: Bools | None) -> tuple[Complexes | None, Ints]:
-    source = setting.source
-    if isinstance(source, OkidSource):
-        sequence, start, driven = source.markov(keep)[:LAST_MARKOV], 1, np.zeros(1, dtype=np.int64)
-    elif isinstance(source, FrfSource):
-        sequence, start, driven = source.markov(keep), SKIPPED, source.response(keep)[1]
-    else:
+    impulse = setting.source.impulse(keep)
+    if impulse is None or not (setting.base or np.all(impulse.driven > 0)):
         return None, np.zeros(0, dtype=np.int64)
-    amplitudes = residues(sequence, values.eigenvalues, source.sampling_rate, start)
-    if isinstance(source, FrfSource) and source.wrapped:
-        amplitudes = unwrapped(amplitudes, values.eigenvalues, source.samples / source.sampling_rate)
-    products = modal_products(
-        amplitudes, values.eigenvalues, source.sampling_rate, setting.quantity, base=setting.base
-    )
-    return products, driven
+    rate = setting.source.sampling_rate
+    sequence = impulse.sequence[:LAST_SAMPLE]
+    amplitudes = residues(sequence, values.eigenvalues, rate, impulse.start)
+    if impulse.wrapped:
+        amplitudes = unwrapped(amplitudes, values.eigenvalues, len(impulse.sequence) / rate)
+    return modal_products(amplitudes, values.eigenvalues, rate, setting.quantity, base=setting.base), impulse.driven
 
 
 def covariance(setting: Setting, full: Details, seed: int) -> tuple[Floats, str, int]:
@@ -165,50 +159,28 @@ def disturbed(setting: Setting, full: Details, seed: int) -> Floats:
     What the fit leaves of the impulse responses is taken for noise; its spectra are kept and its phases drawn
     anew, `SURROGATES` times (parametric bootstrap).
     """
-    source = setting.source
-    if not isinstance(source, FrfSource | DecaySource):
+    impulse = setting.source.impulse()
+    if impulse is None:
         raise InputError("the record is too short to be cut into blocks")
-    start = SKIPPED if isinstance(source, FrfSource) else source.start
-    sequence = source.markov()
-    used = sequence[start:]
-    eigenvalues = full.eigenvalues - setting.shift
-    amplitudes = residues(sequence, eigenvalues, source.sampling_rate, start)
-    powers = np.exp(np.outer(np.arange(start, len(sequence)), eigenvalues) / source.sampling_rate)
-    fit = 2 * np.real(np.einsum("kr,roi->koi", powers, amplitudes))
-    residual = (used - fit).reshape(len(used), -1)
+    fit = _fit(impulse, full.eigenvalues - setting.shift, setting.source.sampling_rate)
+    residual = impulse.sequence[impulse.start :] - fit
     random = np.random.default_rng(seed)
     replicates = []
     for _ in range(SURROGATES):
-        noisy = np.concatenate([sequence[:start], fit + surrogate(residual, random).reshape(fit.shape)])
-        values = _refit(setting, noisy, start)
+        noise = surrogate(residual.reshape(len(residual), -1), random).reshape(residual.shape)
+        noisy = np.concatenate([impulse.sequence[: impulse.start], fit + noise])
+        source = FixedSource(dataclasses.replace(impulse, sequence=noisy), setting.source.sampling_rate)
+        values = values_on(source, setting.sweep, None)
         if values is not None:
-            replicates.append(_disturbed_details(setting, values, noisy, start, full).vector())
-    if len(replicates) < SURROGATES // 2:
+            replicates.append(details(dataclasses.replace(setting, source=source), values, None, full))
+    rows = [item.vector() for item in replicates if (item.scales is None) == (full.scales is None)]
+    if len(rows) < SURROGATES // 2:
         raise InputError("the modes drown in the noise that the fit leaves; record longer, or more hits")
-    return np.cov(np.array(replicates), rowvar=False)
+    return np.cov(np.array(rows), rowvar=False)
 
 
-def _refit(setting: Setting, sequence: Floats, start: int) -> Values | None:
-    sweep, source = setting.sweep, setting.source
-    needed = sorted({i for item in sweep.chosen for i, _ in item.members})
-    orders = [sweep.poles[i].order for i in needed]
-    fitted = realize(markov_factor(sequence, start), source.outputs, source.sampling_rate, orders)
-    by_order = {poles.order: poles for poles in fitted}
-    eigenvalues, shapes = [], []
-    for item in sweep.chosen:
-        found = []
-        for i, j in item.members:
-            poles = by_order.get(sweep.poles[i].order)
-            k = None if poles is None else nearest(poles, complex(sweep.poles[i].eigenvalues[j]), sweep.poles[i].shapes[j])
-            if poles is not None and k is not None:
-                found.append((poles.eigenvalues[k], poles.shapes[k]))
-        if 2 * len(found) < len(item.members):
-            return None
-        value, shape = center(np.array([f[0] for f in found]), np.array([f[1] for f in found]))
-        eigenvalues.append(value)
-        shapes.append(shape)
-    return Values(np.array(eigenvalues), np.array(shapes))
-
-
-def _disturbed_details(setting: Setting, values: Values, sequence: Floats, start: int, full: Details) -> Details:
-    raise NotImplementedError
+def _fit(impulse: Impulse, eigenvalues: Complexes, rate: float) -> Floats:
+    """The chosen modes' part of the impulse responses, from their start on."""
+    amplitudes = residues(impulse.sequence, eigenvalues, rate, impulse.start)
+    powers = np.exp(np.outer(np.arange(impulse.start, len(impulse.sequence)), eigenvalues) / rate)
+    return np.asarray(2 * np.real(np.einsum("kr,roi->koi", powers, amplitudes)))

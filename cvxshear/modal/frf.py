@@ -13,7 +13,7 @@ import numpy as np
 
 from cvxshear import checks
 from cvxshear.errors import InputError
-from cvxshear.modal.realization import block_hankel, left_factor
+from cvxshear.modal.realization import Impulse, block_hankel, left_factor
 from cvxshear.modal.record import Complexes, FrfRecord, Run, TimeRecord
 from cvxshear.typing import Bools, Floats, Ints
 
@@ -119,6 +119,10 @@ class FrfSource:
         """Left factor of the block Hankel matrix of the impulse responses."""
         return markov_factor(self.markov(keep), SKIPPED)
 
+    def impulse(self, keep: Bools | None = None) -> Impulse:
+        """The impulse responses."""
+        return Impulse(self.markov(keep), SKIPPED, self.response(keep)[1], self.wrapped)
+
 
 class DecaySource:
     """Free decays, one column a release, for the eigensystem realization algorithm.
@@ -149,6 +153,39 @@ class DecaySource:
     def factor(self, keep: Bools | None = None) -> Floats:
         """Left factor of the block Hankel matrix of the decays."""
         return markov_factor(self.markov(keep), self.start)
+
+    def impulse(self, keep: Bools | None = None) -> Impulse:
+        """The decays, which no measured force began."""
+        decays = self.markov(keep)
+        return Impulse(decays, self.start, np.zeros(decays.shape[2], dtype=np.int64))
+
+
+class FixedSource:
+    """Impulse responses as they stand, for what is done to them afterwards: noise added, a start left out.
+
+    Parameters
+    ----------
+    impulse : Impulse
+    sampling_rate : float
+        Hz.
+    """
+
+    unit = "none"
+
+    def __init__(self, impulse: Impulse, sampling_rate: float) -> None:
+        self._impulse = impulse
+        self.sampling_rate = sampling_rate
+        self.outputs = impulse.sequence.shape[1]
+        self.groups: Ints = np.zeros(0, dtype=np.int64)
+        self.energies: Floats = np.zeros(0)
+
+    def factor(self, keep: Bools | None = None) -> Floats:
+        """Left factor of the block Hankel matrix."""
+        return markov_factor(self._impulse.sequence, self._impulse.start)
+
+    def impulse(self, keep: Bools | None = None) -> Impulse:
+        """The impulse responses."""
+        return self._impulse
 
 
 def markov_factor(sequence: Floats, start: int) -> Floats:

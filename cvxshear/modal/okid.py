@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg
 
-from cvxshear.modal.realization import block_hankel, left_factor
+from cvxshear.modal.realization import Impulse, block_hankel, left_factor
 from cvxshear.typing import Bools, Floats, Ints
 
 LAGS = 20
@@ -34,14 +34,19 @@ class OkidSource:
         Blocks of input and output; each carries `lags` samples of what came before it.
     sampling_rate : float
         Hz.
+    floor : int, optional
+        Where a force acts; 0 for a base acceleration.
     lags : int, optional
         p above.
     """
 
     unit = "block"
 
-    def __init__(self, pieces: Sequence[tuple[Floats, Floats]], sampling_rate: float, lags: int = LAGS) -> None:
+    def __init__(
+        self, pieces: Sequence[tuple[Floats, Floats]], sampling_rate: float, floor: int = 0, lags: int = LAGS
+    ) -> None:
         self.sampling_rate = sampling_rate
+        self.floor = floor
         self.lags = lags
         self.inputs = pieces[0][0].shape[1]
         self.outputs = pieces[0][1].shape[1]
@@ -64,6 +69,10 @@ class OkidSource:
     def factor(self, keep: Bools | None = None) -> Floats:
         """Left factor of the block Hankel matrix of the Markov parameters."""
         return left_factor(block_hankel(self.markov(keep), ROWS, COLUMNS))
+
+    def impulse(self, keep: Bools | None = None) -> Impulse:
+        """The Markov parameters, from the first that the direct term is not part of."""
+        return Impulse(self.markov(keep), 1, np.full(self.inputs, self.floor, dtype=np.int64))
 
 
 def _regression(excitation: Floats, response: Floats, lags: int) -> Floats:

@@ -177,8 +177,19 @@ def _driven(record: TimeRecord, method: str, blocks: int) -> Source:
             raise InputError(f"{run.name} lacks the input channel")
         pieces.append((run.excitation[start - before : stop, None], run.responses[start - before : stop]))
     if method == "okid":
-        return okid.OkidSource(pieces, record.sampling_rate)
+        return okid.OkidSource(pieces, record.sampling_rate, _one_floor(record))
     return subspace.SubspaceSource(pieces, record.sampling_rate)
+
+
+def _one_floor(record: TimeRecord) -> int:
+    """The floor that all runs are driven at; a regression takes one input."""
+    floors = sorted({run.floor for run in record.runs})
+    if len(floors) > 1:
+        raise UnsuitableError(
+            f"runs driven at floors {', '.join(map(str, floors))} cannot share one regression; hand in one record a "
+            "floor, or blows, which method \"era\" takes together"
+        )
+    return floors[0]
 
 
 def _ambient(record: TimeRecord, blocks: int) -> Source:

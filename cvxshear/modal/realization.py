@@ -43,6 +43,30 @@ class Source(Protocol):
     def factor(self, keep: Bools | None = None) -> Floats:
         """Left factor of the data, shape (rows * outputs, m), columns by descending singular value."""
 
+    def impulse(self, keep: Bools | None = None) -> Impulse | None:
+        """The impulse responses behind the factor; None where the method knows none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Impulse:
+    """Impulse responses, or free decays.
+
+    Parameters
+    ----------
+    sequence : array, shape (samples, outputs, inputs)
+    start : int
+        The first sample that is a sum of decaying exponentials.
+    driven : array of int, shape (inputs,)
+        The floor of each input; 0 the ground, or no input at all.
+    wrapped : bool, optional
+        Whether what comes after the end is folded back onto the start.
+    """
+
+    sequence: Floats
+    start: int
+    driven: Ints
+    wrapped: bool = False
+
 
 @dataclass(frozen=True, eq=False)
 class Poles:

@@ -51,6 +51,9 @@ class SubspaceSource:
         past = future_inputs + self.rows * (self.inputs + self.outputs)
         return left_factor(triangle[past:, future_inputs:past])
 
+    def impulse(self, keep: Bools | None = None) -> None:
+        """None: the projection leaves no impulse response."""
+
 
 def _data(excitation: Floats, response: Floats, rows: int) -> Floats:
     """Rows [u_f | u_p y_p | y_f], one a starting sample."""

@@ -1,10 +1,21 @@
 """Priors: what is known of the masses and stiffnesses before anything is measured."""
 
-from cvxshear.priors.base import QUANTITIES, UNITS, Constraints, Prior
+from cvxshear.priors.base import QUANTITIES, UNITS, Constraints, Prior, check_quantity
 from cvxshear.priors.bounds import Bounds
 from cvxshear.priors.monotone import Monotone
 from cvxshear.priors.nominal import Nominal
 from cvxshear.priors.ratio import Ratio
 from cvxshear.priors.value import Value
 
-__all__ = ["QUANTITIES", "UNITS", "Bounds", "Constraints", "Monotone", "Nominal", "Prior", "Ratio", "Value"]
+__all__ = [
+    "QUANTITIES",
+    "UNITS",
+    "Bounds",
+    "Constraints",
+    "Monotone",
+    "Nominal",
+    "Prior",
+    "Ratio",
+    "Value",
+    "check_quantity",
+]

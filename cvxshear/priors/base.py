@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -41,6 +42,17 @@ class Constraints:
     A: Floats | None = None
     b: Floats | None = None
 
+    def __post_init__(self) -> None:
+        for matrix, side in (("G", "h"), ("A", "b")):
+            rows, values = getattr(self, matrix), getattr(self, side)
+            if (rows is None) != (values is None):
+                raise InputError(f"Constraints: {matrix} and {side} belong together; give both or neither")
+            if rows is not None and (np.ndim(rows) != 2 or np.shape(values) != np.shape(rows)[:1]):
+                raise InputError(
+                    f"Constraints: {matrix} must have the shape (rows, N) and {side} the shape (rows,), "
+                    f"not {np.shape(rows)} and {np.shape(values)}"
+                )
+
 
 class Prior(ABC):
     """A statement about the floor masses (without added mass) or the story stiffnesses.
@@ -59,8 +71,16 @@ class Prior(ABC):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        if cls.kind:
-            Prior.kinds[cls.kind] = cls
+        kind = cls.__dict__.get("kind")  # an inherited kind stays the parent's
+        if not kind:
+            return
+        taken = Prior.kinds.get(kind)
+        # The same class may come again: a notebook cell run twice, a dataclass with slots.
+        if taken is not None and (taken.__module__, taken.__qualname__) != (cls.__module__, cls.__qualname__):
+            raise InputError(
+                f"the prior kind {kind!r} is already {taken.__qualname__}'s; give {cls.__qualname__} another"
+            )
+        Prior.kinds[kind] = cls
 
     @staticmethod
     def from_dict(declared: object) -> Prior:
@@ -76,29 +96,39 @@ class Prior(ABC):
         InputError
             Where a key is unknown or missing, or a value is wrong.
         """
-        if not isinstance(declared, dict) or "kind" not in declared:
-            raise InputError(f"the prior needs a key 'kind', one of {', '.join(Prior.kinds)}")
-        named = declared
-        cls = Prior.kinds[checks.choice(named["kind"], list(Prior.kinds), "kind")]
-        fields = [field for field in dataclasses.fields(cls) if field.init]  # type: ignore[arg-type]
-        required = [field.name for field in fields if field.default is dataclasses.MISSING]
-        checks.keys(named, ["kind", *(field.name for field in fields)], required, f"the {cls.kind} prior")
-        return cls(**{key: value for key, value in named.items() if key != "kind"})
+        if not isinstance(declared, Mapping):
+            raise InputError(f"a prior must be a table of keys and values, not {checks.shown(declared)}")
+        if "kind" not in declared:
+            raise InputError(f"the key 'kind' is missing; it is one of {', '.join(Prior.kinds)}")
+        cls = Prior.kinds[checks.choice(declared["kind"], list(Prior.kinds), "kind")]
+        if not dataclasses.is_dataclass(cls):
+            raise InputError(f"the {cls.kind} prior cannot be named in a file: {cls.__qualname__} is not a dataclass")
+        fields = [field for field in dataclasses.fields(cls) if field.init and field.name != "kind"]
+        required = [
+            field.name
+            for field in fields
+            if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+        ]
+        names = [field.name for field in fields]
+        table = checks.keys(declared, ["kind", *names], required, f"the {cls.kind} prior")
+        given = {key: table[key] for key in names if key in table}
+        return cls(**{key: value for key, value in given.items() if value is not None or key in required})
 
     def to_dict(self) -> Json:
         """The table that declares this prior in a measurement file."""
+        kind = self.kind or type(self).__name__
         if not dataclasses.is_dataclass(self):
-            return {"kind": self.kind or type(self).__name__, "quantity": self.quantity}
-        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+            return {"kind": kind, "quantity": self.quantity}
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.init}
         plain = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items() if v is not None}
-        return {"kind": self.kind, **plain}
+        return {"kind": kind, **plain}
 
     @property
     def fixes_scale(self) -> bool:
         """Whether it alone tells how heavy or how stiff the frame is, and not only how it is distributed."""
         return False
 
-    def check(self, stories: int) -> None:
+    def check(self, stories: int) -> None:  # noqa: B027  (a prior need not override it)
         """Raise `InputError` where the prior does not fit a frame of so many stories."""
 
     def constraints(self, stories: int) -> Constraints:
@@ -129,9 +159,34 @@ class Prior(ABC):
 
 def check_quantity(prior: Prior) -> None:
     """Raise `InputError` unless the prior's quantity is one that a frame has."""
-    checks.choice(prior.quantity, QUANTITIES, f"quantity of the {prior.kind} prior")
+    name = prior.kind or type(prior).__name__
+    checks.choice(getattr(prior, "quantity", None), QUANTITIES, f"quantity of the {name} prior")
 
 
 def set_field(prior: Prior, name: str, value: object) -> None:
     """Put the checked value in place of the one handed in; the dataclasses are frozen to everyone else."""
     object.__setattr__(prior, name, value)
+
+
+def check_std(prior: Prior, std: object) -> None:
+    """Put the checked relative standard deviation in place; without one the prior is exact."""
+    if std is not None:
+        set_field(prior, "std", checks.number(std, f"std of the {prior.kind} prior", above=0.0))
+
+
+def check_place(prior: Prior, name: str, stories: int = checks.MOST_STORIES) -> None:
+    """Raise `InputError` unless the field holds a floor or story, from 1 to `stories`."""
+    where = f"{name} of the {prior.kind} prior"
+    set_field(prior, name, checks.whole(getattr(prior, name), where, least=1, most=stories))
+
+
+def listed(value: float | Floats) -> str:
+    """A number or a list of numbers, on one line."""
+    if np.ndim(value) == 0:
+        return f"{float(value):g}"
+    return f"[{', '.join(f'{entry:g}' for entry in np.asarray(value))}]"
+
+
+def certainty(std: float | None) -> str:
+    """How sure a statement is, in words; nothing where it is exact."""
+    return "" if std is None else f" within {100 * std:g} %"

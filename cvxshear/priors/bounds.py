@@ -9,7 +9,7 @@ import numpy as np
 
 from cvxshear import checks
 from cvxshear.errors import InputError
-from cvxshear.priors.base import UNITS, Constraints, Prior, check_quantity, set_field
+from cvxshear.priors.base import UNITS, Constraints, Prior, check_quantity, listed, set_field
 from cvxshear.typing import Floats
 
 
@@ -34,25 +34,30 @@ class Bounds(Prior):
         check_quantity(self)
         if self.lower is None and self.upper is None:
             raise InputError("the bounds prior needs a key 'lower' or 'upper'")
-        for name in ("lower", "upper"):
-            value = getattr(self, name)
-            if isinstance(value, list | tuple | np.ndarray):
-                set_field(self, name, checks.vector(value, f"{name} of the bounds prior", least=0.0))
-            elif value is not None:
-                set_field(self, name, checks.number(value, f"{name} of the bounds prior", least=0.0))
+        self._check_limit("lower", least=0.0)
+        self._check_limit("upper", above=0.0)
+
+    def _check_limit(self, name: str, *, above: float = -np.inf, least: float = -np.inf) -> None:
+        value, where = getattr(self, name), f"{name} of the bounds prior"
+        if value is not None:
+            check = checks.vector if checks.many(value) else checks.number
+            set_field(self, name, check(value, where, above=above, least=least))
 
     def check(self, stories: int) -> None:
+        """Raise `InputError` where it names floors or stories that a frame of so many stories has not."""
         for name in ("lower", "upper"):
             value = getattr(self, name)
             if isinstance(value, np.ndarray) and len(value) != stories:
                 raise InputError(
-                    f"{name} of the bounds prior has {len(value)} entries, the frame has {stories} stories"
+                    f"{name} of the bounds prior has {checks.entries(len(value))}, the frame has {stories} stories; "
+                    "give one number for all, or one a story"
                 )
         lower, upper = self._limits(stories)
         if np.any(lower > upper):
             place = int(np.argmax(lower > upper))
             raise InputError(
-                f"the bounds prior on {self.quantity} {place + 1}: lower {lower[place]:g} is above upper {upper[place]:g}"
+                f"the bounds prior on {self.quantity} {place + 1}: lower {lower[place]:g} is above "
+                f"upper {upper[place]:g}; it must not be"
             )
 
     def _limits(self, stories: int) -> tuple[Floats, Floats]:
@@ -61,13 +66,14 @@ class Bounds(Prior):
         return lower.astype(float), upper.astype(float)
 
     def constraints(self, stories: int) -> Constraints:
+        """The bounds, infinite where there is none."""
         lower, upper = self._limits(stories)
         return Constraints(lower=lower, upper=upper)
 
     def describe(self) -> str:
-        unit = UNITS[self.quantity]
+        """The statement in words."""
         limits = [
-            f"{word} {np.array2string(np.asarray(value), separator=', ')} {unit}"
+            f"{word} {listed(value)} {UNITS[self.quantity]}"
             for word, value in (("at least", self.lower), ("at most", self.upper))
             if value is not None
         ]

@@ -9,7 +9,7 @@ import numpy as np
 
 from cvxshear import checks
 from cvxshear.errors import InputError
-from cvxshear.priors.base import Constraints, Prior, check_quantity, set_field
+from cvxshear.priors.base import UNITS, Constraints, Prior, certainty, check_quantity, check_std, listed, set_field
 from cvxshear.typing import Floats
 
 
@@ -43,20 +43,23 @@ class Nominal(Prior):
         check_quantity(self)
         set_field(self, "values", checks.vector(self.values, "values of the nominal prior", above=0.0))
         set_field(self, "free_scale", checks.flag(self.free_scale, "free_scale of the nominal prior"))
-        if self.std is not None:
-            set_field(self, "std", checks.number(self.std, "std of the nominal prior", above=0.0))
+        check_std(self, self.std)
 
     @property
     def fixes_scale(self) -> bool:
+        """Whether the values are meant as they stand, and not up to a factor."""
         return not self.free_scale
 
     def check(self, stories: int) -> None:
+        """Raise `InputError` where it names floors or stories that a frame of so many stories has not."""
         if len(self.values) != stories:
             raise InputError(
-                f"values of the nominal prior has {len(self.values)} entries, the frame has {stories} stories"
+                f"values of the nominal prior has {checks.entries(len(self.values))}, the frame has {stories} stories; "
+                "give one a story"
             )
 
     def constraints(self, stories: int) -> Constraints:
+        """The exact statement; none where it is soft."""
         if self.std is not None:
             return Constraints()
         if not self.free_scale:
@@ -65,6 +68,7 @@ class Nominal(Prior):
         return Constraints(A=scaled[1:] - scaled[:-1], b=np.zeros(stories - 1))
 
     def residual(self, x: Floats) -> tuple[Floats, Floats]:
+        """The soft statement and its derivative; none where it is exact."""
         if self.std is None:
             return super().residual(x)
         if not self.free_scale:
@@ -73,9 +77,9 @@ class Nominal(Prior):
         return basis @ np.log(x / self.values), basis / x
 
     def describe(self) -> str:
-        sure = "" if self.std is None else f" within {100 * self.std:g} %"
+        """The statement in words."""
         scale = " up to a common factor" if self.free_scale else ""
-        return f"{self.quantity} is {np.array2string(self.values, separator=', ')}{scale}{sure}"
+        return f"{self.quantity} is {listed(self.values)} {UNITS[self.quantity]}{scale}{certainty(self.std)}"
 
 
 def _distribution_basis(n: int) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 
 from cvxshear import checks
 from cvxshear.errors import InputError
-from cvxshear.priors.base import Constraints, Prior, check_quantity, set_field
+from cvxshear.priors.base import Constraints, Prior, certainty, check_place, check_quantity, check_std, set_field
 from cvxshear.typing import Floats
 
 
@@ -41,16 +41,21 @@ class Ratio(Prior):
     def __post_init__(self) -> None:
         check_quantity(self)
         set_field(self, "value", checks.number(self.value, "value of the ratio prior", above=0.0))
-        if self.std is not None:
-            set_field(self, "std", checks.number(self.std, "std of the ratio prior", above=0.0))
+        check_std(self, self.std)
+        check_place(self, "of")
+        check_place(self, "to")
+        if self.of == self.to:
+            raise InputError(
+                f"the ratio prior compares {self.quantity} {self.of} with itself; 'of' and 'to' must differ"
+            )
 
     def check(self, stories: int) -> None:
-        checks.whole(self.of, "of of the ratio prior", least=1, most=stories)
-        checks.whole(self.to, "to of the ratio prior", least=1, most=stories)
-        if self.of == self.to:
-            raise InputError(f"the ratio prior compares {self.quantity} {self.of} with itself; 'of' and 'to' must differ")
+        """Raise `InputError` where it names a floor or story that a frame of so many stories has not."""
+        check_place(self, "of", stories)
+        check_place(self, "to", stories)
 
     def constraints(self, stories: int) -> Constraints:
+        """The exact statement; none where it is soft."""
         if self.std is not None:
             return Constraints()
         row = np.zeros((1, stories))
@@ -58,6 +63,7 @@ class Ratio(Prior):
         return Constraints(A=row, b=np.zeros(1))
 
     def residual(self, x: Floats) -> tuple[Floats, Floats]:
+        """The soft statement and its derivative; none where it is exact."""
         if self.std is None:
             return super().residual(x)
         of, to = self.of - 1, self.to - 1
@@ -66,5 +72,5 @@ class Ratio(Prior):
         return np.array([np.log(x[of] / (self.value * x[to])) / self.std]), row
 
     def describe(self) -> str:
-        sure = "" if self.std is None else f" within {100 * self.std:g} %"
-        return f"{self.quantity} {self.of} is {self.value:g} times {self.quantity} {self.to}{sure}"
+        """The statement in words."""
+        return f"{self.quantity} {self.of} is {self.value:g} times {self.quantity} {self.to}{certainty(self.std)}"

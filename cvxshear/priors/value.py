@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from cvxshear import checks
-from cvxshear.priors.base import UNITS, Constraints, Prior, check_quantity, set_field
+from cvxshear.priors.base import UNITS, Constraints, Prior, certainty, check_place, check_quantity, check_std, set_field
 from cvxshear.typing import Floats
 
 
@@ -37,15 +37,17 @@ class Value(Prior):
     def __post_init__(self) -> None:
         check_quantity(self)
         set_field(self, "value", checks.number(self.value, "value of the value prior", above=0.0))
-        if self.std is not None:
-            set_field(self, "std", checks.number(self.std, "std of the value prior", above=0.0))
+        check_std(self, self.std)
+        check_place(self, "at")
 
     @property
     def fixes_scale(self) -> bool:
+        """Always: one mass or stiffness in absolute terms tells the rest."""
         return True
 
     def check(self, stories: int) -> None:
-        checks.whole(self.at, "at of the value prior", least=1, most=stories)
+        """Raise `InputError` where it names a floor or story that a frame of so many stories has not."""
+        check_place(self, "at", stories)
 
     def _row(self, stories: int) -> Floats:
         row = np.zeros((1, stories))
@@ -53,16 +55,18 @@ class Value(Prior):
         return row
 
     def constraints(self, stories: int) -> Constraints:
+        """The exact statement; none where it is soft."""
         if self.std is not None:
             return Constraints()
         return Constraints(A=self._row(stories), b=np.array([self.value]))
 
     def residual(self, x: Floats) -> tuple[Floats, Floats]:
+        """The soft statement and its derivative; none where it is exact."""
         if self.std is None:
             return super().residual(x)
         row = self._row(len(x)) / (self.value * self.std)
         return row @ x - 1.0 / self.std, row
 
     def describe(self) -> str:
-        sure = "" if self.std is None else f" within {100 * self.std:g} %"
-        return f"{self.quantity} {self.at} is {self.value:g} {UNITS[self.quantity]}{sure}"
+        """The statement in words."""
+        return f"{self.quantity} {self.at} is {self.value:g} {UNITS[self.quantity]}{certainty(self.std)}"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linprog
 
-from cvxshear.errors import InfeasibleError
+from cvxshear.errors import InfeasibleError, InputError
 from cvxshear.priors import Constraints
 from cvxshear.typing import Floats
 
@@ -38,7 +38,29 @@ def _stacked(parts: Sequence[Statement], size: int) -> tuple[Floats, Floats, Flo
                 finite = np.isfinite(bound)
                 G.append(sign * eye[finite])
                 h.append(sign * bound[finite])
-    return np.concatenate(G), np.concatenate(h), np.concatenate(A), np.concatenate(b)
+    return *_scaled(np.concatenate(G), np.concatenate(h)), *_scaled(np.concatenate(A), np.concatenate(b))
+
+
+def _scaled(rows: Floats, sides: Floats) -> tuple[Floats, Floats]:
+    """The rows with a largest coefficient of 1 each: HiGHS judges by absolute tolerances and drops tiny ones."""
+    largest = np.max(np.abs(rows), axis=1, initial=0.0)
+    largest[largest == 0] = 1.0
+    return rows / largest[:, None], sides / largest
+
+
+def _refuse_malformed(part: Statement, size: int) -> None:
+    """Raise where a statement, perhaps from a prior of the caller's own, is not about a vector of that size."""
+    said = part.constraints
+    shapes = {"lower": (size,), "upper": (size,), "G": (None, size), "h": (None,), "A": (None, size), "b": (None,)}
+    for name, shape in shapes.items():
+        value = getattr(said, name)
+        if value is None:
+            continue
+        if np.ndim(value) != len(shape) or np.shape(value)[-1:] != shape[-1:] and shape[-1] is not None:
+            raise InputError(f"{part.name}: its {name} has the shape {np.shape(value)}, its last length must be {size}")
+        wrong = np.isnan(value) if name in {"lower", "upper"} else ~np.isfinite(value)
+        if wrong.any():
+            raise InputError(f"{part.name}: its {name} must hold finite numbers, not {np.asarray(value)[wrong][0]}")
 
 
 def feasible(parts: Sequence[Statement], size: int) -> bool:
@@ -67,7 +89,11 @@ def refuse_contradictions(parts: Sequence[Statement], size: int) -> None:
     ------
     InfeasibleError
         Naming the statements that contradict each other.
+    InputError
+        Where a statement is not about a vector of `size` numbers.
     """
+    for part in parts:
+        _refuse_malformed(part, size)
     if feasible(parts, size):
         return
     core = list(parts)

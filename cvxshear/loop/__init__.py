@@ -1,0 +1,6 @@
+"""Closing the loop between measurement and model."""
+
+from cvxshear.loop.close import close_loop
+from cvxshear.loop.results import VERDICTS, Closure
+
+__all__ = ["VERDICTS", "Closure", "close_loop"]

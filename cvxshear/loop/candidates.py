@@ -1,0 +1,145 @@
+"""Candidates: which effects can be looked for, their fits, and their ranking."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.effects import Effect, Placed
+from cvxshear.errors import CvxshearError
+from cvxshear.experiment import Experiment
+from cvxshear.identify.efficient import Estimate, parameter_names
+from cvxshear.identify.misfit import Misfit
+from cvxshear.identify.uncertainty import NULL, TAKES_PART
+from cvxshear.loop.fitter import Fitter
+from cvxshear.loop.significance import log_p_gain
+from cvxshear.typing import Json
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One more effect, and the fit with it.
+
+    Parameters
+    ----------
+    placed : Placed
+    estimate : Estimate or None
+        None where the fit failed.
+    log_p : float
+        Of its gain over the model it was added to; 0 where the fit failed.
+    confounded_with : tuple of str
+        Parameters that the data cannot tell it from; empty where they can.
+    failure : str
+        Why there is no fit.
+    """
+
+    placed: Placed
+    estimate: Estimate | None
+    log_p: float
+    confounded_with: tuple[str, ...] = ()
+    failure: str = ""
+
+    @property
+    def admissible(self) -> bool:
+        """Whether it was fitted, and the data determine its parameters."""
+        return self.estimate is not None and not self.confounded_with
+
+    def to_dict(self) -> Json:
+        """Name, place, parameters and figures of the fit."""
+        result = {**self.placed.to_dict(), "parameters": None, "chi2": None, "dof": None, "p_value": None}
+        if self.estimate is not None:
+            result["chi2"], result["dof"] = self.estimate.chi2, self.estimate.dof
+            result["p_value"] = self.estimate.quality.p_value
+            if not self.confounded_with:
+                result["parameters"] = parameters_of(self.estimate, self.placed)
+        result["gain_p_value"] = float(np.exp(self.log_p))
+        result["confounded_with"] = list(self.confounded_with)
+        result["failure"] = self.failure
+        return result
+
+
+def parameters_of(estimate: Estimate, placed: Placed) -> dict[str, float]:
+    """The values of an effect's parameters by name."""
+    values = estimate.theta[estimate.own(placed)]
+    return {item.name: float(value) for item, value in zip(placed.effect.parameters, values, strict=True)}
+
+
+def possible(experiment: Experiment, effects: Sequence[Effect], taken: Sequence[Placed]) -> list[Placed]:
+    """Every effect at every place where it can sit and does not sit yet."""
+    there = {(placed.effect.name, placed.place) for placed in taken}
+    return [
+        Placed(effect, place)
+        for effect in effects
+        if not effect.lacks(experiment)
+        for place in effect.places(experiment)
+        if (effect.name, place) not in there
+    ]
+
+
+def fit_candidates(base: Estimate, placed: Sequence[Placed], fitter: Fitter) -> list[Candidate]:
+    """Fit the model of `base` with each of these effects added, best first.
+
+    Admissible candidates come first, in order of the significance of their gain.
+    """
+    found = [fit_candidate(base, item, fitter) for item in placed]
+    return sorted(found, key=lambda item: (not item.admissible, item.log_p, item.estimate.chi2 if item.estimate else np.inf))
+
+
+def fit_candidate(base: Estimate, placed: Placed, fitter: Fitter) -> Candidate:
+    """Fit the model of `base` with one more effect, starting from where `base` ended."""
+    if not score(base, placed).determined:
+        return Candidate(placed, None, 0.0, confounded_with=confounders(base, placed))
+    try:
+        estimate = fitter.fit(Misfit(base.experiment, (*base.effects, placed)), np.concatenate([base.theta, placed.start]))
+    except CvxshearError as error:
+        return Candidate(placed, None, 0.0, failure=str(error))
+    if not np.all(estimate.uncertainty.determined[estimate.own(placed)]):
+        return Candidate(placed, estimate, 0.0, confounded_with=confounders(base, placed))
+    return Candidate(placed, estimate, log_p_gain(base, estimate))
+
+
+@dataclass(frozen=True)
+class Score:
+    """What an effect would do to a fit, from derivatives alone.
+
+    Parameters
+    ----------
+    gain : float
+        Decrease of chi-square that the linearised model promises (Rao's score test).
+    determined : bool
+        Whether the data tell the effect's parameters from those already in the model.
+    """
+
+    gain: float
+    determined: bool
+
+
+def score(base: Estimate, placed: Placed) -> Score:
+    """The score of an effect at its null value, all other parameters following."""
+    misfit = Misfit(base.experiment, (*base.effects, placed))
+    null = [item.null for item in placed.effect.parameters]
+    J = misfit.evaluate(np.concatenate([base.theta, null])).J
+    g = J[:, len(base.theta) :]
+    known = base.fit.at.J @ base.uncertainty.root
+    own = g - known @ (known.T @ g)
+    lengths, left = np.linalg.norm(g, axis=0), np.linalg.norm(own, axis=0)
+    if np.any(left <= NULL * np.maximum(lengths, 1e-300)):
+        return Score(0.0, determined=False)
+    basis, _ = np.linalg.qr(own)
+    return Score(float(np.sum((basis.T @ base.fit.at.r) ** 2)), determined=True)
+
+
+def confounders(base: Estimate, placed: Placed) -> tuple[str, ...]:
+    """The parameters of a model that an effect's derivative is a combination of, largest share first."""
+    misfit = Misfit(base.experiment, (*base.effects, placed))
+    null = [item.null for item in placed.effect.parameters]
+    J = misfit.evaluate(np.concatenate([base.theta, null])).J
+    lengths = np.linalg.norm(J, axis=0)
+    unit = J / np.where(lengths > 0, lengths, 1.0)
+    size = len(base.theta)
+    share = np.abs(np.linalg.lstsq(unit[:, :size], unit[:, size:].sum(axis=1), rcond=1e-9)[0])
+    names = parameter_names(base.experiment, base.effects)
+    order = np.argsort(-share, kind="stable")
+    return tuple(names[i] for i in order if share[i] > TAKES_PART * share[order[0]])

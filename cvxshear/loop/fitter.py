@@ -1,0 +1,33 @@
+"""Fits, and how many there were."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cvxshear.backends import Backend
+from cvxshear.identify.efficient import Estimate, fitted
+from cvxshear.identify.misfit import Misfit
+from cvxshear.typing import Floats
+
+
+@dataclass(eq=False)
+class Fitter:
+    """Fits models on one backend and counts the effort.
+
+    Parameters
+    ----------
+    backend : Backend
+    fits, programs : int
+        Fits made so far, and step programs that they solved.
+    """
+
+    backend: Backend
+    fits: int = 0
+    programs: int = 0
+
+    def fit(self, misfit: Misfit, start: Floats) -> Estimate:
+        """The estimate that Gauss-Newton reaches from a starting point."""
+        self.fits += 1
+        found = fitted(misfit, start, self.backend)
+        self.programs += found.fit.steps
+        return found

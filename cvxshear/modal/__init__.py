@@ -1,0 +1,20 @@
+"""Records to modes: what was recorded, how modes are identified from it, and what it got wrong."""
+
+from cvxshear.modal.findings import Finding
+from cvxshear.modal.identify import identify_modes
+from cvxshear.modal.record import Channel, FrfRecord, FrfRun, Record, Run, TimeRecord
+from cvxshear.modal.result import ModalResult
+from cvxshear.modal.stabilization import Criteria
+
+__all__ = [
+    "Channel",
+    "Criteria",
+    "Finding",
+    "FrfRecord",
+    "FrfRun",
+    "ModalResult",
+    "Record",
+    "Run",
+    "TimeRecord",
+    "identify_modes",
+]

@@ -1,0 +1,261 @@
+"""What the identified modes say about the record: clocks, signs, swaps, resolution, reciprocity, amplitude."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from cvxshear.errors import InputError
+from cvxshear.modal.amplitude import amplitude_findings
+from cvxshear.modal.estimate import Details, Setting
+from cvxshear.modal.findings import Finding
+from cvxshear.modal.record import FrfRecord, Record
+from cvxshear.modal.result import ModalResult
+from cvxshear.modal.shapes import sign_changes
+from cvxshear.typing import Floats
+
+OF_CHANNELS = ("dead channel", "clipped channel", "held samples", "drift", "aliasing")
+SIGNIFICANT = 3.0
+"""Standard deviations."""
+LEAST_TURN = 1.0
+"""Degrees at the highest mode; a clock offset that turns it less changes nothing that is reported."""
+COMPLEX = 5.0
+"""Degrees of phase lost in a real normal mode that are worth a word."""
+UNRECIPROCAL = 0.02
+"""Relative; sensors and hammers are hardly calibrated better."""
+FEWEST_PERIODS = 500
+"""Of the lowest mode in an ambient record: the usual advice is 1000 to 2000 (Brincker and Ventura 2015)."""
+
+
+def modal_findings(
+    record: Record,
+    result: ModalResult,
+    setting: Setting,
+    full: Details,
+    spread: Floats,
+    lost: int,
+    *,
+    accept_swapped: bool,
+) -> list[Finding]:
+    """Everything the modes say about the record they came from.
+
+    Raises
+    ------
+    InputError
+        Where two channels are swapped and `accept_swapped` is false.
+    """
+    found = signs_and_swaps(record, full.real)
+    swapped = [finding for finding in found if finding.kind == "swapped channels"]
+    if swapped and not accept_swapped:
+        raise InputError(swapped[0].message)
+    found += clock_findings(result, full)
+    found += resolution_findings(record, result)
+    found += reciprocity_findings(full, setting)
+    found += amplitude_findings(setting, result, spread)
+    found += _mode_findings(record, result, setting)
+    if lost:
+        found.append(
+            Finding(
+                "std",
+                f"without {lost} of the {len(setting.source.groups)} {setting.source.unit}s some mode was not found; "
+                "the standard deviations rest on the others",
+                {"lost": lost},
+            )
+        )
+    return found
+
+
+def clock_findings(result: ModalResult, full: Details) -> list[Finding]:
+    """Clocks whose phase grows linearly with frequency, by more than the data's scatter."""
+    highest = 2 * np.pi * float(full.frequencies.max())
+    found = []
+    for (name, (late, std)), left, before in zip(
+        result.clock_offsets.items(), full.clocks.unexplained, full.clocks.before, strict=False
+    ):
+        turn = float(np.degrees(highest * abs(late)))
+        if len(full.frequencies) < 2 or turn < LEAST_TURN or abs(late) < SIGNIFICANT * std:
+            continue
+        # The median clock is the reference; a channel whose own phases are straight is not at fault.
+        found.append(
+            Finding(
+                "clock offset",
+                f'the clock of "{name}" is {abs(late) * 1e3:.2f} ms {"late" if late > 0 else "early"} '
+                f"(std {std * 1e3:.2f} ms) against the median of all: a phase of {turn:.1f} degrees at the highest "
+                f"mode; phases of {before:.1f} degrees before, {left:.1f} after a straight line over frequency",
+                {"channel": name, "seconds": late, "std": std, "turn_degrees": turn, "left_degrees": left},
+            )
+        )
+    return found
+
+
+def signs_and_swaps(record: Record, shapes: Floats) -> list[Finding]:
+    """Channels of the wrong sign, or in each other's place, by what the modes of a shear frame look like.
+
+    Of a shear frame on the ground the first mode has one sign and grows with height, and mode r changes sign
+    r - 1 times. One change of sign, or one exchange of two channels, that mends all the modes found is named;
+    where the record needs more than one, or none mends it, nothing is said.
+    """
+    if shapes.shape[1] != record.stories or record.stories < 2:
+        return []
+    found = []
+    first = shapes[0] * np.sign(np.sum(np.sign(shapes[0])) or 1.0)
+    wrong = np.flatnonzero(first < -0.02)
+    if len(wrong) == 1 and len(shapes) > 1 and _signs_fit(shapes * np.where(np.arange(len(first)) == wrong[0], -1, 1)):
+        channel = record.channels[int(wrong[0])]
+        found.append(
+            Finding(
+                "sign",
+                f"{channel} moves against all the others in the lowest mode ({first[wrong[0]]:.3f}); turned round, "
+                "every mode has as many changes of sign as a shear frame's; check its sign in the record file",
+                {"channel": channel.name, "entry": float(first[wrong[0]])},
+            )
+        )
+        return found
+    if _fits(shapes):
+        return found
+    exchanges = [
+        (i, j)
+        for i, j in itertools.combinations(range(record.stories), 2)
+        if _fits(_exchanged(shapes, i, j)) and len(shapes) > 1
+    ]
+    if exchanges:
+        i, j = min(exchanges, key=lambda pair: pair[1] - pair[0])
+        low, high = record.channels[i], record.channels[j]
+        found.append(
+            Finding(
+                "swapped channels",
+                f"{low} and {high} look swapped: the lowest mode is {_listed(first)} from the ground up, which no "
+                "shear frame has; exchanged, every mode has the signs of one. Exchange their floors in the record file",
+                {"channels": [low.name, high.name], "first_mode": first.tolist()},
+            )
+        )
+    return found
+
+
+def _exchanged(shapes: Floats, i: int, j: int) -> Floats:
+    order = np.arange(shapes.shape[1])
+    order[[i, j]] = order[[j, i]]
+    return shapes[:, order]
+
+
+def _signs_fit(shapes: Floats) -> bool:
+    """Whether the lowest mode has one sign and each higher one a further change."""
+    changes = [sign_changes(shape) for shape in shapes]
+    return changes[0] == 0 and all(b > a for a, b in itertools.pairwise(changes))
+
+
+def _fits(shapes: Floats) -> bool:
+    lowest = np.abs(shapes[0])
+    return _signs_fit(shapes) and bool(np.all(np.diff(lowest) > -0.02 * lowest.max()))
+
+
+def _listed(shape: Floats) -> str:
+    return "(" + ", ".join(f"{entry:.3f}" for entry in shape) + ")"
+
+
+def resolution_findings(record: Record, result: ModalResult) -> list[Finding]:
+    """Records too short for the damping, or the ambient statistics, that are claimed of them."""
+    found = []
+    if isinstance(record, FrfRecord):
+        resolution = record.step
+    else:
+        resolution = record.sampling_rate / max(run.samples for run in record.runs)
+    for mode, frequency, damping in zip(result.modes, result.frequencies, result.damping_ratios, strict=True):
+        width = 2 * damping * frequency
+        if resolution > width:
+            found.append(
+                Finding(
+                    "resolution",
+                    f"mode {mode}: a resolution of {resolution:.3g} Hz is coarser than the half-power bandwidth of "
+                    f"{width:.3g} Hz; its damping rests on the model of exponential decay, not on the line's width",
+                    {"mode": int(mode), "resolution": resolution, "bandwidth": float(width)},
+                )
+            )
+    if not isinstance(record, FrfRecord) and record.input == "none":
+        periods = record.duration * float(result.frequencies[0])
+        if periods < FEWEST_PERIODS:
+            found.append(
+                Finding(
+                    "resolution",
+                    f"{record.duration:.0f} s hold {periods:.0f} periods of the lowest mode; ambient vibration asks for "
+                    f"{FEWEST_PERIODS} at least",
+                    {"periods": periods, "duration": record.duration},
+                )
+            )
+    return found
+
+
+def reciprocity_findings(full: Details, setting: Setting) -> list[Finding]:
+    """Pairs of driving points whose transfers differ with the direction (Maxwell and Betti say they do not)."""
+    if full.products is None or setting.base:
+        return []
+    places = {int(floor): place for place, floor in enumerate(setting.floors)}
+    driven = {int(floor): column for column, floor in enumerate(full.driven)}
+    found = []
+    for low, high in itertools.combinations(sorted(set(places) & set(driven)), 2):
+        up = full.products[:, places[high], driven[low]]
+        down = full.products[:, places[low], driven[high]]
+        ratio = np.linalg.norm(up - down) / (0.5 * (np.linalg.norm(up) + np.linalg.norm(down)))
+        each = np.abs(np.abs(up) - np.abs(down)) / (0.5 * (np.abs(up) + np.abs(down)))
+        if each.max() > UNRECIPROCAL:
+            worst = int(np.argmax(each))
+            found.append(
+                Finding(
+                    "reciprocity",
+                    f"force at floor {low}, response at floor {high}, and the reverse differ by up to "
+                    f"{100 * each.max():.1f} % (mode {worst + 1}; {100 * ratio:.1f} % over all modes, phase included): "
+                    "a calibration or a driving point is off by that much, and so are masses that rest on it",
+                    {
+                        "floors": [low, high],
+                        "largest": float(each.max()),
+                        "over_all": float(ratio),
+                        "by_mode": each.tolist(),
+                    },
+                )
+            )
+    return found
+
+
+def _mode_findings(record: Record, result: ModalResult, setting: Setting) -> list[Finding]:
+    found = []
+    sweep = setting.sweep
+    by_signs = len(record.channels) == record.stories > 1
+    if by_signs and len(sweep.chosen) < record.stories:
+        absent = sorted(set(range(1, record.stories + 1)) - {int(mode) for mode in result.modes})
+        found.append(
+            Finding(
+                "missing mode",
+                f"mode {', '.join(map(str, absent))} of {record.stories} was not found in the record",
+                {"modes": absent},
+            )
+        )
+    if not by_signs and len(record.channels) < record.stories:
+        found.append(
+            Finding(
+                "missing mode",
+                f"{len(record.channels)} of {record.stories} floors are measured: the modes found are taken to be the "
+                f"lowest {len(result.modes)}, which the record cannot show",
+                {"measured": len(record.channels), "stories": record.stories},
+            )
+        )
+    for item in sweep.candidates:
+        if item.physical and not any(item is other for other in sweep.chosen):
+            found.append(
+                Finding(
+                    "other mode",
+                    f"{item.frequency:.3f} Hz is stable as well, with {100 * item.energy:.2g} % of the energy, and is "
+                    "not a sway mode that the frame still lacks: torsion, another axis, a local or split mode",
+                    {"frequency": item.frequency, "energy": item.energy},
+                )
+            )
+    for mode, phase in zip(result.modes, result.lost_phase, strict=True):
+        if phase > COMPLEX:
+            found.append(
+                Finding(
+                    "complex mode",
+                    f"mode {mode} is complex: its real normal mode leaves out {phase:.1f} degrees of phase",
+                    {"mode": int(mode), "degrees": float(phase)},
+                )
+            )
+    return found
