@@ -13,11 +13,13 @@ from cvxshear.formats.toml import load
 from cvxshear.identify import Identification, identify
 from cvxshear.loop import Closure, close_loop
 from cvxshear.priors import Prior
+from cvxshear.studies.backends import Comparison, compare_backends
 
 __version__ = "0.1.0"
 
 __all__ = [
     "Closure",
+    "Comparison",
     "Configuration",
     "CvxshearError",
     "Experiment",
@@ -30,6 +32,7 @@ __all__ = [
     "UnsuitableError",
     "backends",
     "close_loop",
+    "compare_backends",
     "effects",
     "identify",
     "load",

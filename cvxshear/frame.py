@@ -8,7 +8,7 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.errors import InputError
-from cvxshear.typing import Floats
+from cvxshear.typing import Floats, Ints
 
 
 def transformation(stories: int) -> Floats:
@@ -110,7 +110,7 @@ def modes(M: Floats, K: Floats) -> Modes:
     return Modes(eigenvalues, shapes * np.sign(largest))
 
 
-def mode_derivatives(of: Modes, system: System, which: slice | Floats | list[int]) -> tuple[Floats, Floats]:
+def mode_derivatives(of: Modes, system: System, which: slice | Ints | list[int]) -> tuple[Floats, Floats]:
     """Derivatives of eigenvalues and mass-normalized shapes, by modal superposition (Fox and Kapoor, 1968).
 
     With S = dK - lambda_j dM,

@@ -60,7 +60,7 @@ class Canonical:
 
     def to_z(self, x: Floats) -> Floats:
         """The scaled unknowns of x."""
-        return np.linalg.solve(self._inverse, x) / self._tau
+        return np.asarray(np.linalg.solve(self._inverse, x) / self._tau, dtype=float)
 
     def to_x(self, z: Floats) -> Floats:
         """The unknowns in their own units."""

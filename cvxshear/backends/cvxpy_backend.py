@@ -64,7 +64,9 @@ class Cvxpy(Backend):
             with warnings.catch_warnings():
                 # "Solution may be inaccurate" is also the status, which is looked at below.
                 warnings.simplefilter("ignore")
-                compiled.problem.solve(solver=self._solver, enforce_dpp=True, **self._options)
+                compiled.problem.solve(  # type: ignore[no-untyped-call]
+                    solver=self._solver, enforce_dpp=True, **self._options
+                )
         except cp.SolverError as error:
             raise NoSolutionError(self.name, str(error)) from error
         status = str(compiled.problem.status)
@@ -95,5 +97,6 @@ def _compile(unknowns: int, equalities: int, inequalities: int, singular: bool) 
     if inequalities:
         parameters["F"], parameters["f"] = cp.Parameter((inequalities, unknowns)), cp.Parameter(inequalities)
         constraints["F"] = parameters["F"] @ z <= parameters["f"]
-    problem = cp.Problem(cp.Minimize(0.5 * cp.sum_squares(fit - parameters["q"])), list(constraints.values()))
+    objective = 0.5 * cp.sum_squares(fit - parameters["q"])  # type: ignore[attr-defined]
+    problem = cp.Problem(cp.Minimize(objective), list(constraints.values()))
     return _Compiled(problem, z, parameters, constraints)

@@ -34,7 +34,7 @@ class Kkt(Backend):
                 "equalities only; choose another backend, clarabel for one"
             )
         gradient = problem.C.T @ (problem.C @ z - problem.q)
-        y = np.linalg.lstsq(problem.E.T, -gradient, rcond=None)[0] if len(problem.E) else np.zeros(0)
+        y = np.asarray(np.linalg.lstsq(problem.E.T, -gradient, rcond=None)[0]) if len(problem.E) else np.zeros(0)
         return Answer(z, y, np.zeros(len(problem.f)), "closed form", 1)
 
 

@@ -17,7 +17,11 @@ ACCURATE: dict[str, dict[str, Any]] = {
     "clarabel": {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12},
     "daqp": {"primal_tol": 1e-11, "dual_tol": 1e-11},
     # HiGHS adds this multiple of the identity to every Hessian; ours has eigenvalues of one and needs none.
-    "highs": {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10, "qp_regularization_value": 0.0},
+    "highs": {
+        "primal_feasibility_tolerance": 1e-10,
+        "dual_feasibility_tolerance": 1e-10,
+        "qp_regularization_value": 0.0,
+    },
     "osqp": {"eps_abs": 1e-10, "eps_rel": 1e-10, "max_iter": 200_000},
     "piqp": {"eps_abs": 1e-12, "eps_rel": 1e-12, "eps_duality_gap_abs": 1e-12, "eps_duality_gap_rel": 1e-12},
     "proxqp": {"eps_abs": 1e-11, "eps_rel": 0.0},

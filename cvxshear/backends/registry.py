@@ -36,7 +36,7 @@ def _through_cvxpy() -> dict[str, Backend]:
 
     from cvxshear.backends.cvxpy_backend import Cvxpy  # noqa: PLC0415
 
-    installed = cp.installed_solvers()
+    installed = cp.installed_solvers()  # type: ignore[no-untyped-call]
     return {item.name: item for item in (Cvxpy(name) for name in THROUGH_CVXPY if name in installed)}
 
 

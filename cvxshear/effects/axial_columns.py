@@ -13,7 +13,9 @@ class AxialColumns(Effect):
     """Flexibility + z_i^2 (3 z_j - z_i) / (6 EI) for z_i <= z_j: a cantilever of uniform EI."""
 
     name = "axial_columns"
-    summary = "The columns stretch on one side and shorten on the other, so that the whole frame bends like a cantilever."
+    summary = (
+        "The columns stretch on one side and shorten on the other, so that the whole frame bends like a cantilever."
+    )
     formula = "flexibility + z_i^2 (3 z_j - z_i) / (6 EI),  z_i <= z_j"
     source = "deflection of a cantilever under a point load, Bernoulli beam theory"
     stage = "flexibility"

@@ -65,7 +65,9 @@ class Place:
 
     def describe(self) -> str:
         """In words, such as "floor 3 of test 2"; empty where it sits nowhere in particular."""
-        parts = [f"{word} {number}" for word, number in (("floor", self.floor), ("story", self.story)) if number is not None]
+        parts = [
+            f"{word} {number}" for word, number in (("floor", self.floor), ("story", self.story)) if number is not None
+        ]
         if self.configuration is not None:
             parts.append(f'"{self.configuration}"')
         return " of ".join(parts)

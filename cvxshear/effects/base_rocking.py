@@ -13,7 +13,9 @@ class BaseRocking(Effect):
     """Flexibility + z z' / k_theta."""
 
     name = "base_rocking"
-    summary = "The base turns under the overturning moment, so that the whole frame rocks as a rigid body on top of its sway."
+    summary = (
+        "The base turns under the overturning moment, so that the whole frame rocks as a rigid body on top of its sway."
+    )
     formula = "flexibility + z z' / k_theta"
     source = "rigid-body rotation about the base against a rotational spring"
     stage = "flexibility"

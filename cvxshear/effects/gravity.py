@@ -17,9 +17,13 @@ class Gravity(Effect):
     """
 
     name = "gravity"
-    summary = "The weight above each story pulls the leaning frame further over and so reduces its sway stiffness (P-delta)."
+    summary = (
+        "The weight above each story pulls the leaning frame further over and so reduces its sway stiffness (P-delta)."
+    )
     formula = "K - gamma T diag(P_i / h_i) T',  P_i = g (mass at and above floor i)"
-    source = "Clough and Penzien, Dynamics of Structures, geometric stiffness: linear (1) and consistent cubic (6/5) shape"
+    source = (
+        "Clough and Penzien, Dynamics of Structures, geometric stiffness: linear (1) and consistent cubic (6/5) shape"
+    )
     stage = "gravity"
     parameters = (Parameter("gamma", "", lower=1.0, upper=1.2, null=0.0, start=1.1),)
     needs = ("heights",)

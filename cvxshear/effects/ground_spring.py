@@ -10,7 +10,9 @@ class GroundSpring(Effect):
     """K + s e e' at one floor above the first, where it would be story 1's own stiffness."""
 
     name = "ground_spring"
-    summary = "Something besides the frame holds one floor: a brace to the ground, a neighbour, a cable or a shaker's rod."
+    summary = (
+        "Something besides the frame holds one floor: a brace to the ground, a neighbour, a cable or a shaker's rod."
+    )
     formula = "K + s e_j e_j'"
     source = "linear spring from floor j to the ground"
     stage = "spring"

@@ -19,8 +19,13 @@ class JointRotation(Effect):
 
     name = "joint_rotation"
     summary = "The beams bend, so that the joints turn and each story is softer than columns clamped at both ends."
-    formula = "story element k [[1, h/2], [h/2, h^2/3]] with coupling h^2/6, plus r = mean(k h^2) / eta a floor, rotations condensed"
-    source = "Bernoulli beam element, Przemieniecki, Theory of Matrix Structural Analysis; static condensation, Guyan 1965"
+    formula = (
+        "story element k [[1, h/2], [h/2, h^2/3]] with coupling h^2/6, plus r = mean(k h^2) / eta a floor, "
+        "rotations condensed"
+    )
+    source = (
+        "Bernoulli beam element, Przemieniecki, Theory of Matrix Structural Analysis; static condensation, Guyan 1965"
+    )
     stage = "elastic"
     parameters = (Parameter("eta", "", lower=0.0, upper=100.0, null=0.0, start=0.05),)
     needs = ("heights",)

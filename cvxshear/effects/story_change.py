@@ -13,7 +13,9 @@ class StoryChange(Effect):
     """k_i (1 + change) in one configuration."""
 
     name = "story_change"
-    summary = "One story is softer or stiffer in one configuration than in the others: damage, a loosened or a tightened joint."
+    summary = (
+        "One story is softer or stiffer in one configuration than in the others: damage, or a joint that loosened."
+    )
     formula = "k_i (1 + change) in one configuration"
     source = "change of one story's columns or joints between tests"
     stage = "story"

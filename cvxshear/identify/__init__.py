@@ -1,6 +1,6 @@
 """Identification of floor masses and story stiffnesses."""
 
 from cvxshear.identify.identify import METHODS, identify
-from cvxshear.identify.results import IdentifiedFrame, Identification, Part, Prediction
+from cvxshear.identify.results import Identification, IdentifiedFrame, Part, Prediction
 
-__all__ = ["METHODS", "IdentifiedFrame", "Identification", "Part", "Prediction", "identify"]
+__all__ = ["METHODS", "Identification", "IdentifiedFrame", "Part", "Prediction", "identify"]

@@ -50,4 +50,3 @@ def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) 
         )
         parts.append(Statement(f"bounds of {placed.label}", embedded(bounds, own, size)))
     return Domain(parts, np.where(theta == 0, 1.0, np.abs(theta)))
-

@@ -1,4 +1,4 @@
-"""Gauss-Newton, every step of which is one least-squares program, with a step control that never accepts a worse fit."""
+"""Gauss-Newton: every step is one least-squares program, and no step makes the fit worse."""
 
 from __future__ import annotations
 
@@ -155,4 +155,6 @@ def embedded(said: Constraints, at: slice, size: int) -> Constraints:
         full[at] = bound
         return full
 
-    return Constraints(padded(said.lower, -np.inf), padded(said.upper, np.inf), wide(said.G), said.h, wide(said.A), said.b)
+    return Constraints(
+        padded(said.lower, -np.inf), padded(said.upper, np.inf), wide(said.G), said.h, wide(said.A), said.b
+    )

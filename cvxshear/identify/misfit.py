@@ -129,7 +129,9 @@ class Misfit:
     ) -> None:
         self.experiment = experiment
         self.effects = tuple(effects)
-        self.targets = [_without(Target.of(each), (leave_out or {}).get(each.name)) for each in experiment.configurations]
+        self.targets = [
+            _without(Target.of(each), (leave_out or {}).get(each.name)) for each in experiment.configurations
+        ]
 
     @property
     def parameters(self) -> int:
@@ -214,7 +216,7 @@ def _without(target: Target, left_out: Bools | None) -> Target:
 
 
 def _scales(target: Target, psi: Floats) -> tuple[Floats, Floats | None]:
-    """The scale of each modelled shape, shape (m,), and the unit vectors u; only a sign where the scale was measured."""
+    """The scale of each modelled shape and the unit vectors u; only a sign where the scale was measured."""
     weighted = target.weights * psi
     overlap = np.sum(weighted * target.weights * target.shapes, axis=1)
     if target.configuration.mass_normalized:

@@ -10,6 +10,7 @@ from cvxshear.identify.separate import Setting, finished
 from cvxshear.identify.stiffness import MOST_ROUNDS, UNCHANGED, identified_stiffness
 from cvxshear.programs import one_shot_masses
 from cvxshear.programs.rows import constrained, softened
+from cvxshear.typing import Floats
 
 
 def one_shot(of: Setting, backend: Backend) -> Part:
@@ -46,8 +47,8 @@ def one_shot(of: Setting, backend: Backend) -> Part:
     )
 
 
-def _shift(R: np.ndarray, own_rows: int, added: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+def _shift(R: Floats, own_rows: int, added: Floats) -> Floats:
     """What the added mass contributes to the soft rows, zero for the program's own."""
-    shift = R @ added
+    shift: Floats = R @ added
     shift[:own_rows] = 0.0
     return shift

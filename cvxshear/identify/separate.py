@@ -60,10 +60,14 @@ def setting(experiment: Experiment, configuration: Configuration, method: str) -
     where = f'method {method} cannot use configuration "{configuration.name}"'
     if len(configuration.frequencies) < n:
         missing = sorted(set(range(1, n + 1)) - {int(mode) for mode in configuration.modes})
-        raise UnsuitableError(f"{where}: it needs all {n} modes, {_listed('mode', missing)} missing; use method efficient")
+        raise UnsuitableError(
+            f"{where}: it needs all {n} modes, {_listed('mode', missing)} missing; use method efficient"
+        )
     if len(configuration.measured_floors) < n:
         missing = sorted(set(range(1, n + 1)) - {int(floor) for floor in configuration.measured_floors})
-        raise UnsuitableError(f"{where}: it needs every floor, {_listed('floor', missing)} unmeasured; use method efficient")
+        raise UnsuitableError(
+            f"{where}: it needs every floor, {_listed('floor', missing)} unmeasured; use method efficient"
+        )
     if not configuration.complete:
         mode, floor = np.argwhere(~configuration.measured)[0] + 1
         raise UnsuitableError(f"{where}: mode {mode} has no value at floor {floor}; use method efficient")

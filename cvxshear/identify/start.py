@@ -15,7 +15,8 @@ import numpy as np
 from cvxshear import backends
 from cvxshear.errors import CvxshearError, InputError
 from cvxshear.experiment import Configuration, Experiment
-from cvxshear.frame import Modes, mass_matrix, modes, shear_system, stiffness_matrix, transformation
+from cvxshear.frame import Modes, mass_matrix, modes, stiffness_matrix, transformation
+from cvxshear.identify.domain import spread
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.rows import constrained, statements
 from cvxshear.typing import Floats
@@ -93,8 +94,6 @@ def _from_story_equations(experiment: Experiment, theta: Floats) -> Floats:
     )  # fmt: skip
     heavy = statements(experiment.priors, "floor_mass", n, experiment.frame)
     stiff = statements(experiment.priors, "story_stiffness", n)
-    from cvxshear.identify.domain import spread
-
     x = backends.get("auto").solve(constrained(program, spread(heavy, stiff, n, 2 * n), np.zeros(2 * n))).x
     m, k = x[:n], x[n:]
     if m.mean() <= 0 or k.mean() <= 0:
@@ -117,6 +116,6 @@ def filled(configuration: Configuration, j: int, model: Modes) -> Floats:
     near = np.argsort(np.abs(np.arange(n) - own), kind="stable")[:count]
     values = configuration.mode_shapes[j, known]
     share = np.linalg.lstsq(model.shapes[np.ix_(floors, near)], values, rcond=None)[0]
-    phi = model.shapes[:, near] @ share
+    phi: Floats = model.shapes[:, near] @ share
     phi[floors] = values
     return phi

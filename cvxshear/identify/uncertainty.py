@@ -100,7 +100,11 @@ def uncertainty(J: Floats, theta: Floats, domain: Domain, names: Sequence[str]) 
         determined=open_part < 1e-4,
         null_directions=tuple(_words(column, names) for column in null.T),
         free=determined[0].shape[1],
-        active=tuple(name for name, row in zip(names, touching.T if len(touching) else [()] * len(names), strict=True) if np.any(row)),
+        active=tuple(
+            name
+            for name, row in zip(names, touching.T if len(touching) else [()] * len(names), strict=True)
+            if np.any(row)
+        ),
     )
 
 

@@ -15,7 +15,7 @@ from cvxshear.identify.misfit import Misfit
 from cvxshear.identify.uncertainty import NULL, TAKES_PART
 from cvxshear.loop.fitter import Fitter
 from cvxshear.loop.significance import log_p_gain
-from cvxshear.typing import Json
+from cvxshear.typing import Floats, Json
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,9 @@ def fit_candidates(base: Estimate, placed: Sequence[Placed], fitter: Fitter) -> 
     Admissible candidates come first, in order of the significance of their gain.
     """
     found = [fit_candidate(base, item, fitter) for item in placed]
-    return sorted(found, key=lambda item: (not item.admissible, item.log_p, item.estimate.chi2 if item.estimate else np.inf))
+    return sorted(
+        found, key=lambda item: (not item.admissible, item.log_p, item.estimate.chi2 if item.estimate else np.inf)
+    )
 
 
 def fit_candidate(base: Estimate, placed: Placed, fitter: Fitter) -> Candidate:
@@ -92,7 +94,9 @@ def fit_candidate(base: Estimate, placed: Placed, fitter: Fitter) -> Candidate:
     if not score(base, placed).determined:
         return Candidate(placed, None, 0.0, confounded_with=confounders(base, placed))
     try:
-        estimate = fitter.fit(Misfit(base.experiment, (*base.effects, placed)), np.concatenate([base.theta, placed.start]))
+        estimate = fitter.fit(
+            Misfit(base.experiment, (*base.effects, placed)), np.concatenate([base.theta, placed.start])
+        )
     except CvxshearError as error:
         return Candidate(placed, None, 0.0, failure=str(error))
     if not np.all(estimate.uncertainty.determined[estimate.own(placed)]):
@@ -118,10 +122,7 @@ class Score:
 
 def score(base: Estimate, placed: Placed) -> Score:
     """The score of an effect at its null value, all other parameters following."""
-    misfit = Misfit(base.experiment, (*base.effects, placed))
-    null = [item.null for item in placed.effect.parameters]
-    J = misfit.evaluate(np.concatenate([base.theta, null])).J
-    g = J[:, len(base.theta) :]
+    g = sensitivity(base, placed)
     known = base.fit.at.J @ base.uncertainty.root
     own = g - known @ (known.T @ g)
     lengths, left = np.linalg.norm(g, axis=0), np.linalg.norm(own, axis=0)
@@ -131,15 +132,19 @@ def score(base: Estimate, placed: Placed) -> Score:
     return Score(float(np.sum((basis.T @ base.fit.at.r) ** 2)), determined=True)
 
 
-def confounders(base: Estimate, placed: Placed) -> tuple[str, ...]:
-    """The parameters of a model that an effect's derivative is a combination of, largest share first."""
+def sensitivity(base: Estimate, placed: Placed) -> Floats:
+    """Derivative of the residuals by an effect's parameters at its null value, shape (d, p)."""
     misfit = Misfit(base.experiment, (*base.effects, placed))
     null = [item.null for item in placed.effect.parameters]
-    J = misfit.evaluate(np.concatenate([base.theta, null])).J
-    lengths = np.linalg.norm(J, axis=0)
-    unit = J / np.where(lengths > 0, lengths, 1.0)
-    size = len(base.theta)
-    share = np.abs(np.linalg.lstsq(unit[:, :size], unit[:, size:].sum(axis=1), rcond=1e-9)[0])
+    return misfit.evaluate(np.concatenate([base.theta, null])).J[:, len(base.theta) :]
+
+
+def confounders(base: Estimate, placed: Placed) -> tuple[str, ...]:
+    """The parameters whose change, as far as they are free, does what an effect does; largest share first."""
+    root = base.uncertainty.root
+    J = base.fit.at.J
+    change = root @ ((J @ root).T @ sensitivity(base, placed).sum(axis=1))
+    share = np.abs(change) * np.linalg.norm(J, axis=0)
     names = parameter_names(base.experiment, base.effects)
     order = np.argsort(-share, kind="stable")
     return tuple(names[i] for i in order if share[i] > TAKES_PART * share[order[0]])

@@ -63,7 +63,11 @@ def close_loop(
         Where the shear model itself could not be fitted.
     """
     experiment = experiment.with_priors(tuple(priors))
-    wanted = catalogue() if effects is None else tuple(each if isinstance(each, Effect) else named([each])[0] for each in effects)
+    wanted = (
+        catalogue()
+        if effects is None
+        else tuple(each if isinstance(each, Effect) else named([each])[0] for each in effects)
+    )
     loop = _Loop(experiment, wanted, Fitter(backends.get(backend)))
     return loop.run(assumed(experiment, assume))
 
@@ -77,7 +81,9 @@ def assumed(experiment: Experiment, assume: Sequence[str | Placed]) -> tuple[Pla
             continue
         (effect,) = named([each])
         if effect.lacks(experiment):
-            raise InputError(f"effect {each} cannot be assumed: the experiment does not declare {effect.lacks(experiment)}")
+            raise InputError(
+                f"effect {each} cannot be assumed: the experiment does not declare {effect.lacks(experiment)}"
+            )
         places = effect.places(experiment)
         if len(places) > 1:
             raise InputError(f"effect {each} can sit at {len(places)} places; assume it as Placed(effect, Place(...))")
@@ -107,7 +113,9 @@ class _Loop:
 
     def run(self, declared: tuple[Placed, ...]) -> Closure:
         base, self.declared = self._start(declared)
-        self._record(base, "the shear model" if not declared else f"the shear model with {_listed(declared)} assumed", 0)
+        self._record(
+            base, "the shear model" if not declared else f"the shear model with {_listed(declared)} assumed", 0
+        )
         while len(self.added) < MOST_EFFECTS and self._add():
             self._remove()
         found = self._exchange()
@@ -122,7 +130,8 @@ class _Loop:
         if all(np.all(known[base.own(placed)]) for placed in declared):
             return base, declared
         held = tuple(
-            placed if np.all(known[base.own(placed)]) else Placed(placed.effect, placed.place, placed.start) for placed in declared
+            placed if np.all(known[base.own(placed)]) else Placed(placed.effect, placed.place, placed.start)
+            for placed in declared
         )
         return efficient(self.experiment, self.fitter.backend, held), held
 
@@ -185,13 +194,15 @@ class _Loop:
         return self.fitter.fit(Misfit(self.experiment, kept), theta)
 
     def _exchange(self) -> list[Found]:
-        """Try every other effect in the place of each; exchange it where the data prefer another, else list its rivals."""
+        """Try every other effect in the place of each; exchange it where the data prefer another."""
         for _ in range(MOST_EXCHANGES):
             found = [self._found(placed) for placed in self.added]
             better = [(rival, item) for item, rivals in found for rival in rivals if _preferred(rival, self.now)]
             if not better:
                 return [item for item, _ in found]
-            rival, item = max(better, key=lambda pair: self.now.chi2 - (pair[0].estimate.chi2 if pair[0].estimate else np.inf))
+            rival, item = max(
+                better, key=lambda pair: self.now.chi2 - (pair[0].estimate.chi2 if pair[0].estimate else np.inf)
+            )
             assert rival.estimate is not None
             self._record(rival.estimate, f"exchanged {item.placed.label} for {rival.placed.label}", 0)
         return [item for item, _ in (self._found(placed) for placed in self.added)]
@@ -199,14 +210,22 @@ class _Loop:
     def _found(self, placed: Placed) -> tuple[Found, list[Candidate]]:
         """An added effect with its rivals, and all candidates in its place."""
         without = self._without(placed)
-        there = [item for item in possible(self.experiment, self.wanted, self.now.effects)]
+        there = possible(self.experiment, self.wanted, self.now.effects)
         others = self._candidates(without, there)
-        rivals = tuple(item for item in others if item.admissible and item.estimate is not None and not_worse(item.estimate, self.now))
+        rivals = tuple(
+            item
+            for item in others
+            if item.admissible and item.estimate is not None and not_worse(item.estimate, self.now)
+        )
         own = self.now.own(placed)
         std = [None if np.isnan(value) else float(value) for value in self.now.std[own]]
         names = [item.name for item in placed.effect.parameters]
         found = Found(
-            placed, parameters_of(self.now, placed), dict(zip(names, std, strict=True)), rivals, log_p_gain(without, self.now)
+            placed,
+            parameters_of(self.now, placed),
+            dict(zip(names, std, strict=True)),
+            rivals,
+            log_p_gain(without, self.now),
         )
         return found, others
 
@@ -229,7 +248,9 @@ class _Loop:
             effects=tuple(found),
             assumed=self.declared,
             candidates=tuple(self.ranking),
-            not_considered={each.name: each.lacks(self.experiment) for each in self.wanted if each.lacks(self.experiment)},
+            not_considered={
+                each.name: each.lacks(self.experiment) for each in self.wanted if each.lacks(self.experiment)
+            },
             remains=tuple(where_it_sits(self.now)) if significant else (),
             information=information(self.now, self.ranking),
             next_test=next_test(self.now, rivals) if rivals else None,
@@ -240,7 +261,9 @@ class _Loop:
 
 def _preferred(rival: Candidate, now: Estimate) -> bool:
     """Whether the data prefer a rival to what was accepted, beyond what rounding makes."""
-    return rival.admissible and rival.estimate is not None and rival.estimate.chi2 < now.chi2 - 1e-6 * max(1.0, now.chi2)
+    return (
+        rival.admissible and rival.estimate is not None and rival.estimate.chi2 < now.chi2 - 1e-6 * max(1.0, now.chi2)
+    )
 
 
 def _listed(placed: Sequence[Placed]) -> str:

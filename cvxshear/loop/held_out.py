@@ -29,11 +29,7 @@ def held_out_frequency_error(estimate: Estimate, fitter: Fitter) -> float | None
     float or None
         None where no frequency could be predicted.
     """
-    errors = [
-        error
-        for name, mask in _left_out(estimate)
-        for error in _prediction_errors(estimate, name, mask, fitter)
-    ]
+    errors = [error for name, mask in _left_out(estimate) for error in _prediction_errors(estimate, name, mask, fitter)]
     return max(errors) if errors else None
 
 

@@ -28,7 +28,7 @@ def _some(names: Sequence[str]) -> str:
 
 
 def _gravity(estimate: Estimate) -> str:
-    """How much of each story's stiffness the weight above it takes, where heights are declared and no gravity is fitted."""
+    """How much of a story's stiffness the weight above takes, where heights are declared and no gravity is fitted."""
     experiment = estimate.experiment
     heights = experiment.frame.story_heights
     n = experiment.stories
@@ -42,6 +42,6 @@ def _gravity(estimate: Estimate) -> str:
     if max(shares) <= 0 or not np.isfinite(max(shares)):
         return ""
     return (
-        f"the weight above takes up to {100 * max(shares):.2g} % of a story's stiffness (P/h, up to 6/5 of it for columns that "
-        "bend); the stiffnesses given are what is left"
+        f"the weight above takes up to {100 * max(shares):.2g} % of a story's stiffness (P/h, up to 6/5 of it for "
+        "columns that bend); the stiffnesses given are what is left"
     )

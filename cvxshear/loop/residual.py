@@ -90,11 +90,14 @@ def where_it_sits(estimate: Estimate) -> list[str]:
     for item in modes:
         place = f'mode {item.mode} of "{item.configuration}"'
         if stats.norm.sf(abs(item.frequency_deviation)) * 2 < level:
-            text = f"the frequency of {place} ({100 * item.frequency_error:+.2f} %, {item.frequency_deviation:+.1f} standard deviations)"
+            size = f"{100 * item.frequency_error:+.2f} %, {item.frequency_deviation:+.1f} standard deviations"
+            text = f"the frequency of {place} ({size})"
             parts.append((abs(item.frequency_deviation), text))
         entries = len(estimate.misfit.targets[0].floors)
         if item.shape_deviation is not None and stats.chi2.sf(item.shape_deviation**2 * entries, entries) < level:
-            parts.append((item.shape_deviation, f"the shape of {place} ({item.shape_deviation:.1f} standard deviations a floor)"))
+            parts.append(
+                (item.shape_deviation, f"the shape of {place} ({item.shape_deviation:.1f} standard deviations a floor)")
+            )
     for floor, deviation in floors.items():
         if stats.chi2.sf(deviation**2 * len(modes), len(modes)) < level:
             parts.append((deviation, f"the shapes at floor {floor} ({deviation:.1f} standard deviations a mode)"))

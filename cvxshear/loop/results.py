@@ -161,7 +161,9 @@ class Closure:
                 {
                     "action": step.action,
                     "tried": step.tried,
-                    "effects": [{**p.to_dict(), "parameters": parameters_of(step.estimate, p)} for p in step.estimate.effects],
+                    "effects": [
+                        {**p.to_dict(), "parameters": parameters_of(step.estimate, p)} for p in step.estimate.effects
+                    ],
                     **step.to_dict(),
                 }
                 for step in self.steps

@@ -35,7 +35,7 @@ def log_p_gain(before: Estimate, after: Estimate) -> float:
 
 def significant_gain(log_p: float, family: int) -> bool:
     """Whether a gain of this log probability is significant as the best of a family of candidates (Bonferroni)."""
-    return log_p + np.log(max(family, 1)) < np.log(FAMILY_LEVEL)
+    return bool(log_p + np.log(max(family, 1)) < np.log(FAMILY_LEVEL))
 
 
 def not_worse(candidate: Estimate, accepted: Estimate) -> bool:

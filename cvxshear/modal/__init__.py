@@ -4,6 +4,7 @@ from cvxshear.modal.findings import Finding
 from cvxshear.modal.identify import identify_modes
 from cvxshear.modal.record import Channel, FrfRecord, FrfRun, Record, Run, TimeRecord
 from cvxshear.modal.result import ModalResult
+from cvxshear.modal.pipeline import run
 from cvxshear.modal.stabilization import Criteria
 
 __all__ = [
@@ -17,4 +18,5 @@ __all__ = [
     "Run",
     "TimeRecord",
     "identify_modes",
+    "run",
 ]

@@ -26,20 +26,25 @@ class Offsets:
     Parameters
     ----------
     seconds : array, shape (clocks,)
-        Positive where a channel's record is late, against the median of all clocks; the channels in order of
-        floor, then the input where its clock is seen.
+        Positive where a channel's record is late, against the clock that is nearest to all the others; the
+        channels in order of floor, then the input where its clock is seen.
     unexplained : array, shape (clocks,)
         Root mean square angle, degrees, that the offset leaves, over the modes, weighted as the fit.
     before : array, shape (clocks,)
         The same angle without the offset.
+    reference : int
+        The clock that the offsets count from.
     """
 
     seconds: Floats
     unexplained: Floats
     before: Floats
+    reference: int
 
 
-def offsets(eigenvalues: Complexes, shapes: Complexes, participations: Complexes | None = None) -> Offsets:
+def offsets(
+    eigenvalues: Complexes, shapes: Complexes, participations: Complexes | None = None, reference: int | None = None
+) -> Offsets:
     """Estimate the offset of every channel's clock.
 
     Parameters
@@ -49,7 +54,9 @@ def offsets(eigenvalues: Complexes, shapes: Complexes, participations: Complexes
     shapes : array of complex, shape (modes, channels)
     participations : array of complex, shape (modes,), optional
         What turns each shape into a residue that is real for a real mode and clocks that agree; the input's
-        clock is then the reference.
+        clock is then estimated as well.
+    reference : int, optional
+        The clock to count from; the one nearest to all the others where None.
 
     Returns
     -------
@@ -68,7 +75,9 @@ def offsets(eigenvalues: Complexes, shapes: Complexes, participations: Complexes
     before = np.array([_angle(column, np.zeros(len(omega))) for column in phasors.T])
     if participations is not None:
         seconds, left, before = np.append(seconds, 0.0), np.append(left, 0.0), np.append(before, 0.0)
-    return Offsets(seconds - np.median(seconds), left, before)
+    if reference is None:
+        reference = int(np.argmin(np.sum(np.abs(seconds[:, None] - seconds[None, :]), axis=1)))
+    return Offsets(seconds - seconds[reference], left, before, reference)
 
 
 def undone(eigenvalues: Complexes, shapes: Complexes, seconds: Floats) -> Complexes:

@@ -69,6 +69,7 @@ def modal_findings(
 def clock_findings(result: ModalResult, full: Details) -> list[Finding]:
     """Clocks whose phase grows linearly with frequency, by more than the data's scatter."""
     highest = 2 * np.pi * float(full.frequencies.max())
+    names = list(result.clock_offsets)
     found = []
     for (name, (late, std)), left, before in zip(
         result.clock_offsets.items(), full.clocks.unexplained, full.clocks.before, strict=False
@@ -76,13 +77,17 @@ def clock_findings(result: ModalResult, full: Details) -> list[Finding]:
         turn = float(np.degrees(highest * abs(late)))
         if len(full.frequencies) < 2 or turn < LEAST_TURN or abs(late) < SIGNIFICANT * std:
             continue
-        # The median clock is the reference; a channel whose own phases are straight is not at fault.
+        phases = (
+            f"; phases of {before:.1f} degrees before, {left:.1f} after a straight line over frequency"
+            if name != "input"
+            else ""
+        )
         found.append(
             Finding(
                 "clock offset",
                 f'the clock of "{name}" is {abs(late) * 1e3:.2f} ms {"late" if late > 0 else "early"} '
-                f"(std {std * 1e3:.2f} ms) against the median of all: a phase of {turn:.1f} degrees at the highest "
-                f"mode; phases of {before:.1f} degrees before, {left:.1f} after a straight line over frequency",
+                f"(std {std * 1e3:.2f} ms) against that of \"{names[full.clocks.reference]}\": a phase of {turn:.1f} "
+                f"degrees at the highest mode{phases}",
                 {"channel": name, "seconds": late, "std": std, "turn_degrees": turn, "left_degrees": left},
             )
         )

@@ -15,7 +15,7 @@ from cvxshear.modal.picking import Sweep, Values, values_on
 from cvxshear.modal.realization import Impulse, Source
 from cvxshear.modal.record import Complexes
 from cvxshear.modal.residues import modal_products, modal_scale, participations, residues, unwrapped
-from cvxshear.modal.shapes import main_axis, real_shape
+from cvxshear.modal.shapes import main_axis, real_shape, signed_projection
 from cvxshear.typing import Bools, Floats, Ints
 
 SURROGATES = 20
@@ -99,10 +99,18 @@ def details(setting: Setting, values: Values, keep: Bools | None, reference: Det
     """What the poles and shapes say, with the residues of the data kept."""
     products, driven = _products(setting, values, keep)
     turned = None if products is None else participations(products, values.shapes)
-    clocks = offsets(values.eigenvalues, values.shapes, turned)
+    clocks = offsets(
+        values.eigenvalues, values.shapes, turned, None if reference is None else reference.clocks.reference
+    )
     straight = undone(values.eigenvalues, values.shapes, clocks.seconds)
     shapes = np.array([main_axis(shape) for shape in straight])
-    real = np.array([real_shape(shape, setting.rule) for shape in straight])
+    # A projection is taken of what was recorded, offsets and all; its signs still are those of true clocks.
+    real = np.array(
+        [
+            real_shape(shape) if setting.rule == "magnitude" else signed_projection(raw, shape)
+            for raw, shape in zip(values.shapes, straight, strict=True)
+        ]
+    )
     places = np.argmax(np.abs(real if reference is None else reference.real), axis=1)
     real = real / real[np.arange(len(real)), places][:, None]
     scales = None

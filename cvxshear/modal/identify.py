@@ -11,6 +11,7 @@ from cvxshear.errors import NoSolutionError
 from cvxshear.modal import diagnostics
 from cvxshear.modal.channels import channel_findings, without_dead
 from cvxshear.modal.estimate import Details, Setting, covariance, details
+from cvxshear.modal.leakage import settle_truncation
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.picking import Sweep, Values, sweep_orders
 from cvxshear.modal.prepare import BLOCKS, default_method, source_of
@@ -94,6 +95,7 @@ def identify_modes(
         raise NoSolutionError(method, _nothing(sweep))
     base = not isinstance(record, FrfRecord) and record.input == "base"
     setting = Setting(source, sweep, record.floors, record.quantity, shift, rule, base)
+    findings += settle_truncation(record, setting, _chosen(sweep))
     full = details(setting, _chosen(sweep), None)
     spread, how, lost = covariance(setting, full, seed)
     result = _result(record, method, setting, full, spread, how)

@@ -74,7 +74,7 @@ def source_of(record: Record, method: str, *, estimator: str = "h1", blocks: int
         if record.band is not None:
             lines = min(lines, int(np.ceil(1.25 * record.band[1] / record.step)) + 1)
         spectra, samples = cut(spectra, lines)
-        return FrfSource(spectra, 2 * (lines - 1) * record.step, samples, estimator, wrapped=True)
+        return FrfSource(spectra, 2 * (lines - 1) * record.step, samples, estimator, wrapped=not record.truncated)
     if method == "era":
         return _decays(record) if record.input == "free_decay" else _hits(record, estimator)
     record = decimated(detrended(record))

@@ -252,6 +252,10 @@ class FrfRecord(_Recorded):
         One a driving point, or several repetitions of one.
     frequencies : array_like, shape (lines,)
         Hz, ascending by one step, starting at zero or at a whole multiple of the step.
+    truncated : bool, optional
+        Whether the functions were computed from responses cut off at the end of the window before they had
+        decayed (leakage), rather than being samples of the true functions. None: told from the phases of the
+        residues, where it matters.
 
     Raises
     ------
@@ -261,12 +265,15 @@ class FrfRecord(_Recorded):
 
     runs: tuple[FrfRun, ...] = ()
     frequencies: Floats = ()  # type: ignore[assignment]
+    truncated: bool | None = None
 
     def __post_init__(self) -> None:
         self._check_common()
         object.__setattr__(self, "runs", tuple(self.runs))
         frequencies = checks.vector(self.frequencies, "record: frequencies", least=0.0)
         object.__setattr__(self, "frequencies", frequencies)
+        if self.truncated is not None:
+            checks.flag(self.truncated, "record: truncated")
         if not self.runs:
             raise InputError("record: at least one run is needed")
         if len(frequencies) < FEWEST_LINES:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import nnls
 
-from cvxshear import checks
 from cvxshear.experiment import Experiment
 from cvxshear.formats.measurement import write_measurement
 from cvxshear.modal.findings import Finding
@@ -16,6 +16,8 @@ from cvxshear.modal.picking import Sweep
 from cvxshear.modal.record import Complexes
 from cvxshear.typing import Floats, Ints, Json
 
+DRAWN = 0.3
+"""Weight of equal variances against those that the covariance asks for."""
 LEAST_STD = 1e-6
 """Relative; no record is that good, and a zero would weigh infinitely."""
 
@@ -202,8 +204,8 @@ class ModalResult:
         declared = self.to_experiment(frame, priors=priors, added_mass=added_mass)
         Experiment.from_dict(declared, name=self.name)
         comments = [f"Modes of {self.name} by {self.method}; standard deviations: {self.uncertainty}"]
-        if self.needs_mass(dict(frame or {}), priors):
-            comments.append("no scale: total_mass = 1 stands for a mass nobody gave; masses and stiffnesses are relative")
+        if self.needs_mass(frame or {}, priors) and not any(finding.kind == "scale" for finding in self.findings):
+            comments.append("scale: total_mass = 1 stands for a mass nobody gave; masses and stiffnesses are relative")
         comments.extend(f"{finding.kind}: {finding.message}" for finding in self.findings)
         write_measurement(path, declared, comments)
 
@@ -225,21 +227,13 @@ def independent_std(covariance: Floats, shape: Floats) -> Floats:
     -------
     array, shape (n,)
     """
-    from scipy.optimize import nnls  # noqa: PLC0415
-
     off = np.eye(len(shape)) - np.outer(shape, shape) / (shape @ shape)
     seen = np.diag(off @ covariance @ off)
-    largest = float(seen.max())
-    if largest <= 0:
+    typical = float(seen.sum()) / max(1, len(shape) - 1)
+    if typical <= 0:
         return np.zeros(len(shape))
-    # The least-squares part keeps the system of full rank where entries cannot be told apart (two floors).
-    rows = np.vstack([off**2, 1e-3 * np.eye(len(shape))])
-    variances = nnls(rows, np.concatenate([seen / largest, np.full(len(shape), 1e-3)]))[0] * largest
-    return np.sqrt(np.maximum(variances, 0.01 * largest))
-
-
-def checked_frame(frame: object) -> Mapping[str, object]:
-    """The table `[frame]` that a record file passes on."""
-    return checks.keys(
-        frame, ["stories", "story_heights", "total_mass", "floor_masses", "gravity"], [], "frame"
-    )
+    # Drawn towards equal variances: the system is singular for two floors, and a covariance from a score of
+    # pieces is no better known than that.
+    rows = np.vstack([off**2, DRAWN * np.eye(len(shape))])
+    variances = nnls(rows, np.concatenate([seen / typical, np.full(len(shape), DRAWN)]))[0] * typical
+    return np.sqrt(np.maximum(variances, 0.1 * typical))

@@ -34,26 +34,38 @@ def main_axis(shape: Complexes) -> Complexes:
     return np.asarray(turned if largest.real > 0 else -turned)
 
 
-def real_shape(shape: Complexes, rule: str = "magnitude") -> Floats:
-    """The real normal mode of a complex shape.
+def real_shape(shape: Complexes) -> Floats:
+    """The real normal mode of a complex shape: moduli, with the sign of the real part on the main axis.
 
-    The shape is turned to its main axis. "magnitude": each entry is its modulus, with the sign of its real
-    part; a phase that a clock offset put there costs nothing. "projection": each entry is its real part, the
-    least-squares real shape.
+    A phase that a clock offset or damping put there costs a modulus nothing.
 
     Parameters
     ----------
     shape : array of complex, shape (n,)
-    rule : str, optional
 
     Returns
     -------
     array, shape (n,)
     """
     turned = main_axis(shape)
-    if rule == "projection":
-        return np.asarray(turned.real)
     return np.abs(turned) * np.where(turned.real < 0, -1.0, 1.0)
+
+
+def signed_projection(shape: Complexes, straight: Complexes) -> Floats:
+    """The least-squares real shape: the part on the main axis, with the signs that true clocks would show.
+
+    Parameters
+    ----------
+    shape : array of complex, shape (n,)
+        As recorded.
+    straight : array of complex, shape (n,)
+        Clock offsets undone.
+
+    Returns
+    -------
+    array, shape (n,)
+    """
+    return np.abs(main_axis(shape).real) * np.where(main_axis(straight).real < 0, -1.0, 1.0)
 
 
 def lost_phase(shape: Complexes) -> float:

@@ -51,13 +51,13 @@ def _scaled(rows: Floats, sides: Floats) -> tuple[Floats, Floats]:
 def _refuse_malformed(part: Statement, size: int) -> None:
     """Raise where a statement, perhaps from a prior of the caller's own, is not about a vector of that size."""
     said = part.constraints
-    shapes = {"lower": (size,), "upper": (size,), "G": (None, size), "h": (None,), "A": (None, size), "b": (None,)}
-    for name, shape in shapes.items():
+    for name in ("lower", "upper", "G", "h", "A", "b"):
         value = getattr(said, name)
         if value is None:
             continue
-        if np.ndim(value) != len(shape) or np.shape(value)[-1:] != shape[-1:] and shape[-1] is not None:
-            raise InputError(f"{part.name}: its {name} has the shape {np.shape(value)}, its last length must be {size}")
+        shape = np.shape(value)
+        if name not in {"h", "b"} and shape[-1:] != (size,):
+            raise InputError(f"{part.name}: its {name} has the shape {shape}, where the last length must be {size}")
         wrong = np.isnan(value) if name in {"lower", "upper"} else ~np.isfinite(value)
         if wrong.any():
             raise InputError(f"{part.name}: its {name} must hold finite numbers, not {np.asarray(value)[wrong][0]}")

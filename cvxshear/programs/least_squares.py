@@ -45,7 +45,7 @@ class LeastSquares:
     @property
     def unknowns(self) -> int:
         """Number of unknowns n."""
-        return self.R.shape[1]
+        return int(self.R.shape[1])
 
     @property
     def weighted(self) -> tuple[Floats, Floats]:

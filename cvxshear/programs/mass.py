@@ -26,7 +26,8 @@ def pair_products(columns: Floats, *, diagonal: bool = True) -> Floats:
 def normalized(shapes: Floats, M: Floats) -> Floats:
     """The columns scaled to phi_j' M phi_j = 1 (Eq. 3); M is a vector of masses or a full matrix."""
     heavy = M[:, None] * shapes if M.ndim == 1 else M @ shapes
-    return shapes / np.sqrt(np.sum(shapes * heavy, axis=0))
+    scaled: Floats = shapes / np.sqrt(np.sum(shapes * heavy, axis=0))
+    return scaled
 
 
 def mass_correction(shapes: Floats, floor_mass: Floats, total: float) -> LeastSquares:

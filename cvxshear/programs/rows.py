@@ -75,7 +75,9 @@ def _shared(program: LeastSquares) -> tuple[list[Floats], list[Floats], list[Flo
     return [program.G], [program.h], [A], [b]
 
 
-def softened(program: LeastSquares, priors: Sequence[Prior], quantity: str, at: Floats, row_std: float, *, step: bool) -> LeastSquares:
+def softened(
+    program: LeastSquares, priors: Sequence[Prior], quantity: str, at: Floats, row_std: float, *, step: bool
+) -> LeastSquares:
     """The program with the soft priors as further rows, linearised at the values `at`.
 
     Parameters

@@ -1,0 +1,174 @@
+"""The command line."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console, RenderableType
+
+from cvxshear.errors import CvxshearError, InputError, NoSolutionError
+from cvxshear.typing import Json
+
+app = typer.Typer(
+    name="cvxshear",
+    help="Floor masses and story stiffnesses of shear-type frames from measured modes, and what the shear model lacks.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+File = Annotated[
+    str, typer.Argument(help="A measurement file (TOML), or 'paper' for the built-in example.", metavar="FILE")
+]
+JsonOut = Annotated[
+    str | None,
+    typer.Option("--json", help="Write the result as JSON to this file, '-' for standard output.", metavar="OUT"),
+]
+BackendName = Annotated[
+    str, typer.Option("--backend", help="Which solver; 'cvxshear backends FILE' lists them.", metavar="NAME")
+]
+
+
+def show(parts: Iterable[RenderableType]) -> None:
+    """Print tables; plain and unwrapped where the output is not a terminal."""
+    console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=200, no_color=True)
+    for part in parts:
+        console.print(part)
+
+
+def deliver(result: Json, out: str | None, tables: Callable[[], Iterable[RenderableType]]) -> None:
+    """JSON alone on standard output for '-'; else tables for people, and JSON into a file where one is named."""
+    if out == "-":
+        typer.echo(to_json(result))
+        return
+    if out is not None:
+        write_whole(Path(out), to_json(result) + "\n")
+    show(tables())
+
+
+def to_json(result: Json) -> str:
+    """The result as JSON; nan cannot stand in JSON and has no place in a result."""
+    return json.dumps(result, indent=2, allow_nan=False, ensure_ascii=False)
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file in one piece: a reader sees the old one or the new one, never half of it."""
+    beside = path.with_name(path.name + ".part")
+    try:
+        beside.write_text(text, encoding="utf-8")
+        beside.replace(path)
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror}") from None
+
+
+@app.command()
+def identify(
+    file: File,
+    method: Annotated[str, typer.Option(help="efficient, two-stage, one-shot, berman or qi.")] = "efficient",
+    backend: BackendName = "auto",
+    initial_mass: Annotated[
+        str | None,
+        typer.Option(help="Where the mass iteration starts, kg, such as 9.5,7.5,5.5 (two-stage, berman, qi)."),
+    ] = None,
+    out: JsonOut = None,
+) -> None:
+    """Identify floor masses and story stiffnesses.
+
+    Example: cvxshear identify paper --method two-stage
+    """
+    # The solvers load slowly, and help needs none of them.
+    from cvxshear import identify as run  # noqa: PLC0415
+    from cvxshear import load  # noqa: PLC0415
+    from cvxshear.report import terminal  # noqa: PLC0415
+
+    if initial_mass is not None and method == "efficient":
+        method = "two-stage"
+    result = run(load(file), method=method, backend=backend, initial_mass=_numbers(initial_mass))
+    deliver(result.to_dict(), out, lambda: terminal.identification(result))
+
+
+def _numbers(text: str | None) -> list[float] | None:
+    """The numbers of a comma-separated option."""
+    if text is None:
+        return None
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise InputError(
+            f"--initial-mass must be numbers with commas between, such as 9.5,7.5,5.5, not {text!r}"
+        ) from None
+
+
+@app.command()
+def loop(
+    file: File,
+    effects: Annotated[
+        str | None, typer.Option(help="Which effects to look for, commas between; all where not given.")
+    ] = None,
+    assume: Annotated[
+        str | None, typer.Option(help="Effects that are in the model from the start, such as gravity.")
+    ] = None,
+    backend: BackendName = "auto",
+    out: JsonOut = None,
+) -> None:
+    """Find the physical effect that the shear model lacks, and report the error before and after.
+
+    Example: cvxshear loop paper
+    """
+    from cvxshear import close_loop, load  # noqa: PLC0415
+    from cvxshear.report import loop_terminal  # noqa: PLC0415
+
+    result = close_loop(load(file), effects=_names(effects), assume=_names(assume) or (), backend=backend)
+    deliver(result.to_dict(), out, lambda: loop_terminal.closure(result))
+
+
+def _names(text: str | None) -> list[str] | None:
+    return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
+
+
+@app.command()
+def backends(file: File, out: JsonOut = None) -> None:
+    """Solve the same programs with every installed backend, and compare them to the closed form.
+
+    Example: cvxshear backends paper
+    """
+    from cvxshear import compare_backends, load  # noqa: PLC0415
+    from cvxshear.report import terminal  # noqa: PLC0415
+
+    result = compare_backends(load(file))
+    deliver(result.to_dict(), out, lambda: terminal.comparison(result))
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line; 0 done, 1 no solution, 2 bad input, and no traceback for either."""
+    status: Any = 0
+    try:
+        status = app(args=arguments, standalone_mode=False)
+    except NoSolutionError as error:
+        _complain(error)
+        status = 1
+    except CvxshearError as error:
+        _complain(error)
+        status = 2
+    except typer.Abort:
+        status = 130
+    except Exception as error:
+        # Typer's own complaints about options know how to show themselves.
+        if not hasattr(error, "show") or not hasattr(error, "exit_code"):
+            raise
+        error.show()
+        status = error.exit_code
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _complain(error: CvxshearError) -> None:
+    sys.stderr.write(f"cvxshear: {error}\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,108 @@
+"""Tables of named columns, whatever file they came from, and the checks that name a column and a line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear import checks
+from cvxshear.errors import InputError
+from cvxshear.typing import Floats, Ints
+
+FEWEST_ROWS = 32
+UNEVEN = 0.25
+"""Of the median step: a step further off than that is a gap, a repetition or another rate."""
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Columns of equal length.
+
+    Parameters
+    ----------
+    source : str
+        The file, for messages.
+    names : tuple of str
+    values : array, shape (rows, columns)
+    lines : array of int, shape (rows,), optional
+        The line of the file that each row stands on; None for a binary file.
+    """
+
+    source: str
+    names: tuple[str, ...]
+    values: Floats
+    lines: Ints | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.values) < FEWEST_ROWS:
+            raise InputError(f"{self.source} holds {len(self.values)} samples; at least {FEWEST_ROWS} are needed")
+        for place, name in enumerate(self.names):
+            if name in self.names[:place]:
+                raise InputError(f'{self.source} has two columns named "{name}"')
+
+    def at(self, row: int) -> str:
+        """The place of a row as a person would name it."""
+        if self.lines is None:
+            return f"{self.source}, sample {row + 1}"
+        return f"{self.source}, line {int(self.lines[row])}"
+
+    def column(self, name: str, asked: str) -> Floats:
+        """The values of a column, once they are known to be finite, shape (rows,).
+
+        Parameters
+        ----------
+        name : str
+        asked : str
+            Who asks for it, for messages.
+        """
+        if name not in self.names:
+            shown = ", ".join(self.names[:12]) + (", ..." if len(self.names) > 12 else "")
+            raise InputError(f'{asked}: {self.source} has no column "{name}"; it has {shown}')
+        values = self.values[:, self.names.index(name)]
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise InputError(
+                f'{self.at(int(bad[0]))}: channel "{name}" holds {values[bad[0]]} ({bad.size} such values in all); '
+                "mend the record or cut it before that line"
+            )
+        return checks.frozen(values.copy())
+
+
+def sampling_rate_of(time: Floats, columns: Columns, name: str) -> float:
+    """The sampling rate that a time column shows, Hz.
+
+    Raises
+    ------
+    InputError
+        Where the column does not ascend, has a gap, or changes its step, naming the line.
+    """
+    steps = np.diff(time)
+    step = float(np.median(steps))
+    if step <= 0:
+        raise InputError(f'{columns.source}: column "{name}" must ascend; its median step is {step:g} s')
+    odd = np.flatnonzero(np.abs(steps - step) > UNEVEN * step)
+    if odd.size:
+        _refuse_uneven(steps, step, odd, columns, name)
+    return float((len(time) - 1) / (time[-1] - time[0]))
+
+
+def _refuse_uneven(steps: Floats, step: float, odd: Ints, columns: Columns, name: str) -> None:
+    first = int(odd[0])
+    if steps[first] <= 0:
+        raise InputError(
+            f'{columns.at(first + 1)}: channel "{name}" goes back, or stands still, by {steps[first]:g} s after the '
+            "sample before"
+        )
+    # A handful of odd steps are gaps; a fifth of all, each like the next, are a second rate.
+    others = float(np.median(steps[odd]))
+    alike = np.mean(np.abs(steps[odd] - others) < UNEVEN * others)
+    if odd.size > 0.1 * len(steps) and alike > 0.9:
+        raise InputError(
+            f'{columns.at(first + 1)}: channel "{name}" has two sampling rates, {1 / step:.6g} Hz and '
+            f"{1 / others:.6g} Hz from here; hand in the stretches as separate records or resample them to one rate"
+        )
+    raise InputError(
+        f'{columns.at(first + 1)}: channel "{name}" has a gap of {steps[first]:g} s where the step is {step:g} s '
+        f"({odd.size} uneven steps in all); hand in what lies before and after as two runs"
+    )

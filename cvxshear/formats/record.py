@@ -1,0 +1,341 @@
+"""The record file: a small TOML text that says which column of which file is which floor, and what drove it.
+
+    [record]
+    kind = "time"                 # or "frf"
+    input = "base"                # "none" (ambient), "free_decay", "force", "base"; frf: always a force
+    file = "test.csv"             # .csv, .txt, .mat, .uff, .unv; or [[run]] tables
+    sampling_rate = 120.0         # Hz; follows from the time column where there is one
+
+    [[channel]]
+    column = "floor1_x"
+    floor = 1                     # 0 is the ground: with input = "base" its channel is the input
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cvxshear import checks
+from cvxshear.errors import InputError
+from cvxshear.experiment import MOST_STORIES
+from cvxshear.formats.columns import Columns, sampling_rate_of
+from cvxshear.formats.csv import read_csv
+from cvxshear.formats.mat import read_mat
+from cvxshear.formats.toml import parse, read_text
+from cvxshear.formats.uff import read_uff
+from cvxshear.modal.record import INPUTS, QUANTITIES, Channel, FrfRecord, FrfRun, Record, Run, TimeRecord
+from cvxshear.typing import Floats
+
+RECORD_KEYS = (
+    "name",
+    "kind",
+    "input",
+    "input_floor",
+    "file",
+    "sampling_rate",
+    "time",
+    "frequency",
+    "axis",
+    "stories",
+    "quantity",
+    "band",
+    "exponential_window",
+    "truncated",
+)
+CHANNEL_KEYS = ("column", "floor", "axis", "sign", "calibration", "quantity")
+RUN_KEYS = ("file", "name", "input_floor")
+PASSED_ON = ("frame", "prior", "added_mass")
+TIME_NAMES = ("time", "time_s", "t", "t_s", "Time", "TIME", "seconds")
+FREQUENCY_NAMES = ("frequency", "frequency_hz", "freq", "f", "f_hz", "Frequency", "hz")
+READERS = {".mat": read_mat, ".uff": lambda path: read_uff(path)[0], ".unv": lambda path: read_uff(path)[0]}
+
+
+@dataclass(frozen=True)
+class Declared:
+    """One channel as the record file declares it."""
+
+    column: str
+    floor: int
+    axis: str
+    factor: float
+    quantity: str
+    place: str
+
+
+@dataclass(frozen=True, eq=False)
+class RecordFile:
+    """A record, and what its file says of the frame besides.
+
+    Parameters
+    ----------
+    record : TimeRecord or FrfRecord
+    frame : dict
+        The table `[frame]`, for the measurement file.
+    priors : list of dict
+        The tables `[[prior]]`, for the measurement file.
+    added_mass : list of float, optional
+        kg on each floor during the record.
+    """
+
+    record: Record
+    frame: Mapping[str, object] = field(default_factory=dict)
+    priors: Sequence[Mapping[str, object]] = ()
+    added_mass: Sequence[float] | None = None
+
+
+def read_record(path: str | Path) -> RecordFile:
+    """Read a record file and the files it names.
+
+    Parameters
+    ----------
+    path : str or Path
+        Of the TOML text; the files it names are looked for beside it.
+
+    Returns
+    -------
+    RecordFile
+
+    Raises
+    ------
+    InputError
+        Naming the file, and the key or the channel and the line, and what would be right.
+    """
+    path = Path(path)
+    text = read_text(path)
+    table = checks.keys(parse(text, path), ["record", "channel", "run", *PASSED_ON], ["record", "channel"], str(path))
+    try:
+        record = _record(table, path, _lines_of(text, "channel"))
+    except InputError as error:
+        message = str(error)
+        raise type(error)(message if message.startswith(str(path.parent)) else f"{path}: {message}") from error
+    frame = table.get("frame", {})
+    priors = table.get("prior", [])
+    if not isinstance(frame, Mapping) or not isinstance(priors, list):
+        raise InputError(f"{path}: frame must be a table [frame], prior a list of tables [[prior]]")
+    added = table.get("added_mass")
+    if added is not None:
+        added = checks.vector(added, f"{path}: added_mass", least=0.0).tolist()
+    return RecordFile(record, frame, priors, added)
+
+
+def _record(table: Mapping[str, Any], path: Path, lines: list[int]) -> Record:
+    declared = checks.keys(table["record"], RECORD_KEYS, [], "record")
+    kind = checks.choice(declared.get("kind", "time"), ("time", "frf"), "record: kind")
+    channels = _channels(table["channel"], declared, path, lines)
+    common = {
+        "stories": declared.get("stories", 0),
+        "quantity": declared.get("quantity", "acceleration"),
+        "band": declared.get("band"),
+        "exponential_window": declared.get("exponential_window"),
+        "name": checks.text(declared.get("name", path.stem), "record: name"),
+    }
+    runs = _runs(table, declared)
+    if kind == "frf":
+        return _frf_record(declared, channels, runs, common, path)
+    return _time_record(declared, channels, runs, common, path)
+
+
+def _channels(tables: object, declared: Mapping[str, Any], path: Path, lines: list[int]) -> list[Declared]:
+    if not isinstance(tables, list) or not tables:
+        raise InputError("channel must be a list of tables, one [[channel]] a column")
+    found = []
+    for place, item in enumerate(tables, 1):
+        line = lines[place - 1] if place <= len(lines) else 0
+        where = f"line {line}, channel {place}" if line else f"channel {place}"
+        one = checks.keys(item, CHANNEL_KEYS, ["column"], where)
+        column = checks.text(one["column"], f"{where}: column")
+        where = f'{where} ("{column}")'
+        quantity = checks.choice(
+            one.get("quantity", declared.get("quantity", "acceleration")), ("force", *QUANTITIES), f"{where}: quantity"
+        )
+        if quantity != "force" and "floor" not in one:
+            raise InputError(f"{where}: the key 'floor' is missing (0 for the ground)")
+        sign = one.get("sign", 1)
+        if sign not in (1, -1) or isinstance(sign, bool):
+            raise InputError(f"{where}: sign must be 1 or -1, not {checks.shown(sign)}")
+        factor = sign * checks.number(one.get("calibration", 1.0), f"{where}: calibration", above=0.0)
+        floor = checks.whole(one.get("floor", 0), f"{where}: floor", least=0, most=MOST_STORIES)
+        axis = checks.text(one.get("axis", "x"), f"{where}: axis")
+        found.append(Declared(column, floor, axis, factor, quantity, f"line {line} of {path.name}" if line else ""))
+    _refuse_twice(found)
+    axes = {item.axis for item in found if item.quantity != "force"}
+    wanted = declared.get("axis")
+    if wanted is None and len(axes) > 1:
+        raise InputError(f"the channels point along {', '.join(sorted(axes))}; say which with record: axis")
+    if wanted is not None and wanted not in axes:
+        raise InputError(f"record: axis = {checks.shown(wanted)}, but the channels point along {', '.join(sorted(axes))}")
+    return [item for item in found if item.quantity == "force" or wanted is None or item.axis == wanted]
+
+
+def _refuse_twice(found: list[Declared]) -> None:
+    for place, item in enumerate(found):
+        for other in found[:place]:
+            if other.column == item.column:
+                raise InputError(f'{item.place}: channel "{item.column}" was declared before, in {other.place}')
+            if item.quantity != "force" and (other.floor, other.axis, other.quantity) == (
+                item.floor,
+                item.axis,
+                item.quantity,
+            ):
+                raise InputError(
+                    f'{item.place}: channel "{item.column}" is on floor {item.floor} along {item.axis}, where channel '
+                    f'"{other.column}" ({other.place}) is already; are two channels swapped or one floor mistyped?'
+                )
+
+
+def _runs(table: Mapping[str, Any], declared: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    if "run" in table:
+        if "file" in declared:
+            raise InputError("give either record: file, or [[run]] tables, not both")
+        if not isinstance(table["run"], list) or not table["run"]:
+            raise InputError("run must be a list of tables, one [[run]] a file")
+        return [checks.keys(item, RUN_KEYS, ["file"], f"run {place}") for place, item in enumerate(table["run"], 1)]
+    if "file" not in declared:
+        raise InputError("record: the key 'file' is missing (or [[run]] tables, each with its file)")
+    return [{"file": declared["file"]}]
+
+
+def _read(run: Mapping[str, Any], path: Path, place: int) -> Columns:
+    name = checks.text(run["file"], f"run {place}: file")
+    file = path.parent / name
+    return READERS.get(file.suffix.lower(), read_csv)(file)
+
+
+def _time_record(
+    declared: Mapping[str, Any],
+    channels: list[Declared],
+    runs: list[Mapping[str, Any]],
+    common: Mapping[str, Any],
+    path: Path,
+) -> TimeRecord:
+    kind = checks.choice(declared.get("input", "none"), INPUTS, "record: input")
+    driver = _driver(channels, kind)
+    responses = [item for item in channels if item is not driver and item.floor > 0 and item.quantity != "force"]
+    quantities = {item.quantity for item in responses}
+    if len(quantities) > 1:
+        raise InputError(f"the responses are {' and '.join(sorted(quantities))}; a record holds one quantity")
+    rates: list[tuple[float, str]] = []
+    made = []
+    for place, run in enumerate(runs, 1):
+        columns = _read(run, path, place)
+        rates.append((_rate(declared, columns), columns.source))
+        excitation = None
+        if driver is not None:
+            excitation = driver.factor * columns.column(driver.column, driver.place or path.name)
+        floor = run.get("input_floor", declared.get("input_floor", driver.floor if driver else 0))
+        if kind == "force" and not floor:
+            raise InputError(f"run {place}: the key 'input_floor' is missing: which floor does the force act on?")
+        made.append(Run(_table(columns, responses, path), excitation, floor, run.get("name", Path(run["file"]).name)))
+    _refuse_two_rates(rates)
+    quantity = quantities.pop() if quantities else common["quantity"]
+    return TimeRecord(
+        _made(responses), **{**common, "quantity": quantity}, runs=tuple(made), sampling_rate=rates[0][0], input=kind
+    )
+
+
+def _made(responses: list[Declared]) -> tuple[Channel, ...]:
+    return tuple(Channel(item.column, item.floor, item.axis, item.place) for item in responses)
+
+
+def _driver(channels: list[Declared], kind: str) -> Declared | None:
+    """The channel that measures the input."""
+    ground = [item for item in channels if item.floor == 0 and item.quantity != "force"]
+    forces = [item for item in channels if item.quantity == "force"]
+    if kind == "base":
+        if len(ground) != 1:
+            raise InputError(f'input = "base" needs one channel on the ground (floor = 0), there are {len(ground)}')
+        if ground[0].quantity != "acceleration":
+            raise InputError(f'channel "{ground[0].column}": the base input must be an acceleration')
+        return ground[0]
+    if kind == "force":
+        if len(forces) != 1:
+            raise InputError(f'input = "force" needs one channel with quantity = "force", there are {len(forces)}')
+        return forces[0]
+    return None
+
+
+def _table(columns: Columns, responses: list[Declared], path: Path) -> Floats:
+    if not responses:
+        raise InputError("no channel is on a floor above the ground")
+    return np.column_stack(
+        [item.factor * columns.column(item.column, item.place or path.name) for item in responses]
+    )
+
+
+def _rate(declared: Mapping[str, Any], columns: Columns) -> float:
+    """The sampling rate, from the time column, from the declaration, or from both where they agree."""
+    name = declared.get("time") or next((item for item in TIME_NAMES if item in columns.names), None)
+    said = declared.get("sampling_rate")
+    if said is not None:
+        said = checks.number(said, "record: sampling_rate", above=0.0)
+    if name is None:
+        if said is None:
+            raise InputError(
+                f"record: give sampling_rate, in Hz, or time, the name of the time column of {columns.source}"
+            )
+        return said
+    rate = sampling_rate_of(columns.column(name, "record: time"), columns, name)
+    if said is not None:
+        if abs(rate - said) > 0.01 * said:
+            raise InputError(
+                f'record: sampling_rate = {said:g} Hz, but column "{name}" of {columns.source} ticks at {rate:.6g} Hz'
+            )
+        return said
+    return rate
+
+
+def _refuse_two_rates(rates: list[tuple[float, str]]) -> None:
+    for rate, source in rates[1:]:
+        if abs(rate - rates[0][0]) > 1e-3 * rates[0][0]:
+            raise InputError(
+                f"{source} is sampled at {rate:.6g} Hz, {rates[0][1]} at {rates[0][0]:.6g} Hz: two sampling rates in one "
+                "record; resample one of them"
+            )
+
+
+def _frf_record(
+    declared: Mapping[str, Any],
+    channels: list[Declared],
+    runs: list[Mapping[str, Any]],
+    common: Mapping[str, Any],
+    path: Path,
+) -> FrfRecord:
+    if declared.get("input", "force") != "force":
+        raise InputError('record: frequency response functions have input = "force"')
+    made, axes = [], []
+    for place, run in enumerate(runs, 1):
+        columns = _read(run, path, place)
+        name = declared.get("frequency") or next((item for item in FREQUENCY_NAMES if item in columns.names), None)
+        if name is None:
+            raise InputError(f"record: give frequency, the name of the frequency column of {columns.source}")
+        axes.append((columns.column(name, "record: frequency"), columns.source))
+        floor = run.get("input_floor", declared.get("input_floor"))
+        if floor is None:
+            raise InputError(f"run {place}: the key 'input_floor' is missing: which floor does the force act on?")
+        responses = np.column_stack([_complex(columns, item, path) for item in channels])
+        made.append(FrfRun(responses, floor, run.get("name", Path(run["file"]).name)))
+    for axis, source in axes[1:]:
+        if axis.shape != axes[0][0].shape or not np.allclose(axis, axes[0][0], rtol=1e-6):
+            raise InputError(f"{source} and {axes[0][1]} have different frequency lines; one record, one frequency axis")
+    return FrfRecord(
+        _made(channels), **common, runs=tuple(made), frequencies=axes[0][0], truncated=declared.get("truncated")
+    )
+
+
+def _complex(columns: Columns, item: Declared, path: Path) -> Any:
+    asked = item.place or path.name
+    real, imaginary = f"{item.column}_re", f"{item.column}_im"
+    return item.factor * (columns.column(real, asked) + 1j * columns.column(imaginary, asked))
+
+
+def _lines_of(text: str, table: str) -> list[int]:
+    """The line of each `[[table]]` header."""
+    pattern = re.compile(rf"^\s*\[\[\s*{table}\s*\]\]")
+    return [number for number, line in enumerate(text.splitlines(), 1) if pattern.match(line)]
+
