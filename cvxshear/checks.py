@@ -42,7 +42,7 @@ def shown(value: object) -> str:
         text = _short.repr(value)
     except ValueError:
         # Python refuses to print whole numbers of more than a few thousand digits.
-        text = f"a {type(value).__name__} too long to print"
+        text = "a number too long to print"
     return text if len(text) <= 60 else text[:57] + "..."
 
 
@@ -87,7 +87,7 @@ def number(value: object, where: str, *, above: float = -math.inf, least: float 
     try:
         result = float(value)
     except OverflowError:
-        result = math.copysign(LARGEST * 10, value)
+        result = LARGEST * 10 if value > 0 else -LARGEST * 10
     if not math.isfinite(result):
         raise InputError(f"{where} must be a finite number, not {shown(value)}")
     if result <= above:

@@ -34,7 +34,9 @@ def _no_ints() -> Ints:
 
 def _absent(value: object) -> bool:
     """Whether a value stands for "not given", which the default factories spell as an empty array."""
-    return value is None or (value.size == 0 if isinstance(value, np.ndarray) else value in ([], ()))
+    if isinstance(value, np.ndarray):
+        return value.size == 0
+    return value is None or (isinstance(value, list | tuple) and not value)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,10 +13,10 @@ from cvxshear.experiment import Configuration, Experiment
 from cvxshear.frame import System
 from cvxshear.typing import Floats, Json
 
-STAGES = ("story", "elastic", "flexibility", "spring", "mass", "gravity", "shape")
+STAGES = ("story", "elastic", "flexibility", "spring", "mass", "gravity", "inertia", "shape")
 """The order in which effects act on a configuration, whatever the order they were named in: story stiffnesses,
-the elastic frame made of them, what adds flexibility, what adds springs, masses, the weight of those masses,
-and what the sensors make of the shapes."""
+the elastic frame made of them, what adds flexibility, what adds springs, masses, the weight of those masses, how
+masses are coupled, and what the sensors make of the shapes."""
 
 
 @dataclass(frozen=True)

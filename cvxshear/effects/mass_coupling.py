@@ -12,7 +12,8 @@ class MassCoupling(Effect):
     """The columns' mass mu a story, consistent (13/35, 9/70) in place of lumped (1/2, 0).
 
     Each story's columns give mu (13/35 - 1/2) to the diagonal at either end and mu 9/70 between the two; the
-    floor masses stay what they are, with half the columns of each adjoining story lumped into them.
+    floor masses stay what they are, with half the columns of each adjoining story lumped into them. The weight
+    above a story is that of the lumped masses, so gravity acts before.
     """
 
     name = "mass_coupling"
@@ -21,7 +22,7 @@ class MassCoupling(Effect):
     )
     formula = "M + mu sum over stories of [[13/35 - 1/2, 9/70], [9/70, 13/35 - 1/2]]"
     source = "consistent mass matrix of a Bernoulli beam in sway, Archer 1963"
-    stage = "mass"
+    stage = "inertia"
     parameters = (Parameter("mu", "kg", lower=0.0),)
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:

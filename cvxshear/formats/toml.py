@@ -22,7 +22,7 @@ def load(path: str | Path) -> Experiment:
     ----------
     path : str or Path
         A TOML file, or "paper" for the published two-story test frame in three configurations. A file of
-        that name in the current folder is reached as "./paper".
+        that name in the current folder is reached as "./paper", or as a Path.
 
     Returns
     -------
@@ -33,7 +33,7 @@ def load(path: str | Path) -> Experiment:
     InputError
         Naming the file, and the key, the value found and what would be right.
     """
-    if str(path) == "paper":
+    if path == "paper":
         text = resources.files("cvxshear").joinpath("paper", "paper.toml").read_text(encoding="utf-8")
         return Experiment.from_dict(tomllib.loads(text), name="paper")
     if not isinstance(path, str | os.PathLike):

@@ -15,7 +15,7 @@ from cvxshear.identify.efficient import efficient, parameter_names
 from cvxshear.identify.one_shot import one_shot
 from cvxshear.identify.results import Identification, Part
 from cvxshear.identify.separate import Setting, setting
-from cvxshear.identify.two_stage import two_stage
+from cvxshear.identify.two_stage import TOLERANCE, two_stage
 from cvxshear.priors import Prior
 from cvxshear.typing import Floats
 
@@ -28,6 +28,7 @@ def identify(
     backend: str | Backend = "auto",
     priors: Sequence[Prior] = (),
     initial_mass: Sequence[float] | Floats | None = None,
+    tolerance: float = TOLERANCE,
 ) -> Identification:
     """Identify the floor masses and story stiffnesses of a frame.
 
@@ -44,6 +45,8 @@ def identify(
         Besides those of the experiment.
     initial_mass : array_like, shape (N,), optional
         Where the mass iteration starts, kg without added mass (two-stage, berman, qi).
+    tolerance : float, optional
+        e of Eq. 15, at which the mass iteration stops (two-stage).
 
     Returns
     -------
@@ -61,6 +64,7 @@ def identify(
     checks.choice(method, METHODS, "method")
     experiment = experiment.with_priors(tuple(priors))
     solver = backends.get(backend)
+    checks.number(tolerance, "tolerance", above=0.0)
     start = None
     if initial_mass is not None:
         if method in ("efficient", "one-shot"):
@@ -79,10 +83,14 @@ def identify(
             undetermined=estimate.uncertainty.null_directions,
         )
     settings = [setting(experiment, each, method) for each in experiment.configurations]
-    return Identification(experiment, method, solver.name, tuple(_part(method, of, solver, start) for of in settings))
+    return Identification(
+        experiment, method, solver.name, tuple(_part(method, of, solver, start, tolerance) for of in settings)
+    )
 
 
-def _part(method: str, of: Setting, solver: Backend, start: Floats | None) -> Part:
+def _part(method: str, of: Setting, solver: Backend, start: Floats | None, tolerance: float) -> Part:
     if method == "one-shot":
         return one_shot(of, solver)
-    return {"two-stage": two_stage, "berman": berman, "qi": qi}[method](of, solver, start)
+    if method == "two-stage":
+        return two_stage(of, solver, start, tolerance)
+    return {"berman": berman, "qi": qi}[method](of, solver, start)

@@ -67,9 +67,9 @@ def _uniform(experiment: Experiment, taper: float) -> Floats:
 def _guessed_total(experiment: Experiment) -> float:
     """A total mass where none is declared: that of the scaled shapes, else the added mass itself."""
     for each in experiment.configurations:
-        if each.mass_normalized:
-            largest = np.nanmax(each.mode_shapes**2, axis=1)
-            return float(experiment.stories / np.mean(largest))
+        if each.mass_normalized and each.measured.any():
+            known = each.mode_shapes[each.measured.any(axis=1)]
+            return float(experiment.stories / np.mean(np.nanmax(known**2, axis=1)))
     return float(np.max([each.added_mass.sum() for each in experiment.configurations])) or 1.0
 
 

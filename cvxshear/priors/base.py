@@ -76,10 +76,8 @@ class Prior(ABC):
             return
         taken = Prior.kinds.get(kind)
         # The same class may come again: a notebook cell run twice, a dataclass with slots.
-        if taken is not None and (taken.__module__, taken.__qualname__) != (cls.__module__, cls.__qualname__):
-            raise InputError(
-                f"the prior kind {kind!r} is already {taken.__qualname__}'s; give {cls.__qualname__} another"
-            )
+        if taken is not None and (taken.__module__, taken.__name__) != (cls.__module__, cls.__name__):
+            raise InputError(f"the prior kind {kind!r} is already {taken.__name__}'s; give {cls.__name__} another")
         Prior.kinds[kind] = cls
 
     @staticmethod
@@ -102,7 +100,7 @@ class Prior(ABC):
             raise InputError(f"the key 'kind' is missing; it is one of {', '.join(Prior.kinds)}")
         cls = Prior.kinds[checks.choice(declared["kind"], list(Prior.kinds), "kind")]
         if not dataclasses.is_dataclass(cls):
-            raise InputError(f"the {cls.kind} prior cannot be named in a file: {cls.__qualname__} is not a dataclass")
+            raise InputError(f"the {cls.kind} prior cannot be named in a file: {cls.__name__} is not a dataclass")
         fields = [field for field in dataclasses.fields(cls) if field.init and field.name != "kind"]
         required = [
             field.name

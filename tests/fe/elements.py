@@ -6,8 +6,9 @@ matrix is a Gauss-Legendre sum of their derivatives, so that a coefficient such 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -41,7 +42,6 @@ class Section:
     line_mass: float = 0.0
 
 
-@lru_cache(maxsize=None)
 def hermite(length: float) -> tuple[Polynomial, ...]:
     """The four cubics on [0, length] of unit displacement or slope at one end and none of the other three."""
     ends = []
@@ -51,8 +51,10 @@ def hermite(length: float) -> tuple[Polynomial, ...]:
     return tuple(Polynomial(column) for column in np.linalg.inv(np.array(ends)).T)
 
 
-def integral(shapes: tuple[Polynomial, ...], order: int, length: float) -> Floats:
-    """The integrals over the element of all products of the shapes' derivatives of this order."""
+@cache
+def integral(family: Callable[[float], tuple[Polynomial, ...]], order: int, length: float) -> Floats:
+    """The integrals over the element of all products of the derivatives of this order of a family of shapes."""
+    shapes = family(length)
     x = 0.5 * length * (POINTS + 1.0)
     values = np.array([shape.deriv(order)(x) if order else shape(x) for shape in shapes])
     return (values * WEIGHTS * 0.5 * length) @ values.T
@@ -61,23 +63,23 @@ def integral(shapes: tuple[Polynomial, ...], order: int, length: float) -> Float
 def stiffness(section: Section, length: float) -> Floats:
     """Elastic stiffness in the element's own axes, shape (6, 6)."""
     K = np.zeros((6, 6))
-    K[np.ix_(ACROSS, ACROSS)] = section.bending * integral(hermite(length), 2, length)
-    K[np.ix_(ALONG, ALONG)] = section.axial * integral(linear(length), 1, length)
+    K[np.ix_(ACROSS, ACROSS)] = section.bending * integral(hermite, 2, length)
+    K[np.ix_(ALONG, ALONG)] = section.axial * integral(linear, 1, length)
     return K
 
 
 def consistent_mass(section: Section, length: float) -> Floats:
     """Consistent mass in the element's own axes, shape (6, 6)."""
     M = np.zeros((6, 6))
-    M[np.ix_(ACROSS, ACROSS)] = section.line_mass * integral(hermite(length), 0, length)
-    M[np.ix_(ALONG, ALONG)] = section.line_mass * integral(linear(length), 0, length)
+    M[np.ix_(ACROSS, ACROSS)] = section.line_mass * integral(hermite, 0, length)
+    M[np.ix_(ALONG, ALONG)] = section.line_mass * integral(linear, 0, length)
     return M
 
 
 def geometric_stiffness(compression: float, length: float) -> Floats:
     """What a compressive force, N, takes from the stiffness as the cubic leans and bends, shape (6, 6)."""
     K = np.zeros((6, 6))
-    K[np.ix_(ACROSS, ACROSS)] = -compression * integral(hermite(length), 1, length)
+    K[np.ix_(ACROSS, ACROSS)] = -compression * integral(hermite, 1, length)
     return K
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,11 +13,13 @@ from tests.fe.elements import Floats, Section
 from tests.fe.model import Model, Motion, Node
 
 RIGID = np.inf
+LEAST_IN_SWAY = 0.6
+"""Of a sway mode's kinetic energy; where two modes share one motion evenly it is half."""
 
 
 @dataclass(frozen=True, eq=False)
 class Building:
-    """A frame of n stories; with the defaults it is a shear frame, whatever else it is said to be it is not.
+    """A frame of n stories; what is left at its default is rigid, fixed or absent, which makes it a shear frame.
 
     Parameters
     ----------
@@ -115,7 +118,7 @@ def sway_modes(building: Building) -> SwayModes:
     floors = shapes[[model.coordinates["sway", floor] for floor in range(1, building.stories + 1)]]
     in_sway = building.floor_mass @ floors**2
     chosen = np.sort(np.argsort(in_sway)[-building.stories :])
-    if in_sway[chosen].min() < 0.5:
+    if in_sway[chosen].min() < LEAST_IN_SWAY:
         raise ValueError("a sway mode is mixed with motion of another kind")
     floors = floors[:, chosen]
     largest = floors[np.argmax(np.abs(floors), axis=0), np.arange(building.stories)]
@@ -126,9 +129,9 @@ def assemble(building: Building) -> Model:
     """The finite-element model of a building; floor i sways by the coordinate ("sway", i)."""
     model = Model()
     joints = [[joint(building, floor, x) for x in building.column_x] for floor in range(building.stories + 1)]
-    for floor, (below, above) in enumerate(zip(joints, joints[1:], strict=False), 1):
+    for floor, (below, above) in enumerate(pairwise(joints), 1):
         for column in range(len(building.column_x)):
-            stand_column(model, building, floor, column, below[column], above[column])
+            stand_column(model, building, (floor, column), below[column], above[column])
         lay_beams(model, building, floor, above)
         load_floor(model, building, floor, above)
     hold_base(model, building, joints[0])
@@ -164,8 +167,9 @@ def rigid_base(building: Building, x: float) -> tuple[Motion, Motion]:
     return {"rock": x}, {"rock": 1.0}
 
 
-def stand_column(model: Model, building: Building, story: int, column: int, foot: Node, head: Node) -> None:
-    """One column of a story, in as many elements as the building says."""
+def stand_column(model: Model, building: Building, place: tuple[int, int], foot: Node, head: Node) -> None:
+    """One column, its place given by story and column, in as many elements as the building says."""
+    story, column = place
     height = float(building.heights[story - 1])
     share = building.shares[column]
     section = Section(
@@ -174,17 +178,18 @@ def stand_column(model: Model, building: Building, story: int, column: int, foot
         line_mass=share * building.column_mass / height,
     )
     force = share * building.on_frame * float(building.weight[story - 1])
-    nodes = [foot, *(between(building, story, column, part, foot, head) for part in range(1, building.pieces)), head]
-    for near, far in zip(nodes, nodes[1:], strict=False):
+    for near, far in pairwise([foot, *within(building, place, foot, head), head]):
         model.member(near, far, section, compression=force)
 
 
-def between(building: Building, story: int, column: int, part: int, foot: Node, head: Node) -> Node:
-    """A node of a column between two floors."""
-    name = (story, column, part)
-    y = foot.y + (head.y - foot.y) * part / building.pieces
-    rises: Motion = foot.uy if building.column_axial is None else {("rise", *name): 1.0}
-    return Node(foot.x, y, {("sway", *name): 1.0}, rises, {("turn", *name): 1.0})
+def within(building: Building, place: tuple[int, int], foot: Node, head: Node) -> list[Node]:
+    """The nodes of a column between its ends."""
+    nodes = []
+    for part in range(1, building.pieces):
+        y = foot.y + (head.y - foot.y) * part / building.pieces
+        rises: Motion = foot.uy if building.column_axial is None else {("rise", *place, part): 1.0}
+        nodes.append(Node(foot.x, y, {("sway", *place, part): 1.0}, rises, {("turn", *place, part): 1.0}))
+    return nodes
 
 
 def lay_beams(model: Model, building: Building, floor: int, joints: list[Node]) -> None:
@@ -192,7 +197,7 @@ def lay_beams(model: Model, building: Building, floor: int, joints: list[Node]) 
     if building.beam_bending is None:
         return
     section = Section(bending=float(building.beam_bending[floor - 1]), axial=0.0)
-    for left, right in zip(joints, joints[1:], strict=False):
+    for left, right in pairwise(joints):
         model.member(left, right, section)
 
 

@@ -77,11 +77,12 @@ class Model:
         size = len(self.coordinates)
         total = np.zeros((size, size))
         for matrix, motions in parts:
-            C = np.zeros((len(motions), size))
+            names = sorted({self.coordinates[name] for motion in motions for name in motion})
+            C = np.zeros((len(motions), len(names)))
             for row, motion in enumerate(motions):
                 for name, factor in motion.items():
-                    C[row, self.coordinates[name]] += factor
-            total += C.T @ matrix @ C
+                    C[row, names.index(self.coordinates[name])] += factor
+            total[np.ix_(names, names)] += C.T @ matrix @ C
         return total
 
     def modes(self) -> tuple[Floats, Floats]:
@@ -94,6 +95,7 @@ class Model:
         still = np.flatnonzero(np.diag(M) == 0)
         follow = np.zeros((len(M), len(moving)))
         follow[moving, np.arange(len(moving))] = 1.0
-        follow[still] = -linalg.solve(K[np.ix_(still, still)], K[np.ix_(still, moving)], assume_a="sym") if len(still) else 0.0
+        if len(still):
+            follow[still] = -linalg.solve(K[np.ix_(still, still)], K[np.ix_(still, moving)], assume_a="sym")
         eigenvalues, shapes = linalg.eigh(follow.T @ K @ follow, M[np.ix_(moving, moving)])
         return eigenvalues, follow @ shapes

@@ -1,0 +1,109 @@
+"""Derivatives by every parameter against central differences, one effect at a time and all of them together."""
+
+import numpy as np
+import pytest
+
+from cvxshear.effects import catalogue, compose
+from tests.effects.common import HEIGHTS, MASS, NAMES, STIFFNESS, experiment, placed, theta
+
+TOP = float(HEIGHTS.sum())
+SWAY = float(np.sum(1 / STIFFNESS))
+CASES = {
+    "gravity": (placed("gravity"), 1.13),
+    "joint_rotation": (placed("joint_rotation"), 0.4),
+    "axial_columns": (placed("axial_columns"), 0.5 * SWAY / TOP**3),
+    "base_rocking": (placed("base_rocking"), 0.2 * SWAY / TOP**2),
+    "ground_spring": (placed("ground_spring", floor=3), 2500.0),
+    "added_mass": (placed("added_mass", floor=2, configuration="loaded"), 1.4),
+    "mass_coupling": (placed("mass_coupling"), 1.1),
+    "sensor_gain": (placed("sensor_gain", floor=3), 0.2),
+    "story_change": (placed("story_change", story=2, configuration="loaded"), -0.3),
+}
+SCALES = {
+    "gravity": 1.0,
+    "joint_rotation": 1.0,
+    "axial_columns": SWAY / TOP**3,
+    "base_rocking": SWAY / TOP**2,
+    "ground_spring": 2500.0,
+    "added_mass": 1.0,
+    "mass_coupling": 1.0,
+    "sensor_gain": 1.0,
+    "story_change": 1.0,
+}
+"""What a change of one means little to, so that steps are taken in parts of it."""
+STEP = 1e-4
+"""Of each scale. Central differences then err by some 1e-8 of the matrices' curvature and 1e-12 of rounding."""
+CLOSE = 1e-6
+
+SECOND_PLACES = [
+    (placed("ground_spring", floor=2), 900.0),
+    (placed("sensor_gain", floor=3), -0.1),
+    (placed("story_change", story=4, configuration="plain"), 0.25),
+    (placed("story_change", story=2, configuration="loaded"), 0.15),
+    (placed("added_mass", floor=4, configuration="loaded"), -0.5),
+]
+
+
+def quantities(effects, values, number):
+    tested = experiment()
+    state = compose(tested, tested.configurations[number], effects, values)
+    system = state.system
+    return (system.M, system.K, state.gain), (system.dM, system.dK, state.d_gain)
+
+
+def assert_derivatives(effects, own, number, scales):
+    """Each analytic derivative times its scale equals the difference quotient, compared on the matrix's own scale."""
+    at = theta(*own)
+    steps = STEP * np.concatenate([MASS, STIFFNESS, scales])
+    plain, derivatives = quantities(effects, at, number)
+    assert [len(each) for each in derivatives] == [len(at)] * 3
+    for p, step in enumerate(steps):
+        ahead, behind = at.copy(), at.copy()
+        ahead[p] += step
+        behind[p] -= step
+        further, _ = quantities(effects, ahead, number)
+        before, _ = quantities(effects, behind, number)
+        for value, derivative, up, down in zip(plain, derivatives, further, before, strict=True):
+            quotient = (up - down) / (2 * STEP)
+            atol = CLOSE * np.max(np.abs(value))
+            np.testing.assert_allclose(derivative[p] * step / STEP, quotient, rtol=0, atol=atol, err_msg=f"by {p}")
+
+
+@pytest.mark.parametrize("number", range(len(NAMES)))
+@pytest.mark.parametrize("name", CASES)
+def test_one_effect(name, number):
+    effect, value = CASES[name]
+    assert_derivatives([effect], [value], number, [SCALES[name]])
+
+
+@pytest.mark.parametrize("number", range(len(NAMES)))
+def test_all_effects_together(number):
+    effects = [effect for effect, _ in CASES.values()]
+    assert_derivatives(effects, [value for _, value in CASES.values()], number, list(SCALES.values()))
+
+
+@pytest.mark.parametrize("number", range(len(NAMES)))
+def test_effects_more_than_once(number):
+    """Two gains at one floor, two changes of one story: products, whose derivatives are easily lost."""
+    cases = [*CASES.values(), *SECOND_PLACES]
+    scales = [SCALES[effect.effect.name] for effect, _ in cases]
+    assert_derivatives([effect for effect, _ in cases], [value for _, value in cases], number, scales)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_at_the_null_value(name):
+    """Where a bounded fit comes to rest; the formulas hold on either side of it."""
+    effect, _ = CASES[name]
+    assert_derivatives([effect], [effect.effect.parameters[0].null], 1, [SCALES[name]])
+
+
+def test_derivatives_are_symmetric():
+    tested = experiment()
+    effects = [effect for effect, _ in CASES.values()]
+    state = compose(tested, tested.configurations[1], effects, theta(*(value for _, value in CASES.values())))
+    for matrices in (state.system.dM, state.system.dK):
+        np.testing.assert_allclose(matrices, matrices.transpose(0, 2, 1), rtol=0, atol=1e-12 * np.max(np.abs(matrices)))
+
+
+def test_every_effect_of_the_catalogue_is_tested():
+    assert {effect.name for effect in catalogue()} == set(CASES) == set(SCALES)

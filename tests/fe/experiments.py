@@ -1,0 +1,272 @@
+"""Measurements of finite-element frames, with noise, in the shape of a measurement file."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from tests.fe.elements import Floats
+from tests.fe.frame import Building, SwayModes, sway_modes
+
+FREQUENCY_STD = 0.001
+MODE_SHAPE_STD = 0.01
+GRAVITY = 9.81
+HEIGHT = 0.39
+"""m, of every story; the order of a laboratory frame, as are the masses and stiffnesses drawn below."""
+
+AT_FLOOR = ("ground_spring", "added_mass", "sensor_gain")
+AT_STORY = ("story_change",)
+IN_ONE_CONFIGURATION = ("added_mass", "story_change")
+
+
+def simulated(
+    effect: str | None,
+    *,
+    stories: int,
+    configurations: int,
+    rng: np.random.Generator,
+    size: float | None = None,
+    floor: int | None = None,
+    story: int | None = None,
+    configuration: int | None = None,
+    added_mass: Sequence[Sequence[float]] | None = None,
+    noise: float = 1.0,
+    measured_floors: Sequence[int] | None = None,
+    modes: int | None = None,
+    declare_heights: bool = True,
+    declare_total_mass: bool = True,
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Test a frame that has one effect, or none, which the shear model lacks.
+
+    Parameters
+    ----------
+    effect : str or None
+        A name of the catalogue.
+    stories, configurations : int
+    rng : numpy.random.Generator
+        Draws floor masses, story stiffnesses, the effect's place where none is given, and the noise, in this order.
+    size : float, optional
+        The effect's parameter in the catalogue's unit; see `practical_size` for the default.
+    floor, story, configuration : int, optional
+        Where it sits, counted from 1.
+    added_mass : array_like, shape (configurations, stories), optional
+        kg; by default nothing in configuration 1 and 6 kg on one floor in each other, from the top down.
+    noise : float, optional
+        Times the declared standard deviations: 0.1 % of each frequency, 1 % of each mode's largest entry.
+    measured_floors : sequence of int, optional
+    modes : int, optional
+        How many, from the lowest.
+    declare_heights, declare_total_mass : bool, optional
+
+    Returns
+    -------
+    experiment : dict
+        For `cvxshear.Experiment.from_dict`.
+    truth : dict
+        `floor_mass`, `story_stiffness`, `effect`, `floor`, `story`, `configuration` (its name), `size`, and
+        one entry a configuration of `frequencies` and `mode_shapes` (all modes, all floors, no noise; as the
+        sensors would show them).
+    """
+    floor_mass = rng.uniform(9.0, 13.0, stories)
+    story_stiffness = np.sort(rng.uniform(20e3, 28e3, stories))[::-1]
+    frame = Building(np.full(stories, HEIGHT), story_stiffness, floor_mass)
+    added = _default_added(stories, configurations) if added_mass is None else np.asarray(added_mass, dtype=float)
+    place = _placed(effect, stories, configurations, rng, floor=floor, story=story, configuration=configuration)
+    if effect is not None and size is None:
+        size = practical_size(effect, frame)
+    seen = []
+    for number, extra in enumerate(added, 1):
+        tested = dataclasses.replace(frame, floor_mass=floor_mass + extra)
+        here = effect is not None and place["configuration"] in (None, number)
+        seen.append(_tested(tested, effect if here else None, size, place))
+    declared: dict[str, Any] = {"stories": stories, "gravity": GRAVITY}
+    if declare_heights:
+        declared["story_heights"] = [HEIGHT] * stories
+    if declare_total_mass:
+        declared["total_mass"] = float(floor_mass.sum())
+    experiment = {
+        "frame": declared,
+        "configuration": [
+            measured(each, rng, name=_name(number), added=extra, noise=noise, floors=measured_floors, modes=modes)
+            for number, (each, extra) in enumerate(zip(seen, added, strict=True), 1)
+        ],
+    }
+    truth = {
+        "effect": effect,
+        **place,
+        "configuration": None if place["configuration"] is None else _name(place["configuration"]),
+        "size": size,
+        "floor_mass": floor_mass,
+        "story_stiffness": story_stiffness,
+        "frequencies": [each.frequencies for each in seen],
+        "mode_shapes": [each.shapes.T for each in seen],
+    }
+    return experiment, truth
+
+
+def measured(
+    seen: SwayModes,
+    rng: np.random.Generator,
+    *,
+    name: str,
+    added: Floats,
+    noise: float = 1.0,
+    floors: Sequence[int] | None = None,
+    modes: int | None = None,
+) -> dict[str, Any]:
+    """One configuration as its test reports it: frequencies 0.1 %, shapes 1 % of each mode's largest entry."""
+    count = len(seen.frequencies)
+    floors = list(range(1, count + 1)) if floors is None else list(floors)
+    modes = count if modes is None else modes
+    frequencies = seen.frequencies[:modes]
+    shapes = seen.shapes[np.array(floors) - 1, :modes].T
+    shapes = shapes / np.max(np.abs(shapes), axis=1, keepdims=True)
+    return {
+        "name": name,
+        "added_mass": added.tolist(),
+        "measured_floors": floors,
+        "frequencies": (frequencies * np.exp(noise * FREQUENCY_STD * rng.standard_normal(modes))).tolist(),
+        "mode_shapes": (shapes + noise * MODE_SHAPE_STD * rng.standard_normal(shapes.shape)).tolist(),
+        "frequency_std": FREQUENCY_STD,
+        "mode_shape_std": MODE_SHAPE_STD,
+        "mode_shape_noise": "additive",
+    }
+
+
+def practical_size(effect: str, frame: Building) -> float:
+    """A size of the effect that practice meets, in the catalogue's unit, for this frame.
+
+    Those that make the frame more flexible add a tenth to the sway of its top under a force there (joints that
+    turn: eta = 0.1); a spring, a mass, a gain or a change of stiffness is a tenth of what it acts on.
+    """
+    top = float(frame.heights.sum())
+    sway = 0.1 * float(np.sum(1.0 / frame.story_stiffness))
+    return {
+        "gravity": 1.2,
+        "joint_rotation": 0.1,
+        "axial_columns": 3 * sway / top**3,
+        "base_rocking": sway / top**2,
+        "ground_spring": 0.1 * float(np.mean(frame.story_stiffness)),
+        "added_mass": 0.1 * float(np.mean(frame.floor_mass)),
+        "mass_coupling": 0.1 * float(np.mean(frame.floor_mass)),
+        "sensor_gain": 0.1,
+        "story_change": -0.1,
+    }[effect]
+
+
+def with_gravity(frame: Building, gamma: float, at: int | None = None) -> Building:
+    """The share of the weight on the frame's own columns that makes the factor gamma: none 1, all 6/5."""
+    return dataclasses.replace(frame, gravity=GRAVITY, on_frame=(gamma - 1.0) / 0.2)
+
+
+def with_turning_joints(frame: Building, eta: float, at: int | None = None) -> Building:
+    """Beams of one bay that resist a turn of both their joints with mean(k h^2) / eta in all.
+
+    By slope and deflection each end of a beam of span L takes 6 EI / L when both turn alike.
+    """
+    resistance = float(np.mean(frame.story_stiffness * frame.heights**2)) / eta
+    return dataclasses.replace(frame, beam_bending=np.full(frame.stories, resistance * bay(frame) / 12))
+
+
+def with_long_columns(frame: Building, inverse_EI: float, at: int | None = None) -> Building:
+    """Two columns a bay apart that stretch and shorten, so that the frame bends with 1 / inverse_EI as a whole.
+
+    The floors stay rigid and tilt. The story between two of them is then a beam whose bending stiffness is the
+    columns' axial one, EA b^2 / 2, and their own two EI; and whose sway stiffness at equal tilts is that of the
+    columns alone, k_c. A beam of stiffness EI in series with a shear spring k has 1 / (1 / k + h^3 / 12 EI)
+    there. So the columns are made the softer by just this, for the story stiffness to be k; and their EA is
+    what makes EI the same in every story.
+    """
+    column_stiffness = 1.0 / (1.0 / frame.story_stiffness + frame.heights**3 * inverse_EI / 12)
+    columns = column_stiffness * frame.heights**3 / 12
+    axial = 2.0 * (1.0 / inverse_EI - columns) / bay(frame) ** 2
+    return dataclasses.replace(frame, story_stiffness=column_stiffness, column_axial=axial)
+
+
+def with_rocking_base(frame: Building, inverse_k_theta: float, at: int | None = None) -> Building:
+    return dataclasses.replace(frame, rocking_stiffness=1.0 / inverse_k_theta)
+
+
+def with_ground_spring(frame: Building, spring: float, at: int) -> Building:
+    return dataclasses.replace(frame, ground_springs={**frame.ground_springs, at: spring})
+
+
+def with_mass(frame: Building, mass: float, at: int) -> Building:
+    return dataclasses.replace(frame, floor_mass=frame.floor_mass + mass * (np.arange(1, frame.stories + 1) == at))
+
+
+def with_heavy_columns(frame: Building, mu: float, at: int | None = None) -> Building:
+    return dataclasses.replace(frame, column_mass=mu)
+
+
+def with_story_change(frame: Building, change: float, at: int) -> Building:
+    changed = frame.story_stiffness * (1.0 + change * (np.arange(1, frame.stories + 1) == at))
+    return dataclasses.replace(frame, story_stiffness=changed)
+
+
+CHANGES: dict[str, Callable[..., Building]] = {
+    "gravity": with_gravity,
+    "joint_rotation": with_turning_joints,
+    "axial_columns": with_long_columns,
+    "base_rocking": with_rocking_base,
+    "ground_spring": with_ground_spring,
+    "added_mass": with_mass,
+    "mass_coupling": with_heavy_columns,
+    "story_change": with_story_change,
+}
+"""What each effect makes of the frame; a sensor's gain changes the reading, not the frame."""
+
+
+def _tested(frame: Building, effect: str | None, size: float | None, place: dict[str, int | None]) -> SwayModes:
+    """What the sensors show of one configuration."""
+    if effect is None:
+        return sway_modes(frame)
+    if effect == "sensor_gain":
+        modes = sway_modes(frame)
+        gain = 1.0 + size * (np.arange(1, frame.stories + 1) == place["floor"])
+        return SwayModes(modes.frequencies, gain[:, None] * modes.shapes)
+    return sway_modes(CHANGES[effect](frame, size, place["floor"] or place["story"]))
+
+
+def _placed(
+    effect: str | None,
+    stories: int,
+    configurations: int,
+    rng: np.random.Generator,
+    *,
+    floor: int | None,
+    story: int | None,
+    configuration: int | None,
+) -> dict[str, int | None]:
+    """Where the effect sits: where it was put, or anywhere it can be."""
+    lowest = 2 if effect == "ground_spring" else 1
+    if lowest > stories:
+        raise ValueError("a ground spring needs two stories")
+    place: dict[str, int | None] = {"floor": None, "story": None, "configuration": None}
+    if effect in AT_FLOOR:
+        place["floor"] = int(rng.integers(lowest, stories + 1)) if floor is None else floor
+    if effect in AT_STORY:
+        place["story"] = int(rng.integers(1, stories + 1)) if story is None else story
+    if effect in IN_ONE_CONFIGURATION:
+        place["configuration"] = int(rng.integers(1, configurations + 1)) if configuration is None else configuration
+    return place
+
+
+def _default_added(stories: int, configurations: int) -> Floats:
+    added = np.zeros((configurations, stories))
+    for number in range(1, configurations):
+        added[number, (stories - number) % stories] = 6.0
+    return added
+
+
+def _name(number: int) -> str:
+    return f"test {number}"
+
+
+def bay(frame: Building) -> float:
+    """The distance between the two columns, m."""
+    left, right = frame.column_x
+    return right - left

@@ -1,0 +1,122 @@
+"""Simulated experiments: read by the package, true to what they say, and as noisy as they declare."""
+
+import numpy as np
+import pytest
+
+from cvxshear.effects import Place, Placed, compose, named
+from cvxshear.experiment import Experiment
+from cvxshear.frame import modes
+from tests.fe.experiments import CHANGES, FREQUENCY_STD, MODE_SHAPE_STD, measured, simulated
+from tests.fe.frame import SwayModes
+
+EFFECTS = [*CHANGES, "sensor_gain"]
+EXACT = 1e-8
+"""Standard deviations, of 1e-3 and 1e-2: rounding."""
+
+
+def test_no_effect_is_a_shear_frame():
+    declared, truth = simulated(None, stories=3, configurations=2, rng=np.random.default_rng(1), noise=0.0)
+    assert_explained(declared, truth)
+    assert (truth["effect"], truth["size"], truth["floor"], truth["story"], truth["configuration"]) == (None,) * 5
+
+
+@pytest.mark.parametrize("stories", [2, 5])
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_without_noise_the_truth_explains_the_data(effect, stories):
+    """And the shear frame alone does not: some frequency or shape entry is off by three standard deviations."""
+    declared, truth = simulated(effect, stories=stories, configurations=3, rng=np.random.default_rng(2), noise=0.0)
+    assert_explained(declared, truth)
+    with pytest.raises(AssertionError):
+        assert_explained(declared, {**truth, "effect": None}, within=3.0)
+
+
+@pytest.mark.parametrize("effect", sorted(set(EFFECTS) - {"ground_spring"}))
+def test_a_single_story(effect):
+    declared, truth = simulated(effect, stories=1, configurations=2, rng=np.random.default_rng(10), noise=0.0)
+    assert_explained(declared, truth)
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_an_effect_sits_where_it_was_put(effect):
+    place = {"floor": 2, "story": 3, "configuration": 1}
+    rng = np.random.default_rng(3)
+    declared, truth = simulated(effect, stories=3, configurations=2, rng=rng, noise=0.0, **place)
+    (found,) = named([effect])
+    names = {**place, "configuration": "test 1"}
+    assert {part: truth[part] for part in names} == {
+        part: value if part in found.sits_at else None for part, value in names.items()
+    }
+    assert_explained(declared, truth)
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_places_drawn_are_places_of_the_catalogue(effect):
+    (found,) = named([effect])
+    for seed in range(6):
+        declared, truth = simulated(effect, stories=3, configurations=2, rng=np.random.default_rng(seed))
+        assert place_of(truth) in found.places(Experiment.from_dict(declared))
+
+
+def test_the_same_seed_is_the_same_experiment():
+    first, second, third = (
+        simulated("gravity", stories=3, configurations=2, rng=np.random.default_rng(seed))[0] for seed in (4, 4, 5)
+    )
+    assert first == second
+    assert first != third
+
+
+def test_noise_is_what_it_is_declared_to_be():
+    """Standardized differences of 400 tests: zero mean and unit deviation, each within four standard errors."""
+    true = SwayModes(np.array([2.0, 5.0]), np.array([[0.1, 0.4], [0.2, -0.3]]))
+    scaled = np.array([[0.5, 1.0], [1.0, -0.75]])
+    rng = np.random.default_rng(6)
+    tests = [measured(true, rng, name="test", added=np.zeros(2)) for _ in range(400)]
+    frequencies = np.array([np.log(np.array(each["frequencies"]) / true.frequencies) for each in tests]) / FREQUENCY_STD
+    entries = (np.array([each["mode_shapes"] for each in tests]) - scaled) / MODE_SHAPE_STD
+    for z in (frequencies.ravel(), entries.ravel()):
+        assert abs(z.mean()) < 4 / np.sqrt(z.size)
+        assert abs(z.std() - 1) < 4 / np.sqrt(2 * z.size)
+    assert (tests[0]["frequency_std"], tests[0]["mode_shape_std"]) == (0.001, 0.01)
+    assert tests[0]["mode_shape_noise"] == "additive"
+
+
+def test_fewer_sensors_and_modes():
+    rng = np.random.default_rng(7)
+    declared, _ = simulated(None, stories=4, configurations=2, rng=rng, measured_floors=[2, 4], modes=3)
+    tested = Experiment.from_dict(declared)
+    for each in tested.configurations:
+        assert each.mode_shapes.shape == (3, 2)
+        np.testing.assert_array_equal(each.measured_floors, [2, 4])
+
+
+def test_what_is_not_declared():
+    rng = np.random.default_rng(8)
+    options = {"declare_heights": False, "declare_total_mass": False}
+    declared, _ = simulated(None, stories=2, configurations=2, rng=rng, **options)
+    assert set(declared["frame"]) == {"stories", "gravity"}
+
+
+def test_no_ground_spring_on_a_single_story():
+    with pytest.raises(ValueError, match="two stories"):
+        simulated("ground_spring", stories=1, configurations=2, rng=np.random.default_rng(9))
+
+
+def place_of(truth):
+    return Place(truth["floor"], truth["story"], truth["configuration"])
+
+
+def assert_explained(declared, truth, within=EXACT):
+    """The composed model of the truth is within so many standard deviations of every datum."""
+    tested = Experiment.from_dict(declared)
+    effects = [Placed(named([truth["effect"]])[0], place_of(truth))] if truth["effect"] else []
+    own = [truth["size"]] if effects else []
+    theta = np.concatenate([truth["floor_mass"], truth["story_stiffness"], own])
+    for test in tested.configurations:
+        state = compose(tested, test, effects, theta)
+        found = modes(state.system.M, state.system.K)
+        off = np.abs(found.frequencies / test.frequencies - 1) / FREQUENCY_STD
+        assert off.max() < within
+        shapes = state.gain * found.shapes.T
+        shapes *= (np.sum(shapes * test.mode_shapes, axis=1) / np.sum(shapes**2, axis=1))[:, None]
+        off = np.abs(shapes - test.mode_shapes) / MODE_SHAPE_STD
+        assert off.max() < within

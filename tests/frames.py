@@ -1,0 +1,70 @@
+"""Exact and noisy experiments on shear frames, made with nothing but an eigenvalue solver."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = ROOT / "examples"
+
+
+def shared(*parts: str) -> Path:
+    """A file or folder of the measured data beside the project; skips the test where it is missing."""
+    folder = Path(os.environ.get("CVXSHEAR_SHARED", ROOT.parent / "shared")).joinpath(*parts)
+    if not folder.exists():
+        pytest.skip(f"{Path(*parts)} is not there")
+    return folder
+
+
+def chain(mass, stiffness):
+    """Mass and stiffness matrices of a chain of masses on springs, entry by entry."""
+    n = len(mass)
+    K = np.zeros((n, n))
+    for i in range(n):
+        K[i, i] = stiffness[i] + (stiffness[i + 1] if i + 1 < n else 0.0)
+        if i + 1 < n:
+            K[i, i + 1] = K[i + 1, i] = -stiffness[i + 1]
+    return np.diag(np.asarray(mass, dtype=float)), K
+
+
+def modes_of(mass, stiffness):
+    """Frequencies in Hz, and shapes with one row a mode, largest entry 1."""
+    M, K = chain(mass, stiffness)
+    eigenvalues, shapes = linalg.eigh(K, M)
+    rows = shapes.T
+    rows = rows / rows[np.arange(len(rows)), np.argmax(np.abs(rows), axis=1)][:, None]
+    return np.sqrt(eigenvalues) / (2 * np.pi), rows
+
+
+def configuration(mass, stiffness, added=None, *, rng=None, shape_noise=0.0, frequency_noise=0.0, **keys):
+    """A [[configuration]] table: exact, or with additive shape noise and relative frequency noise."""
+    added = np.zeros(len(mass)) if added is None else np.asarray(added, dtype=float)
+    frequencies, shapes = modes_of(np.asarray(mass) + added, stiffness)
+    if rng is not None:
+        frequencies = frequencies * (1 + frequency_noise * rng.standard_normal(len(frequencies)))
+        shapes = shapes + shape_noise * rng.standard_normal(shapes.shape)
+    modes = keys.pop("modes", list(range(1, len(mass) + 1)))
+    floors = keys.pop("measured_floors", list(range(1, len(mass) + 1)))
+    at = np.ix_(np.array(modes) - 1, np.array(floors) - 1)
+    return {
+        "added_mass": added.tolist(),
+        "frequencies": frequencies[np.array(modes) - 1].tolist(),
+        "modes": list(modes),
+        "measured_floors": list(floors),
+        "mode_shapes": shapes[at].tolist(),
+        "frequency_std": 0.001,
+        "mode_shape_std": 0.01,
+        **keys,
+    }
+
+
+def experiment(mass, stiffness, *configurations, frame=None, prior=()):
+    """The dict of a measurement file; the total mass is declared unless `frame` says otherwise."""
+    table = {"total_mass": float(np.sum(mass))} if frame is None else frame
+    named = [{"name": f"test {i}", **each} for i, each in enumerate(configurations or [configuration(mass, stiffness)], 1)]
+    return {"frame": {"stories": len(mass), **table}, "configuration": named, "prior": list(prior)}

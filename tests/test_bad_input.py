@@ -1,0 +1,836 @@
+"""Ways in which a measurement file can be wrong, and what the library says about each.
+
+A message names the place, the value found and what would be right, so each case gives the whole message.
+"""
+
+import copy
+import datetime
+import os
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, example, given, seed, settings
+from hypothesis import strategies as st
+
+from cvxshear.errors import CvxshearError, InputError
+from cvxshear.experiment import Experiment
+from cvxshear.formats import toml
+from cvxshear.formats.toml import load
+
+FREQUENCIES = [2.0, 5.0]
+SHAPES = [[0.6, 1.0], [-1.7, 1.0]]
+ABSENT = object()
+HUGE = 10**400
+TOO_LONG = 10**5000
+"""A whole number that Python refuses to print."""
+
+BOUNDS = {"kind": "bounds", "quantity": "floor_mass", "lower": 1.0, "upper": 9.0}
+RATIO = {"kind": "ratio", "quantity": "floor_mass", "of": 2, "to": 1, "value": 1.5, "std": 0.02}
+VALUE = {"kind": "value", "quantity": "story_stiffness", "at": 1, "value": 2e4}
+NOMINAL = {"kind": "nominal", "quantity": "story_stiffness", "values": [2e4, 1e4], "std": 0.1}
+MONOTONE = {"kind": "monotone", "quantity": "story_stiffness", "direction": "decreasing"}
+
+
+def changed(table, keys):
+    """The table with some keys replaced, added or, where ABSENT, left out."""
+    return {key: value for key, value in {**table, **keys}.items() if value is not ABSENT}
+
+
+def declared(*, frame=None, priors=ABSENT, configurations=None, **keys):
+    """A sound two-story file, but for what is handed in."""
+    sound = {"name": "A", "frequencies": FREQUENCIES, "mode_shapes": SHAPES}
+    states = [changed(sound, keys)] if configurations is None else [changed(sound, each) for each in configurations]
+    return changed({"frame": changed({"total_mass": 30.0}, frame or {}), "configuration": states}, {"prior": priors})
+
+
+def test_the_sound_file_is_sound():
+    """Else every case below could be refused for a reason that is not its own."""
+    priors = [BOUNDS, RATIO, VALUE, NOMINAL, MONOTONE]
+    assert Experiment.from_dict(declared(priors=priors)).stories == 2
+
+
+def refused(table):
+    with pytest.raises(InputError) as caught:
+        Experiment.from_dict(table)
+    return str(caught.value)
+
+
+# The tables of the file.
+
+TABLES = {
+    "no configuration": ({"frame": {}}, "at least one [[configuration]] is needed: none was found"),
+    "empty": ({}, "at least one [[configuration]] is needed: none was found"),
+    "an empty list of configurations": (
+        {"configuration": []},
+        "at least one [[configuration]] is needed: none was found",
+    ),
+    "a list in place of the whole": ([1], "the measurement file must be a table of keys and values, not [1]"),
+    "nothing in place of the whole": (None, "the measurement file must be a table of keys and values, not None"),
+    "a table name misspelt": (
+        {"configurations": []},
+        "the measurement file: unknown key 'configurations'; did you mean 'configuration'?",
+    ),
+    "a table name in capitals": (
+        {**declared(), "Frame": {}},
+        "the measurement file: unknown key 'Frame'; did you mean 'frame'?",
+    ),
+    "a key above the first header": (
+        {**declared(), "total_mass": 3.0},
+        "the measurement file: unknown key 'total_mass'; it belongs in [frame]",
+    ),
+    "nothing like any table": (
+        {**declared(), "zzz": 1},
+        "the measurement file: unknown key 'zzz'; known keys are configuration, frame, prior",
+    ),
+    "a key that is no text": (
+        {**declared(), 3: 1},
+        "the measurement file: unknown key 3; known keys are configuration, frame, prior",
+    ),
+    "[configuration]": (
+        {"configuration": declared()["configuration"][0]},
+        "[configuration] must be a list of tables: write [[configuration]], in double brackets",
+    ),
+    "configuration = 3": (
+        {"configuration": 3},
+        "configuration must be a list of tables, each below [[configuration]], not 3",
+    ),
+    "a configuration that is no table": (
+        {"configuration": [3]},
+        "configuration 1 must be a table of keys and values, not 3",
+    ),
+    "[[frame]]": (
+        {**declared(), "frame": [{"stories": 2}]},
+        "[frame] must be one table, in single brackets, not a list: [{'stories': 2}]",
+    ),
+    "frame = text": ({**declared(), "frame": "steel"}, "frame must be a table of keys and values, not 'steel'"),
+    "[prior]": (
+        {**declared(), "prior": BOUNDS},
+        "[prior] must be a list of tables: write [[prior]], in double brackets",
+    ),
+    "prior = text": (
+        {**declared(), "prior": "bounds"},
+        "prior must be a list of tables, each below [[prior]], not 'bounds'",
+    ),
+}
+
+
+@pytest.mark.parametrize(("table", "message"), TABLES.values(), ids=TABLES)
+def test_tables(table, message):
+    assert refused(table) == message
+
+
+# The frame.
+
+FRAMES = {
+    "unknown key": ({"total_mas": 3.0}, "unknown key 'total_mas'; did you mean 'total_mass'?"),
+    "a configuration's key": ({"frequencies": [1.0]}, "unknown key 'frequencies'; it belongs in [[configuration]]"),
+    "no story": ({"stories": 0}, "stories = 0 must lie between 1 and 2000"),
+    "fewer stories than none": ({"stories": -3}, "stories = -3 must lie between 1 and 2000"),
+    "a million stories": ({"stories": 1000000}, "stories = 1000000 must lie between 1 and 2000"),
+    "a huge number of stories": (
+        {"stories": HUGE},
+        f"stories = 1{'0' * 27}...{'0' * 29} must lie between 1 and 2000",
+    ),
+    "stories that cannot be printed": (
+        {"stories": TOO_LONG},
+        "stories = a number too long to print must lie between 1 and 2000",
+    ),
+    "half a story": ({"stories": 2.5}, "stories must be a whole number, not 2.5"),
+    "stories as a text": ({"stories": "2"}, "stories must be a whole number, not '2'"),
+    "true stories": ({"stories": True}, "stories must be a whole number, not True"),
+    "false stories": ({"stories": False}, "stories must be a whole number, not False"),
+    "a negative mass": ({"total_mass": -3}, "total_mass = -3 must be greater than 0"),
+    "no mass": ({"total_mass": 0.0}, "total_mass = 0 must be greater than 0"),
+    "mass as a text": ({"total_mass": "31 kg"}, "total_mass must be a number, not '31 kg'"),
+    "mass as a list": ({"total_mass": [31.0]}, "total_mass must be a number, not [31.0]"),
+    "a true mass": ({"total_mass": True}, "total_mass must be a number, not True"),
+    "an infinite mass": ({"total_mass": np.inf}, "total_mass must be a finite number, not inf"),
+    "a mass beyond all floats": (
+        {"total_mass": HUGE},
+        f"total_mass = 1{'0' * 27}...{'0' * 29} must be between 1e-30 and 1e+30; check its unit",
+    ),
+    "a vanishing mass": (
+        {"total_mass": 1e-300},
+        "total_mass = 1e-300 must be between 1e-30 and 1e+30; check its unit",
+    ),
+    "a date for a mass": (
+        {"total_mass": datetime.date(2020, 1, 2)},
+        "total_mass must be a number, not datetime.date(2020, 1, 2)",
+    ),
+    "one floor mass for all": ({"floor_masses": 15.0}, "floor_masses must be a list of numbers, not 15.0"),
+    "no floor masses": ({"floor_masses": []}, "floor_masses must not be empty"),
+    "a floor without mass": ({"floor_masses": [15.0, 0.0]}, "floor_masses, entry 2 = 0 must be greater than 0"),
+    "contradictory masses": (
+        {"floor_masses": [15.0, 16.0]},
+        "floor_masses add up to 31 kg, total_mass says 30 kg; give one of the two, or values that agree",
+    ),
+    "no height": ({"story_heights": 0}, "story_heights = 0 must be greater than 0"),
+    "a negative height": ({"story_heights": [3.0, -3.0]}, "story_heights, entry 2 = -3 must be greater than 0"),
+    "height as a text": ({"story_heights": "3 m"}, "story_heights must be a number, not '3 m'"),
+    "empty heights": ({"story_heights": []}, "story_heights must not be empty"),
+    "no gravity": ({"gravity": 0}, "gravity = 0 must be greater than 0"),
+    "gravity as a text": ({"gravity": "moon"}, "gravity must be a number, not 'moon'"),
+}
+
+
+@pytest.mark.parametrize(("frame", "message"), FRAMES.values(), ids=FRAMES)
+def test_frame(frame, message):
+    assert refused(declared(frame=frame)) == f"frame: {message}"
+
+
+# One configuration.
+
+KEYS = {
+    "no frequencies": ({"frequencies": ABSENT}, ": the key 'frequencies' is missing"),
+    "no shapes": ({"mode_shapes": ABSENT}, ": the key 'mode_shapes' is missing"),
+    "a key misspelt": (
+        {"frequencis": 1, "frequencies": ABSENT},
+        ": unknown key 'frequencis'; did you mean 'frequencies'?",
+    ),
+    "a hyphen": ({"mode-shapes": 1}, ": unknown key 'mode-shapes'; did you mean 'mode_shapes'?"),
+    "a capital": ({"Modes": [1, 2]}, ": unknown key 'Modes'; did you mean 'modes'?"),
+    "the frame's key": ({"total_mass": 30.0}, ": unknown key 'total_mass'; it belongs in [frame]"),
+    "one frequency alone": ({"frequencies": 2.0}, ": frequencies must be a list of numbers, not 2.0"),
+    "empty frequencies": ({"frequencies": []}, ": frequencies must not be empty"),
+    "a text for a frequency": ({"frequencies": [2.0, "5 Hz"]}, ": frequencies, entry 2 must be a number, not '5 Hz'"),
+    "a text for frequencies": ({"frequencies": "2, 5"}, ": frequencies must be a list of numbers, not '2, 5'"),
+    "nan in a frequency": (
+        {"frequencies": [2.0, np.nan]},
+        ": frequencies, entry 2 must be a finite number, not nan",
+    ),
+    "inf in a frequency": ({"frequencies": [2.0, np.inf]}, ": frequencies, entry 2 must be a finite number, not inf"),
+    "a frequency of zero": ({"frequencies": [0.0, 2.0]}, ": frequencies, entry 1 = 0 must be greater than 0"),
+    "a negative frequency": ({"frequencies": [-2.0, 2.0]}, ": frequencies, entry 1 = -2 must be greater than 0"),
+    "a true frequency": ({"frequencies": [True, 2.0]}, ": frequencies, entry 1 must be a number, not True"),
+    "unsorted frequencies": (
+        {"frequencies": [5.0, 2.0]},
+        ": frequencies must be ascending, each greater than the one before; entry 2 is 2 Hz after 5 Hz "
+        "(sort the mode shapes with them)",
+    ),
+    "equal frequencies": (
+        {"frequencies": [2.0, 2.0]},
+        ": frequencies must be ascending, each greater than the one before; entry 2 is 2 Hz after 2 Hz "
+        "(sort the mode shapes with them)",
+    ),
+    "nested frequencies": ({"frequencies": [[2.0, 5.0]]}, ": frequencies, entry 1 must be a number, not [2.0, 5.0]"),
+    "more frequencies than shapes": (
+        {"frequencies": [2.0, 5.0, 7.0]},
+        ": mode_shapes must have 3 rows, one for each frequency, not 2",
+    ),
+    "fewer frequencies than shapes": (
+        {"frequencies": [2.0]},
+        ": mode_shapes must have 1 row, one for each frequency, not 2",
+    ),
+    "shapes lying on their side": (
+        {"mode_shapes": [[0.3, -1.7], [0.6, 0.2], [1.0, 1.0]]},
+        ": mode_shapes must have 2 rows, one for each frequency, not 3: a row is a mode, not a floor",
+    ),
+    "a flat list of entries": ({"mode_shapes": [0.6, 1.0]}, ": mode_shapes, row 1 must be a list of numbers, not 0.6"),
+    "a text for shapes": (
+        {"mode_shapes": "x"},
+        ": mode_shapes must be a list of lists of numbers, one a mode, not 'x'",
+    ),
+    "empty shapes": ({"mode_shapes": []}, ": mode_shapes must have 2 rows, one for each frequency, not 0"),
+    "an empty shape": ({"mode_shapes": [[], []]}, ": mode_shapes, row 1 must not be empty"),
+    "ragged shapes": (
+        {"mode_shapes": [[0.6, 1.0], [1.0]]},
+        ": mode_shapes, row 2 has 1 entry, row 1 has 2: give one a measured floor",
+    ),
+    "a text in a shape": (
+        {"mode_shapes": [[0.6, "1.0"], [-1.7, 1.0]]},
+        ": mode_shapes, row 1, entry 2 must be a number, not '1.0'",
+    ),
+    "inf in a shape": (
+        {"mode_shapes": [[0.6, 1.0], [-np.inf, 1.0]]},
+        ": mode_shapes, row 2, entry 1 must be a finite number, not -inf",
+    ),
+    "a shape of zeros": (
+        {"mode_shapes": [[0.6, 1.0], [0.0, 0.0]]},
+        ": mode_shapes, row 2 is zero at every measured floor; write nan where nothing was measured",
+    ),
+    "zeros where measured": (
+        {"mode_shapes": [[0.6, 1.0], [np.nan, 0.0]]},
+        ": mode_shapes, row 2 is zero at every measured floor; write nan where nothing was measured",
+    ),
+    "two equal shapes": (
+        {"mode_shapes": [[0.6, 1.0], [0.6, 1.0]]},
+        ": mode_shapes, rows 1 and 2 are the same shape; each mode has its own",
+    ),
+    "two proportional shapes": (
+        {"mode_shapes": [[0.6, 1.0], [-1.2e9, -2.0e9]]},
+        ": mode_shapes, rows 1 and 2 are the same shape; each mode has its own",
+    ),
+    "a row copied at some of the floors": (
+        {
+            "frequencies": [2.0, 3.0, 4.0],
+            "mode_shapes": [[1, 2, 3], [1, -1, 1], [1, 2, 3]],
+            "measured_floors": [1, 2, 9],
+        },
+        ": mode_shapes, rows 1 and 3 are the same shape; each mode has its own",
+    ),
+    "floor 0": ({"measured_floors": [0, 1]}, ": measured_floors, entry 1 = 0 must lie between 1 and 2000"),
+    "half a floor": (
+        {"measured_floors": [1, 1.5]},
+        ": measured_floors, entry 2 must be a whole number, not 1.5",
+    ),
+    "floors out of order": (
+        {"measured_floors": [2, 1]},
+        ": measured_floors must be ascending, none twice; found 1 after 2",
+    ),
+    "a floor twice": (
+        {"measured_floors": [2, 2]},
+        ": measured_floors must be ascending, none twice; found 2 after 2",
+    ),
+    "a floor beyond the frame": (
+        {"measured_floors": [1, 3], "added_mass": [0, 1]},
+        ": measured_floors names floor 3 of a frame of 2 stories; floors count from 1, the first above ground, to 2",
+    ),
+    "more floors than entries": (
+        {"measured_floors": [1, 2, 3]},
+        ": measured_floors has 3 entries, each row of mode_shapes has 2: give one entry a measured floor",
+    ),
+    "one floor alone": ({"measured_floors": 2}, ": measured_floors must be a list of whole numbers, not 2"),
+    "no floors": ({"measured_floors": []}, ": measured_floors must not be empty; leave the key out for its default"),
+    "mode 0": ({"modes": [0, 1]}, ": modes, entry 1 = 0 must lie between 1 and 2000"),
+    "modes out of order": ({"modes": [2, 1]}, ": modes must be ascending, none twice; found 1 after 2"),
+    "a mode too many": ({"modes": [1, 2, 3]}, ": modes must have 2 entries, one a frequency, not 3"),
+    "modes beyond the frame": (
+        {"modes": [1, 3]},
+        ": modes names mode 3 (where not given: 1 to 2, the number of frequencies), a frame of 2 stories has 2; leave "
+        "out what is not a sway mode, or give the right number of stories",
+    ),
+    "more modes than stories": (
+        {"frequencies": [2, 5, 7], "mode_shapes": [[1, 2], [2, 1], [1, 1]]},
+        ": modes names mode 3 (where not given: 1 to 3, the number of frequencies), a frame of 2 stories has 2; leave "
+        "out what is not a sway mode, or give the right number of stories",
+    ),
+    "modes as texts": ({"modes": ["first", "second"]}, ": modes, entry 1 must be a whole number, not 'first'"),
+    "empty modes": ({"modes": []}, ": modes must not be empty; leave the key out for its default"),
+    "negative added mass": ({"added_mass": [1.0, -1.0]}, ": added_mass, entry 2 = -1 must not be less than 0"),
+    "nan added mass": ({"added_mass": [1.0, np.nan]}, ": added_mass, entry 2 must be a finite number, not nan"),
+    "one added mass": ({"added_mass": 5.0}, ": added_mass must be a list of numbers, not 5.0"),
+    "empty added mass": ({"added_mass": []}, ": added_mass must not be empty; leave the key out for its default"),
+    "a text for mass_normalized": ({"mass_normalized": "yes"}, ": mass_normalized must be true or false, not 'yes'"),
+    "a number for mass_normalized": ({"mass_normalized": 1}, ": mass_normalized must be true or false, not 1"),
+    "no frequency std": ({"frequency_std": 0.0}, ": frequency_std = 0 must be greater than 0"),
+    "a negative frequency std": (
+        {"frequency_std": [0.1, -0.1]},
+        ": frequency_std, entry 2 = -0.1 must be greater than 0",
+    ),
+    "a frequency std too few": ({"frequency_std": [0.1]}, ": frequency_std must have 2 entries, one a mode, not 1"),
+    "a text for a std": ({"frequency_std": "1 %"}, ": frequency_std must be a number, not '1 %'"),
+    "no shape std": ({"mode_shape_std": 0}, ": mode_shape_std = 0 must be greater than 0"),
+    "a negative shape std": ({"mode_shape_std": -0.1}, ": mode_shape_std = -0.1 must be greater than 0"),
+    "nan for a shape std": ({"mode_shape_std": np.nan}, ": mode_shape_std must be a finite number, not nan"),
+    "shape stds too many": (
+        {"mode_shape_std": [0.1, 0.1, 0.1]},
+        ": mode_shape_std must have 2 entries, one a mode, not 3",
+    ),
+    "shape std rows too few": (
+        {"mode_shape_std": [[0.1, 0.1]]},
+        ": mode_shape_std must have 2 rows, one for each frequency, not 1: a row is a mode, not a floor",
+    ),
+    "shape std rows too long": (
+        {"mode_shape_std": [[0.1] * 3] * 2},
+        ": mode_shape_std has 3 entries a row, mode_shapes has 2",
+    ),
+    "a zero among shape stds": (
+        {"mode_shape_std": [[0.1, 0.1], [0.1, 0]]},
+        ": mode_shape_std, row 2, entry 2 = 0 must be greater than 0",
+    ),
+    "half a table of stds": (
+        {"mode_shape_std": [0.1, [0.1, 0.1]]},
+        ": mode_shape_std, row 1 must be a list of numbers, not 0.1",
+    ),
+    "unknown noise": (
+        {"mode_shape_noise": "Additiv"},
+        ": mode_shape_noise must be one of additive, multiplicative, not 'Additiv'; did you mean 'additive'?",
+    ),
+    "a number for the noise": (
+        {"mode_shape_noise": 3},
+        ": mode_shape_noise must be one of additive, multiplicative, not 3",
+    ),
+    "damping of 1": (
+        {"damping_ratios": [0.01, 1.0]},
+        ": damping_ratios must be below 1 (a fraction of critical, not percent), not 1",
+    ),
+    "negative damping": ({"damping_ratios": -0.01}, ": damping_ratios = -0.01 must not be less than 0"),
+    "a damping ratio too few": ({"damping_ratios": [0.01]}, ": damping_ratios must have 2 entries, one a mode, not 1"),
+}
+
+
+@pytest.mark.parametrize(("keys", "message"), KEYS.values(), ids=KEYS)
+def test_configuration(keys, message):
+    assert refused(declared(**keys)) == f'configuration "A"{message}'
+
+
+@pytest.mark.parametrize(("name", "found"), [(3, "3"), ("", "''"), ("  ", "'  '"), (["A"], "['A']")])
+def test_a_name_that_is_none(name, found):
+    assert refused(declared(name=name)) == f"configuration 1: name must be a text that is not empty, not {found}"
+
+
+# Parts that do not fit each other.
+
+CONTRADICTIONS = {
+    "stories against shapes": (
+        {"frame": {"stories": 3}},
+        'configuration "A": mode_shapes (no measured_floors given) speaks of 2 stories, frame: stories of 3; '
+        "they must agree",
+    ),
+    "heights against stories": (
+        {"frame": {"stories": 2, "story_heights": [3.0]}},
+        "frame: story_heights speaks of 1 stories, frame: stories of 2; they must agree",
+    ),
+    "masses against shapes": (
+        {"frame": {"floor_masses": [10.0, 10.0, 10.0]}},
+        'configuration "A": mode_shapes (no measured_floors given) speaks of 2 stories, frame: floor_masses of 3; '
+        "they must agree",
+    ),
+    "added mass against shapes": (
+        {"added_mass": [1.0, 1.0, 1.0]},
+        'configuration "A": mode_shapes (no measured_floors given) speaks of 2 stories, configuration "A": added_mass '
+        "of 3; they must agree",
+    ),
+    "two configurations of different width": (
+        {"configurations": [{}, {"name": "B", "mode_shapes": [[1, 2, 3], [1, 2, -3]]}]},
+        'configuration "B": mode_shapes (no measured_floors given) speaks of 3 stories, configuration "A": mode_shapes '
+        "(no measured_floors given) of 2; they must agree",
+    ),
+    "two of one name": (
+        {"configurations": [{}, {}]},
+        'two configurations are named "A"; give each a name of its own',
+    ),
+    "too many stories by added mass": (
+        {"added_mass": [0.0] * 2001, "measured_floors": [1, 2]},
+        'configuration "A": added_mass speaks of 2001 stories; 2000 are the most that are taken',
+    ),
+    "a floor beyond the other configuration": (
+        {"configurations": [{}, {"name": "B", "measured_floors": [2, 3]}]},
+        'configuration "B": measured_floors names floor 3 of a frame of 2 stories; floors count from 1, the first '
+        "above ground, to 2",
+    ),
+}
+
+
+@pytest.mark.parametrize(("changes", "message"), CONTRADICTIONS.values(), ids=CONTRADICTIONS)
+def test_contradictions(changes, message):
+    assert refused(declared(**changes)) == message
+
+
+NO_SCALE = (
+    "nothing tells how heavy the frame is: give frame: total_mass or floor_masses, two configurations with different "
+    "added_mass, mass_normalized shapes, or a prior that fixes the scale (value, or nominal without free_scale)"
+)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"configurations": [{"added_mass": [1, 2]}, {"name": "B", "added_mass": [1, 2]}]},
+        {"priors": [BOUNDS, RATIO, MONOTONE, {**NOMINAL, "free_scale": True}]},
+        {"mode_shapes": [[np.nan] * 2] * 2, "mass_normalized": True},
+    ],
+    ids=["nothing", "the same added mass twice", "priors without scale", "mass-normalized shapes that nobody measured"],
+)
+def test_no_mass_scale(changes):
+    assert refused(declared(frame={"total_mass": ABSENT}, **changes)) == NO_SCALE
+
+
+# Priors.
+
+PRIORS = {
+    "no table": ("bounds", "a prior must be a table of keys and values, not 'bounds'"),
+    "no kind": ({}, "the key 'kind' is missing; it is one of {kinds}"),
+    "unknown kind": ({"kind": "bound"}, "kind must be one of {kinds}, not 'bound'; did you mean 'bounds'?"),
+    "nothing like a kind": ({"kind": "xyz"}, "kind must be one of {kinds}, not 'xyz'"),
+    "a list for a kind": ({"kind": ["bounds"]}, "kind must be one of {kinds}, not ['bounds']"),
+    "unknown key": (
+        {**BOUNDS, "lowr": 1},
+        "the bounds prior: unknown key 'lowr'; did you mean 'lower'?",
+    ),
+    "another kind's key": (
+        {**MONOTONE, "free_scale": True},
+        "the monotone prior: unknown key 'free_scale'; known keys are direction, kind, quantity",
+    ),
+    "missing key": (
+        {"kind": "value", "quantity": "floor_mass", "at": 1},
+        "the value prior: the key 'value' is missing",
+    ),
+    "missing quantity": ({"kind": "bounds", "lower": 1}, "the bounds prior: the key 'quantity' is missing"),
+    "missing direction": (
+        {"kind": "monotone", "quantity": "floor_mass"},
+        "the monotone prior: the key 'direction' is missing",
+    ),
+    "wrong quantity": (
+        {**BOUNDS, "quantity": "floor_masses"},
+        "quantity of the bounds prior must be one of floor_mass, story_stiffness, not 'floor_masses'; "
+        "did you mean 'floor_mass'?",
+    ),
+    "no quantity": (
+        {**RATIO, "quantity": None},
+        "quantity of the ratio prior must be one of floor_mass, story_stiffness, not None",
+    ),
+    "bounds without a bound": (
+        {"kind": "bounds", "quantity": "floor_mass"},
+        "the bounds prior needs a key 'lower' or 'upper'",
+    ),
+    "lower above upper": (
+        {**BOUNDS, "lower": [1.0, 10.0]},
+        "the bounds prior on floor_mass 2: lower 10 is above upper 9; it must not be",
+    ),
+    "a negative lower bound": ({**BOUNDS, "lower": -1}, "lower of the bounds prior = -1 must not be less than 0"),
+    "an upper bound of zero": ({**BOUNDS, "upper": 0}, "upper of the bounds prior = 0 must be greater than 0"),
+    "an infinite upper bound": (
+        {**BOUNDS, "upper": np.inf},
+        "upper of the bounds prior must be a finite number, not inf",
+    ),
+    "bounds too many": (
+        {**BOUNDS, "upper": [9, 9, 9]},
+        "upper of the bounds prior has 3 entries, the frame has 2 stories; give one number for all, or one a story",
+    ),
+    "a single bound in a list": (
+        {**BOUNDS, "lower": [1]},
+        "lower of the bounds prior has 1 entry, the frame has 2 stories; give one number for all, or one a story",
+    ),
+    "empty bounds": ({**BOUNDS, "upper": []}, "upper of the bounds prior must not be empty"),
+    "a text for a bound": ({**BOUNDS, "upper": "9 kg"}, "upper of the bounds prior must be a number, not '9 kg'"),
+    "ratio of floor 0": ({**RATIO, "of": 0}, "of of the ratio prior = 0 must lie between 1 and 2000"),
+    "ratio to a floor beyond the frame": ({**RATIO, "to": 3}, "to of the ratio prior = 3 must lie between 1 and 2"),
+    "ratio to itself": (
+        {**RATIO, "to": 2},
+        "the ratio prior compares floor_mass 2 with itself; 'of' and 'to' must differ",
+    ),
+    "ratio of a text": ({**RATIO, "of": "roof"}, "of of the ratio prior must be a whole number, not 'roof'"),
+    "ratio of true": ({**RATIO, "of": True}, "of of the ratio prior must be a whole number, not True"),
+    "a ratio of zero": ({**RATIO, "value": 0}, "value of the ratio prior = 0 must be greater than 0"),
+    "a ratio of nan": ({**RATIO, "value": np.nan}, "value of the ratio prior must be a finite number, not nan"),
+    "a ratio's std of zero": ({**RATIO, "std": 0.0}, "std of the ratio prior = 0 must be greater than 0"),
+    "a value beyond the frame": ({**VALUE, "at": 3}, "at of the value prior = 3 must lie between 1 and 2"),
+    "a value at half a floor": ({**VALUE, "at": 1.0}, "at of the value prior must be a whole number, not 1.0"),
+    "a negative value": ({**VALUE, "value": -2e4}, "value of the value prior = -20000 must be greater than 0"),
+    "a list for a value": ({**VALUE, "value": [2e4]}, "value of the value prior must be a number, not [20000.0]"),
+    "a value's std below zero": ({**VALUE, "std": -0.1}, "std of the value prior = -0.1 must be greater than 0"),
+    "design values too many": (
+        {**NOMINAL, "values": [1, 2, 3]},
+        "values of the nominal prior has 3 entries, the frame has 2 stories; give one a story",
+    ),
+    "one design value for all": (
+        {**NOMINAL, "values": 2e4},
+        "values of the nominal prior must be a list of numbers, not 20000.0",
+    ),
+    "a design value of zero": (
+        {**NOMINAL, "values": [2e4, 0]},
+        "values of the nominal prior, entry 2 = 0 must be greater than 0",
+    ),
+    "a text for free_scale": (
+        {**NOMINAL, "free_scale": "true"},
+        "free_scale of the nominal prior must be true or false, not 'true'",
+    ),
+    "a text for a std": ({**NOMINAL, "std": "10 %"}, "std of the nominal prior must be a number, not '10 %'"),
+    "unknown direction": (
+        {**MONOTONE, "direction": "decrease"},
+        "direction of the monotone prior must be one of decreasing, increasing, not 'decrease'; "
+        "did you mean 'decreasing'?",
+    ),
+}
+
+
+@pytest.mark.parametrize(("prior", "message"), PRIORS.values(), ids=PRIORS)
+def test_prior(prior, message):
+    kinds = "bounds, monotone, nominal, ratio, value"
+    found = refused(declared(priors=[MONOTONE, prior]))
+    assert found.startswith("prior 2: ")
+    # A prior of one's own that another test registers adds its kind to the list.
+    assert found.removeprefix("prior 2: ").replace(", test-smooth", "") == message.replace("{kinds}", kinds)
+
+
+# Files.
+
+SOUND = """\
+[frame]
+total_mass = 31.33
+
+[[configuration]]
+name = "A"
+frequencies = [2.990, 7.934]
+mode_shapes = [[0.61071, 1.0], [-1.65840, 1.0]]
+"""
+
+FILES = {
+    "empty": (b"", ": at least one [[configuration]] is needed: none was found"),
+    "a comment alone": (b"# nothing yet\n", ": at least one [[configuration]] is needed: none was found"),
+    "not TOML": (
+        b"total mass: 31.33\n",
+        " is not valid TOML: Expected '=' after a key in a key/value pair (at line 1, column 7)",
+    ),
+    "a bracket left open": (
+        SOUND.replace("7.934]", "7.934").encode(),
+        " is not valid TOML: Unclosed array (at line 7, column 1)",
+    ),
+    "a key twice": (
+        SOUND.replace("total_mass", "total_mass = 1\ntotal_mass").encode(),
+        " is not valid TOML: Cannot overwrite a value (at line 3, column 19)",
+    ),
+    "a table twice": (
+        b"[frame]\n[frame]\n",
+        " is not valid TOML: Cannot declare ('frame',) twice (at line 2, column 7)",
+    ),
+    "a decimal comma": (
+        SOUND.replace("31.33", "31,33").encode(),
+        " is not valid TOML: Expected newline or end of document after a statement (at line 2, column 16)",
+    ),
+    "a comma separated table": (
+        b"f,phi1\n2.99,0.6\n",
+        " is not valid TOML: Expected '=' after a key in a key/value pair (at line 1, column 2)",
+    ),
+    "binary": (b"\x89PNG\r\n\x1a\n\x00\x00", " is not UTF-8 text (byte 0); is it a measurement file?"),
+    "Latin-1": (b'[[configuration]]\nname = "Geb\xe4ude"\n', " is not UTF-8 text (byte 29); is it a measurement file?"),
+    "nested too deeply": (b"x = " + b"[" * 50_000, " is not valid TOML: nested too deeply"),
+    "a number of thousands of digits": (
+        b"[frame]\nstories = " + b"9" * 5000,
+        ": a number in it has thousands of digits; is it a measurement file?",
+    ),
+    "a number beyond all floats": (
+        SOUND.replace("31.33", "1" + "0" * 400).encode(),
+        f": frame: total_mass = 1{'0' * 27}...{'0' * 29} must be between 1e-30 and 1e+30; check its unit",
+    ),
+    "a float beyond all floats": (
+        SOUND.replace("31.33", "1e999").encode(),
+        ": frame: total_mass must be a finite number, not inf",
+    ),
+    "nan for a mass": (
+        SOUND.replace("31.33", "nan").encode(),
+        ": frame: total_mass must be a finite number, not nan",
+    ),
+    "a date for a mass": (
+        SOUND.replace("31.33", "2020-01-02").encode(),
+        ": frame: total_mass must be a number, not datetime.date(2020, 1, 2)",
+    ),
+    "a key below the wrong header": (
+        (SOUND + "gravity = 9.81\n").encode(),
+        ": configuration \"A\": unknown key 'gravity'; it belongs in [frame]",
+    ),
+    "single brackets": (
+        SOUND.replace("[[configuration]]", "[configuration]").encode(),
+        ": [configuration] must be a list of tables: write [[configuration]], in double brackets",
+    ),
+    "double brackets": (
+        SOUND.replace("[frame]", "[[frame]]").encode(),
+        ": [frame] must be one table, in single brackets, not a list: [{'total_mass': 31.33}]",
+    ),
+    "a wrong prior": (
+        (SOUND + '[[prior]]\nkind = "value"\nquantity = "floor_mass"\nat = 3\nvalue = 9\n').encode(),
+        ": prior 1: at of the value prior = 3 must lie between 1 and 2",
+    ),
+    "a wrong frequency": (
+        SOUND.replace("7.934", "-7.934").encode(),
+        ': configuration "A": frequencies, entry 2 = -7.934 must be greater than 0',
+    ),
+}
+
+
+def refused_file(path):
+    with pytest.raises(InputError) as caught:
+        load(path)
+    return str(caught.value)
+
+
+def test_the_sound_text_is_sound(tmp_path):
+    file = tmp_path / "frame.toml"
+    file.write_text(SOUND)
+    assert load(file).name == "frame"
+
+
+@pytest.mark.parametrize(("content", "message"), FILES.values(), ids=FILES)
+def test_file(content, message, tmp_path):
+    file = tmp_path / "frame.toml"
+    file.write_bytes(content)
+    assert refused_file(file) == f"{file}{message}"
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    file = tmp_path / "missing.toml"
+    assert refused_file(file) == f"{file}: no such file (the built-in example is called 'paper')"
+
+
+def test_a_folder(tmp_path):
+    assert refused_file(tmp_path) == f"{tmp_path} is a folder; name a file in it"
+
+
+def test_a_file_used_as_a_folder(tmp_path):
+    (tmp_path / "file").write_text(SOUND)
+    inside = tmp_path / "file" / "frame.toml"
+    assert refused_file(inside) == f"{inside} cannot be read: Not a directory"
+
+
+def test_an_unreadable_file(tmp_path, monkeypatch):
+    """The refusal is played, as nothing is unreadable to a superuser."""
+    file = tmp_path / "frame.toml"
+    file.write_text(SOUND)
+
+    def refuse(*_):
+        raise PermissionError(13, "Permission denied", str(file))
+
+    monkeypatch.setattr(toml.Path, "open", refuse)
+    assert refused_file(file) == f"{file} cannot be read: Permission denied"
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="nothing is unreadable to a superuser")
+def test_a_file_without_the_right_to_read_it(tmp_path):
+    file = tmp_path / "frame.toml"
+    file.write_text(SOUND)
+    file.chmod(0)
+    assert refused_file(file) == f"{file} cannot be read: Permission denied"
+
+
+def test_a_name_too_long():
+    name = "x" * 5000
+    assert refused_file(name) == f"{name} cannot be read: File name too long"
+
+
+def test_a_name_that_no_file_can_have():
+    message = refused_file("a\0b.toml")
+    assert message.startswith("'a\\x00b.toml' cannot be the name of a file: ")
+
+
+def test_a_dict_in_place_of_a_name():
+    message = "load takes the name of a measurement file, not {}; a dict goes to Experiment.from_dict"
+    assert refused_file({}) == message
+
+
+def test_a_file_too_large(tmp_path, monkeypatch):
+    monkeypatch.setattr(toml, "LARGEST_FILE", 2_000_000)
+    file = tmp_path / "record.toml"
+    file.write_bytes(b"#" * 2_000_001)
+    assert refused_file(file) == f"{file} has more than 2 MB, too many for a measurement file"
+
+
+# Anything else.
+
+
+def whole():
+    """A file that uses every key."""
+    states = [
+        {
+            "name": "A",
+            "added_mass": [0.0, 0.0],
+            "measured_floors": [1, 2],
+            "frequencies": list(FREQUENCIES),
+            "modes": [1, 2],
+            "mode_shapes": copy.deepcopy(SHAPES),
+            "mass_normalized": False,
+            "frequency_std": [0.001, 0.002],
+            "mode_shape_std": [[0.01, 0.01], [0.02, 0.02]],
+            "mode_shape_noise": "additive",
+            "damping_ratios": [0.01, 0.008],
+        },
+        {"name": "B", "added_mass": [5.0, 0.0], "frequencies": [2.0], "mode_shapes": [[np.nan, 1.0]]},
+    ]
+    frame = {
+        "stories": 2,
+        "story_heights": [3.0, 3.0],
+        "total_mass": 30.0,
+        "floor_masses": [15.0, 15.0],
+        "gravity": 9.8,
+    }
+    return {"frame": frame, "prior": copy.deepcopy([BOUNDS, RATIO, VALUE, NOMINAL, MONOTONE]), "configuration": states}
+
+
+def places(value, path=()):
+    """Every place in the nested value, the whole of it first."""
+    yield path
+    for key, item in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+        yield from places(item, (*path, key))
+
+
+def put(value, path, junk):
+    if not path:
+        return junk
+    *way, last = path
+    table = value
+    for key in way:
+        table = table[key]
+    table[last] = junk
+    return value
+
+
+def nested(depth):
+    value = []
+    for _ in range(depth):
+        value = [value]
+    return value
+
+
+PLACES = list(places(whole()))
+SCALARS = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-3, 3),
+    st.sampled_from(["HUGE", "-HUGE", "TOO_LONG"]).map(lambda name: {"HUGE": HUGE, "-HUGE": -HUGE}.get(name, TOO_LONG)),
+    st.floats(),
+    st.sampled_from([5e-324, 1e-320, 1e-160, 1e-29, 1e29, 1e160, 1.7e308, 0.0, -0.0]),
+    st.text(max_size=5),
+    st.binary(max_size=3),
+    st.complex_numbers(),
+    st.datetimes(),
+    st.times(),
+    st.sampled_from(
+        [np.float32(1.5), np.int8(1), np.array(2.0), np.array([]), np.array([[1.0]]), np.array(["x"]), object]
+    ),
+)
+JUNK = st.one_of(
+    st.recursive(
+        SCALARS,
+        lambda inner: st.one_of(
+            st.lists(inner, max_size=3),
+            st.tuples(inner, inner),
+            st.dictionaries(st.one_of(st.text(max_size=3), st.integers(), st.none()), inner, max_size=2),
+        ),
+        max_leaves=6,
+    ),
+    st.sampled_from([["x"] * 1000, "x" * 1000, range(3), {1, 2}, b"\xff" * 1000]),
+)
+
+
+@pytest.mark.parametrize("path", PLACES, ids=str)
+def test_no_depth_is_too_much_to_refuse(path):
+    assert refused(put(whole(), path, nested(5000)))
+
+
+def test_the_whole_file_is_sound():
+    assert Experiment.from_dict(whole()).stories == 2
+    assert len(PLACES) > 80
+
+
+@seed(1)
+@settings(max_examples=500, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+@given(st.sampled_from(PLACES), JUNK)
+@example(("frame", "stories"), np.array([1, 2]))
+@example(("configuration", 0, "mode_shapes"), [[1e160, 1e160], [1e160, -1e160]])
+@example(("configuration", 0, "added_mass"), [[1], [1, 2]])
+@example(("frame", "floor_masses"), [1.7e308, 1.7e308])
+def test_junk_is_taken_or_refused(path, junk):
+    """Whatever stands in one place, the file is either an experiment or refused with a message of one piece."""
+    try:
+        found = Experiment.from_dict(put(whole(), path, junk))
+    except InputError as error:
+        assert str(error)  # noqa: PT017
+        assert len(str(error)) < 600  # noqa: PT017
+    else:
+        again = Experiment.from_dict(found.to_dict())
+        np.testing.assert_equal(again.to_dict(), found.to_dict())
+
+
+@seed(2)
+@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+@given(st.binary(max_size=40), st.integers(0, len(SOUND)), st.integers(0, 30))
+def test_a_damaged_file_is_taken_or_refused(tmp_path, junk, place, lost):
+    file = tmp_path / "frame.toml"
+    text = SOUND.encode()
+    file.write_bytes(text[:place] + junk + text[place + lost :])
+    try:
+        load(file)
+    except CvxshearError as error:
+        assert isinstance(error, InputError)  # noqa: PT017
+        assert str(error).startswith(str(file))  # noqa: PT017
