@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy import linalg
@@ -47,18 +48,20 @@ class System:
 
 def shear_system(floor_mass: Floats, story_stiffness: Floats) -> System:
     """The shear frame, with derivatives by every floor mass and then every story stiffness (P = 2N)."""
-    n = len(floor_mass)
+    dM, dK = _unit_derivatives(len(floor_mass))
+    return System(M=mass_matrix(floor_mass), K=stiffness_matrix(story_stiffness), dM=dM, dK=dK)
+
+
+@lru_cache(maxsize=8)
+def _unit_derivatives(n: int) -> tuple[Floats, Floats]:
+    """Derivatives of M and K of a shear frame of n stories, which depend on nothing but n; read-only."""
     T = transformation(n)
-    zeros = np.zeros((n, n, n))
-    unit_masses = zeros.copy()
-    unit_masses[np.arange(n), np.arange(n), np.arange(n)] = 1.0
-    unit_stories = T.T[:, :, None] * T.T[:, None, :]
-    return System(
-        M=mass_matrix(floor_mass),
-        K=stiffness_matrix(story_stiffness),
-        dM=np.concatenate([unit_masses, zeros]),
-        dK=np.concatenate([zeros, unit_stories]),
-    )
+    dM, dK = np.zeros((2 * n, n, n)), np.zeros((2 * n, n, n))
+    dM[np.arange(n), np.arange(n), np.arange(n)] = 1.0
+    dK[n:] = T.T[:, :, None] * T.T[:, None, :]
+    dM.setflags(write=False)
+    dK.setflags(write=False)
+    return dM, dK
 
 
 @dataclass(frozen=True, eq=False)

@@ -66,5 +66,7 @@ def configuration(mass, stiffness, added=None, *, rng=None, shape_noise=0.0, fre
 def experiment(mass, stiffness, *configurations, frame=None, prior=()):
     """The dict of a measurement file; the total mass is declared unless `frame` says otherwise."""
     table = {"total_mass": float(np.sum(mass))} if frame is None else frame
-    named = [{"name": f"test {i}", **each} for i, each in enumerate(configurations or [configuration(mass, stiffness)], 1)]
+    named = [
+        {"name": f"test {i}", **each} for i, each in enumerate(configurations or [configuration(mass, stiffness)], 1)
+    ]
     return {"frame": {"stories": len(mass), **table}, "configuration": named, "prior": list(prior)}

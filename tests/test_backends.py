@@ -105,7 +105,9 @@ def test_an_equality_said_twice_does_no_harm(name):
     program, sizes = random_program(5)
     twice = program.replace(A=np.concatenate([program.A, 2 * program.A]), b=np.concatenate([program.b, 2 * program.b]))
     expected = kkt_by_hand(program)
-    np.testing.assert_allclose(backends.get(name).solve(twice).x / sizes, expected / sizes, atol=1e-6 * np.max(np.abs(expected / sizes)))
+    np.testing.assert_allclose(
+        backends.get(name).solve(twice).x / sizes, expected / sizes, atol=1e-6 * np.max(np.abs(expected / sizes))
+    )
 
 
 def test_the_closed_form_refuses_an_active_bound_and_names_another_backend():
@@ -145,7 +147,9 @@ class Careless(Backend):
 
 def test_a_certificate_is_computed_and_never_believed():
     program, _ = random_program(2)
-    with pytest.raises(NoSolutionError, match=r"backend careless: inaccurate solution \(its own status: solved, it says\)"):
+    with pytest.raises(
+        NoSolutionError, match=r"backend careless: inaccurate solution \(its own status: solved, it says\)"
+    ):
         backends.get(Careless(1e-4)).solve(program)
     assert backends.get(Careless(1e-9)).solve(program).certificate.worst > 1e-10
 
@@ -167,7 +171,9 @@ def test_a_far_bound_changes_neither_the_answer_nor_the_scaling():
     far = program.replace(lower=-1e9 * sizes, upper=1e9 * sizes)
     for name in ("clarabel", "osqp", "scs"):
         np.testing.assert_allclose(
-            backends.get(name).solve(far).x / sizes, kkt_by_hand(program) / sizes, atol=1e-6 * np.max(np.abs(kkt_by_hand(program) / sizes))
+            backends.get(name).solve(far).x / sizes,
+            kkt_by_hand(program) / sizes,
+            atol=1e-6 * np.max(np.abs(kkt_by_hand(program) / sizes)),
         )
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cvxshear import backends
+from cvxshear.frame import stiffness_matrix
 from cvxshear.programs import LeastSquares, mass_correction, one_shot_masses, story_stiffnesses
 from cvxshear.programs.least_squares import remaining
 from cvxshear.programs.mass import normalized
@@ -99,6 +100,4 @@ def test_a_remainder_of_rounding_alone_is_zero():
 
 
 def test_transformation_gives_the_stiffness_matrix_of_the_chain():
-    from cvxshear.frame import stiffness_matrix
-
     np.testing.assert_allclose(stiffness_matrix(STIFFNESS), chain(MASS, STIFFNESS)[1], rtol=1e-15)

@@ -38,9 +38,8 @@ def read_csv(path: str | Path) -> Columns:
         Where the file is empty, has no header, or a cell is not a number, naming the column and the line.
     """
     path = Path(path)
-    lines = [
-        (number, text) for number, text in enumerate(_text(path).splitlines(), 1) if text.strip() and text.lstrip()[0] != "#"
-    ]
+    numbered = enumerate(_text(path).splitlines(), 1)
+    lines = [(number, text) for number, text in numbered if text.strip() and text.lstrip()[0] != "#"]
     if not lines:
         raise InputError(f"{path} is empty; a record has a header that names its columns, and a line a sample")
     (first, header), *rest = lines
@@ -99,7 +98,8 @@ def _cell(cell: str, separator: str | None, name: str, path: Path, number: int) 
     try:
         return float(cell.replace(",", ".") if separator != "," else cell)
     except ValueError:
-        raise InputError(f'{path}, line {number}: channel "{name}" holds {cell[:40]!r}, which is not a number') from None
+        where = f'{path}, line {number}: channel "{name}"'
+        raise InputError(f"{where} holds {cell[:40]!r}, which is not a number") from None
 
 
 def _is_number(text: str) -> bool:

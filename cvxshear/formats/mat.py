@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -53,14 +54,14 @@ def read_mat(path: str | Path) -> Columns:
 
 def _version_5(path: Path) -> Mapping[str, Any]:
     try:
-        return io.loadmat(str(path), simplify_cells=True)  # type: ignore[no-any-return]
+        return io.loadmat(str(path), simplify_cells=True)
     except (ValueError, TypeError, NotImplementedError, OSError) as error:
         raise InputError(f"{path} is not a MAT file that can be read: {error}") from None
 
 
 def _version_7(path: Path) -> Mapping[str, Any]:
     try:
-        import h5py  # noqa: PLC0415
+        h5py = importlib.import_module("h5py")
     except ImportError:
         raise InputError(f"{path} is a MAT file of version 7.3; reading it needs h5py: install cvxshear[mat]") from None
     try:

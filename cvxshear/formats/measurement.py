@@ -61,8 +61,10 @@ def _wrapped(comment: str) -> list[str]:
 def _tables(declared: Mapping[str, Any]) -> list[str]:
     lines: list[str] = []
     for name, value in declared.items():
-        for table, header in [(value, f"[{name}]")] if isinstance(value, Mapping) else [(t, f"[[{name}]]") for t in value]:
-            lines += [header, *(f"{key} = {_value(item)}" for key, item in table.items()), ""]
+        single = isinstance(value, Mapping)
+        for table in [value] if single else value:
+            lines.append(f"[{name}]" if single else f"[[{name}]]")
+            lines += [*(f"{key} = {_value(item)}" for key, item in table.items()), ""]
     return lines[:-1]
 
 

@@ -1,14 +1,8 @@
 """The record file: a small TOML text that says which column of which file is which floor, and what drove it.
 
-    [record]
-    kind = "time"                 # or "frf"
-    input = "base"                # "none" (ambient), "free_decay", "force", "base"; frf: always a force
-    file = "test.csv"             # .csv, .txt, .mat, .uff, .unv; or [[run]] tables
-    sampling_rate = 120.0         # Hz; follows from the time column where there is one
-
-    [[channel]]
-    column = "floor1_x"
-    floor = 1                     # 0 is the ground: with input = "base" its channel is the input
+Its tables are `[record]` (kind, input, file, sampling rate, ...), one `[[channel]]` for each column used
+(column, floor, axis, sign, calibration) and, where there are several files, one `[[run]]` for each; docs/modal.md
+has them all.
 """
 
 from __future__ import annotations
@@ -53,7 +47,6 @@ RUN_KEYS = ("file", "name", "input_floor")
 PASSED_ON = ("frame", "prior", "added_mass")
 TIME_NAMES = ("time", "time_s", "t", "t_s", "Time", "TIME", "seconds")
 FREQUENCY_NAMES = ("frequency", "frequency_hz", "freq", "f", "f_hz", "Frequency", "hz")
-READERS = {".mat": read_mat, ".uff": lambda path: read_uff(path)[0], ".unv": lambda path: read_uff(path)[0]}
 
 
 @dataclass(frozen=True)
@@ -169,7 +162,7 @@ def _channels(tables: object, declared: Mapping[str, Any], path: Path, lines: li
     if wanted is None and len(axes) > 1:
         raise InputError(f"the channels point along {', '.join(sorted(axes))}; say which with record: axis")
     if wanted is not None and wanted not in axes:
-        raise InputError(f"record: axis = {checks.shown(wanted)}, but the channels point along {', '.join(sorted(axes))}")
+        raise InputError(f"record: axis = {checks.shown(wanted)}; the channels point along {', '.join(sorted(axes))}")
     return [item for item in found if item.quantity == "force" or wanted is None or item.axis == wanted]
 
 
@@ -204,7 +197,10 @@ def _runs(table: Mapping[str, Any], declared: Mapping[str, Any]) -> list[Mapping
 def _read(run: Mapping[str, Any], path: Path, place: int) -> Columns:
     name = checks.text(run["file"], f"run {place}: file")
     file = path.parent / name
-    return READERS.get(file.suffix.lower(), read_csv)(file)
+    suffix = file.suffix.lower()
+    if suffix == ".mat":
+        return read_mat(file)
+    return read_uff(file)[0] if suffix in (".uff", ".unv", ".u58") else read_csv(file)
 
 
 def _time_record(
@@ -294,8 +290,8 @@ def _refuse_two_rates(rates: list[tuple[float, str]]) -> None:
     for rate, source in rates[1:]:
         if abs(rate - rates[0][0]) > 1e-3 * rates[0][0]:
             raise InputError(
-                f"{source} is sampled at {rate:.6g} Hz, {rates[0][1]} at {rates[0][0]:.6g} Hz: two sampling rates in one "
-                "record; resample one of them"
+                f"{source} is sampled at {rate:.6g} Hz, {rates[0][1]} at {rates[0][0]:.6g} Hz: two sampling rates in "
+                "one record; resample one of them"
             )
 
 
@@ -322,7 +318,7 @@ def _frf_record(
         made.append(FrfRun(responses, floor, run.get("name", Path(run["file"]).name)))
     for axis, source in axes[1:]:
         if axis.shape != axes[0][0].shape or not np.allclose(axis, axes[0][0], rtol=1e-6):
-            raise InputError(f"{source} and {axes[0][1]} have different frequency lines; one record, one frequency axis")
+            raise InputError(f"{source} and {axes[0][1]} have different frequency lines; a record has one axis")
     return FrfRecord(
         _made(channels), **common, runs=tuple(made), frequencies=axes[0][0], truncated=declared.get("truncated")
     )

@@ -7,6 +7,7 @@ written in ASCII, to a name that does not exist yet.
 
 from __future__ import annotations
 
+import importlib
 import os
 import tempfile
 from pathlib import Path
@@ -127,10 +128,9 @@ def read_modes(path: str | Path) -> tuple[Floats, Floats, Complexes]:
 
 def _pyuff() -> Any:
     try:
-        import pyuff  # noqa: PLC0415
+        return importlib.import_module("pyuff")
     except ImportError:
         raise InputError("universal files need pyuff: install cvxshear[uff]") from None
-    return pyuff
 
 
 def _sets(path: Path) -> list[Json]:
@@ -190,7 +190,7 @@ def _header(pyuff: Any, result: ModalResult) -> list[Json]:
 
 def _mode(pyuff: Any, result: ModalResult, place: int) -> Json:
     frequency = float(result.frequencies[place])
-    return pyuff.prepare_55(  # type: ignore[no-any-return]
+    mode: Json = pyuff.prepare_55(
         id1=result.name[:80],
         id2=result.uncertainty[:80],
         id3="1/sqrt(kg)" if result.mass_normalized else "largest entry 1",

@@ -15,6 +15,9 @@ from cvxshear.programs.feasibility import Statement, refuse_contradictions
 from cvxshear.programs.rows import statements
 from cvxshear.typing import Floats
 
+SMALLEST = 1e-6
+"""Of the mean at the start: a smaller mass or stiffness does not count as positive."""
+
 
 def spread(heavy: Sequence[Statement], stiff: Sequence[Statement], n: int, size: int) -> list[Statement]:
     """Statements about the masses and about the stiffnesses as statements about all parameters."""
@@ -25,19 +28,25 @@ def spread(heavy: Sequence[Statement], stiff: Sequence[Statement], n: int, size:
     ]
 
 
-def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) -> Domain:
-    """The domain of the parameters of a fit with these effects.
+def refuse_contradicting(experiment: Experiment) -> None:
+    """Raise where the declared masses and the exact priors cannot all be true.
 
     Raises
     ------
     InfeasibleError
-        Where declared masses and exact priors contradict each other.
+        Naming a smallest set that cannot.
     """
+    n = experiment.stories
+    refuse_contradictions(statements(experiment.priors, "floor_mass", n, experiment.frame), n)
+    refuse_contradictions(statements(experiment.priors, "story_stiffness", n), n)
+
+
+def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) -> Domain:
+    """The domain of the parameters of a fit with these effects."""
     n, size = experiment.stories, len(theta)
-    heavy = statements(experiment.priors, "floor_mass", n, experiment.frame)
-    stiff = statements(experiment.priors, "story_stiffness", n)
-    refuse_contradictions(heavy, n)
-    refuse_contradictions(stiff, n)
+    mass, stiffness = SMALLEST * theta[:n].mean(), SMALLEST * theta[n : 2 * n].mean()
+    heavy = statements(experiment.priors, "floor_mass", n, experiment.frame, least=mass)
+    stiff = statements(experiment.priors, "story_stiffness", n, least=stiffness)
     parts = spread(heavy, stiff, n, size)
     for placed, own in slices(effects, 2 * n):
         parameters = placed.effect.parameters

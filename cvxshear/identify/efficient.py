@@ -12,8 +12,8 @@ from cvxshear.effects import Placed
 from cvxshear.effects.composition import slices
 from cvxshear.errors import CvxshearError, NoSolutionError
 from cvxshear.experiment import Experiment
-from cvxshear.identify.domain import domain_of
-from cvxshear.identify.gauss_newton import Domain, Fit, gauss_newton
+from cvxshear.identify.domain import domain_of, refuse_contradicting
+from cvxshear.identify.gauss_newton import CONVERGED_STEP, Domain, Fit, gauss_newton
 from cvxshear.identify.misfit import Misfit
 from cvxshear.identify.quality import Quality, quality
 from cvxshear.identify.results import IdentifiedFrame, Part, Prediction, predictions
@@ -128,7 +128,7 @@ def parameter_names(experiment: Experiment, effects: Sequence[Placed]) -> tuple[
     )
 
 
-def fitted(misfit: Misfit, theta: Floats, backend: Backend) -> Estimate:
+def fitted(misfit: Misfit, theta: Floats, backend: Backend, tolerance: float = CONVERGED_STEP) -> Estimate:
     """The estimate that Gauss-Newton reaches from a starting point.
 
     Parameters
@@ -136,9 +136,11 @@ def fitted(misfit: Misfit, theta: Floats, backend: Backend) -> Estimate:
     misfit : Misfit
     theta : ndarray, shape (P,)
     backend : Backend
+    tolerance : float, optional
+        Of `gauss_newton`.
     """
     domain = domain_of(misfit.experiment, misfit.effects, theta)
-    fit = gauss_newton(misfit, theta, domain, backend)
+    fit = gauss_newton(misfit, theta, domain, backend, tolerance)
     names = parameter_names(misfit.experiment, misfit.effects)
     return Estimate(misfit, domain, fit, uncertainty(fit.at.J, fit.theta, domain, names))
 
@@ -161,9 +163,12 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed
 
     Raises
     ------
+    InfeasibleError
+        Where declared masses and exact priors contradict each other.
     NoSolutionError
         Where no starting point leads to a fit.
     """
+    refuse_contradicting(experiment)
     misfit = Misfit(experiment, effects)
     own = np.array([value for placed in effects for value in placed.start])
     best: Estimate | None = None

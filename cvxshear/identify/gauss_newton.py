@@ -80,7 +80,9 @@ def step_program(at: Evaluation, theta: Floats, domain: Domain) -> LeastSquares:
     return constrained(program, domain.statements, theta)
 
 
-def gauss_newton(misfit: Misfit, theta: Floats, domain: Domain, backend: Backend) -> Fit:
+def gauss_newton(
+    misfit: Misfit, theta: Floats, domain: Domain, backend: Backend, tolerance: float = CONVERGED_STEP
+) -> Fit:
     """Minimize the sum of squared standardized residuals.
 
     Parameters
@@ -90,6 +92,8 @@ def gauss_newton(misfit: Misfit, theta: Floats, domain: Domain, backend: Backend
         Start, at which the model has modes.
     domain : Domain
     backend : Backend
+    tolerance : float, optional
+        Largest change of a residual, see `CONVERGED_STEP`, of a step that counts as none.
 
     Returns
     -------
@@ -106,29 +110,29 @@ def gauss_newton(misfit: Misfit, theta: Floats, domain: Domain, backend: Backend
     for step in range(1, MOST_STEPS + 1):
         d = backend.solve(step_program(at, theta, domain)).x
         rms = np.sqrt(at.chi2 / max(len(at.r), 1))
-        if np.max(np.abs(at.J @ d), initial=0.0) < CONVERGED_STEP * max(1.0, rms):
+        if np.max(np.abs(at.J @ d), initial=0.0) < tolerance * max(1.0, rms):
             return Fit(theta, at, "step below tolerance", step)
         taken = _halved(misfit, theta, d, at)
         if taken is None:
             return Fit(theta, at, "no step lowers the misfit", step)
-        theta = taken
-        at = misfit.evaluate(theta)
+        theta, at = taken
     return Fit(theta, at, "step limit", MOST_STEPS)
 
 
-def _halved(misfit: Misfit, theta: Floats, d: Floats, at: Evaluation) -> Floats | None:
-    """theta + d, or + d/2, d/4, ...: the first that lowers the misfit; None where none does."""
+def _halved(misfit: Misfit, theta: Floats, d: Floats, at: Evaluation) -> tuple[Floats, Evaluation] | None:
+    """theta + d, or + d/2, d/4, ...: the first that lowers the misfit, evaluated; None where none does."""
     length = 1.0
     for _ in range(MOST_HALVINGS):
         trial = theta + length * d
+        length *= 0.5
         try:
-            chi2 = misfit.evaluate(trial, derivatives=False).chi2
+            # With derivatives at once: nearly always the first trial is taken, and they are needed then.
+            found = misfit.evaluate(trial)
         except InputError:
             # Outside the model's domain (a mass not positive, a frame that buckles): too long a step.
-            chi2 = np.inf
-        if chi2 < at.chi2:
-            return trial
-        length *= 0.5
+            continue
+        if found.chi2 < at.chi2:
+            return trial, found
     return None
 
 

@@ -236,10 +236,14 @@ def _paired(target: Target, found: Modes, gain: Floats) -> Ints:
     if len(declared) < 2 or len(target.floors) < 2:
         return declared
     psi = found.shapes[np.ix_(target.floors, declared)].T * gain[target.floors]
+    modelled, measured = target.weights * psi, target.weights * target.shapes
+    own = np.sum(modelled * measured, axis=1) ** 2
+    if np.all(own >= PAIRED * np.sum(modelled**2, axis=1) * np.sum(measured**2, axis=1)):
+        return declared
     weight2 = target.weights**2
     cross = (weight2 * target.shapes) @ psi.T
     with np.errstate(divide="ignore", invalid="ignore"):
-        mac = cross**2 / (np.sum(weight2 * target.shapes**2, axis=1)[:, None] * (weight2 @ (psi**2).T))
+        mac = cross**2 / (np.sum(measured**2, axis=1)[:, None] * (weight2 @ (psi**2).T))
     known = np.sum(target.weights > 0, axis=1) > 1
     mac = np.where(known[:, None] & np.isfinite(mac), mac, np.eye(len(declared)))
     if np.all(np.diag(mac) >= PAIRED):

@@ -8,12 +8,16 @@ import numpy as np
 
 from cvxshear.errors import UnsuitableError
 from cvxshear.experiment import Configuration, Experiment
+from cvxshear.identify.domain import refuse_contradicting
 from cvxshear.identify.misfit import Misfit
 from cvxshear.identify.quality import quality
 from cvxshear.identify.results import IdentifiedFrame, Part, predictions
-from cvxshear.programs.feasibility import Statement, refuse_contradictions
+from cvxshear.programs.feasibility import Statement
 from cvxshear.programs.rows import statements
 from cvxshear.typing import Floats
+
+SMALLEST = 1e-6
+"""Of the mean floor mass, and of the stiffness that would carry it at the first frequency: less is not positive."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,19 +78,19 @@ def setting(experiment: Experiment, configuration: Configuration, method: str) -
     total = experiment.frame.known_total
     if total is None:
         raise UnsuitableError(f"{where}: it needs frame: total_mass or floor_masses; use method efficient")
-    heavy = statements(experiment.priors, "floor_mass", n, experiment.frame)
-    stiff = statements(experiment.priors, "story_stiffness", n)
-    refuse_contradictions(heavy, n)
-    refuse_contradictions(stiff, n)
+    refuse_contradicting(experiment)
+    eigenvalues = (2 * np.pi * configuration.frequencies) ** 2
     relative = configuration.entry_std / np.max(np.abs(configuration.mode_shapes), axis=1, keepdims=True)
     return Setting(
         experiment=experiment,
         configuration=configuration,
         shapes=configuration.mode_shapes.T,
-        eigenvalues=(2 * np.pi * configuration.frequencies) ** 2,
+        eigenvalues=eigenvalues,
         total=total + float(configuration.added_mass.sum()),
-        mass_statements=heavy,
-        stiffness_statements=stiff,
+        mass_statements=statements(experiment.priors, "floor_mass", n, experiment.frame, least=SMALLEST * total / n),
+        stiffness_statements=statements(
+            experiment.priors, "story_stiffness", n, least=SMALLEST * eigenvalues[0] * total / n
+        ),
         shape_std=float(np.sqrt(np.mean(relative**2))),
     )
 

@@ -40,7 +40,8 @@ def two_stage(of: Setting, backend: Backend, initial_mass: Floats | None = None,
     history = [mass - added]
     converged = False
     while not converged and len(history) <= MOST_ITERATIONS:
-        program = mass_correction(normalized(of.shapes, mass), mass, of.total)
+        # The statements below hold the total already.
+        program = mass_correction(normalized(of.shapes, mass), mass, of.total).replace(A=None, b=None)
         program = softened(program, of.experiment.priors, "floor_mass", mass - added, of.shape_std, step=True)
         dm = backend.solve(constrained(program, of.mass_statements, mass - added)).x
         mass = mass + dm

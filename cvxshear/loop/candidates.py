@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,6 +17,12 @@ from cvxshear.identify.uncertainty import NULL, TAKES_PART
 from cvxshear.loop.fitter import Fitter
 from cvxshear.loop.significance import log_p_gain
 from cvxshear.typing import Floats, Json
+
+ROUGH = 1e-2
+"""Tolerance of Gauss-Newton, in standard deviations, of a first fit: enough to see which candidates are in reach."""
+
+IN_REACH = 50.0
+"""Chi-square above the best at which a candidate is out of reach, and its rough fit is left as it is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,19 +90,37 @@ def fit_candidates(base: Estimate, placed: Sequence[Placed], fitter: Fitter) -> 
 
     Admissible candidates come first, in order of the significance of their gain.
     """
-    found = [fit_candidate(base, item, fitter) for item in placed]
+    rough = [fit_candidate(base, item, fitter, ROUGH) for item in placed]
+    best = min((item.estimate.chi2 for item in rough if item.estimate is not None), default=np.inf)
+    reach = best + IN_REACH * _noise(base, best)
+    found = [
+        _refined(base, item, fitter) if item.estimate is not None and item.estimate.chi2 < reach else item
+        for item in rough
+    ]
     return sorted(
         found, key=lambda item: (not item.admissible, item.log_p, item.estimate.chi2 if item.estimate else np.inf)
     )
 
 
-def fit_candidate(base: Estimate, placed: Placed, fitter: Fitter) -> Candidate:
+def _noise(base: Estimate, best: float) -> float:
+    """The variance that chi-square is measured in: 1, or what the best candidate leaves a degree of freedom."""
+    return 1.0 if base.experiment.noise_declared else best / max(base.dof - 1, 1)
+
+
+def _refined(base: Estimate, rough: Candidate, fitter: Fitter) -> Candidate:
+    """A candidate fitted to full accuracy from where its rough fit ended."""
+    assert rough.estimate is not None
+    estimate = fitter.fit(rough.estimate.misfit, rough.estimate.theta)
+    return dataclasses.replace(rough, estimate=estimate, log_p=log_p_gain(base, estimate) if rough.admissible else 0.0)
+
+
+def fit_candidate(base: Estimate, placed: Placed, fitter: Fitter, tolerance: float) -> Candidate:
     """Fit the model of `base` with one more effect, starting from where `base` ended."""
     if not score(base, placed).determined:
         return Candidate(placed, None, 0.0, confounded_with=confounders(base, placed))
     try:
         estimate = fitter.fit(
-            Misfit(base.experiment, (*base.effects, placed)), np.concatenate([base.theta, placed.start])
+            Misfit(base.experiment, (*base.effects, placed)), np.concatenate([base.theta, placed.start]), tolerance
         )
     except CvxshearError as error:
         return Candidate(placed, None, 0.0, failure=str(error))

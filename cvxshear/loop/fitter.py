@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from cvxshear.backends import Backend
 from cvxshear.identify.efficient import Estimate, fitted
+from cvxshear.identify.gauss_newton import CONVERGED_STEP
 from cvxshear.identify.misfit import Misfit
 from cvxshear.typing import Floats
 
@@ -25,9 +26,9 @@ class Fitter:
     fits: int = 0
     programs: int = 0
 
-    def fit(self, misfit: Misfit, start: Floats) -> Estimate:
+    def fit(self, misfit: Misfit, start: Floats, tolerance: float = CONVERGED_STEP) -> Estimate:
         """The estimate that Gauss-Newton reaches from a starting point."""
         self.fits += 1
-        found = fitted(misfit, start, self.backend)
+        found = fitted(misfit, start, self.backend, tolerance)
         self.programs += found.fit.steps
         return found

@@ -1,4 +1,4 @@
-"""Frequencies that depend on amplitude: strong parts of the record against weak ones, the start of a decay against its end."""
+"""Frequencies that depend on amplitude: strong parts of a record against weak ones, a whole decay against its end."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SMALLEST = 5e-4
 FEWEST_BLOCKS = 8
 
 
-def amplitude_findings(setting: Setting, result: ModalResult, spread: Floats) -> list[Finding]:
+def amplitude_findings(setting: Setting, result: ModalResult) -> list[Finding]:
     """Modes whose frequency differs between strong and weak motion by more than chance allows."""
     if setting.source.unit == "block" and len(setting.source.groups) >= FEWEST_BLOCKS:
         return _strong_against_weak(setting, result)
@@ -60,7 +60,9 @@ def _strong_against_weak(setting: Setting, result: ModalResult) -> list[Finding]
 
 def _log_frequencies(setting: Setting, keep: Bools) -> Floats | None:
     values = values_on(setting.source, setting.sweep, keep)
-    return None if values is None else np.log(np.abs(values.eigenvalues + setting.shift) / (2 * np.pi))
+    if values is None:
+        return None
+    return np.asarray(np.log(np.abs(values.eigenvalues + setting.shift) / (2 * np.pi)))
 
 
 def _early_against_late(setting: Setting, result: ModalResult) -> list[Finding]:
@@ -98,7 +100,7 @@ def _std_of_change(setting: Setting) -> Floats | None:
             changes.append(whole - later)
     if len(changes) < 4:
         return None
-    return np.sqrt((len(changes) - 1) * np.var(changes, axis=0))
+    return np.asarray(np.sqrt((len(changes) - 1) * np.var(changes, axis=0)))
 
 
 def _later(setting: Setting, keep: Bools | None) -> Floats | None:
@@ -112,4 +114,6 @@ def _later(setting: Setting, keep: Bools | None) -> Floats | None:
         return None
     source = FixedSource(dataclasses.replace(impulse, start=int(weak[0])), setting.source.sampling_rate)
     values = values_on(source, setting.sweep, None)
-    return None if values is None else np.log(np.abs(values.eigenvalues + setting.shift) / (2 * np.pi))
+    if values is None:
+        return None
+    return np.asarray(np.log(np.abs(values.eigenvalues + setting.shift) / (2 * np.pi)))

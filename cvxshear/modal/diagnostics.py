@@ -33,7 +33,6 @@ def modal_findings(
     result: ModalResult,
     setting: Setting,
     full: Details,
-    spread: Floats,
     lost: int,
     *,
     accept_swapped: bool,
@@ -52,7 +51,7 @@ def modal_findings(
     found += clock_findings(result, full)
     found += resolution_findings(record, result)
     found += reciprocity_findings(full, setting)
-    found += amplitude_findings(setting, result, spread)
+    found += amplitude_findings(setting, result)
     found += _mode_findings(record, result, setting)
     if lost:
         found.append(
@@ -183,8 +182,8 @@ def resolution_findings(record: Record, result: ModalResult) -> list[Finding]:
             found.append(
                 Finding(
                     "resolution",
-                    f"{record.duration:.0f} s hold {periods:.0f} periods of the lowest mode; ambient vibration asks for "
-                    f"{FEWEST_PERIODS} at least",
+                    f"{record.duration:.0f} s hold {periods:.0f} periods of the lowest mode; ambient vibration asks "
+                    f"for {FEWEST_PERIODS} at least",
                     {"periods": periods, "duration": record.duration},
                 )
             )
@@ -244,16 +243,16 @@ def _mode_findings(record: Record, result: ModalResult, setting: Setting) -> lis
                 {"measured": len(record.channels), "stories": record.stories},
             )
         )
-    for item in sweep.candidates:
-        if item.physical and not any(item is other for other in sweep.chosen):
-            found.append(
-                Finding(
-                    "other mode",
-                    f"{item.frequency:.3f} Hz is stable as well, with {100 * item.energy:.2g} % of the energy, and is "
-                    "not a sway mode that the frame still lacks: torsion, another axis, a local or split mode",
-                    {"frequency": item.frequency, "energy": item.energy},
-                )
-            )
+    found.extend(
+        Finding(
+            "other mode",
+            f"{item.frequency:.3f} Hz is stable as well, with {100 * item.energy:.2g} % of the energy, and is not a sway "
+            "mode that the frame still lacks: torsion, another axis, a local or split mode",
+            {"frequency": item.frequency, "energy": item.energy},
+        )
+        for item in sweep.candidates
+        if item.physical and not any(item is other for other in sweep.chosen)
+    )
     for mode, phase in zip(result.modes, result.lost_phase, strict=True):
         if phase > COMPLEX:
             found.append(

@@ -19,6 +19,7 @@ from cvxshear.modal.shapes import main_axis, real_shape, signed_projection
 from cvxshear.typing import Bools, Floats, Ints
 
 SURROGATES = 20
+FEW_PIECES = 6
 LAST_SAMPLE = 4000
 """Of an impulse response, for its residues; a longer one has decayed."""
 
@@ -157,8 +158,22 @@ def covariance(setting: Setting, full: Details, seed: int) -> tuple[Floats, str,
 
     if len(groups):
         result, lost = jackknife(replicate, groups)
-        return result, f"jackknife over {len(groups)} {setting.source.unit}s", lost
+        how = f"jackknife over {len(groups)} {setting.source.unit}s"
+        if len(groups) < FEW_PIECES:
+            result, how = _widened(result, disturbed(setting, full, seed)), f"{how}, at least {SURROGATES} surrogates'"
+        return result, how, lost
     return disturbed(setting, full, seed), f"{SURROGATES} surrogates of the residual", 0
+
+
+def _widened(spread: Floats, other: Floats) -> Floats:
+    """The covariance with every standard deviation raised to the other's where that is larger.
+
+    The scatter of three pieces is small by chance often enough that it must not stand alone.
+    """
+    std, least = np.sqrt(np.diag(spread)), np.sqrt(np.diag(other))
+    factor = np.where(std > 0, np.maximum(1.0, least / np.where(std > 0, std, 1.0)), 1.0)
+    missing = np.where(std > 0, 0.0, least)
+    return np.asarray(spread * np.outer(factor, factor) + np.diag(missing**2))
 
 
 def disturbed(setting: Setting, full: Details, seed: int) -> Floats:

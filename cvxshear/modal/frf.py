@@ -22,6 +22,8 @@ ROWS = 60
 COLUMNS = 600
 SKIPPED = 3
 """Samples at the start of an impulse response that its cut at half the sampling rate disturbs most."""
+RINGING = 12
+"""Samples that a blow, sampled behind a steep filter, rings before and after."""
 WEAKEST_FORCE = 0.01
 """Of the largest force power: lines beyond the first weaker one say nothing of the frame."""
 
@@ -119,6 +121,10 @@ class FrfSource:
         """Left factor of the block Hankel matrix of the impulse responses."""
         return markov_factor(self.markov(keep), SKIPPED)
 
+    def data(self) -> Floats:
+        """The same: the data are not weighted."""
+        return self.factor()
+
     def impulse(self, keep: Bools | None = None) -> Impulse:
         """The impulse responses."""
         return Impulse(self.markov(keep), SKIPPED, self.response(keep)[1], self.wrapped)
@@ -154,6 +160,10 @@ class DecaySource:
         """Left factor of the block Hankel matrix of the decays."""
         return markov_factor(self.markov(keep), self.start)
 
+    def data(self) -> Floats:
+        """The same: the data are not weighted."""
+        return self.factor()
+
     def impulse(self, keep: Bools | None = None) -> Impulse:
         """The decays, which no measured force began."""
         decays = self.markov(keep)
@@ -182,6 +192,10 @@ class FixedSource:
     def factor(self, keep: Bools | None = None) -> Floats:
         """Left factor of the block Hankel matrix."""
         return markov_factor(self._impulse.sequence, self._impulse.start)
+
+    def data(self) -> Floats:
+        """The same: the data are not weighted."""
+        return self.factor()
 
     def impulse(self, keep: Bools | None = None) -> Impulse:
         """The impulse responses."""
@@ -244,7 +258,7 @@ def cut(spectra: Sequence[Spectra], lines: int) -> tuple[list[Spectra], int]:
 
 
 def hit_start(run: Run) -> int:
-    """The sample just before the force leaves its noise."""
+    """The sample from which the blow is seen, with the ringing of the sampler's filter ahead of it."""
     force = np.abs(_excitation(run))
     loud = np.flatnonzero(force > 0.02 * force.max())
     blow = int(np.argmax(force))
@@ -253,7 +267,7 @@ def hit_start(run: Run) -> int:
         if place < start - 3:
             break
         start = int(place)
-    return max(0, start - 2)
+    return max(0, start - RINGING)
 
 
 def _quiet_after_blow(force: Floats) -> Floats:
@@ -263,9 +277,9 @@ def _quiet_after_blow(force: Floats) -> Floats:
     """
     loud = np.abs(force) > 0.25 * np.max(np.abs(force))
     first, last = int(np.argmax(loud)), len(loud) - 1 - int(np.argmax(loud[::-1]))
-    width = max(2, last - first + 1)
+    margin = max(RINGING, 3 * (last - first + 1))
     window = np.zeros(len(force))
-    window[max(0, first - 3 * width) : last + 3 * width + 1] = 1.0
+    window[max(0, first - margin) : last + margin + 1] = 1.0
     return force * window
 
 

@@ -62,11 +62,11 @@ def _angle(setting: Setting, values: Values, left: Floats) -> float:
 
 def _finding(truncated: bool, why: str, length: float, left: Floats) -> Finding:
     mode = int(np.argmax(left)) + 1
-    kind = "cut off there" if truncated else "sampled functions of responses that went on"
+    kind = "those of responses cut off there" if truncated else "samples of the true functions"
     return Finding(
         "leakage",
-        f"{100 * left.max():.1f} % of mode {mode}'s impulse response is left at the end of the window of {length:.3g} s; "
-        f"the functions are taken for {kind} ({why}); its residues depend on that by as much, its frequency and "
-        "damping do not",
+        f"{100 * left.max():.1f} % of mode {mode}'s impulse response is left at the end of the window of "
+        f"{length:.3g} s; the functions are taken for {kind} ({why}); its residues depend on that by as much, its "
+        "frequency and damping do not",
         {"mode": mode, "left": float(left.max()), "length": length, "truncated": truncated},
     )

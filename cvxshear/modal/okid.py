@@ -70,6 +70,10 @@ class OkidSource:
         """Left factor of the block Hankel matrix of the Markov parameters."""
         return left_factor(block_hankel(self.markov(keep), ROWS, COLUMNS))
 
+    def data(self) -> Floats:
+        """The same: the data are not weighted."""
+        return self.factor()
+
     def impulse(self, keep: Bools | None = None) -> Impulse:
         """The Markov parameters, from the first that the direct term is not part of."""
         return Impulse(self.markov(keep), 1, np.full(self.inputs, self.floor, dtype=np.int64))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.modal.clock import Offsets, offsets, undone
+from cvxshear.modal.clock import offsets, undone
 from cvxshear.modal.realization import Poles, Source, realize
 from cvxshear.modal.record import Complexes
 from cvxshear.modal.shapes import collinearity, mac, real_shape, sign_changes
@@ -124,19 +124,19 @@ def sweep_orders(
             continue
         members = undivided(cluster, poles, criteria, shift)
         value, shape = center(*Cluster(list(members)).gather(poles))
-        found.append(Candidate(tuple(members), value, shape, persistence(cluster, poles), 0.0, *_lasting(cluster, poles, criteria)))
+        share = persistence(cluster, poles)
+        found.append(Candidate(tuple(members), value, shape, share, 0.0, *_lasting(cluster, share, criteria)))
     found.sort(key=lambda item: item.frequency)
-    found = _weighed(_distinct(_within(found, band), criteria), factor, source.sampling_rate)
+    found = _weighed(_distinct(_within(found, band), criteria), source.data(), source.sampling_rate)
     found = _collinear(found, criteria)
     usable = [item for item in found if item.physical]
     chosen = _by_signs(usable, count) if by_signs else _by_energy(usable, count)
     return Sweep(poles, stable, tuple(found), tuple(chosen))
 
 
-def _lasting(cluster: Cluster, poles: Sequence[Poles], criteria: Criteria) -> tuple[bool, str]:
+def _lasting(cluster: Cluster, share: float, criteria: Criteria) -> tuple[bool, str]:
     if len(cluster.members) < criteria.least_orders:
         return False, f"stable in {len(cluster.members)} orders only"
-    share = persistence(cluster, poles)
     if share < criteria.least_persistence:
         return False, f"stable in {100 * share:.0f} % of the orders only"
     return True, ""
@@ -165,12 +165,7 @@ def _weighed(found: list[Candidate], factor: Floats, sampling_rate: float) -> li
     lasting = [item for item in found if item.physical]
     shares = energies(factor, [(item.eigenvalue, item.shape) for item in lasting], sampling_rate)
     energy = dict(zip(map(id, lasting), shares.tolist(), strict=True))
-    return [_replaced(item, energy=energy.get(id(item), 0.0)) for item in found]
-
-
-def _replaced(item: Candidate, **changes: object) -> Candidate:
-    values = {name: getattr(item, name) for name in item.__dataclass_fields__}
-    return Candidate(**{**values, **changes})
+    return [dataclasses.replace(item, energy=energy.get(id(item), 0.0)) for item in found]
 
 
 def _collinear(found: list[Candidate], criteria: Criteria) -> list[Candidate]:
@@ -185,8 +180,10 @@ def _collinear(found: list[Candidate], criteria: Criteria) -> list[Candidate]:
         straight = undone(np.array([item.eigenvalue]), item.shape[None], clocks.seconds)[0]
         measure = max(collinearity(straight), collinearity(item.shape))
         if item.physical and measure < criteria.least_collinearity:
-            item = _replaced(item, physical=False, reason=f"modal phase collinearity {measure:.2f} only")  # noqa: PLW2901
-        result.append(item)
+            reason = f"modal phase collinearity {measure:.2f} only"
+            result.append(dataclasses.replace(item, physical=False, reason=reason))
+        else:
+            result.append(item)
     return result
 
 
@@ -282,8 +279,3 @@ def values_on(source: Source, sweep: Sweep, keep: Bools | None) -> Values | None
         eigenvalues.append(value)
         shapes.append(shape)
     return Values(np.array(eigenvalues), np.array(shapes))
-
-
-def clock_offsets(values: Values, participations: Complexes | None) -> Offsets:
-    """Offsets of the clocks from the chosen modes."""
-    return offsets(values.eigenvalues, values.shapes, participations)

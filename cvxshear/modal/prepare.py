@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import dataclasses
+import itertools
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from scipy import signal
@@ -107,7 +109,7 @@ def decimated(record: TimeRecord) -> TimeRecord:
     if factor < 2:
         return record
     if min(run.samples for run in record.runs) < 40 * factor:
-        raise InputError(f"the record is too short to be decimated to its band of {record.band[1]:g} Hz; widen the band")
+        raise InputError(f"the record is too short to be decimated to its band up to {record.band[1]:g} Hz; widen it")
     return _mapped(
         record,
         lambda values: signal.decimate(values, factor, ftype="fir", axis=0),
@@ -115,7 +117,7 @@ def decimated(record: TimeRecord) -> TimeRecord:
     )
 
 
-def _mapped(record: TimeRecord, change, rate: float) -> TimeRecord:  # type: ignore[no-untyped-def]
+def _mapped(record: TimeRecord, change: Callable[[Floats], Floats], rate: float) -> TimeRecord:
     runs = tuple(
         Run(
             change(run.responses),
@@ -125,17 +127,7 @@ def _mapped(record: TimeRecord, change, rate: float) -> TimeRecord:  # type: ign
         )
         for run in record.runs
     )
-    return TimeRecord(
-        record.channels,
-        record.stories,
-        record.quantity,
-        record.band,
-        record.exponential_window,
-        record.name,
-        runs,
-        rate,
-        record.input,
-    )
+    return dataclasses.replace(record, runs=runs, sampling_rate=rate)
 
 
 def _hits(record: TimeRecord, estimator: str) -> FrfSource:
@@ -211,6 +203,6 @@ def _cuts(record: TimeRecord, blocks: int, before: int, after: int) -> Iterator[
         if count < 2:
             continue
         pieces = max(1, round(blocks * count / total))
-        edges = before + np.linspace(0, count, pieces + 1).astype(int)
-        for start, stop in zip(edges[:-1], edges[1:], strict=True):
-            yield run, int(start), int(stop)
+        edges = (before + np.linspace(0, count, pieces + 1).astype(int)).tolist()
+        for start, stop in itertools.pairwise(edges):
+            yield run, start, stop

@@ -6,6 +6,7 @@ observability matrix, col(C, CA, CA^2, ...). Its shift invariance gives A, its f
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
@@ -42,6 +43,9 @@ class Source(Protocol):
 
     def factor(self, keep: Bools | None = None) -> Floats:
         """Left factor of the data, shape (rows * outputs, m), columns by descending singular value."""
+
+    def data(self) -> Floats:
+        """The same of all the data, in no other weight than their own size."""
 
     def impulse(self, keep: Bools | None = None) -> Impulse | None:
         """The impulse responses behind the factor; None where the method knows none."""
@@ -114,14 +118,13 @@ def block_hankel(sequence: Floats, rows: int, columns: int, start: int = 1) -> F
     """
     places = start + np.arange(rows)[:, None] + np.arange(columns)[None, :]
     _, outputs, inputs = sequence.shape
-    return sequence[places].transpose(0, 2, 1, 3).reshape(rows * outputs, columns * inputs)
+    return np.asarray(sequence[places].transpose(0, 2, 1, 3).reshape(rows * outputs, columns * inputs))
 
 
 def left_factor(matrix: Floats) -> Floats:
     """Left singular vectors times singular values, by way of a triangle so that wide matrices stay cheap."""
-    triangle = matrix
-    if matrix.shape[1] > matrix.shape[0]:
-        triangle = linalg.qr(matrix.T, mode="r", check_finite=False)[0][: matrix.shape[0]].T
+    wide = matrix.shape[1] > matrix.shape[0]
+    triangle = linalg.qr(matrix.T, mode="r", check_finite=False)[0][: matrix.shape[0]].T if wide else matrix
     left, values, _ = linalg.svd(triangle, full_matrices=False)
     return np.asarray(left * values)
 
@@ -140,7 +143,7 @@ def realize(factor: Floats, outputs: int, sampling_rate: float, orders: Iterable
     sampling_rate : float
         Hz.
     orders : iterable of int
-        Orders beyond the factor's rank are skipped.
+        Beyond the factor's rank the poles stay as they are.
 
     Returns
     -------
@@ -151,18 +154,28 @@ def realize(factor: Floats, outputs: int, sampling_rate: float, orders: Iterable
     basis = factor[:, :rank] / norms[:rank]
     upper, lower = basis[:-outputs], basis[outputs:]
     gram, shift = upper.T @ upper, upper.T @ lower
-    result = []
+    # Noise-free data have a finite rank: beyond it the model cannot grow, and stays as it is.
+    most = min(rank, len(upper))
+    result: list[Poles] = []
     for order in orders:
-        if order > min(rank, len(upper)):
+        if order > most and result and result[-1].order >= most:
+            result.append(dataclasses.replace(result[-1], order=order))
             continue
-        transition = linalg.solve(gram[:order, :order], shift[:order, :order], assume_a="pos")
-        discrete, vectors = linalg.eig(transition)
-        # A pole at the origin is a pure delay and has no continuous-time counterpart.
-        used = (discrete.imag > 0) & (np.abs(discrete) > 1e-6)
-        eigenvalues = np.log(discrete[used]) * sampling_rate
-        shapes = (basis[:outputs, :order] @ vectors[:, used]).T
-        result.append(Poles(order, eigenvalues, normalized(shapes)))
+        result.append(_poles(basis, gram, shift, min(order, most), order, outputs, sampling_rate))
     return result
+
+
+def _poles(
+    basis: Floats, gram: Floats, shift: Floats, states: int, order: int, outputs: int, sampling_rate: float
+) -> Poles:
+    """Poles and shapes of a model of so many states."""
+    transition = linalg.solve(gram[:states, :states], shift[:states, :states], assume_a="pos")
+    discrete, vectors = linalg.eig(transition)
+    # A pole at the origin is a pure delay and has no continuous-time counterpart.
+    used = (discrete.imag > 0) & (np.abs(discrete) > 1e-6)
+    eigenvalues = np.log(discrete[used]) * sampling_rate
+    shapes = (basis[:outputs, :states] @ vectors[:, used]).T
+    return Poles(order, eigenvalues, normalized(shapes))
 
 
 def normalized(shapes: Complexes) -> Complexes:

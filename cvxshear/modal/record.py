@@ -310,7 +310,7 @@ Record = TimeRecord | FrfRecord
 
 
 def _matrix(value: Any, where: str, dtype: type) -> Any:
-    result = np.array(value, dtype=dtype)
+    result: NDArray[Any] = np.array(value, dtype=dtype)
     if result.ndim != 2 or 0 in result.shape:
         raise InputError(f"{where} must be a table of samples by channels, not of shape {result.shape}")
     return checks.frozen(result)

@@ -31,7 +31,7 @@ def residues(sequence: Floats, eigenvalues: Complexes, sampling_rate: float, sta
     design = np.hstack([2 * powers.real, -2 * powers.imag])
     flat = np.linalg.lstsq(design, sequence[start:].reshape(count, -1), rcond=None)[0]
     modes = len(eigenvalues)
-    return (flat[:modes] + 1j * flat[modes:]).reshape(modes, *sequence.shape[1:])
+    return np.asarray((flat[:modes] + 1j * flat[modes:]).reshape(modes, *sequence.shape[1:]))
 
 
 def modal_products(

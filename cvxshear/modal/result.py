@@ -47,8 +47,8 @@ class ModalResult:
         that is not mass-normalized: it is 1 by definition.
     entry_std : array, shape (m, n)
         Standard deviations of independent errors on all entries, the mode's scale free, that scatter the
-        shape as `mode_shape_std` says; relative to the mode's largest entry. These go into the
-        measurement file.
+        shape as `mode_shape_std` says, and where `mass_normalized` its scale; relative to the mode's largest
+        entry. These go into the measurement file, whose errors are independent.
     mass_normalized : bool
     modes : array of int, shape (m,)
         Which modes of the frame these are, 1 the lowest.

@@ -69,7 +69,7 @@ def signed_projection(shape: Complexes, straight: Complexes) -> Floats:
 
 
 def lost_phase(shape: Complexes) -> float:
-    """What the real shape leaves out: root mean square angle off the main axis, degrees, weighted by modulus squared."""
+    """Angle off the main axis that a real shape leaves out, degrees, root mean square weighted by modulus squared."""
     turned = main_axis(shape)
     angle = np.angle(turned * np.where(turned.real < 0, -1.0, 1.0))
     weight = np.abs(turned) ** 2

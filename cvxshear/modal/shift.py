@@ -55,4 +55,4 @@ def _advanced(values: Floats, seconds: Floats, rate: float) -> Floats:
     frequencies = np.fft.rfftfreq(len(values), 1 / rate)
     turned = spectrum * np.exp(2j * np.pi * frequencies[:, None] * seconds[None, :])
     slope = (values[-1] - values[0]) / (len(values) - 1)
-    return np.fft.irfft(turned, n=len(values), axis=0) + line + slope * rate * seconds
+    return np.asarray(np.fft.irfft(turned, n=len(values), axis=0) + line + slope * rate * seconds)

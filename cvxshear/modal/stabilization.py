@@ -7,6 +7,7 @@ rest of the sweep is a candidate for a mode.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -95,10 +96,12 @@ def plausible(poles: Poles, sampling_rate: float, highest_damping: float, shift:
     ]
 
 
-def stable_poles(sweep: Sequence[Poles], sampling_rate: float, criteria: Criteria, shift: float = 0.0) -> list[list[int]]:
+def stable_poles(
+    sweep: Sequence[Poles], sampling_rate: float, criteria: Criteria, shift: float = 0.0
+) -> list[list[int]]:
     """For each order the indices of its stable poles; none in the first order."""
     result: list[list[int]] = [[]]
-    for before, after in zip(sweep, sweep[1:], strict=False):
+    for before, after in itertools.pairwise(sweep):
         earlier = plausible(before, sampling_rate, criteria.highest_damping, shift)
         result.append(
             [
@@ -151,7 +154,9 @@ def persistence(cluster: Cluster, sweep: Sequence[Poles]) -> float:
     return len(cluster.members) / (len(sweep) - cluster.members[0][0])
 
 
-def undivided(cluster: Cluster, sweep: Sequence[Poles], criteria: Criteria, shift: float = 0.0) -> list[tuple[int, int]]:
+def undivided(
+    cluster: Cluster, sweep: Sequence[Poles], criteria: Criteria, shift: float = 0.0
+) -> list[tuple[int, int]]:
     """The members whose order holds no second pole of the same shape nearby.
 
     A model of too high an order splits a mode whose frequency is not quite constant into two, neither of
@@ -184,12 +189,12 @@ def nearest(poles: Poles, eigenvalue: complex, shape: Complexes, reach: float = 
 
 
 def center(eigenvalues: Complexes, shapes: Complexes) -> tuple[complex, Complexes]:
-    """The middle of a cluster: median eigenvalue by parts, mean shape after turning all to one phase."""
+    """The middle of a cluster: the median of eigenvalues and of shapes turned to one phase, part by part."""
     reference = shapes[0]
     turns = np.array([np.vdot(shape, reference) for shape in shapes])
     aligned = shapes * (turns / np.abs(turns))[:, None]
     value = complex(float(np.median(eigenvalues.real)), float(np.median(eigenvalues.imag)))
-    return value, np.asarray(aligned.mean(axis=0))
+    return value, np.median(aligned.real, axis=0) + 1j * np.median(aligned.imag, axis=0)
 
 
 def energies(factor: Floats, poles: Sequence[tuple[complex, Complexes]], sampling_rate: float) -> Floats:

@@ -51,6 +51,10 @@ class SubspaceSource:
         past = future_inputs + self.rows * (self.inputs + self.outputs)
         return left_factor(triangle[past:, future_inputs:past])
 
+    def data(self) -> Floats:
+        """The same: the data are not weighted."""
+        return self.factor()
+
     def impulse(self, keep: Bools | None = None) -> None:
         """None: the projection leaves no impulse response."""
 
@@ -70,7 +74,6 @@ def _data(excitation: Floats, response: Floats, rows: int) -> Floats:
 
 def _triangle(matrix: Floats) -> Floats:
     width = matrix.shape[1]
-    triangle = np.asarray(linalg.qr(matrix, mode="r", check_finite=False)[0][:width])
-    if len(triangle) < width:
-        triangle = np.vstack([triangle, np.zeros((width - len(triangle), width))])
-    return triangle
+    triangle = linalg.qr(matrix, mode="r", check_finite=False)[0][:width]
+    # A block of fewer samples than columns makes a shorter triangle; rows of zeros change no sum of squares.
+    return np.vstack([triangle, np.zeros((width - len(triangle), width))])

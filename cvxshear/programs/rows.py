@@ -13,7 +13,9 @@ from cvxshear.programs.least_squares import LeastSquares, remaining
 from cvxshear.typing import Floats
 
 
-def statements(priors: Sequence[Prior], quantity: str, stories: int, frame: Frame | None = None) -> list[Statement]:
+def statements(
+    priors: Sequence[Prior], quantity: str, stories: int, frame: Frame | None = None, least: float = 0.0
+) -> list[Statement]:
     """The exact statements about one quantity: its positivity, what the frame declares, and the priors.
 
     Parameters
@@ -24,8 +26,10 @@ def statements(priors: Sequence[Prior], quantity: str, stories: int, frame: Fram
     stories : int
     frame : Frame, optional
         For floor masses: whose declared total or floor masses hold.
+    least : float, optional
+        What counts as positive, kg or N/m: a mass or stiffness of zero has no modes.
     """
-    result = [Statement(f"{quantity} is positive", Constraints(lower=np.zeros(stories)))]
+    result = [Statement(f"{quantity} is positive", Constraints(lower=np.full(stories, least)))]
     if quantity == "floor_mass" and frame is not None:
         if frame.floor_masses is not None:
             result.append(Statement("floor_masses", Constraints(A=np.eye(stories), b=frame.floor_masses)))

@@ -1,0 +1,175 @@
+"""Modes that were identified elsewhere: plain arrays, results of pyOMA2."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cvxshear import checks
+from cvxshear.errors import InputError
+from cvxshear.modal.record import Complexes
+from cvxshear.modal.result import ModalResult
+from cvxshear.modal.shapes import collinearity, lost_phase, main_axis, real_shape
+from cvxshear.typing import Floats
+
+ASSUMED_FREQUENCY_STD = 0.002
+ASSUMED_SHAPE_STD = 0.01
+
+
+def from_arrays(
+    frequencies: ArrayLike,
+    mode_shapes: ArrayLike,
+    *,
+    floors: ArrayLike | None = None,
+    stories: int | None = None,
+    damping_ratios: ArrayLike | None = None,
+    frequency_std: ArrayLike | None = None,
+    mode_shape_std: ArrayLike | None = None,
+    mass_normalized: bool = False,
+    name: str = "given modes",
+) -> ModalResult:
+    """Modes that somebody else identified, as a result that can be written to a measurement file.
+
+    Parameters
+    ----------
+    frequencies : array_like, shape (m,)
+        Hz, in any order.
+    mode_shapes : array_like, real or complex, shape (m, n)
+        One row a mode. Complex shapes are made real by magnitude.
+    floors : array_like of int, shape (n,), optional
+        1, 2, ..., n where None.
+    stories : int, optional
+        The highest floor where None.
+    damping_ratios : array_like, shape (m,), optional
+        Fraction of critical.
+    frequency_std : float or array_like, shape (m,), optional
+        Relative; 0.002 where None.
+    mode_shape_std : float or array_like, shape (m, n), optional
+        Of the entries over each mode's largest; 0.01 where None.
+    mass_normalized : bool, optional
+    name : str, optional
+
+    Returns
+    -------
+    ModalResult
+
+    Raises
+    ------
+    InputError
+        Where the arrays do not fit each other or are not finite.
+    """
+    values = _finite(frequencies, "frequencies", 1).real
+    shapes = np.asarray(_finite(mode_shapes, "mode_shapes", 2), dtype=np.complex128)
+    count, width = shapes.shape
+    if len(values) != count:
+        raise InputError(f"mode_shapes has {count} rows, frequencies {len(values)} entries; one row a mode")
+    places = np.arange(1, width + 1) if floors is None else np.asarray(floors, dtype=np.int64)
+    if places.shape != (width,):
+        raise InputError(f"floors must have {width} entries, one a column of mode_shapes, not {places.size}")
+    by_floor, by_frequency = np.argsort(places), np.argsort(values)
+    shapes = shapes[by_frequency][:, by_floor]
+    real = np.array([_real(shape) for shape in shapes])
+    frequency = _spread(frequency_std, ASSUMED_FREQUENCY_STD, (count,), "frequency_std")[by_frequency]
+    entries = _spread(mode_shape_std, ASSUMED_SHAPE_STD, (count, width), "mode_shape_std")[by_frequency][:, by_floor]
+    damping = _spread(damping_ratios, 0.0, (count,), "damping_ratios")[by_frequency]
+    assumed = [
+        key for key, given in (("frequencies", frequency_std), ("shapes", mode_shape_std)) if given is None
+    ]
+    highest = int(places.max())
+    return ModalResult(
+        name=checks.text(name, "name"),
+        method="given",
+        stories=highest if stories is None else checks.whole(stories, "stories", least=highest, most=2000),
+        floors=places[by_floor],
+        frequencies=values[by_frequency],
+        frequency_std=frequency,
+        damping_ratios=damping,
+        damping_std=np.zeros(count),
+        mode_shapes=real,
+        mode_shape_std=entries,
+        entry_std=entries,
+        mass_normalized=checks.flag(mass_normalized, "mass_normalized"),
+        modes=np.arange(1, count + 1, dtype=np.int64),
+        complex_shapes=np.array([main_axis(shape) for shape in shapes]),
+        phase_collinearity=np.array([collinearity(shape) for shape in shapes]),
+        lost_phase=np.array([lost_phase(shape) for shape in shapes]),
+        clock_offsets={},
+        covariance=np.diag(np.concatenate([frequency, entries.ravel()]) ** 2),
+        uncertainty="as given" if not assumed else f"assumed for {' and '.join(assumed)}",
+    )
+
+
+def from_pyoma(
+    found: Any, *, floors: ArrayLike | None = None, stories: int | None = None, name: str = "pyOMA2"
+) -> ModalResult:
+    """Modes of a pyOMA2 algorithm that has been run and whose modes have been chosen.
+
+    Parameters
+    ----------
+    found : pyOMA2 algorithm or result
+        Anything with `Fn`, shape (m,), and `Phi`, shape (channels, m), or with such a `result`. `Xi` and the
+        standard deviations `Fn_std` are used where they are there. `Phi_std` is not: it is of another
+        normalization in each version.
+    floors : array_like of int, shape (channels,), optional
+        The floor of each channel; 1, 2, ... where None.
+    stories : int, optional
+    name : str, optional
+
+    Returns
+    -------
+    ModalResult
+
+    Raises
+    ------
+    InputError
+        Where no modes have been chosen yet.
+    """
+    result = getattr(found, "result", found)
+    frequencies, shapes = getattr(result, "Fn", None), getattr(result, "Phi", None)
+    if frequencies is None or shapes is None:
+        raise InputError(
+            "the pyOMA2 object holds no modes (Fn, Phi): run the algorithm and choose modes first, by mpe or a cluster"
+        )
+    frequencies = np.atleast_1d(np.asarray(frequencies, dtype=np.float64))
+    std = getattr(result, "Fn_std", None)
+    damping = getattr(result, "Xi", None)
+    return from_arrays(
+        frequencies,
+        np.atleast_2d(np.asarray(shapes).T),
+        floors=floors,
+        stories=stories,
+        damping_ratios=None if damping is None else np.clip(np.atleast_1d(damping), 0.0, None),
+        frequency_std=None if std is None else np.atleast_1d(std) / frequencies,
+        name=name,
+    )
+
+
+def _finite(value: ArrayLike, where: str, dimensions: int) -> Complexes:
+    try:
+        array = np.asarray(value, dtype=np.complex128)
+    except (TypeError, ValueError):
+        raise InputError(f"{where} must hold numbers, not {checks.shown(value)}") from None
+    if array.ndim != dimensions or not array.size:
+        raise InputError(f"{where} must have {dimensions} dimension(s), not shape {array.shape}")
+    bad = np.argwhere(~np.isfinite(array))
+    if len(bad):
+        raise InputError(f"{where}, entry {tuple(int(i) + 1 for i in bad[0])} is not finite")
+    return array
+
+
+def _spread(value: ArrayLike | None, default: float, shape: tuple[int, ...], where: str) -> Floats:
+    given = np.asarray(default if value is None else value, dtype=np.float64)
+    try:
+        array = np.broadcast_to(given, shape).copy()
+    except ValueError:
+        raise InputError(f"{where} must be one number or of shape {shape}, not {given.shape}") from None
+    if not np.all(np.isfinite(array)) or np.any(array < 0):
+        raise InputError(f"{where} must be finite and not negative")
+    return array
+
+
+def _real(shape: Complexes) -> Floats:
+    """A real shape as it stands, sign and all; a complex one by magnitude."""
+    return shape.real.copy() if not np.any(shape.imag) else real_shape(shape)

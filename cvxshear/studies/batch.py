@@ -1,0 +1,140 @@
+"""Many complete measurements at once: the two-stage and one-shot methods in closed form, a sample a row.
+
+Both work on normal equations that need no row a pair of modes. With P the shapes, G = P P' and Q = P o P,
+
+    sum over i <= j of (phi_i o phi_j)(phi_i o phi_j)' = (G o G + Q Q') / 2,
+
+and (G o G - Q Q') / 2 is the same sum over i < j. Squaring squares the condition number, so this is for frames
+of a few stories; `identify` keeps the rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.frame import transformation
+from cvxshear.identify.two_stage import MOST_ITERATIONS, TOLERANCE
+from cvxshear.typing import Bools, Floats, Ints
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Floor masses and story stiffnesses of S samples.
+
+    Parameters
+    ----------
+    floor_mass, story_stiffness : ndarray, shape (S, N)
+        kg and N/m; nan where not `positive`.
+    iterations : ndarray of int, shape (S,)
+    positive : ndarray of bool, shape (S,)
+        Whether every mass, in each iteration, and every stiffness came out positive. Where one did not, a bound
+        acts in `identify` and the closed form is not its answer.
+    """
+
+    floor_mass: Floats
+    story_stiffness: Floats
+    iterations: Ints
+    positive: Bools
+
+
+def two_stage_batch(
+    mode_shapes: Floats, frequencies: Floats, total_mass: float, initial_mass: Floats | None = None
+) -> Batch:
+    """The paper's method (Eqs. 3-15 and 20-24) on S complete measurements of one configuration.
+
+    Parameters
+    ----------
+    mode_shapes : ndarray, shape (S, N, N)
+        One row a mode, of any scale.
+    frequencies : ndarray, shape (S, N)
+        Hz.
+    total_mass : float
+        kg.
+    initial_mass : ndarray, shape (N,), optional
+        The total spread evenly where not given.
+    """
+    samples, n, _ = mode_shapes.shape
+    shapes = mode_shapes.transpose(0, 2, 1)
+    start = np.full(n, total_mass / n) if initial_mass is None else np.asarray(initial_mass, dtype=float)
+    mass = np.tile(start, (samples, 1))
+    iterations = np.zeros(samples, dtype=np.int64)
+    going = np.arange(samples)
+    for _ in range(MOST_ITERATIONS):
+        dm = _corrections(shapes[going], mass[going], total_mass)
+        mass[going] += dm
+        iterations[going] += 1
+        settled = np.max(np.abs(dm), axis=1) < TOLERANCE * np.max(np.abs(mass[going]), axis=1)
+        # Eq. 3 has no answer with a mass that is not positive: such a sample is given up.
+        going = going[~settled & (mass[going] > 0).all(axis=1)]
+        if not len(going):
+            break
+    return _finished(shapes, frequencies, mass, iterations)
+
+
+def one_shot_batch(mode_shapes: Floats, frequencies: Floats, total_mass: float) -> Batch:
+    """Masses from the orthogonality of the modes and the total alone, stiffnesses from Eq. 24, on S measurements.
+
+    Parameters
+    ----------
+    mode_shapes : ndarray, shape (S, N, N)
+        One row a mode, of any scale.
+    frequencies : ndarray, shape (S, N)
+        Hz.
+    total_mass : float
+        kg.
+    """
+    shapes = mode_shapes.transpose(0, 2, 1)
+    unit = shapes / np.linalg.norm(shapes, axis=1, keepdims=True)
+    normal = _normal_matrix(unit, diagonal=False)
+    mass = _held_to_sum(normal, np.zeros(normal.shape[:2]), total_mass)
+    return _finished(shapes, frequencies, mass, np.ones(len(shapes), dtype=np.int64))
+
+
+def _normal_matrix(columns: Floats, *, diagonal: bool = True) -> Floats:
+    """A'A of the pair products of the columns, shape (S, N, N)."""
+    G = columns @ columns.transpose(0, 2, 1)
+    Q = columns**2
+    result: Floats = 0.5 * (G * G + (1.0 if diagonal else -1.0) * (Q @ Q.transpose(0, 2, 1)))
+    return result
+
+
+def _normalized(shapes: Floats, mass: Floats) -> Floats:
+    """Eq. 3, shape (S, N, N)."""
+    result: Floats = shapes / np.sqrt(np.sum(shapes**2 * mass[:, :, None], axis=1, keepdims=True))
+    return result
+
+
+def _corrections(shapes: Floats, mass: Floats, total: float) -> Floats:
+    """dm of Eq. 14, shape (S, N)."""
+    P = _normalized(shapes, mass)
+    normal = _normal_matrix(P)
+    side = np.sum(P**2, axis=2) - (normal @ mass[:, :, None])[:, :, 0]
+    return _held_to_sum(normal, side, total - mass.sum(axis=1))
+
+
+def _held_to_sum(normal: Floats, side: Floats, total: float | Floats) -> Floats:
+    """The minimum of x' normal x / 2 - side' x with sum x = total: the system of Eq. 14, shape (S, N)."""
+    samples, n, _ = normal.shape
+    # The row of ones in the matrix' own units, lest it decide the pivots.
+    scale = np.trace(normal, axis1=1, axis2=2) / n
+    system = np.zeros((samples, n + 1, n + 1))
+    system[:, :n, :n] = normal
+    system[:, :n, n] = system[:, n, :n] = scale[:, None]
+    right = np.concatenate([side, (scale * total)[:, None]], axis=1)
+    solved: Floats = np.linalg.solve(system, right[:, :, None])[:, :n, 0]
+    return solved
+
+
+def _finished(shapes: Floats, frequencies: Floats, mass: Floats, iterations: Ints) -> Batch:
+    """Eq. 24 for the samples whose masses are positive."""
+    stiffness = np.full(mass.shape, np.nan)
+    positive: Bools = np.asarray((mass > 0).all(axis=1))
+    X = transformation(mass.shape[1]).T @ _normalized(shapes[positive], mass[positive])
+    side = np.sum(X**2 * ((2 * np.pi * frequencies[positive]) ** 2)[:, None, :], axis=2)
+    stiffness[positive] = np.linalg.solve(_normal_matrix(X), side[:, :, None])[:, :, 0]
+    positive &= (stiffness > 0).all(axis=1)
+    return Batch(
+        np.where(positive[:, None], mass, np.nan), np.where(positive[:, None], stiffness, np.nan), iterations, positive
+    )

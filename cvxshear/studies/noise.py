@@ -1,0 +1,179 @@
+"""The noise study: how far identified masses and stiffnesses scatter, beside the least that is possible.
+
+The same seeded samples go to every method. The paper's study (its Section 5.2, Table 3, Figs. 5 and 6) reports
+bias and coefficient of variation; beside them stand the root-mean-square error, the Cramer-Rao bound of the
+same data, and how often a stated 95 % interval holds the truth.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear import checks
+from cvxshear.errors import InputError, NoSolutionError
+from cvxshear.identify import METHODS, identify
+from cvxshear.studies.batch import one_shot_batch, two_stage_batch
+from cvxshear.studies.cramer_rao import bound
+from cvxshear.studies.scatter import Scatter
+from cvxshear.studies.setups import Setup, six_story, three_story
+from cvxshear.typing import Floats, Json
+
+SIGMAS = (0.01, 0.02, 0.03, 0.04, 0.05)
+"""The paper's noise levels."""
+
+SAMPLES = 2000
+SEED = 2023
+MOST_SAMPLES = 1_000_000
+LARGEST_SEED = 2**63
+COMPARED = ("two-stage", "one-shot", "efficient")
+
+Progress = Callable[[int, int], None]
+"""Called with the number of identifications done and to do."""
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseStudy:
+    """What `noise_study` returns.
+
+    Parameters
+    ----------
+    scatters : tuple of Scatter
+        One a setup and method.
+    samples, seed : int
+    backend : str
+    """
+
+    scatters: tuple[Scatter, ...]
+    samples: int
+    seed: int
+    backend: str
+
+    def of(self, method: str, mode_shape_std: float | None = None) -> Scatter:
+        """The first scatter of a method, at one noise level if given."""
+        for each in self.scatters:
+            if each.method == method and mode_shape_std in (None, each.setup.mode_shape_std):
+                return each
+        level = "" if mode_shape_std is None else f" at mode_shape_std {mode_shape_std:g}"
+        raise InputError(f"the study has no method {method!r}{level}")
+
+    def to_dict(self) -> Json:
+        """The documented JSON."""
+        return {
+            "samples": self.samples,
+            "seed": self.seed,
+            "backend": self.backend,
+            "scatters": [each.to_dict() for each in self.scatters],
+        }
+
+
+def noise_study(
+    setups: Sequence[Setup],
+    methods: Sequence[str] = COMPARED,
+    samples: int = SAMPLES,
+    seed: int = SEED,
+    *,
+    backend: str = "auto",
+    progress: Progress | None = None,
+) -> NoiseStudy:
+    """Identify many noisy measurements of known frames.
+
+    Parameters
+    ----------
+    setups : sequence of Setup
+        One a noise level, say; `paper_setups()` are the paper's.
+    methods : sequence of str, optional
+        As `identify` names them.
+    samples : int, optional
+        Of each setup.
+    seed : int, optional
+        Of the noise. Each setup draws from its own stream, the same for all methods.
+    backend : str, optional
+        For the methods that solve their programs sample by sample; two-stage and one-shot on complete data are
+        done in closed form, all samples at once.
+    progress : callable, optional
+        Called with the number of identifications done and to do.
+
+    Returns
+    -------
+    NoiseStudy
+
+    Raises
+    ------
+    UnsuitableError
+        Where a method cannot use a setup's data.
+    """
+    checks.whole(samples, "samples", least=2, most=MOST_SAMPLES)
+    checks.whole(seed, "seed", least=0, most=LARGEST_SEED)
+    for method in methods:
+        checks.choice(method, METHODS, "method")
+    total = len(setups) * len(methods) * samples
+    scatters: list[Scatter] = []
+    for setup, stream in zip(setups, np.random.SeedSequence(seed).spawn(len(setups)), strict=True):
+        measured = setup.draw(np.random.default_rng(stream), samples)
+        least = bound(setup)
+        for method in methods:
+            shown = None if progress is None else _from(progress, len(scatters) * samples, total)
+            began = time.perf_counter()
+            estimates, std = _estimates(setup, measured, method, backend, shown)
+            scatters.append(Scatter(setup, method, estimates, std, least, time.perf_counter() - began))
+    return NoiseStudy(tuple(scatters), samples, seed, backend)
+
+
+def paper_setups(sigmas: Sequence[float] = SIGMAS) -> tuple[Setup, ...]:
+    """The paper's three-story frame at several noise levels."""
+    return tuple(three_story(sigma) for sigma in sigmas)
+
+
+def six_story_study(
+    samples: int = SAMPLES, seed: int = SEED, *, backend: str = "auto", progress: Progress | None = None
+) -> NoiseStudy:
+    """The efficient method on incomplete data: six stories, four modes at five floors, noise on everything.
+
+    Parameters
+    ----------
+    samples, seed : int, optional
+    backend : str, optional
+    progress : callable, optional
+        As for `noise_study`.
+    """
+    return noise_study([six_story()], ("efficient",), samples, seed, backend=backend, progress=progress)
+
+
+def _from(progress: Progress, before: int, total: int) -> Progress:
+    """Progress of one part as progress of the whole."""
+    return lambda done, _: progress(before + done, total)
+
+
+def _estimates(
+    setup: Setup, measured: tuple[Floats, Floats], method: str, backend: str, progress: Progress | None
+) -> tuple[Floats, Floats | None]:
+    """Estimates and, where the method states any, standard deviations, shape (samples, 2N) each."""
+    frequencies, shapes = measured
+    samples = len(shapes)
+    estimates = np.full((samples, 2 * setup.stories), np.nan)
+    std = np.full(estimates.shape, np.nan) if method == "efficient" else None
+    one_by_one = np.arange(samples)
+    if setup.complete and method in ("two-stage", "one-shot"):
+        total = float(setup.floor_mass.sum())
+        closed_form = two_stage_batch if method == "two-stage" else one_shot_batch
+        batch = closed_form(shapes, frequencies, total)
+        estimates = np.hstack([batch.floor_mass, batch.story_stiffness])
+        one_by_one = np.flatnonzero(~batch.positive)
+    for place in one_by_one:
+        try:
+            found = identify(setup.experiment(frequencies[place], shapes[place]), method, backend).frame
+        except NoSolutionError:
+            continue  # counted: a row of nan is a sample without an answer
+        if found is not None:
+            estimates[place] = np.concatenate([found.floor_mass, found.story_stiffness])
+            if std is not None and found.floor_mass_std is not None and found.story_stiffness_std is not None:
+                std[place] = np.concatenate([found.floor_mass_std, found.story_stiffness_std])
+        if progress is not None:
+            progress(int(place) + 1, samples)
+    if progress is not None:
+        progress(samples, samples)
+    return estimates, std

@@ -1,0 +1,122 @@
+"""How often the loop names the right effect, on random frames made by the independent finite-element model.
+
+python -m tests.confusion --frames 10 --seed 1 prints the table, with that many frames for each effect (and none)
+and each number of configurations.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear import Experiment, close_loop
+from tests.fe.experiments import simulated
+
+EFFECTS = (
+    None, "gravity", "joint_rotation", "axial_columns", "base_rocking", "ground_spring", "added_mass",
+    "mass_coupling", "sensor_gain", "story_change",
+)  # fmt: skip
+
+HIDDEN = ("gravity", "added_mass", "story_change")
+"""Effects that one configuration alone cannot tell from the masses and stiffnesses themselves."""
+
+OUTCOMES = ("first", "rival", "wrong", "missed", "nothing")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One random frame: what is in it, and how many configurations are tested."""
+
+    effect: str | None
+    configurations: int
+    seed: int
+
+
+def place(item):
+    return item["name"], item["floor"], item["story"], item["configuration"]
+
+
+def outcome(trial):
+    """What the loop made of one frame, and whether the frame itself was found within four standard deviations.
+
+    first: the right effect alone, or "nothing" where there was none to find; rival: the right one among the
+    rivals; wrong: something else; missed: nothing, where there was something.
+    """
+    rng = np.random.default_rng(trial.seed)
+    stories = int(rng.integers(3, 9))
+    declared, truth = simulated(trial.effect, stories=stories, configurations=trial.configurations, rng=rng)
+    result = close_loop(Experiment.from_dict(declared)).to_dict()
+    found = result["effects"]
+    visible = trial.effect is not None and not (trial.configurations == 1 and trial.effect in HIDDEN)
+    wanted = (truth["effect"], truth["floor"], truth["story"], truth["configuration"])
+    if not visible:
+        return ("nothing" if not found else "wrong"), result, truth
+    if not found:
+        return "missed", result, truth
+    if len(found) == 1 and place(found[0]) == wanted:
+        return "first", result, truth
+    named = [place(item) for effect in found for item in (effect, *effect["rivals"])]
+    return ("rival" if wanted in named else "wrong"), result, truth
+
+
+def deviation(result, truth):
+    """Largest error of a mass or stiffness in its stated standard deviations."""
+    frame = result["frame"]
+    values = np.array(frame["floor_mass"] + frame["story_stiffness"], dtype=float)
+    std = np.array(frame["floor_mass_std"] + frame["story_stiffness_std"], dtype=float)
+    exact = np.concatenate([truth["floor_mass"], truth["story_stiffness"]])
+    return float(np.nanmax(np.abs(values - exact) / std))
+
+
+def _run(trial):
+    word, result, truth = outcome(trial)
+    return trial, word, result["verdict"], deviation(result, truth), [place(item) for item in result["effects"]]
+
+
+def trials(frames, seed, effects=EFFECTS, configurations=(1, 3)):
+    """So many frames for each effect and number of configurations, each with a seed of its own."""
+    return [
+        Trial(effect, count, seed * 1_000_000 + 10_000 * EFFECTS.index(effect) + 1000 * count + i)
+        for count in configurations
+        for effect in effects
+        for i in range(frames)
+    ]
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--effects", nargs="*", default=None)
+    parser.add_argument("--configurations", type=int, nargs="*", default=[1, 3])
+    parser.add_argument("--failures", action="store_true", help="list every frame whose effect was not named")
+    options = parser.parse_args()
+    effects = EFFECTS if options.effects is None else [None if name == "none" else name for name in options.effects]
+    with ProcessPoolExecutor(options.jobs) as pool:
+        results = list(
+            pool.map(_run, trials(options.frames, options.seed, effects, options.configurations), chunksize=2)
+        )
+    print("| configurations | effect | frames | " + " | ".join(OUTCOMES) + " | ambiguous | frame within 4 std |")
+    print("|" + "---|" * (5 + len(OUTCOMES)))
+    for count in options.configurations:
+        for effect in effects:
+            mine = [item for item in results if item[0].effect == effect and item[0].configurations == count]
+            words = Counter(item[1] for item in mine)
+            ambiguous = sum(item[2] == "ambiguous" for item in mine)
+            near = sum(item[3] < 4 for item in mine)
+            cells = [str(words[word]) for word in OUTCOMES]
+            print(f"| {count} | {effect or 'none'} | {len(mine)} | {' | '.join(cells)} | {ambiguous} | {near} |")
+    if options.failures:
+        for trial, word, verdict, far, found in results:
+            if word in ("wrong", "missed") or far > 4:
+                print(word, trial, verdict, f"{far:.1f}", found)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,108 @@
+"""Records for the tests: where the measured ones are, and small ones made by hand."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+DATA = Path(__file__).resolve().parents[2] / "../shared/data"
+SEEDS = int(os.environ.get("CVXSHEAR_SEEDS", "2"))
+"""Repetitions of the simulated records; `python -m cvxshear.modal.study` does twenty."""
+
+needs_mini_table = pytest.mark.skipif(
+    not (DATA / "mini-shake-table").is_dir(), reason="the measured records of shared/data/mini-shake-table are not here"
+)
+needs_southampton = pytest.mark.skipif(
+    not (DATA / "southampton").is_dir(), reason="the measured functions of shared/data/southampton are not here"
+)
+
+MINI_TABLE = """
+[record]
+name = "{name}"
+input = "base"
+file = "{file}"
+
+[[channel]]
+column = "ground_x"
+floor = 0
+
+[[channel]]
+column = "floor1_x"
+floor = 1
+
+[[channel]]
+column = "floor2_x"
+floor = 2
+
+[[channel]]
+column = "floor3_x"
+floor = 3
+"""
+
+SOUTHAMPTON = """
+[record]
+name = "southampton"
+kind = "frf"
+{more}
+
+[[channel]]
+column = "floor1"
+floor = 1
+
+[[channel]]
+column = "floor2"
+floor = 2
+
+[[channel]]
+column = "floor3"
+floor = 3
+""" + "".join(
+    f"""
+[[run]]
+file = "{{folder}}/set-{floor}.csv"
+input_floor = {floor}
+"""
+    for floor in (1, 2, 3)
+)
+
+# Masses 2, 1 kg; stiffnesses 4000, 1500 N/m. K = [[5500, -1500], [-1500, 1500]], M = diag(2, 1):
+# det(K - w2 M) = 2 w2^2 - 8500 w2 + 6e6 = 0.
+TWO_STORY_SQUARES = np.array([8500 - np.sqrt(8500**2 - 48e6), 8500 + np.sqrt(8500**2 - 48e6)]) / 4
+TWO_STORY_FREQUENCIES = np.sqrt(TWO_STORY_SQUARES) / (2 * np.pi)
+TWO_STORY_RATIOS = (1500 - TWO_STORY_SQUARES) / 1500
+"""phi_1 / phi_2 of each mode, from the second row."""
+
+
+def mini_table(folder: Path, name: str) -> Path:
+    """A record file for one of the mini table's records."""
+    path = folder / f"{name}.toml"
+    source = (DATA / "mini-shake-table" / f"{name}.csv").resolve()
+    path.write_text(MINI_TABLE.format(name=name, file=source))
+    return path
+
+
+def southampton(folder: Path, more: str = "") -> Path:
+    """A record file for the three measured sets of functions."""
+    path = folder / "southampton.toml"
+    path.write_text(SOUTHAMPTON.format(folder=(DATA / "southampton").resolve(), more=more))
+    return path
+
+
+def two_story_frf(frequencies: np.ndarray, damping: float, floor: int) -> np.ndarray:
+    """Accelerance of the two-story frame by its dynamic stiffness, no modes involved, shape (lines, 2)."""
+    mass = np.diag([2.0, 1.0])
+    stiffness = np.array([[5500.0, -1500.0], [-1500.0, 1500.0]])
+    # Hysteretic damping: at resonance it equals viscous damping of half the loss factor.
+    complex_stiffness = stiffness * (1 + 2j * damping)
+    force = np.eye(2)[floor - 1]
+    omega = 2 * np.pi * frequencies
+    return np.array([-(w**2) * np.linalg.solve(complex_stiffness - w**2 * mass, force) for w in omega])
+
+
+def csv(path: Path, names: list[str], values: np.ndarray) -> Path:
+    """Write columns as delimited text."""
+    np.savetxt(path, values, delimiter=",", header=",".join(names), comments="", fmt="%.9g")
+    return path

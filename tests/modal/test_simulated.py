@@ -1,0 +1,141 @@
+"""Modes of records integrated exactly from a known frame; figures of the issue, twenty seeds by the study."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import integrate
+
+import cvxshear
+from cvxshear.modal import Channel, Run, TimeRecord, identify_modes
+from cvxshear.modal.simulate import PAPER_FRAME, ambient_record, base_record, hammer_record
+from cvxshear.modal.study import scatter
+from tests.modal.shared import SEEDS, TWO_STORY_FREQUENCIES, TWO_STORY_RATIOS
+
+PAPER_FREQUENCIES = [1.0336, 2.2099, 3.2812]
+"""As the paper prints them."""
+
+
+def test_known_frame_has_the_papers_frequencies():
+    np.testing.assert_allclose(PAPER_FRAME.modes()[0], PAPER_FREQUENCIES, atol=5e-5)
+
+
+def test_integration_agrees_with_a_general_solver():
+    step = 0.01
+    time = np.arange(400) * step
+    force = np.interp(time, [0, 0.5, 1.2, 4], [0, 30, -20, 5])
+    forces = np.column_stack([force, 0 * force, -0.5 * force])
+    frequencies, shapes = PAPER_FRAME.modes()
+    damper = np.diag(PAPER_FRAME.masses) @ shapes.T @ np.diag(4 * np.pi * 0.01 * frequencies)
+    damper = damper @ shapes @ np.diag(PAPER_FRAME.masses)
+
+    def acceleration(t: float, state: np.ndarray) -> np.ndarray:
+        load = np.array([np.interp(t, time, column) for column in forces.T])
+        return (load - PAPER_FRAME.stiffness @ state[:3] - damper @ state[3:]) / PAPER_FRAME.masses
+
+    solved = integrate.solve_ivp(
+        lambda t, x: np.concatenate([x[3:], acceleration(t, x)]),
+        (0, time[-1]),
+        np.zeros(6),
+        t_eval=time[::50],
+        rtol=1e-9,
+        atol=1e-11,
+        max_step=step,
+    )
+    expected = np.array([acceleration(t, x) for t, x in zip(solved.t, solved.y.T, strict=True)])
+    np.testing.assert_allclose(PAPER_FRAME.accelerations(forces, step)[::50], expected, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.05])
+@pytest.mark.parametrize(
+    ("kind", "frequency", "shape"),
+    [("hammer", 0.0002, 0.008), ("base", 0.0002, 0.008), ("ambient", 0.002, 0.02)],
+)
+def test_accuracy_asked_for(kind: str, noise: float, frequency: float, shape: float):
+    found = scatter(kind, noise=noise, seeds=SEEDS)
+    assert found.frequency_errors.shape == (SEEDS, 3)
+    assert np.abs(found.frequency_errors).max() < frequency
+    assert np.abs(found.shape_errors).max() < shape
+
+
+def test_subspace_method_is_as_accurate():
+    found = scatter("base", noise=0.05, seeds=1, method="subspace")
+    assert np.abs(found.frequency_errors).max() < 0.0002
+    assert np.abs(found.shape_errors).max() < 0.008
+
+
+def test_stated_deviations_hold():
+    # Eight short records: the ratio itself scatters by a quarter, and the middle of nine ratios by less.
+    found = scatter("base", noise=0.05, seeds=8, duration=200.0)
+    frequency, shape = found.stated_over_seen()
+    ratios = np.concatenate([frequency, shape[np.isfinite(shape)]])
+    assert len(ratios) == 9
+    assert 0.7 < np.median(ratios) < 1.5
+
+
+def test_damping_is_found():
+    result = identify_modes(base_record(PAPER_FRAME, 3, noise=0.01))
+    np.testing.assert_allclose(result.damping_ratios, 0.01, rtol=0.03)
+    assert np.all(np.abs(result.damping_ratios - 0.01) < 4 * result.damping_std)
+
+
+@pytest.mark.parametrize(
+    ("maker", "frame"),
+    [(hammer_record, None), (base_record, {"total_mass": 22.5}), (ambient_record, {"total_mass": 22.5})],
+)
+def test_from_record_to_masses(maker, frame):
+    result = identify_modes(maker(PAPER_FRAME, 11, noise=0.05))
+    assert result.mass_normalized is (frame is None)
+    experiment = cvxshear.Experiment.from_dict(result.to_experiment(frame))
+    identified = cvxshear.identify(experiment, method="efficient").to_dict()["frame"]
+    mass, stiffness = np.array(identified["floor_mass"]), np.array(identified["story_stiffness"])
+    assert np.all(np.abs(mass - [10, 7.5, 5]) < 3 * np.array(identified["floor_mass_std"]))
+    assert np.all(np.abs(stiffness - [1800, 1200, 600]) < 3 * np.array(identified["story_stiffness_std"]))
+    np.testing.assert_allclose(mass, [10, 7.5, 5], rtol=0.02)
+
+
+def two_story_decay(seed: int, noise: float, window: float | None = None) -> TimeRecord:
+    """Free decay of the two-story frame from both modes at once, of 0.5 % damping, by its closed form."""
+    time = np.arange(4000) / 100.0
+    omega = 2 * np.pi * TWO_STORY_FREQUENCIES
+    modal = np.exp(-0.005 * omega * time[:, None]) * np.cos(omega * np.sqrt(1 - 0.005**2) * time[:, None] + [0.3, 1.1])
+    values = modal @ np.column_stack([TWO_STORY_RATIOS, [1.0, 1.0]])
+    values = values + noise * np.random.default_rng(seed).standard_normal(values.shape)
+    if window is not None:
+        values = values * np.exp(-time / window)[:, None]
+    channels = (Channel("a1", 1), Channel("a2", 2))
+    return TimeRecord(
+        channels, runs=(Run(values),), sampling_rate=100.0, input="free_decay", exponential_window=window
+    )
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_free_decay(noise: float):
+    result = identify_modes(two_story_decay(5, noise))
+    np.testing.assert_allclose(result.frequencies, TWO_STORY_FREQUENCIES, rtol=2e-4)
+    np.testing.assert_allclose(result.mode_shapes[:, 0] / result.mode_shapes[:, 1], TWO_STORY_RATIOS, rtol=5e-3)
+    np.testing.assert_allclose(result.damping_ratios, 0.005, rtol=0.02)
+    assert not result.mass_normalized
+
+
+def test_exponential_window_is_taken_out():
+    result = identify_modes(two_story_decay(6, 0.002, window=4.0))
+    np.testing.assert_allclose(result.damping_ratios, 0.005, rtol=0.05)
+    np.testing.assert_allclose(result.frequencies, TWO_STORY_FREQUENCIES, rtol=3e-4)
+
+
+def test_h2_agrees_with_h1():
+    record = hammer_record(PAPER_FRAME, 1, noise=0.005, floors=(3,), hits=3)
+    first, second = identify_modes(record), identify_modes(record, estimator="h2")
+    np.testing.assert_allclose(first.frequencies, second.frequencies, rtol=1e-4)
+    assert not np.array_equal(first.mode_shapes, second.mode_shapes)
+
+
+def test_a_band_decimates_and_keeps_the_modes():
+    record = base_record(PAPER_FRAME, 2, noise=0.01, duration=300.0, sampling_rate=60.0)
+    wide = identify_modes(record)
+    narrow = identify_modes(
+        TimeRecord(record.channels, band=(0.2, 6.0), runs=record.runs, sampling_rate=60.0, input="base")
+    )
+    np.testing.assert_allclose(narrow.frequencies, PAPER_FREQUENCIES, rtol=3e-4)
+    np.testing.assert_allclose(wide.frequencies, PAPER_FREQUENCIES, rtol=5e-4)

@@ -1,0 +1,107 @@
+"""The whole reproduction: what is counted, what is shown, what the documentation says."""
+
+import io
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from cvxshear import InputError
+from cvxshear.paper import Row, reproduce
+from cvxshear.paper.layout import markdown
+from cvxshear.paper.results import DIFFERS, EXACT, MISPRINT, ROUNDED, same_digits
+from cvxshear.paper.terminal import render
+
+DOCS = Path(__file__).parents[2] / "docs" / "paper.md"
+
+
+def test_every_printed_result_is_met_or_accounted_for(reproduction):
+    counted = {
+        name: sum(row.verdict == name for section in reproduction.sections if section.counted for row in section.rows)
+        for name in (EXACT, ROUNDED, MISPRINT, DIFFERS)
+    }
+    assert counted == {EXACT: 73, ROUNDED: 11, MISPRINT: 1, DIFFERS: 0}
+    assert "85 printed results" in reproduction.summary
+
+
+def test_what_was_only_met_from_rounded_figures_is_named(reproduction):
+    """Errors in percent that the paper took from its tables; every other result is met as it is."""
+    places = {row.where for row in reproduction.rows if row.verdict == ROUNDED}
+    assert all(place.startswith(("Table 8", "Section 5.1", "Section 7")) for place in places)
+
+
+def test_json_has_the_documented_fields(reproduction):
+    result = json.loads(json.dumps(reproduction.to_dict()))
+    assert set(result) == {"backend", "samples", "seed", "summary", "sections"}
+    row = result["sections"][0]["rows"][0]
+    assert {"what", "where", "printed", "recomputed", "difference", "agrees"} <= set(row)
+    assert row["printed"] == "10"
+
+
+def test_the_terminal_shows_every_section_with_brackets_and_signs(reproduction):
+    console = Console(width=140, record=True, file=io.StringIO())
+    console.print(render(reproduction))
+    shown = console.export_text()
+    for text in ("Ref. [17]", "Ref. [23]", "misprint", "-0.004", "0.11290", "about 5", reproduction.sections[-1].title):
+        assert text in shown
+    assert "-0.00000 " not in shown
+
+
+def test_the_documentation_has_the_tables_that_the_command_prints(reproduction):
+    """But for the random samples, whose last digits are a matter of numpy's version."""
+    documented = DOCS.read_text(encoding="utf-8")
+    for section in reproduction.sections:
+        if section.title.startswith(("Table 3", "Fig. 6")):
+            continue
+        for line in markdown([section]).splitlines():
+            assert line in documented
+    assert reproduction.summary in documented
+
+
+def test_the_documentation_leaves_the_unexplained_to_the_loop():
+    assert "What the paper leaves unexplained" in DOCS.read_text(encoding="utf-8")
+    assert "cvxshear loop paper" in DOCS.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("row", "verdict"),
+    [
+        (Row("x", "here", "1.50", 1.4961), EXACT),
+        (Row("x", "here", "1.50", 1.4886), DIFFERS),
+        (Row("x", "here", "1.50", 1.4886, from_rounded=1.5), ROUNDED),
+        (Row("x", "here", "-0.004", 0.113, misprint=True), MISPRINT),
+        (Row("x", "here", "0.30", 0.10, std_error=0.05, chance=0.1), "-2.0 standard errors"),
+        (Row("x", "here", "about 5", 4.5), ""),
+    ],
+)
+def test_the_verdict_on_a_row(row, verdict):
+    assert row.verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("number", "printed", "same"),
+    [
+        (9.9999956, "10", True),
+        (7.54, "7.5", True),
+        (7.56, "7.5", False),
+        (-1e-16, "0", True),
+        (-0.0249, "-0.025", True),
+    ],
+)
+def test_digits(number, printed, same):
+    assert same_digits(number, printed) is same
+
+
+def test_a_number_of_samples_that_is_none_is_refused():
+    with pytest.raises(InputError, match="samples"):
+        reproduce(samples=(0,))
+
+
+def test_neither_the_paper_nor_the_studies_load_the_terminal():
+    loaded = "[name for name in ('rich', 'typer', 'matplotlib') if name in sys.modules]"
+    code = f"import sys, cvxshear.paper, cvxshear.studies; print({loaded})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,46 @@
+"""The modes of Fig. 8 recovered from Table 6."""
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from cvxshear import Configuration, Experiment, Frame, identify, load
+from cvxshear.paper import tables
+from cvxshear.paper.shapes import recovered_shapes
+from cvxshear.paper.steel_frame import SteelFrame
+
+
+@pytest.mark.parametrize("name", tables.STRUCTURES)
+def test_they_are_those_of_the_built_in_file(name):
+    found = SteelFrame("kkt").recovered(name)
+    shapes = next(each for each in load("paper").configurations if each.name == name).mode_shapes
+    np.testing.assert_allclose([found.first, found.second], shapes[:, 0] / shapes[:, 1], atol=5e-6)
+    assert found.misfit < 1e-5
+
+
+@pytest.mark.parametrize("name", tables.STRUCTURES)
+def test_the_modes_are_orthogonal_on_the_printed_masses(name):
+    found = SteelFrame("kkt").recovered(name)
+    m1, m2 = tables.values(tables.TABLE_6_MASS[name])
+    assert m1 * found.first * found.second + m2 == pytest.approx(0.0, abs=1e-9 * m2)
+
+
+def test_shapes_that_the_method_was_given_come_back():
+    first, second, frequencies = 0.55, -1.6, np.array([3.1, 8.0])
+    experiment = Experiment(
+        Frame(total_mass=40.0), (Configuration(frequencies, np.array([[first, 1.0], [second, 1.0]])),)
+    )
+    frame = identify(experiment, "two-stage").frame
+    found = recovered_shapes(frame.floor_mass, frame.story_stiffness, frequencies)
+    assert (found.first, found.second) == pytest.approx((first, second), rel=1e-6)
+    assert found.misfit < 1e-6
+
+
+@pytest.mark.parametrize("name", tables.STRUCTURES)
+def test_table_7_follows_from_table_6_alone(name):
+    """The eigenvalues of a two by two matrix."""
+    m1, m2 = tables.values(tables.TABLE_6_MASS[name])
+    k1, k2 = (1e3 * each for each in tables.values(tables.TABLE_6_STIFFNESS[name]))
+    eigenvalues = linalg.eigh([[k1 + k2, -k2], [-k2, k2]], np.diag([m1, m2]), eigvals_only=True)
+    printed = tables.values(tables.TABLE_7[name])
+    np.testing.assert_allclose(np.sqrt(eigenvalues) / (2 * np.pi), printed, atol=5.01e-4)

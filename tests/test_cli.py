@@ -1,0 +1,147 @@
+"""The command line as a user meets it: output, JSON, exit status, and nothing half-written."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from cvxshear import __version__, backends
+from cvxshear.cli import main
+from tests.frames import EXAMPLES
+
+THREE = str(EXAMPLES / "three_story.toml")
+
+
+@pytest.fixture
+def run(capsys):
+    def call(*arguments):
+        with pytest.raises(SystemExit) as stopped:
+            main(list(arguments))
+        shown = capsys.readouterr()
+        return stopped.value.code, shown.out, shown.err
+
+    return call
+
+
+def test_identify_prints_the_papers_answer(run):
+    status, out, err = run("identify", "paper", "--method", "two-stage")
+    assert status == 0
+    assert err == ""
+    for printed in ("13.045", "25.517", "18.285", "25.176", "24.054", "23.842"):
+        assert printed in out
+
+
+def test_an_initial_mass_means_the_papers_method(run):
+    status, out, _ = run("identify", THREE, "--initial-mass", "9.5,7.5,5.5")
+    assert status == 0
+    assert "14 iterations" in out
+
+
+def test_json_stands_alone_on_standard_output(run):
+    status, out, _ = run("identify", THREE, "--method", "two-stage", "--initial-mass", "9.5,7.5,5.5", "--json", "-")
+    result = json.loads(out)
+    assert status == 0
+    assert set(result) >= {"method", "backend", "converged", "iterations", "frame", "fit", "predictions", "history"}
+    assert result["iterations"] == 14
+    assert result["frame"]["floor_mass"] == pytest.approx([10, 7.5, 5], rel=1e-5)
+
+
+def test_several_configurations_leave_the_top_null(run):
+    result = json.loads(run("identify", "paper", "--method", "one-shot", "--json", "-")[1])
+    assert result["frame"] is None
+    assert [item["name"] for item in result["configurations"]] == ["Structure 1", "Structure 2", "Structure 3"]
+
+
+def test_json_into_a_file_comes_with_the_tables(run, tmp_path):
+    out = tmp_path / "result.json"
+    status, shown, _ = run("loop", "paper", "--json", str(out))
+    assert status == 0
+    assert "EXPLAINED" in shown
+    assert json.loads(out.read_text())["verdict"] == "explained"
+    assert list(tmp_path.iterdir()) == [out]
+
+
+def test_the_loop_tells_its_story(run):
+    _, out, _ = run("loop", "paper")
+    for said in ("the shear model lacks gravity", "residual", "steps", "before", "after", "held-out", "rivals: none"):
+        assert said in out
+
+
+def test_effects_can_be_restricted_and_assumed(run):
+    result = json.loads(run("loop", "paper", "--effects", "sensor_gain, story_change", "--json", "-")[1])
+    assert {item["name"] for item in result["candidates"]} == {"sensor_gain", "story_change"}
+    assumed = json.loads(run("loop", "paper", "--assume", "gravity", "--json", "-")[1])
+    assert assumed["assumed"][0]["name"] == "gravity"
+
+
+def test_backends_lists_every_installed_one(run):
+    result = json.loads(run("backends", THREE, "--json", "-")[1])
+    assert {row["backend"] for row in result["rows"]} == set(backends.available())
+    kinds = {"mass", "stiffness", "one-shot", "bounded mass", "bounded stiffness", "step"}
+    assert {row["kind"] for row in result["rows"]} == kinds
+    assert all(row["difference"] < 1e-6 for row in result["rows"] if not row["failure"])
+    assert {row["backend"] for row in result["rows"] if row["failure"]} == {"kkt"}
+    status, out, _ = run("backends", THREE)
+    assert status == 0
+    assert "takes no active bound" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["identify", "nowhere.toml"], "cvxshear: nowhere.toml: no such file"),
+        (["identify", "paper", "--backend", "gurobo"], "no backend named 'gurobo' is installed here"),
+        (["identify", "paper", "--method", "twostage"], "did you mean 'two-stage'"),
+        (["identify", THREE, "--initial-mass", "9.5;7.5"], "--initial-mass must be numbers with commas between"),
+        (["loop", "paper", "--effects", "gravty"], "did you mean 'gravity'"),
+        (["loop", "paper", "--assume", "sensor_gain"], "can sit at 2 places"),
+        (["identify", "paper", "--json", "/nowhere/at/all.json"], "/nowhere/at/all.json cannot be written"),
+    ],
+)
+def test_bad_input_is_status_two_one_line_and_no_traceback(run, arguments, said):
+    status, out, err = run(*arguments)
+    assert status == 2
+    assert said in err
+    assert "Traceback" not in err
+    assert out == ""
+
+
+def test_a_failing_solver_is_status_one_with_its_reason(run, monkeypatch):
+    monkeypatch.setattr("cvxshear.backends.base.ACCEPTED", 0.0)
+    status, _, err = run("identify", THREE, "--backend", "osqp")
+    assert status == 1
+    assert "backend osqp: inaccurate solution" in err
+
+
+def test_a_bad_file_leaves_an_old_result_alone(run, tmp_path):
+    out = tmp_path / "result.json"
+    out.write_text("old")
+    status, _, _ = run("identify", str(tmp_path / "missing.toml"), "--json", str(out))
+    assert status == 2
+    assert out.read_text() == "old"
+
+
+def test_an_unknown_option_is_status_two(run):
+    status, _, err = run("identify", "paper", "--metod", "one-shot")
+    assert status == 2
+    assert "--metod" in err
+
+
+def test_the_version_is_the_packages(run):
+    status, out, _ = run("--version")
+    assert status == 0
+    assert __version__ in out
+
+
+def test_help_gives_an_example_for_every_command(run):
+    for command in ("identify", "loop", "backends", "reproduce"):
+        status, out, _ = run(command, "--help")
+        assert status == 0
+        assert f"Example: cvxshear {command}" in out
+
+
+def test_piped_output_has_no_escape_codes():
+    found = subprocess.run([sys.executable, "-m", "cvxshear", "identify", THREE], capture_output=True, text=True, check=True)
+    assert "\x1b" not in found.stdout
+    assert found.stderr == ""
