@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,9 +30,27 @@ JsonOut = Annotated[
     str | None,
     typer.Option("--json", help="Write the result as JSON to this file, '-' for standard output.", metavar="OUT"),
 ]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")]
 BackendName = Annotated[
     str, typer.Option("--backend", help="Which solver; 'cvxshear backends FILE' lists them.", metavar="NAME")
 ]
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        from cvxshear import __version__  # noqa: PLC0415
+
+        typer.echo(f"cvxshear {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_show_version, is_eager=True)
+    ] = False,
+) -> None:
+    pass
 
 
 def show(parts: Iterable[RenderableType]) -> None:
@@ -125,6 +144,65 @@ def loop(
 
     result = close_loop(load(file), effects=_names(effects), assume=_names(assume) or (), backend=backend)
     deliver(result.to_dict(), out, lambda: loop_terminal.closure(result))
+
+
+@app.command()
+def reproduce(
+    backend: BackendName = "auto",
+    samples: Annotated[
+        int, typer.Option(help="Samples of the larger noise study, beside the paper's 100.", min=2)
+    ] = 10_000,
+    seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 2023,
+    out: JsonOut = None,
+) -> None:
+    """Print the paper's figures beside recomputed ones, with the difference.
+
+    Example: cvxshear reproduce
+    """
+    from cvxshear.paper import reproduce as run  # noqa: PLC0415
+    from cvxshear.paper.terminal import render  # noqa: PLC0415
+
+    result = run(backend, samples=tuple(sorted({100, samples})), seed=seed)
+    deliver(result.to_dict(), out, lambda: [render(result)])
+
+
+study = typer.Typer(help="Many identifications at once.", no_args_is_help=True)
+app.add_typer(study, name="study")
+
+
+@study.command()
+def noise(
+    samples: Annotated[int, typer.Option(help="Samples of each noise level and method.", min=2)] = 2000,
+    seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 2023,
+    methods: Annotated[str, typer.Option(help="Methods, commas between.")] = "two-stage,one-shot,efficient",
+    quiet: Quiet = False,
+    out: JsonOut = None,
+) -> None:
+    """Print the scatter of each method under noise beside the Cramer-Rao bound: Table 3, Figs. 5 and 6, six stories.
+
+    Example: cvxshear study noise --samples 200
+    """
+    from cvxshear.studies import noise_study, paper_setups, six_story_study  # noqa: PLC0415
+    from cvxshear.studies.noise_table import render  # noqa: PLC0415
+
+    with progress("three stories", quiet) as advance:
+        three = noise_study(paper_setups(), tuple(_names(methods) or ()), samples, seed, progress=advance)
+    with progress("six stories", quiet) as advance:
+        six = six_story_study(samples, seed, progress=advance)
+    deliver({"three_story": three.to_dict(), "six_story": six.to_dict()}, out, lambda: [render(three), render(six)])
+
+
+@contextmanager
+def progress(title: str, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
+    """A bar on standard error, only where that is a terminal and nobody asked for quiet."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.progress import Progress  # noqa: PLC0415
+
+    with Progress(console=Console(stderr=True), transient=True) as bars:
+        task = bars.add_task(title, total=None)
+        yield lambda done, total: bars.update(task, completed=done, total=total)
 
 
 def _names(text: str | None) -> list[str] | None:

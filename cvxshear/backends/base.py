@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -108,9 +109,10 @@ class Backend(ABC):
         while True:
             near = Canonical(**{**problem.__dict__, "f": np.minimum(problem.f, limit)})
             answer = self.answer(near)
-            touched = (problem.f > limit) & (problem.F @ answer.z > 0.5 * limit)
-            if not np.any(touched):
-                return answer
+            far = problem.f > limit
+            if not np.any(far & (problem.F @ answer.z > 0.5 * limit)):
+                # Far inequalities are inactive: their multipliers are zero, not the rounding that a solver returns.
+                return dataclasses.replace(answer, w=np.where(far, 0.0, answer.w))
             limit *= FAR
 
 

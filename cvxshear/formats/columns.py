@@ -98,9 +98,11 @@ def _refuse_uneven(steps: Floats, step: float, odd: Ints, columns: Columns, name
     others = float(np.median(steps[odd]))
     alike = np.mean(np.abs(steps[odd] - others) < UNEVEN * others)
     if odd.size > 0.1 * len(steps) and alike > 0.9:
+        before = float(steps[0])
+        change = int(np.argmax(np.abs(steps - before) > UNEVEN * before))
         raise InputError(
-            f'{columns.at(first + 1)}: channel "{name}" has two sampling rates, {1 / step:.6g} Hz and '
-            f"{1 / others:.6g} Hz from here; hand in the stretches as separate records or resample them to one rate"
+            f'{columns.at(change + 1)}: channel "{name}" has two sampling rates, {1 / before:.6g} Hz and from here '
+            f"{1 / float(steps[change]):.6g} Hz; hand in the stretches as separate records or resample them to one rate"
         )
     raise InputError(
         f'{columns.at(first + 1)}: channel "{name}" has a gap of {steps[first]:g} s where the step is {step:g} s '

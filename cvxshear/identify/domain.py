@@ -15,7 +15,7 @@ from cvxshear.programs.feasibility import Statement, refuse_contradictions
 from cvxshear.programs.rows import statements
 from cvxshear.typing import Floats
 
-SMALLEST = 1e-6
+SMALLEST = 1e-3
 """Of the mean at the start: a smaller mass or stiffness does not count as positive."""
 
 

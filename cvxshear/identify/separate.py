@@ -16,7 +16,7 @@ from cvxshear.programs.feasibility import Statement
 from cvxshear.programs.rows import statements
 from cvxshear.typing import Floats
 
-SMALLEST = 1e-6
+SMALLEST = 1e-3
 """Of the mean floor mass, and of the stiffness that would carry it at the first frequency: less is not positive."""
 
 

@@ -102,5 +102,7 @@ def _scale_std(full: Details, covariance: Floats) -> Floats:
 def _numbers(shapes: Floats, record: Record) -> Ints:
     """Which modes of the frame these are: by changes of sign where every floor is measured, else from 1 on."""
     if shapes.shape[1] == record.stories > 1:
-        return np.array([sign_changes(shape) + 1 for shape in shapes], dtype=np.int64)
+        changes = np.array([sign_changes(shape) for shape in shapes], dtype=np.int64)
+        if np.all(np.diff(changes) > 0):
+            return changes + 1
     return np.arange(1, len(shapes) + 1, dtype=np.int64)

@@ -7,12 +7,12 @@ import itertools
 import numpy as np
 
 from cvxshear.errors import InputError
+from cvxshear.modal import signs
 from cvxshear.modal.amplitude import amplitude_findings
 from cvxshear.modal.estimate import Details, Setting
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.record import FrfRecord, Record
 from cvxshear.modal.result import ModalResult
-from cvxshear.modal.shapes import sign_changes
 from cvxshear.typing import Floats
 
 OF_CHANNELS = ("dead channel", "clipped channel", "held samples", "drift", "aliasing")
@@ -96,62 +96,35 @@ def clock_findings(result: ModalResult, full: Details) -> list[Finding]:
 def signs_and_swaps(record: Record, shapes: Floats) -> list[Finding]:
     """Channels of the wrong sign, or in each other's place, by what the modes of a shear frame look like.
 
-    Of a shear frame on the ground the first mode has one sign and grows with height, and mode r changes sign
-    r - 1 times. One change of sign, or one exchange of two channels, that mends all the modes found is named;
-    where the record needs more than one, or none mends it, nothing is said.
+    One change of sign, or one exchange of two channels, that mends all the modes found is named; where none
+    is needed, or the record needs more than one, nothing is said.
     """
-    if shapes.shape[1] != record.stories or record.stories < 2:
+    if shapes.shape[1] != record.stories or record.stories < 2 or signs.fits(shapes):
         return []
-    found = []
-    first = shapes[0] * np.sign(np.sum(np.sign(shapes[0])) or 1.0)
-    wrong = np.flatnonzero(first < -0.02)
-    if len(wrong) == 1 and len(shapes) > 1 and _signs_fit(shapes * np.where(np.arange(len(first)) == wrong[0], -1, 1)):
-        channel = record.channels[int(wrong[0])]
-        found.append(
+    first = shapes[0] / shapes[0][np.argmax(np.abs(shapes[0]))]
+    turned = signs.flipped(shapes)
+    if turned is not None:
+        channel = record.channels[turned]
+        return [
             Finding(
                 "sign",
-                f"{channel} moves against all the others in the lowest mode ({first[wrong[0]]:.3f}); turned round, "
-                "every mode has as many changes of sign as a shear frame's; check its sign in the record file",
-                {"channel": channel.name, "entry": float(first[wrong[0]])},
+                f"{channel} moves against all the others in the lowest mode, {_listed(first)} from the ground up; turned "
+                "round, every mode has as many changes of sign as a shear frame's; check its sign in the record file",
+                {"channel": channel.name, "first_mode": first.tolist()},
             )
+        ]
+    pair = signs.exchanged(shapes)
+    if pair is None:
+        return []
+    low, high = (record.channels[place] for place in pair)
+    return [
+        Finding(
+            "swapped channels",
+            f"{low} and {high} look swapped: the lowest mode is {_listed(first)} from the ground up, which no shear "
+            "frame has; exchanged, every mode has the signs of one. Exchange their floors in the record file",
+            {"channels": [low.name, high.name], "first_mode": first.tolist()},
         )
-        return found
-    if _fits(shapes):
-        return found
-    exchanges = [
-        (i, j)
-        for i, j in itertools.combinations(range(record.stories), 2)
-        if _fits(_exchanged(shapes, i, j)) and len(shapes) > 1
     ]
-    if exchanges:
-        i, j = min(exchanges, key=lambda pair: pair[1] - pair[0])
-        low, high = record.channels[i], record.channels[j]
-        found.append(
-            Finding(
-                "swapped channels",
-                f"{low} and {high} look swapped: the lowest mode is {_listed(first)} from the ground up, which no "
-                "shear frame has; exchanged, every mode has the signs of one. Exchange their floors in the record file",
-                {"channels": [low.name, high.name], "first_mode": first.tolist()},
-            )
-        )
-    return found
-
-
-def _exchanged(shapes: Floats, i: int, j: int) -> Floats:
-    order = np.arange(shapes.shape[1])
-    order[[i, j]] = order[[j, i]]
-    return shapes[:, order]
-
-
-def _signs_fit(shapes: Floats) -> bool:
-    """Whether the lowest mode has one sign and each higher one a further change."""
-    changes = [sign_changes(shape) for shape in shapes]
-    return changes[0] == 0 and all(b > a for a, b in itertools.pairwise(changes))
-
-
-def _fits(shapes: Floats) -> bool:
-    lowest = np.abs(shapes[0])
-    return _signs_fit(shapes) and bool(np.all(np.diff(lowest) > -0.02 * lowest.max()))
 
 
 def _listed(shape: Floats) -> str:
@@ -246,8 +219,8 @@ def _mode_findings(record: Record, result: ModalResult, setting: Setting) -> lis
     found.extend(
         Finding(
             "other mode",
-            f"{item.frequency:.3f} Hz is stable as well, with {100 * item.energy:.2g} % of the energy, and is not a sway "
-            "mode that the frame still lacks: torsion, another axis, a local or split mode",
+            f"{item.frequency:.3f} Hz is stable as well, with {100 * item.energy:.2g} % of the energy, and is not a "
+            "sway mode that the frame still lacks: torsion, another axis, a local or split mode",
             {"frequency": item.frequency, "energy": item.energy},
         )
         for item in sweep.candidates

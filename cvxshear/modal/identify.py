@@ -25,6 +25,11 @@ from cvxshear.modal.shift import shifted
 from cvxshear.modal.stabilization import Criteria
 
 
+LARGEST_SHAPE_STD = 0.3
+"""Of an entry, over the mode's largest: a shape less sure is none."""
+LARGEST_FREQUENCY_STD = 0.05
+
+
 @dataclass(frozen=True)
 class Options:
     """How to identify; the parameters of `identify_modes`."""
@@ -124,13 +129,45 @@ def _identified(record: Record, options: Options) -> ModalResult:
         raise NoSolutionError(method, _nothing(sweep))
     base = not isinstance(record, FrfRecord) and record.input == "base"
     setting = Setting(source, sweep, record.floors, record.quantity, shift, options.rule, base)
-    values = _chosen(sweep)
-    findings += settle_truncation(record, setting, values)
-    full = details(setting, values, None)
-    spread, how, lost = covariance(setting, full, options.seed)
-    result = assembled(record, setting, full, spread, method=method, uncertainty=how)
+    while True:
+        of_leakage = settle_truncation(record, setting, _chosen(sweep))
+        full = details(setting, _chosen(sweep), None)
+        spread, how, lost = covariance(setting, full, options.seed)
+        result = assembled(record, setting, full, spread, method=method, uncertainty=how)
+        sweep = _reproducible(result, sweep)
+        if not sweep.chosen:
+            raise NoSolutionError(method, _nothing(sweep))
+        if len(sweep.chosen) == len(result.frequencies):
+            break
+        setting = dataclasses.replace(setting, sweep=sweep)
+    findings += of_leakage
     findings += diagnostics.modal_findings(record, result, setting, full, lost, accept_swapped=options.accept_swapped)
     return dataclasses.replace(result, findings=tuple(findings))
+
+
+def _reproducible(result: ModalResult, sweep: Sweep) -> Sweep:
+    """The sweep without modes that do not come back as themselves when a piece of the record is left out.
+
+    Poles that a model finds in noise are stable from order to order as well; their shapes are not from piece
+    to piece.
+    """
+    shaky = (result.mode_shape_std.max(axis=1) > LARGEST_SHAPE_STD) | (result.frequency_std > LARGEST_FREQUENCY_STD)
+    if not shaky.any():
+        return sweep
+    reasons = {
+        id(item): f"shape scatters by {100 * std:.0f} % and frequency by {100 * change:.1f} % over the record's pieces"
+        for item, std, change, bad in zip(
+            sweep.chosen, result.mode_shape_std.max(axis=1), result.frequency_std, shaky, strict=True
+        )
+        if bad
+    }
+    candidates = tuple(
+        dataclasses.replace(item, physical=False, reason=reasons[id(item)]) if id(item) in reasons else item
+        for item in sweep.candidates
+    )
+    return dataclasses.replace(
+        sweep, candidates=candidates, chosen=tuple(item for item in sweep.chosen if id(item) not in reasons)
+    )
 
 
 def _chosen(sweep: Sweep) -> Values:

@@ -21,6 +21,8 @@ from cvxshear.modal.realization import Impulse, block_hankel, left_factor
 from cvxshear.typing import Bools, Floats, Ints
 
 LAGS = 20
+LARGEST_GROWTH = 1.002
+"""A sample; a lightly damped pole may come out that much unstable by chance."""
 ROWS = 60
 COLUMNS = 600
 
@@ -93,12 +95,19 @@ def _triangle(matrix: Floats) -> Floats:
 
 
 def _system_markov(direct: Floats, inputs: Floats, outputs: Floats, count: int) -> Floats:
-    lags = len(outputs)
-    result = np.zeros((count + 1, *direct.shape))
-    result[0] = direct
-    for k in range(1, count + 1):
-        reach = min(k, lags)
-        result[k] = np.einsum("ioj,ijm->om", outputs[:reach], result[k - 1 :: -1][:reach])
-        if k <= lags:
-            result[k] += inputs[k - 1]
-    return result
+    """Markov parameters 0 to `count` of the system behind the observer, without what in it explodes.
+
+    With x the observer's state in its canonical form, x' = F x + G u, y = x_1 + D u, the parameters are
+    Y_k = C F^{k-1} G, summed over the eigenvalues of F. One well outside the unit circle is no structure: it
+    stands for what comes before its cause at the edge of the band, and would swamp the others.
+    """
+    lags, rows, columns = inputs.shape
+    transition = np.eye(lags * rows, k=rows)
+    transition[:, :rows] = outputs.reshape(lags * rows, rows)
+    drive = (inputs + outputs @ direct).reshape(lags * rows, columns)
+    values, vectors = linalg.eig(transition)
+    weights = linalg.solve(vectors, drive.astype(np.complex128))
+    kept = np.abs(values) < LARGEST_GROWTH
+    powers = values[kept][None, :] ** np.arange(count)[:, None]
+    later = np.einsum("ks,os,si->koi", powers, vectors[:rows, kept], weights[kept], optimize=True)
+    return np.concatenate([direct[None], later.real])

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cvxshear.modal import signs
 from cvxshear.modal.clock import offsets, undone
 from cvxshear.modal.realization import Poles, Source, realize
 from cvxshear.modal.record import Complexes
@@ -131,6 +132,8 @@ def sweep_orders(
     found = _collinear(found, criteria)
     usable = [item for item in found if item.physical]
     chosen = _by_signs(usable, count) if by_signs else _by_energy(usable, count)
+    if by_signs and not _grows(chosen):
+        chosen = _but_for_one_slip(usable, count) or chosen
     return Sweep(poles, stable, tuple(found), tuple(chosen))
 
 
@@ -199,17 +202,37 @@ def _by_signs(usable: list[Candidate], count: int) -> list[Candidate]:
     """
     if not usable:
         return []
-    clocks = offsets(np.array([item.eigenvalue for item in usable]), np.array([item.shape for item in usable]))
-    straight = undone(
-        np.array([item.eigenvalue for item in usable]), np.array([item.shape for item in usable]), clocks.seconds
-    )
-    changes = [sign_changes(real_shape(shape)) for shape in straight]
+    changes = [sign_changes(shape) for shape in _straight(usable)]
     options: list[list[Candidate | None]] = []
     for wanted in range(count):
         fitting = [item for item, number in zip(usable, changes, strict=True) if number == wanted]
         fitting.sort(key=lambda item: -item.energy)
         options.append([*fitting[: 3 if count > 4 else MOST_CANDIDATES], None])
     return _best_ascending(options)
+
+
+def _grows(chosen: list[Candidate]) -> bool:
+    return bool(chosen) and signs.fits(_straight(chosen))
+
+
+def _straight(items: list[Candidate]) -> Floats:
+    """Real shapes, the turns of clock offsets taken back first."""
+    eigenvalues, shapes = np.array([item.eigenvalue for item in items]), np.array([item.shape for item in items])
+    clocks = offsets(eigenvalues, shapes)
+    return np.array([real_shape(shape) for shape in undone(eigenvalues, shapes, clocks.seconds)])
+
+
+def _but_for_one_slip(usable: list[Candidate], count: int) -> list[Candidate]:
+    """The strongest candidates, where one channel's sign or two channels' places are all that spoils them.
+
+    Chosen by their signs, a frame's modes are missed where a channel has the wrong one.
+    """
+    strongest = _by_energy(usable, count)
+    if len(strongest) < 2:
+        return []
+    shapes = _straight(strongest)
+    slipped = signs.flipped(shapes) is not None or signs.exchanged(shapes) is not None
+    return strongest if slipped else []
 
 
 def _best_ascending(options: list[list[Candidate | None]]) -> list[Candidate]:

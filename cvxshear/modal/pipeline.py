@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from cvxshear.formats.record import RecordFile, read_record
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.identify import identify_modes
 from cvxshear.modal.result import ModalResult
 from cvxshear.typing import Json
+
+if TYPE_CHECKING:
+    from cvxshear.formats.record import RecordFile
 
 
 def run(
@@ -51,6 +54,10 @@ def run(
     NoSolutionError
         Where no mode was found.
     """
+    # The readers make records of this package, so they are loaded after it.
+    from cvxshear.formats.record import read_record  # noqa: PLC0415
+    from cvxshear.formats.uff import write_uff  # noqa: PLC0415
+
     source = read_record(path)
     result = identify_modes(
         source.record,
@@ -67,8 +74,6 @@ def run(
     if output is not None:
         result.write(output, source.frame, priors=source.priors, added_mass=source.added_mass)
     if uff is not None:
-        from cvxshear.formats.uff import write_uff  # noqa: PLC0415
-
         write_uff(uff, result)
     return result, declared
 

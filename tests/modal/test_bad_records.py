@@ -1,0 +1,247 @@
+"""Records that lie get an error that names the channel and the line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cvxshear.errors import CvxshearError, InputError, NoSolutionError, UnsuitableError
+from cvxshear.formats.record import read_record
+from cvxshear.modal import Channel, FrfRecord, FrfRun, Run, TimeRecord, identify_modes, run
+from cvxshear.modal.simulate import PAPER_FRAME, base_record
+from tests.modal.shared import csv
+
+RECORD = """
+[record]
+input = "base"
+file = "test.csv"
+{more}
+
+[[channel]]
+column = "ground"
+floor = 0
+
+[[channel]]
+column = "a1"
+floor = 1
+
+[[channel]]
+column = "a2"
+floor = 2
+
+[[channel]]
+column = "a3"
+floor = 3
+"""
+NAMES = ["t", "ground", "a1", "a2", "a3"]
+
+
+@pytest.fixture(scope="module")
+def good() -> np.ndarray:
+    record = base_record(PAPER_FRAME, 0, noise=0.01, duration=150.0)
+    time = np.arange(record.runs[0].samples) / 20
+    return np.column_stack([time, record.runs[0].excitation, record.runs[0].responses])
+
+
+def written(folder, values, more="", names=NAMES, text=RECORD):
+    csv(folder / "test.csv", names, values)
+    path = folder / "record.toml"
+    path.write_text(text.format(more=more))
+    return path
+
+
+def refused(path) -> str:
+    with pytest.raises(InputError) as caught:
+        run(path, output=path.parent / "out.toml")
+    assert not (path.parent / "out.toml").exists()
+    return str(caught.value)
+
+
+def test_the_good_one_is_read(tmp_path, good):
+    result, _ = run(written(tmp_path, good))
+    np.testing.assert_allclose(result.frequencies, PAPER_FRAME.modes()[0], rtol=1e-3)
+
+
+def test_swapped_channels(tmp_path, good):
+    path = written(tmp_path, good[:, [0, 1, 3, 2, 4]])
+    message = refused(path)
+    assert '"a1"' in message
+    assert '"a2"' in message
+    assert "swapped" in message
+    assert "line 11 of record.toml" in message
+    assert "line 15 of record.toml" in message
+    accepted, _ = run(path, accept_swapped=True)
+    assert "swapped channels" in {finding.kind for finding in accepted.findings}
+
+
+def test_gap(tmp_path, good):
+    message = refused(written(tmp_path, np.delete(good, slice(100, 140), axis=0)))
+    assert "test.csv, line 102" in message
+    assert '"t" has a gap of 2.05 s' in message
+
+
+def test_nan(tmp_path, good):
+    values = good.copy()
+    values[57, 3] = np.nan
+    message = refused(written(tmp_path, values))
+    assert "test.csv, line 59" in message
+    assert '"a2" holds nan' in message
+
+
+def test_empty_cell(tmp_path, good):
+    path = written(tmp_path, good)
+    lines = (tmp_path / "test.csv").read_text().splitlines()
+    cells = lines[30].split(",")
+    lines[30] = ",".join([*cells[:2], "", *cells[3:]])
+    (tmp_path / "test.csv").write_text("\n".join(lines))
+    assert 'line 31: channel "a1" holds nan' in refused(path)
+
+
+def test_two_sampling_rates(tmp_path, good):
+    values = good.copy()
+    values[1200:, 0] = values[1200, 0] + np.arange(len(values) - 1200) / 50  # the header is line 1, so line 1202
+    message = refused(written(tmp_path, values))
+    assert 'line 1203: channel "t" has two sampling rates, 20 Hz and from here 50 Hz' in message
+
+
+def test_declared_rate_that_the_time_column_contradicts(tmp_path, good):
+    message = refused(written(tmp_path, good, "sampling_rate = 25.0"))
+    assert "sampling_rate = 25" in message
+    assert "ticks at 20" in message
+
+
+def test_two_runs_of_two_rates(tmp_path, good):
+    csv(tmp_path / "one.csv", NAMES, good)
+    slow = good.copy()
+    slow[:, 0] *= 2
+    csv(tmp_path / "two.csv", NAMES, slow)
+    text = RECORD.replace('file = "test.csv"', "") + '\n[[run]]\nfile = "one.csv"\n[[run]]\nfile = "two.csv"\n'
+    path = tmp_path / "record.toml"
+    path.write_text(text.format(more=""))
+    message = refused(path)
+    assert "two.csv is sampled at 10 Hz" in message
+
+
+def test_text_column(tmp_path, good):
+    path = written(tmp_path, good)
+    text = (tmp_path / "test.csv").read_text().splitlines()
+    cells = text[12].split(",")
+    text[12] = ",".join([*cells[:4], "overload"])
+    (tmp_path / "test.csv").write_text("\n".join(text))
+    message = refused(path)
+    assert 'test.csv, line 13: channel "a3" holds \'overload\', which is not a number' in message
+
+
+def test_empty_file(tmp_path, good):
+    path = written(tmp_path, good)
+    (tmp_path / "test.csv").write_text("")
+    assert "test.csv is empty" in refused(path)
+    (tmp_path / "test.csv").write_text("t,ground,a1,a2,a3\n")
+    assert "has a header and no samples" in refused(path)
+
+
+def test_three_samples(tmp_path, good):
+    assert "test.csv holds 3 samples" in refused(written(tmp_path, good[:3]))
+
+
+def test_too_short_for_the_method(tmp_path, good):
+    assert "at least 128 are needed" in refused(written(tmp_path, good[:100]))
+
+
+def test_missing_column(tmp_path, good):
+    message = refused(written(tmp_path, good[:, :4], names=NAMES[:4]))
+    assert 'has no column "a3"; it has t, ground, a1, a2' in message
+    assert "line 19 of record.toml" in message
+
+
+def test_ragged_line(tmp_path, good):
+    path = written(tmp_path, good)
+    with (tmp_path / "test.csv").open("a") as handle:
+        handle.write("1,2\n")
+    assert f"line {len(good) + 2} has 2 cells where the header names 5 columns" in refused(path)
+
+
+def test_missing_file(tmp_path, good):
+    path = written(tmp_path, good)
+    (tmp_path / "test.csv").unlink()
+    assert "test.csv: no such file" in refused(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ('input = "base"', 'input = "bass"', "must be one of none, free_decay, force, base, not 'bass'; did you mean"),
+        ("floor = 3", "floor = 2", '"a3" is on floor 2 along x, where channel "a2"'),
+        ("floor = 3", "flor = 3", "unknown key 'flor'; did you mean 'floor'?"),
+        ("floor = 3", "floor = 3\nsign = 2", "sign must be 1 or -1, not 2"),
+        ("floor = 3", "floor = 3\ncalibration = 0.0", "calibration = 0 must be greater than 0"),
+        ('column = "a3"', 'column = "a2"', 'channel "a2" was declared before, in line 15'),
+        ("floor = 0", "floor = 4", 'input = "base" needs one channel on the ground'),
+        ('input = "base"', 'input = "force"', 'needs one channel with quantity = "force"'),
+        ("floor = 3", "floor = 3\naxis = 'y'", "the channels point along x, y; say which with record: axis"),
+        ('input = "base"', 'input = "base"\nband = [5.0, 2.0]', "must be ascending, in Hz"),
+        ("[record]", "[recrd]", "unknown key 'recrd'; did you mean 'record'?"),
+        ('input = "base"', 'input = "base', "is not valid TOML"),
+    ],
+)
+def test_wrong_record_file(tmp_path, good, old, new, expected):
+    message = refused(written(tmp_path, good[:200], text=RECORD.replace(old, new)))
+    assert expected in message
+    assert str(tmp_path) in message
+
+
+def test_time_that_goes_back(tmp_path, good):
+    values = good.copy()
+    values[[200, 201], 0] = values[[201, 200], 0]
+    assert 'line 202: channel "t"' in refused(written(tmp_path, values))
+
+
+def test_frf_on_different_lines(tmp_path):
+    frequencies = np.arange(1, 65) / 8
+    columns = np.column_stack([frequencies, np.ones((64, 2))])
+    csv(tmp_path / "one.csv", ["frequency", "a1_re", "a1_im"], columns)
+    columns[:, 0] *= 2
+    csv(tmp_path / "two.csv", ["frequency", "a1_re", "a1_im"], columns)
+    path = tmp_path / "record.toml"
+    path.write_text(
+        '[record]\nkind = "frf"\n[[channel]]\ncolumn = "a1"\nfloor = 1\n'
+        '[[run]]\nfile = "one.csv"\ninput_floor = 1\n[[run]]\nfile = "two.csv"\ninput_floor = 1\n'
+    )
+    assert "different frequency lines" in refused(path)
+
+
+def test_uneven_frequency_lines():
+    frequencies = np.concatenate([np.arange(1, 40), np.arange(41, 80)]) * 0.5
+    with pytest.raises(InputError, match=r"after 19\.5 Hz comes 20\.5 Hz where the step is 0\.5 Hz"):
+        FrfRecord((Channel("a", 1),), runs=(FrfRun(np.ones((78, 1)), 1),), frequencies=frequencies)
+
+
+def test_arrays_are_checked_too():
+    values = np.random.default_rng(0).standard_normal((500, 2))
+    values[7, 1] = np.inf
+    with pytest.raises(InputError, match='channel "b" \\(floor 2\\) holds inf at sample 8'):
+        TimeRecord((Channel("a", 1), Channel("b", 2)), runs=(Run(values),), sampling_rate=50.0)
+
+
+def test_unsuitable_method_names_a_suitable_one():
+    record = base_record(PAPER_FRAME, 0, noise=0.01, duration=60.0)
+    with pytest.raises(UnsuitableError, match='method "ssi" cannot use input = "base"; use "okid"'):
+        identify_modes(record, method="ssi")
+    with pytest.raises(InputError, match="did you mean 'okid'"):
+        identify_modes(record, method="okidd")
+
+
+def test_noise_alone_has_no_modes():
+    values = np.random.default_rng(3).standard_normal((4000, 3))
+    channels = tuple(Channel(f"a{floor}", floor) for floor in (1, 2, 3))
+    record = TimeRecord(channels, runs=(Run(values),), sampling_rate=50.0)
+    with pytest.raises(CvxshearError) as caught:
+        identify_modes(record)
+    assert isinstance(caught.value, NoSolutionError | InputError)
+
+
+def test_every_error_names_the_record_file(tmp_path):
+    path = tmp_path / "record.toml"
+    path.write_text("[record]\n")
+    with pytest.raises(InputError, match=r"record\.toml: the key 'channel' is missing"):
+        read_record(path)
