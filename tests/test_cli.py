@@ -142,6 +142,8 @@ def test_help_gives_an_example_for_every_command(run):
 
 
 def test_piped_output_has_no_escape_codes():
-    found = subprocess.run([sys.executable, "-m", "cvxshear", "identify", THREE], capture_output=True, text=True, check=True)
+    found = subprocess.run(
+        [sys.executable, "-m", "cvxshear", "identify", THREE], capture_output=True, text=True, check=True
+    )
     assert "\x1b" not in found.stdout
     assert found.stderr == ""

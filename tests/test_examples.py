@@ -1,0 +1,32 @@
+"""The scripts in examples/ run without a warning and show what they say they show."""
+
+import re
+import subprocess
+import sys
+
+import pytest
+
+from tests.frames import EXAMPLES
+
+SHOWN = {
+    "physical_bounds": r"without bounds .* 34 % off\nwith bounds .* 17 % off",
+    "compare_backends": r"bounded mass +\d+ backends, farthest [\w-]+: \d+e-\d+ from the consensus",
+    "floor_ratio": r"no prior .*= 2\.742\nwithin 2 % .*= 2\.014\nexact .*= 2\.000",
+    "own_prior": r"not weighed .*= 10\.79 kg\nweighed .*= 12\.44 kg",
+    "own_backend": r"slsqp +m = (.*) kg\nclarabel +m = \1 kg",
+    "close_the_loop": r"verdict: explained\nthe shear model lacks gravity: .*\n.*1\.84 % before, 0\.34 % after",
+    "own_effect": r"brace: b = 39\d ± \d N/m",
+}
+
+
+def test_every_script_has_its_expectation():
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == set(SHOWN)
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_example_shows_what_it_says(name):
+    found = subprocess.run(
+        [sys.executable, "-W", "error", str(EXAMPLES / f"{name}.py")], capture_output=True, text=True, check=False
+    )
+    assert found.returncode == 0, found.stderr
+    assert re.search(SHOWN[name], found.stdout), found.stdout
