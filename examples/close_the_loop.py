@@ -8,9 +8,8 @@ before, after = closure.before.estimate.quality, closure.after.estimate.quality
 print(f"verdict: {closure.verdict}")
 for found in closure.effects:
     print(f"the shear model lacks {found.placed.label}: {found.parameters}")
-print(
-    f"largest frequency error: {100 * before.max_frequency_error:.2f} % before, {100 * after.max_frequency_error:.2f} % after"
-)
+errors = [100 * quality.max_frequency_error for quality in (before, after)]
+print(f"largest frequency error: {errors[0]:.2f} % before, {errors[1]:.2f} % after")
 print(
     f"on held-out structures:  {100 * closure.before.held_out:.2f} % before, {100 * closure.after.held_out:.2f} % after"
 )
