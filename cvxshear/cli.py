@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console, RenderableType
 
-from cvxshear.errors import CvxshearError, InputError, NoSolutionError
+from cvxshear.errors import CvxshearError, InputError, NoSolutionError, UnsuitableError
 from cvxshear.typing import Json
 
 app = typer.Typer(
@@ -88,15 +88,20 @@ def write_whole(path: Path, text: str) -> None:
 @app.command()
 def identify(
     file: File,
-    method: Annotated[str, typer.Option(help="efficient, two-stage, one-shot, berman or qi.")] = "efficient",
+    method: Annotated[
+        str | None, typer.Option(help="efficient (where none is named), two-stage, one-shot, berman or qi.")
+    ] = None,
     backend: BackendName = "auto",
     initial_mass: Annotated[
         str | None,
-        typer.Option(help="Where the mass iteration starts, kg, such as 9.5,7.5,5.5 (two-stage, berman, qi)."),
+        typer.Option(help="Where the mass iteration starts, kg, such as 9.5,7.5,5.5; means two-stage by itself."),
     ] = None,
+    tolerance: Annotated[float, typer.Option(help="At which relative correction the mass iteration stops.")] = 1e-6,
     out: JsonOut = None,
 ) -> None:
     """Identify floor masses and story stiffnesses.
+
+    Where no method is named the efficient one answers, and the paper's is printed beside it if it can use the data.
 
     Example: cvxshear identify paper --method two-stage
     """
@@ -105,10 +110,14 @@ def identify(
     from cvxshear import load  # noqa: PLC0415
     from cvxshear.report import terminal  # noqa: PLC0415
 
-    if initial_mass is not None and method == "efficient":
-        method = "two-stage"
-    result = run(load(file), method=method, backend=backend, initial_mass=_numbers(initial_mass))
-    deliver(result.to_dict(), out, lambda: terminal.identification(result))
+    experiment, start = load(file), _numbers(initial_mass)
+    named = method or ("efficient" if start is None else "two-stage")
+    result = run(experiment, method=named, backend=backend, initial_mass=start, tolerance=tolerance)
+    beside = None
+    if method is None and named == "efficient" and out != "-":
+        with suppress(UnsuitableError):
+            beside = run(experiment, method="two-stage", backend=backend)
+    deliver(result.to_dict(), out, lambda: terminal.identification(result, beside))
 
 
 def _numbers(text: str | None) -> list[float] | None:

@@ -32,6 +32,24 @@ def test_identify_prints_the_papers_answer(run):
         assert printed in out
 
 
+def test_without_a_method_the_papers_answers_stand_beside_the_efficient_ones(run):
+    _, out, _ = run("identify", "paper")
+    assert "method efficient" in out
+    for printed in ("12.49 ± 0.63", "13.045", "25.517", "24.054", "23.842"):
+        assert printed in out
+    assert json.loads(run("identify", "paper", "--json", "-")[1])["method"] == "efficient"
+
+
+def test_incomplete_data_have_no_comparison(run, tmp_path):
+    table = (EXAMPLES / "three_story.toml").read_text().split("mode_shapes")[0]
+    file = tmp_path / "two_modes.toml"
+    shapes = "[[0.30185, 0.64854, 1.0], [-0.67898, -0.60660, 1.0]]"
+    file.write_text(table.replace(", 3.28118804]", "]") + f"mode_shapes = {shapes}\n")
+    status, out, _ = run("identify", str(file))
+    assert status == 0
+    assert "for comparison" not in out
+
+
 def test_an_initial_mass_means_the_papers_method(run):
     status, out, _ = run("identify", THREE, "--initial-mass", "9.5,7.5,5.5")
     assert status == 0

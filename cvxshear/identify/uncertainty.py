@@ -121,7 +121,8 @@ def _split(J: Floats, basis: Floats) -> tuple[tuple[Floats, Floats], Floats]:
     """The basis turned into directions that the data determine, with their singular values, and those they do not."""
     if not basis.shape[1]:
         return (basis, np.zeros(0)), basis
-    _, values, right = np.linalg.svd(J @ basis, full_matrices=True)
+    # The triangular factor has the same singular values and right vectors, and no tall left ones.
+    _, values, right = np.linalg.svd(np.linalg.qr(J @ basis, mode="r"), full_matrices=True)
     values = np.concatenate([values, np.zeros(len(right) - len(values))])
     known = values > NULL
     return (basis @ right[known].T, values[known]), basis @ right[~known].T

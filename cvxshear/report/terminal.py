@@ -56,14 +56,18 @@ def declared(experiment: Experiment) -> Text:
     return Text("\n".join(lines))
 
 
-def identification(result: Identification) -> Iterator[RenderableType]:
-    """The tables of an identification."""
+def identification(result: Identification, beside: Identification | None = None) -> Iterator[RenderableType]:
+    """The tables of an identification, and of another one for comparison."""
     yield declared(result.experiment)
     yield Text(f"\nmethod {result.method}, backend {result.backend}\n")
     for part in result.parts:
         yield from _part(result, part)
     for names in result.undetermined:
         yield Text(f"not determined by these data: {' and '.join(names)}", style="yellow")
+    if beside is not None:
+        yield Text(f"for comparison: method {beside.method}, each configuration by itself\n")
+        for part in beside.parts:
+            yield from _part(beside, part)
 
 
 def _part(result: Identification, part: Part) -> Iterator[RenderableType]:
