@@ -25,6 +25,9 @@ EFFECTS = (
 HIDDEN = ("gravity", "added_mass", "story_change")
 """Effects that one configuration alone cannot tell from the masses and stiffnesses themselves."""
 
+HEAVIEST = 6.0
+"""kg, the heaviest counterweight on a floor in the second and third test; floors weigh about 10 kg."""
+
 OUTCOMES = ("first", "rival", "wrong", "missed", "nothing")
 
 
@@ -49,7 +52,11 @@ def outcome(trial):
     """
     rng = np.random.default_rng(trial.seed)
     stories = int(rng.integers(3, 9))
-    declared, truth = simulated(trial.effect, stories=stories, configurations=trial.configurations, rng=rng)
+    added = np.round(rng.uniform(0.0, HEAVIEST, (trial.configurations, stories)) * 2) / 2
+    added[0] = 0.0
+    declared, truth = simulated(
+        trial.effect, stories=stories, configurations=trial.configurations, rng=rng, added_mass=added.tolist()
+    )
     result = close_loop(Experiment.from_dict(declared)).to_dict()
     found = result["effects"]
     visible = trial.effect is not None and not (trial.configurations == 1 and trial.effect in HIDDEN)

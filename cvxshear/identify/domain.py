@@ -48,6 +48,7 @@ def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) 
     heavy = statements(experiment.priors, "floor_mass", n, experiment.frame, least=mass)
     stiff = statements(experiment.priors, "story_stiffness", n, least=stiffness)
     parts = spread(heavy, stiff, n, size)
+    interval_std = np.full(size, np.inf)
     for placed, own in slices(effects, 2 * n):
         parameters = placed.effect.parameters
         if placed.fixed:
@@ -57,5 +58,6 @@ def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) 
         bounds = Constraints(
             lower=np.array([item.lower for item in parameters]), upper=np.array([item.upper for item in parameters])
         )
+        interval_std[own] = [(item.upper - item.lower) / np.sqrt(12) for item in parameters]
         parts.append(Statement(f"bounds of {placed.label}", embedded(bounds, own, size)))
-    return Domain(parts, np.where(theta == 0, 1.0, np.abs(theta)))
+    return Domain(parts, np.where(theta == 0, 1.0, np.abs(theta)), interval_std)

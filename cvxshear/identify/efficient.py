@@ -76,7 +76,12 @@ class Estimate:
     @property
     def std(self) -> Floats:
         """Standard deviations of all parameters, shape (P,); nan where undetermined."""
-        return self.noise_scale * self.uncertainty.std
+        return self.uncertainty.std(self.noise_scale)
+
+    @property
+    def correlation(self) -> Floats:
+        """Correlations of all parameters, shape (P, P)."""
+        return self.uncertainty.correlation(self.noise_scale)
 
     @property
     def quality(self) -> Quality:

@@ -63,10 +63,13 @@ class Domain:
         Exact statements about theta.
     scale : ndarray, shape (P,)
         Size of each parameter at the start, to which a change is compared.
+    interval_std : ndarray, shape (P,)
+        Standard deviation that a parameter's interval of physical values stands for; infinite where it has none.
     """
 
     statements: Sequence[Statement]
     scale: Floats
+    interval_std: Floats
 
 
 def step_program(at: Evaluation, theta: Floats, domain: Domain) -> LeastSquares:

@@ -78,7 +78,7 @@ def identify(
             solver.name,
             (estimate.part,),
             joint=True,
-            correlation=estimate.uncertainty.correlation,
+            correlation=estimate.correlation,
             parameter_names=parameter_names(experiment, ()),
             undetermined=estimate.uncertainty.null_directions,
         )

@@ -3,6 +3,10 @@
 With Z an orthonormal basis of the directions that the active constraints leave free, the covariance of the
 parameters is Z (Z' J'J Z)^-1 Z': a Cramer-Rao bound under constraints (Stoica and Ng, 1998), which the
 estimator reaches where the noise is small.
+
+A parameter that physics confines to an interval, such as gravity's gamma to [1, 6/5], is not known exactly where
+the fit ends at an end of it. There the interval counts as knowledge, with the standard deviation of a uniform
+distribution, (upper - lower) / sqrt(12), and the end is not held.
 """
 
 from __future__ import annotations
@@ -36,7 +40,12 @@ class Uncertainty:
     Parameters
     ----------
     root : ndarray, shape (P, f)
-        Directions of the parameters, each of unit effect on the data: J root has orthonormal columns.
+        Directions that the constraints leave free, bounds that are touched held, each of unit effect on the data:
+        J root has orthonormal columns.
+    reach : ndarray, shape (P, g)
+        The same with parameters of an interval free to leave its ends.
+    interval_std : ndarray, shape (P,)
+        Standard deviation that an interval of physical values stands for; infinite where there is none.
     determined : ndarray of bool, shape (P,)
     null_directions : tuple of tuple of str
         For each direction that the data leave open, the parameters that take part in it, largest share first.
@@ -47,28 +56,35 @@ class Uncertainty:
     """
 
     root: Floats
+    reach: Floats
+    interval_std: Floats
     determined: Bools
     null_directions: tuple[tuple[str, ...], ...]
     free: int
     active: tuple[str, ...]
 
-    @property
-    def covariance(self) -> Floats:
-        """Covariance of the determined part, shape (P, P), in the parameters' own units."""
-        covariance: Floats = self.root @ self.root.T
+    def covariance(self, noise: float = 1.0) -> Floats:
+        """Covariance of the determined part, shape (P, P), in the parameters' own units.
+
+        Parameters
+        ----------
+        noise : float, optional
+            Factor of all standard deviations of the data.
+        """
+        known = (self.reach / self.interval_std[:, None]).T @ (self.reach / self.interval_std[:, None])
+        information = np.eye(self.reach.shape[1]) / noise**2 + known
+        covariance: Floats = self.reach @ np.linalg.solve(information, self.reach.T)
         return covariance
 
-    @property
-    def std(self) -> Floats:
+    def std(self, noise: float = 1.0) -> Floats:
         """Standard deviations, shape (P,); nan where the data do not determine a parameter."""
-        return np.where(self.determined, np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), np.nan)
+        return np.where(self.determined, np.sqrt(np.maximum(np.diag(self.covariance(noise)), 0.0)), np.nan)
 
-    @property
-    def correlation(self) -> Floats:
+    def correlation(self, noise: float = 1.0) -> Floats:
         """Correlations, shape (P, P); nan where one of the two is undetermined or fixed."""
-        std = self.std
+        std = self.std(noise)
         with np.errstate(invalid="ignore", divide="ignore"):
-            return self.covariance / np.outer(std, std)
+            return self.covariance(noise) / np.outer(std, std)
 
 
 def uncertainty(J: Floats, theta: Floats, domain: Domain, names: Sequence[str]) -> Uncertainty:
@@ -91,12 +107,12 @@ def uncertainty(J: Floats, theta: Floats, domain: Domain, names: Sequence[str]) 
     touching = G[h <= TOUCHING * np.linalg.norm(G * unit, axis=1)]
     free = _null_space(A * unit)
     determined, null = _split(J * unit, free)
-    held = _null_space(np.concatenate([A, touching]) * unit)
-    inside, _ = _split(J * unit, held)
-    basis, values = inside
+    ends = np.any(touching[:, np.isfinite(domain.interval_std)], axis=1)
     open_part = np.linalg.norm(null, axis=1) if null.size else np.zeros(len(theta))
     return Uncertainty(
-        root=unit[:, None] * (basis / values),
+        root=_unit_directions(J, unit, np.concatenate([A, touching])),
+        reach=_unit_directions(J, unit, np.concatenate([A, touching[~ends]])),
+        interval_std=domain.interval_std,
         determined=open_part < 1e-4,
         null_directions=tuple(_words(column, names) for column in null.T),
         free=determined[0].shape[1],
@@ -106,6 +122,12 @@ def uncertainty(J: Floats, theta: Floats, domain: Domain, names: Sequence[str]) 
             if np.any(row)
         ),
     )
+
+
+def _unit_directions(J: Floats, unit: Floats, held: Floats) -> Floats:
+    """Directions on which the held rows are zero and that the data determine, each of unit effect on the data."""
+    (basis, values), _ = _split(J * unit, _null_space(held * unit))
+    return unit[:, None] * (basis / values)
 
 
 def _null_space(rows: Floats) -> Floats:

@@ -50,7 +50,7 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
 
     For each floor and a few masses, the test is simulated by the accepted model with the sensors and noise of
     the first configuration, and the rivals' residual on it, r, weighed with what the fits so far leave
-    uncertain: D^2 = r' (1 + J C J' + J_r C_r J_r')^-1 r. The smallest D over the rivals counts.
+    uncertain: D^2 = r' (S + J C J' + J_r C_r J_r')^-1 r, S the noise. The smallest D over the rivals counts.
     """
     size = float(np.mean(accepted.theta[: accepted.experiment.stories]))
     best: NextTest | None = None
@@ -76,13 +76,15 @@ def _separation(accepted: Estimate, rival: Estimate, floor: int, mass: float) ->
     # Soft priors stand at the end of the residuals; they are no part of the test.
     rows = test.frequencies.size + test.mode_shapes.size
     r = (other.r - mine.r)[:rows]
-    spread = np.eye(rows) + _carried(mine.J[:rows], accepted) + _carried(other.J[:rows], rival)
+    spread = (
+        accepted.noise_scale**2 * np.eye(rows) + _carried(mine.J[:rows], accepted) + _carried(other.J[:rows], rival)
+    )
     return float(np.sqrt(r @ np.linalg.solve(spread, r)))
 
 
 def _carried(J: Floats, estimate: Estimate) -> Floats:
     """The covariance of predictions that comes from that of the parameters."""
-    covariance: Floats = J @ estimate.uncertainty.covariance @ J.T
+    covariance: Floats = J @ estimate.uncertainty.covariance(estimate.noise_scale) @ J.T
     return covariance
 
 

@@ -121,7 +121,7 @@ def _on_bound(found: Found) -> str:
         value = found.parameters[item.name]
         for bound, word in ((item.lower, "lower"), (item.upper, "upper")):
             if abs(value - bound) <= 1e-9 * max(1.0, abs(bound)):
-                return f" (on its {word} physical bound)"
+                return f" (at the {word} end of what is physical)"
     return ""
 
 
