@@ -7,13 +7,17 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console, RenderableType
 
 from cvxshear.errors import CvxshearError, InputError, NoSolutionError, UnsuitableError
 from cvxshear.typing import Json
+
+if TYPE_CHECKING:
+    from cvxshear import Experiment
+    from cvxshear.modal import ModalResult
 
 app = typer.Typer(
     name="cvxshear",
@@ -148,11 +152,13 @@ def loop(
 
     Example: cvxshear loop paper
     """
-    from cvxshear import close_loop, load  # noqa: PLC0415
+    from cvxshear import close_loop  # noqa: PLC0415
     from cvxshear.report import loop_terminal  # noqa: PLC0415
 
-    result = close_loop(load(file), effects=_names(effects), assume=_names(assume) or (), backend=backend)
-    deliver(result.to_dict(), out, lambda: loop_terminal.closure(result))
+    experiment, found = _measured(file)
+    result = close_loop(experiment, effects=_names(effects), assume=_names(assume) or (), backend=backend)
+    said = result.to_dict() if found is None else {**result.to_dict(), "modes": found.to_dict()}
+    deliver(said, out, lambda: [*_modes_of(found), *loop_terminal.closure(result)])
 
 
 @app.command()
@@ -173,6 +179,40 @@ def reproduce(
 
     result = run(backend, samples=tuple(sorted({100, samples})), seed=seed)
     deliver(result.to_dict(), out, lambda: [render(result)])
+
+
+@app.command()
+def modes(
+    record: Annotated[str, typer.Argument(help="A record file (TOML).", metavar="RECORD")],
+    output: Annotated[
+        str | None, typer.Option("--output", "-o", help="Write a measurement file here.", metavar="TOML")
+    ] = None,
+    uff: Annotated[str | None, typer.Option(help="Write the modes as a universal file here.", metavar="UFF")] = None,
+    method: Annotated[
+        str | None, typer.Option(help="era, okid, subspace or ssi; what suits the record where none is named.")
+    ] = None,
+    count: Annotated[int | None, typer.Option(help="How many modes; as many as stories where not given.")] = None,
+    correct_clocks: Annotated[bool, typer.Option(help="Take clock offsets between the channels out.")] = False,
+    accept_swapped: Annotated[bool, typer.Option(help="Go on where two channels look swapped.")] = False,
+    out: JsonOut = None,
+) -> None:
+    """Identify natural frequencies, damping and mode shapes from a record.
+
+    Example: cvxshear modes record.toml -o test.toml
+    """
+    from cvxshear.modal import run  # noqa: PLC0415
+    from cvxshear.report import modal_terminal  # noqa: PLC0415
+
+    result, _ = run(
+        record,
+        method=method,
+        count=count,
+        correct_clocks=correct_clocks,
+        accept_swapped=accept_swapped,
+        output=output,
+        uff=uff,
+    )
+    deliver(result.to_dict(), out, lambda: modal_terminal.modes(result))
 
 
 study = typer.Typer(help="Many identifications at once.", no_args_is_help=True)
@@ -212,6 +252,24 @@ def progress(title: str, quiet: bool) -> Iterator[Callable[[int, int], None] | N
     with Progress(console=Console(stderr=True), transient=True) as bars:
         task = bars.add_task(title, total=None)
         yield lambda done, total: bars.update(task, completed=done, total=total)
+
+
+def _measured(file: str) -> tuple[Experiment, ModalResult | None]:
+    """The experiment of a measurement file, or of the record that a record file names, with its modes."""
+    from cvxshear import Experiment, load  # noqa: PLC0415
+    from cvxshear.formats.toml import is_record_file  # noqa: PLC0415
+    from cvxshear.modal import run  # noqa: PLC0415
+
+    if not is_record_file(file):
+        return load(file), None
+    found, declared = run(file)
+    return Experiment.from_dict(declared, name=Path(file).stem), found
+
+
+def _modes_of(found: ModalResult | None) -> Iterable[RenderableType]:
+    from cvxshear.report import modal_terminal  # noqa: PLC0415
+
+    return () if found is None else (*modal_terminal.modes(found), "")
 
 
 def _names(text: str | None) -> list[str] | None:

@@ -59,9 +59,8 @@ def outcome(trial):
     )
     result = close_loop(Experiment.from_dict(declared)).to_dict()
     found = result["effects"]
-    visible = trial.effect is not None and not (trial.configurations == 1 and trial.effect in HIDDEN)
     wanted = (truth["effect"], truth["floor"], truth["story"], truth["configuration"])
-    if not visible:
+    if not visible(trial):
         return ("nothing" if not found else "wrong"), result, truth
     if not found:
         return "missed", result, truth
@@ -95,6 +94,39 @@ def trials(frames, seed, effects=EFFECTS, configurations=(1, 3)):
     ]
 
 
+def visible(trial):
+    """Whether these tests can show the effect at all."""
+    return trial.effect is not None and not (trial.configurations == 1 and trial.effect in HIDDEN)
+
+
+def print_table(results, effects, configurations):
+    print("| configurations | effect | frames | " + " | ".join(OUTCOMES) + " | ambiguous | right, frame within 4 std |")
+    print("|" + "---|" * (5 + len(OUTCOMES)))
+    for count in configurations:
+        for effect in effects:
+            mine = [item for item in results if item[0].effect == effect and item[0].configurations == count]
+            words = Counter(item[1] for item in mine)
+            ambiguous = sum(item[2] == "ambiguous" for item in mine)
+            hidden = count == 1 and effect in HIDDEN
+            near = "–" if hidden else sum(item[3] < 4 for item in mine if item[1] in ("first", "nothing"))
+            cells = [str(words[word]) for word in OUTCOMES]
+            print(f"| {count} | {effect or 'none'} | {len(mine)} | {' | '.join(cells)} | {ambiguous} | {near} |")
+
+
+def print_totals(results):
+    several = [word for trial, word, *_ in results if visible(trial) and trial.configurations > 1]
+    one = [word for trial, word, *_ in results if visible(trial) and trial.configurations == 1]
+    pure = [word for trial, word, *_ in results if not visible(trial)]
+    for title, words, right in (
+        ("several configurations, the right effect first", several, ("first",)),
+        ("one configuration, the right effect first or among the rivals", one, ("first", "rival")),
+        ("nothing to be found, and nothing added", pure, ("nothing",)),
+    ):
+        if words:
+            count = sum(word in right for word in words)
+            print(f"\n{title}: {count} of {len(words)}, {100 * count / len(words):.1f} %")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=10)
@@ -109,16 +141,8 @@ def main():
         results = list(
             pool.map(_run, trials(options.frames, options.seed, effects, options.configurations), chunksize=2)
         )
-    print("| configurations | effect | frames | " + " | ".join(OUTCOMES) + " | ambiguous | frame within 4 std |")
-    print("|" + "---|" * (5 + len(OUTCOMES)))
-    for count in options.configurations:
-        for effect in effects:
-            mine = [item for item in results if item[0].effect == effect and item[0].configurations == count]
-            words = Counter(item[1] for item in mine)
-            ambiguous = sum(item[2] == "ambiguous" for item in mine)
-            near = sum(item[3] < 4 for item in mine)
-            cells = [str(words[word]) for word in OUTCOMES]
-            print(f"| {count} | {effect or 'none'} | {len(mine)} | {' | '.join(cells)} | {ambiguous} | {near} |")
+    print_table(results, effects, options.configurations)
+    print_totals(results)
     if options.failures:
         for trial, word, verdict, far, found in results:
             if word in ("wrong", "missed") or far > 4:

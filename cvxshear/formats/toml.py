@@ -82,3 +82,22 @@ def parse(text: str, path: Path) -> dict[str, object]:
         raise InputError(f"{path}: a number in it has thousands of digits; is it a measurement file?") from None
     except RecursionError:
         raise InputError(f"{path} is not valid TOML: nested too deeply") from None
+
+
+def is_record_file(path: str | Path) -> bool:
+    """Whether a TOML file declares a record (a table [record]) and not a measurement.
+
+    Parameters
+    ----------
+    path : str or Path
+        "paper" is the built-in measurement file, as in `load`.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read or is not TOML.
+    """
+    if path == "paper":
+        return False
+    path = Path(path)
+    return "record" in parse(read_text(path), path)
