@@ -110,7 +110,10 @@ def _noise(base: Estimate, best: float) -> float:
 def _refined(base: Estimate, rough: Candidate, fitter: Fitter) -> Candidate:
     """A candidate fitted to full accuracy from where its rough fit ended."""
     assert rough.estimate is not None
-    estimate = fitter.fit(rough.estimate.misfit, rough.estimate.theta)
+    try:
+        estimate = fitter.fit(rough.estimate.misfit, rough.estimate.theta)
+    except CvxshearError as error:
+        return Candidate(rough.placed, None, 0.0, failure=str(error))
     return dataclasses.replace(rough, estimate=estimate, log_p=log_p_gain(base, estimate) if rough.admissible else 0.0)
 
 

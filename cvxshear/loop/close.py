@@ -272,6 +272,8 @@ def _listed(placed: Sequence[Placed]) -> str:
 
 def _rests_on(estimate: Estimate) -> str:
     """What the verdict rests on."""
+    if estimate.dof <= 0:
+        return "nothing that could speak against it: the model has as many parameters as there are data"
     if estimate.experiment.noise_declared:
         return "the declared standard deviations (chi-square test)"
     return (

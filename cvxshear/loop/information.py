@@ -17,6 +17,7 @@ def information(estimate: Estimate, ranking: Sequence[Candidate]) -> tuple[str, 
         for item in ranking
         if item.confounded_with
     ]
+    said += [f"{item.placed.label} could not be fitted ({item.failure})" for item in ranking if item.failure]
     weight = _gravity(estimate)
     return (*said, weight) if weight else tuple(said)
 

@@ -147,6 +147,12 @@ class Closure:
         """The identified frame."""
         return self.estimate.frame
 
+    def _repr_html_(self) -> str | None:
+        """What a notebook shows."""
+        from cvxshear.report.notebook import closure_html  # noqa: PLC0415 - loaded by a notebook only
+
+        return closure_html(self)
+
     def to_dict(self) -> Json:
         """The documented JSON."""
         return {

@@ -29,7 +29,7 @@ def closure(result: Closure) -> Iterator[RenderableType]:
     yield Text("")
     for found in result.effects:
         yield Text(effect(found) + "\n")
-    if result.candidates:
+    if any(item.admissible for item in result.candidates):
         yield ranking(result)
         yield Text("")
     yield before_after(result)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
-from rich.console import RenderableType
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.table import Table
 from rich.text import Text
 
@@ -14,9 +15,28 @@ from cvxshear.report.numbers import percent, probability, scaled, significant, w
 from cvxshear.studies.backends import Comparison
 
 
+class HouseTable(Table):
+    """A table whose title is as long as it needs to be; rich would wrap it to the table's width.
+
+    Parameters
+    ----------
+    heading : str
+    **options
+        Of `rich.table.Table`.
+    """
+
+    def __init__(self, heading: str, **options: Any) -> None:
+        super().__init__(**options)
+        self.heading = heading
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        yield Text(self.heading, style="bold")
+        yield from super().__rich_console__(console, options)
+
+
 def plain_table(title: str, *columns: str) -> Table:
     """A table in the house style: left-aligned first column, numbers to the right, no box around."""
-    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    table = HouseTable(title, box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for place, column in enumerate(columns):
         table.add_column(column, justify="left" if place == 0 else "right")
     return table
