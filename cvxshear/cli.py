@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console, RenderableType
 
 from cvxshear.errors import CvxshearError, InputError, NoSolutionError, UnsuitableError
+from cvxshear.report.files import write_whole
 from cvxshear.typing import Json
 
 if TYPE_CHECKING:
@@ -34,10 +37,17 @@ JsonOut = Annotated[
     str | None,
     typer.Option("--json", help="Write the result as JSON to this file, '-' for standard output.", metavar="OUT"),
 ]
+FigureOut = Annotated[
+    str | None, typer.Option("--figure", help="Draw into this file: .svg, .png or .pdf.", metavar="OUT")
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")]
 BackendName = Annotated[
     str, typer.Option("--backend", help="Which solver; 'cvxshear backends FILE' lists them.", metavar="NAME")
 ]
+
+
+_typed: list[str] = []
+"""What stood on the command line; a report says how it was made."""
 
 
 def _show_version(asked: bool) -> None:
@@ -70,7 +80,7 @@ def deliver(result: Json, out: str | None, tables: Callable[[], Iterable[Rendera
         typer.echo(to_json(result))
         return
     if out is not None:
-        write_whole(Path(out), to_json(result) + "\n")
+        write_whole(out, to_json(result) + "\n")
     show(tables())
 
 
@@ -79,14 +89,19 @@ def to_json(result: Json) -> str:
     return json.dumps(result, indent=2, allow_nan=False, ensure_ascii=False)
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a file in one piece: a reader sees the old one or the new one, never half of it."""
-    beside = path.with_name(path.name + ".part")
+def figures_for(*paths: str | None) -> ModuleType | None:
+    """The figures, where one is asked for; a wrong ending or a missing package is told before anything runs."""
+    asked = [path for path in paths if path is not None]
+    if not asked:
+        return None
     try:
-        beside.write_text(text, encoding="utf-8")
-        beside.replace(path)
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror}") from None
+        from cvxshear.report import figures  # noqa: PLC0415
+        from cvxshear.report.figures.output import kind_of  # noqa: PLC0415
+    except ImportError as error:
+        raise InputError(f"--figure needs {error.name}: pip install 'cvxshear[plot]'") from error
+    for path in asked:
+        kind_of(path)
+    return figures
 
 
 @app.command()
@@ -101,6 +116,10 @@ def identify(
         typer.Option(help="Where the mass iteration starts, kg, such as 9.5,7.5,5.5; means two-stage by itself."),
     ] = None,
     tolerance: Annotated[float, typer.Option(help="At which relative correction the mass iteration stops.")] = 1e-6,
+    accelerate: Annotated[
+        bool, typer.Option("--accelerate", help="Reach the end of the mass iteration in a few steps (two-stage).")
+    ] = False,
+    figure: FigureOut = None,
     out: JsonOut = None,
 ) -> None:
     """Identify floor masses and story stiffnesses.
@@ -114,13 +133,18 @@ def identify(
     from cvxshear import load  # noqa: PLC0415
     from cvxshear.report import terminal  # noqa: PLC0415
 
+    drawing = figures_for(figure)
     experiment, start = load(file), _numbers(initial_mass)
     named = method or ("efficient" if start is None else "two-stage")
-    result = run(experiment, method=named, backend=backend, initial_mass=start, tolerance=tolerance)
+    result = run(
+        experiment, method=named, backend=backend, initial_mass=start, tolerance=tolerance, accelerate=accelerate
+    )
     beside = None
     if method is None and named == "efficient" and out != "-":
         with suppress(UnsuitableError):
             beside = run(experiment, method="two-stage", backend=backend)
+    if drawing is not None:
+        drawing.save(drawing.frame(result), figure)
     deliver(result.to_dict(), out, lambda: terminal.identification(result, beside))
 
 
@@ -146,6 +170,12 @@ def loop(
         str | None, typer.Option(help="Effects that are in the model from the start, such as gravity.")
     ] = None,
     backend: BackendName = "auto",
+    jobs: Annotated[int, typer.Option(help="Processes that fit candidates; -1 takes every core.")] = 1,
+    report: Annotated[
+        str | None, typer.Option("--report", help="Write a report, one HTML file.", metavar="OUT.html")
+    ] = None,
+    figure: FigureOut = None,
+    quiet: Quiet = False,
     out: JsonOut = None,
 ) -> None:
     """Find the physical effect that the shear model lacks, and report the error before and after.
@@ -155,9 +185,19 @@ def loop(
     from cvxshear import close_loop  # noqa: PLC0415
     from cvxshear.report import loop_terminal  # noqa: PLC0415
 
-    experiment, found = _measured(file)
-    result = close_loop(experiment, effects=_names(effects), assume=_names(assume) or (), backend=backend)
+    drawing = figures_for(figure)
+    if report is not None:
+        from cvxshear.report.html import write_report  # noqa: PLC0415
+    with progress("closing the loop", quiet):
+        experiment, found = _measured(file)
+        result = close_loop(
+            experiment, effects=_names(effects), assume=_names(assume) or (), backend=backend, jobs=jobs
+        )
     said = result.to_dict() if found is None else {**result.to_dict(), "modes": found.to_dict()}
+    if report is not None:
+        write_report(result, report, shlex.join(["cvxshear", *_typed]))
+    if drawing is not None:
+        drawing.save(drawing.residual(result), figure)
     deliver(said, out, lambda: [*_modes_of(found), *loop_terminal.closure(result)])
 
 
@@ -168,6 +208,7 @@ def reproduce(
         int, typer.Option(help="Samples of the larger noise study, beside the paper's 100.", min=2)
     ] = 10_000,
     seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 2023,
+    figure: FigureOut = None,
     out: JsonOut = None,
 ) -> None:
     """Print the paper's figures beside recomputed ones, with the difference.
@@ -177,7 +218,10 @@ def reproduce(
     from cvxshear.paper import reproduce as run  # noqa: PLC0415
     from cvxshear.paper.terminal import render  # noqa: PLC0415
 
+    drawing = figures_for(figure)
     result = run(backend, samples=tuple(sorted({100, samples})), seed=seed)
+    if drawing is not None:
+        drawing.save(_mass_iteration(drawing), figure)
     deliver(result.to_dict(), out, lambda: [render(result)])
 
 
@@ -215,6 +259,17 @@ def modes(
     deliver(result.to_dict(), out, lambda: modal_terminal.modes(result))
 
 
+def _mass_iteration(drawing: ModuleType) -> Any:
+    """The paper's Fig. 4: errors of the masses in each iteration, from its two initial masses."""
+    from cvxshear import identify as run  # noqa: PLC0415
+    from cvxshear.paper import tables  # noqa: PLC0415
+    from cvxshear.paper.three_story import ThreeStory  # noqa: PLC0415
+
+    of = ThreeStory("auto")
+    found = [run(of.experiment, "two-stage", initial_mass=start) for start in tables.INITIAL_MASS.values()]
+    return drawing.convergence(*found, true_mass=of.truth.floor_mass)
+
+
 study = typer.Typer(help="Many identifications at once.", no_args_is_help=True)
 app.add_typer(study, name="study")
 
@@ -224,6 +279,8 @@ def noise(
     samples: Annotated[int, typer.Option(help="Samples of each noise level and method.", min=2)] = 2000,
     seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 2023,
     methods: Annotated[str, typer.Option(help="Methods, commas between.")] = "two-stage,one-shot,efficient",
+    figure: FigureOut = None,
+    boxes: Annotated[str | None, typer.Option(help="Draw box plots (Fig. 5) into this file.", metavar="OUT")] = None,
     quiet: Quiet = False,
     out: JsonOut = None,
 ) -> None:
@@ -234,10 +291,15 @@ def noise(
     from cvxshear.studies import noise_study, paper_setups, six_story_study  # noqa: PLC0415
     from cvxshear.studies.noise_table import render  # noqa: PLC0415
 
+    drawing = figures_for(figure, boxes)
     with progress("three stories", quiet) as advance:
         three = noise_study(paper_setups(), tuple(_names(methods) or ()), samples, seed, progress=advance)
     with progress("six stories", quiet) as advance:
         six = six_story_study(samples, seed, progress=advance)
+    if drawing is not None and figure is not None:
+        drawing.save(drawing.noise_variation(three), figure)
+    if drawing is not None and boxes is not None:
+        drawing.save(drawing.noise_boxes(three), boxes)
     deliver({"three_story": three.to_dict(), "six_story": six.to_dict()}, out, lambda: [render(three), render(six)])
 
 
@@ -277,7 +339,7 @@ def _names(text: str | None) -> list[str] | None:
 
 
 @app.command()
-def backends(file: File, out: JsonOut = None) -> None:
+def backends(file: File, figure: FigureOut = None, out: JsonOut = None) -> None:
     """Solve the same programs with every installed backend, and compare them to the closed form.
 
     Example: cvxshear backends paper
@@ -285,13 +347,17 @@ def backends(file: File, out: JsonOut = None) -> None:
     from cvxshear import compare_backends, load  # noqa: PLC0415
     from cvxshear.report import terminal  # noqa: PLC0415
 
+    drawing = figures_for(figure)
     result = compare_backends(load(file))
+    if drawing is not None:
+        drawing.save(drawing.backend_differences(result), figure)
     deliver(result.to_dict(), out, lambda: terminal.comparison(result))
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; 0 done, 1 no solution, 2 bad input, and no traceback for either."""
     status: Any = 0
+    _typed[:] = sys.argv[1:] if arguments is None else arguments
     try:
         status = app(args=arguments, standalone_mode=False)
     except NoSolutionError as error:

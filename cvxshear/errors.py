@@ -39,3 +39,7 @@ class NoSolutionError(CvxshearError, RuntimeError):
         super().__init__(f"backend {backend}: {reason}")
         self.backend = backend
         self.reason = reason
+
+    def __reduce__(self) -> tuple[type[NoSolutionError], tuple[str, str]]:
+        """Errors come back from other processes, where they are made again from both words."""
+        return type(self), (self.backend, self.reason)

@@ -140,6 +140,22 @@ def test_a_bad_file_leaves_an_old_result_alone(run, tmp_path):
     assert out.read_text() == "old"
 
 
+def test_a_report_and_a_figure_are_written(run, tmp_path):
+    report, figure = tmp_path / "report.html", tmp_path / "residual.svg"
+    status, _, _ = run("loop", "paper", "--report", str(report), "--figure", str(figure))
+    assert status == 0
+    assert f"cvxshear loop paper --report {report}" in report.read_text(encoding="utf-8")
+    assert figure.read_text(encoding="utf-8").startswith("<?xml")
+
+
+def test_a_figure_of_an_unknown_kind_is_refused_before_anything_runs(run, tmp_path):
+    status, out, err = run("loop", "paper", "--figure", str(tmp_path / "figure.gif"))
+    assert status == 2
+    assert "gif" in err
+    assert out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_unknown_option_is_status_two(run):
     status, _, err = run("identify", "paper", "--metod", "one-shot")
     assert status == 2

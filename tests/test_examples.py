@@ -15,6 +15,7 @@ SHOWN = {
     "own_prior": r"not weighed .*= 10\.79 kg\nweighed .*= 12\.44 kg",
     "own_backend": r"slsqp +m = (.*) kg\nclarabel +m = \1 kg",
     "close_the_loop": r"verdict: explained\nthe shear model lacks gravity: .*\n.*1\.84 % before, 0\.34 % after",
+    "modes_from_hammer": r"mode 1: 1\.0336 Hz .*[\s\S]*masses: \['10\.00 kg', '7\.50 kg', '5\.00 kg'\]",
     "own_effect": r"brace: b = 39\d ± \d N/m",
 }
 

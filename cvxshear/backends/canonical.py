@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
+from scipy.linalg import lapack
 
 from cvxshear.errors import InfeasibleError
 from cvxshear.programs import LeastSquares
@@ -60,7 +61,9 @@ class Canonical:
 
     def to_z(self, x: Floats) -> Floats:
         """The scaled unknowns of x."""
-        return np.asarray(np.linalg.solve(self._inverse, x) / self._tau, dtype=float)
+        # Rows of one length: they differ by as many orders as the units of the unknowns do.
+        lengths = np.linalg.norm(self._inverse, axis=1)
+        return np.asarray(np.linalg.solve(self._inverse / lengths[:, None], x / lengths) / self._tau, dtype=float)
 
     def to_x(self, z: Floats) -> Floats:
         """The unknowns in their own units."""
@@ -87,8 +90,7 @@ def canonical(program: LeastSquares) -> Canonical:
     A, b = A[independent], b[independent]
     inverse, C, q, singular = _whitening(R, s, A, b)
     E, e, equality_scale = _unit_rows(A @ inverse, b)
-    G, h = program.inequalities
-    F, f, inequality_scale = _unit_rows(G @ inverse, h)
+    F, f, inequality_scale = _unit_rows(*_inequalities(program, inverse))
     tau = max(float(np.linalg.norm(q)), float(np.max(np.abs(e), initial=0.0)), float(np.max(-f, initial=0.0)))
     tau = tau if tau > 0 else 1.0
     return Canonical(
@@ -104,27 +106,49 @@ def _whitening(R: Floats, s: Floats, A: Floats, b: Floats) -> tuple[Floats, Floa
     scaled_A = A * D
     a_lengths = np.linalg.norm(scaled_A, axis=1)
     sigma = 1.0 / np.where(a_lengths > 0, a_lengths, 1.0)
-    stacked = np.concatenate([R * D, sigma[:, None] * scaled_A])
-    side = np.concatenate([s, sigma * b])
-    Q, U = np.linalg.qr(stacked)
     n = R.shape[1]
-    if len(U) == n:
-        values = np.linalg.svd(U, compute_uv=False)
-        if values[-1] > SINGULAR * values[0]:
-            inverse = D[:, None] * linalg.solve_triangular(U, np.eye(n))
-            return inverse, np.eye(n), Q.T @ side, False
+    # With the right side as a further column, Q' [s; sigma b] is the last column of the triangle: Q is not needed.
+    stacked = np.empty((len(R) + len(A), n + 1))
+    np.multiply(R, D, out=stacked[: len(R), :n])
+    np.multiply(sigma[:, None], scaled_A, out=stacked[len(R) :, :n])
+    stacked[: len(R), n], stacked[len(R) :, n] = s, sigma * b
+    triangle = np.asarray(np.linalg.qr(stacked, mode="r"))[:n]
+    U, q = triangle[:, :n], triangle[:, n]
+    if len(U) == n and _reciprocal_condition(U) > SINGULAR:
+        inverse, _ = lapack.dtrtri(U)
+        return D[:, None] * inverse, np.eye(n), q.copy(), False
     square = np.zeros((n, n))
     square[: len(U)] = U
-    q = np.zeros(n)
-    q[: len(U)] = Q.T @ side
-    return np.diag(D), square, q, True
+    padded = np.zeros(n)
+    padded[: len(U)] = q
+    return np.diag(D), square, padded, True
+
+
+def _reciprocal_condition(U: Floats) -> float:
+    """LAPACK's estimate of the reciprocal condition number of a triangle, in the 1-norm, at O(n^2) cost."""
+    return float(lapack.dtrcon(U)[0])
+
+
+def _inequalities(program: LeastSquares, inverse: Floats) -> tuple[Floats, Floats]:
+    """The rows and right sides of `program.inequalities` for z; a bound picks a row of the inverse."""
+    rows, sides = [np.zeros((0, program.unknowns))], [np.zeros(0)]
+    if program.G is not None and program.h is not None and len(program.G):
+        rows.append(program.G @ inverse)
+        sides.append(program.h)
+    for bound, sign in ((program.lower, -1.0), (program.upper, 1.0)):
+        if bound is not None:
+            finite = np.isfinite(bound)
+            rows.append(sign * inverse[finite])
+            sides.append(sign * bound[finite])
+    return np.concatenate(rows), np.concatenate(sides)
 
 
 def _unit_rows(rows: Floats, side: Floats) -> tuple[Floats, Floats, Floats]:
-    """The rows scaled to unit length, the right side with them, and the scale of each."""
-    lengths = np.linalg.norm(rows, axis=1)
+    """The rows scaled to unit length, in place, the right side with them, and the scale of each."""
+    lengths = np.sqrt(np.einsum("ij,ij->i", rows, rows))
     scale = 1.0 / np.where(lengths > 0, lengths, 1.0)
-    return rows * scale[:, None], side * scale, scale
+    rows *= scale[:, None]
+    return rows, side * scale, scale
 
 
 def _independent_rows(A: Floats, b: Floats) -> Bools:

@@ -53,6 +53,10 @@ class Cvxpy(Backend):
         self._options = ACCURATE.get(solver, {}) if options is None else options
         self._compiled: dict[tuple[int, int, int, bool], _Compiled] = {}
 
+    def __reduce__(self) -> tuple[type[Cvxpy], tuple[str, dict[str, Any]]]:
+        """To another process without what was compiled."""
+        return type(self), (self._solver, self._options)
+
     def answer(self, problem: Canonical) -> Answer:
         shape = (len(problem.q), len(problem.e), len(problem.f), problem.singular)
         if shape not in self._compiled:

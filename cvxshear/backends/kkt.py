@@ -1,9 +1,9 @@
-"""The closed form: LAPACK's equality-constrained least squares, the solution of Eq. 14 without its normal matrix."""
+"""The closed form: equality-constrained least squares, the solution of Eq. 14 without its normal matrix."""
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy import linalg
 
 from cvxshear.backends.base import Answer, Backend
 from cvxshear.backends.canonical import Canonical
@@ -15,7 +15,10 @@ TOUCHING = 1e-9
 
 
 class Kkt(Backend):
-    """minimize |C z - q|^2 subject to E z = e, by the generalized QR factorization (xGGLSE).
+    """minimize |C z - q|^2 subject to E z = e, in closed form.
+
+    C is the identity once the rows are factorized, which leaves the nearest point to q on a plane: the generalized
+    QR factorization of LAPACK's xGGLSE, its first half done in `canonical`.
 
     Inequalities are looked at afterwards: a solution that keeps them all is also the solution of the program
     with them, its multipliers zero. Where one is violated this backend refuses.
@@ -26,21 +29,20 @@ class Kkt(Backend):
     def answer(self, problem: Canonical) -> Answer:
         if problem.singular:
             raise NoSolutionError(self.name, "the data and the equalities do not determine every unknown")
-        z = problem.q.copy() if not len(problem.E) else _equality_constrained(problem)
+        z, y = _nearest(problem)
         excess = problem.F @ z - problem.f
         if np.any(excess > TOUCHING):
             raise UnsuitableError(
                 "backend kkt: a bound or another inequality is active at the solution, and the closed form takes "
                 "equalities only; choose another backend, clarabel for one"
             )
-        gradient = problem.C.T @ (problem.C @ z - problem.q)
-        y = np.asarray(np.linalg.lstsq(problem.E.T, -gradient, rcond=None)[0]) if len(problem.E) else np.zeros(0)
         return Answer(z, y, np.zeros(len(problem.f)), "closed form", 1)
 
 
-def _equality_constrained(problem: Canonical) -> Floats:
-    *_, z, info = lapack.dgglse(problem.C, problem.E, problem.q, problem.e)
-    if info != 0:
-        raise NoSolutionError("kkt", f"LAPACK dgglse ended with info = {info}: the constraints are not independent")
-    result: Floats = z
-    return result
+def _nearest(problem: Canonical) -> tuple[Floats, Floats]:
+    """The nearest point to q on E z = e, and the multipliers: with E' = B T, q - z = B T'^-1 (E q - e) = E' y."""
+    if not len(problem.E):
+        return problem.q.copy(), np.zeros(0)
+    B, T = np.linalg.qr(problem.E.T)
+    along = linalg.solve_triangular(T, problem.E @ problem.q - problem.e, trans="T")
+    return problem.q - B @ along, linalg.solve_triangular(T, along)

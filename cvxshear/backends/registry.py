@@ -15,6 +15,10 @@ from cvxshear.errors import InputError
 
 THROUGH_CVXPY = ("CLARABEL", "OSQP", "SCS")
 
+DEFINITE = ("daqp", "clarabel")
+SINGULAR = ("clarabel", "daqp")
+"""General solvers in the order in which "auto" asks them; Clarabel is always installed. See `auto` for why."""
+
 _registered: dict[str, Backend] = {}
 
 
@@ -40,13 +44,21 @@ def _through_cvxpy() -> dict[str, Backend]:
     return {item.name: item for item in (Cvxpy(name) for name in THROUGH_CVXPY if name in installed)}
 
 
+@cache
+def _auto() -> Auto:
+    """The closed form, then `DEFINITE` or `SINGULAR` as far as they are installed."""
+    installed = _installed()
+    definite, singular = ([installed[name] for name in names if name in installed] for names in (DEFINITE, SINGULAR))
+    return Auto(installed["kkt"], definite, singular)
+
+
 def available() -> list[str]:
     """Names of the backends that can be used here, the closed form first."""
     return [*_installed(), *_through_cvxpy(), *(name for name in _registered if name not in _installed())]
 
 
 def get(backend: str | Backend) -> Backend:
-    """The backend of this name; "auto" is the closed form, and Clarabel where an inequality is active.
+    """The backend of this name; "auto" is the closed form, and a general solver where an inequality is active.
 
     Parameters
     ----------
@@ -65,7 +77,7 @@ def get(backend: str | Backend) -> Backend:
     if backend in _installed():
         return _installed()[backend]
     if backend == "auto":
-        return Auto(_installed()["kkt"], _installed()["clarabel"])
+        return _auto()
     if backend.startswith("cvxpy-") and backend in _through_cvxpy():
         return _through_cvxpy()[backend]
     names = ["auto", *available()]

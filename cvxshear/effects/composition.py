@@ -8,11 +8,18 @@ import numpy as np
 
 from cvxshear.effects.base import STAGES, Placed, State
 from cvxshear.experiment import Configuration, Experiment
-from cvxshear.frame import System, shear_system
+from cvxshear.frame import System, mass_matrix, shear_system, stiffness_matrix
 from cvxshear.typing import Floats
 
 
-def compose(experiment: Experiment, configuration: Configuration, effects: Sequence[Placed], theta: Floats) -> State:
+def compose(
+    experiment: Experiment,
+    configuration: Configuration,
+    effects: Sequence[Placed],
+    theta: Floats,
+    *,
+    derivatives: bool = True,
+) -> State:
     """Matrices and sensor gains of one configuration, with derivatives by every parameter.
 
     Parameters
@@ -22,11 +29,15 @@ def compose(experiment: Experiment, configuration: Configuration, effects: Seque
     effects : sequence of Placed
     theta : ndarray, shape (P,)
         Floor masses without added mass (N), story stiffnesses (N), then the effects' parameters in order.
+    derivatives : bool, optional
+        Without them, and without effects in the model, matrices alone are made.
 
     Returns
     -------
     State
     """
+    if not derivatives and not effects:
+        return _plain(experiment, configuration, theta)
     n, size = experiment.stories, len(theta)
     mass, stiffness = theta[:n], theta[n : 2 * n]
     plain = shear_system(mass + configuration.added_mass, stiffness)
@@ -45,6 +56,23 @@ def compose(experiment: Experiment, configuration: Configuration, effects: Seque
         if placed.acts_on(configuration):
             state = placed.effect.apply(state, placed.place, theta[own], own)
     return state
+
+
+def _plain(experiment: Experiment, configuration: Configuration, theta: Floats) -> State:
+    """The shear frame of a configuration with derivatives of no rows: 2 N^3 numbers less."""
+    n = experiment.stories
+    mass, stiffness = theta[:n], theta[n : 2 * n]
+    none = np.zeros((0, n, n))
+    return State(
+        experiment=experiment,
+        configuration=configuration,
+        frame_stiffness=stiffness,
+        story_stiffness=stiffness,
+        d_story_stiffness=np.zeros((0, n)),
+        system=System(mass_matrix(mass + configuration.added_mass), stiffness_matrix(stiffness), none, none),
+        gain=np.ones(n),
+        d_gain=np.zeros((0, n)),
+    )
 
 
 def slices(effects: Sequence[Placed], first: int) -> list[tuple[Placed, slice]]:

@@ -37,7 +37,8 @@ def read_mat(path: str | Path) -> Columns:
     """
     path = Path(path)
     try:
-        head = path.open("rb").read(128)
+        with path.open("rb") as file:
+            head = file.read(128)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from None
     content = _version_7(path) if b"MATLAB 7.3" in head or head.startswith(b"\x89HDF") else _version_5(path)

@@ -29,6 +29,9 @@ def identify(
     priors: Sequence[Prior] = (),
     initial_mass: Sequence[float] | Floats | None = None,
     tolerance: float = TOLERANCE,
+    *,
+    accelerate: bool = False,
+    rows: bool | None = None,
 ) -> Identification:
     """Identify the floor masses and story stiffnesses of a frame.
 
@@ -47,6 +50,11 @@ def identify(
         Where the mass iteration starts, kg without added mass (two-stage, berman, qi).
     tolerance : float, optional
         e of Eq. 15, at which the mass iteration stops (two-stage).
+    accelerate : bool, optional
+        A few steps to the same masses in place of the paper's fourteen and more (two-stage).
+    rows : bool, optional
+        Whether the programs of two-stage and one-shot keep a row for each pair of modes, and are factorized by QR;
+        else their normal matrices are, without those rows. By the number of stories where not given.
 
     Returns
     -------
@@ -70,6 +78,10 @@ def identify(
         if method in ("efficient", "one-shot"):
             raise UnsuitableError(f"method {method} takes no initial mass; two-stage, berman and qi do")
         start = checks.vector(np.asarray(initial_mass), "initial mass", length=experiment.stories, above=0.0)
+    if accelerate and method != "two-stage":
+        raise UnsuitableError(f"method {method} has no mass iteration to accelerate; two-stage has")
+    if rows is not None and method not in ("two-stage", "one-shot"):
+        raise UnsuitableError(f"method {method} does not choose between rows and normal matrices")
     if method == "efficient":
         estimate = efficient(experiment, solver)
         return Identification(
@@ -82,15 +94,16 @@ def identify(
             parameter_names=parameter_names(experiment, ()),
             undetermined=estimate.uncertainty.null_directions,
         )
-    settings = [setting(experiment, each, method) for each in experiment.configurations]
-    return Identification(
-        experiment, method, solver.name, tuple(_part(method, of, solver, start, tolerance) for of in settings)
-    )
+    settings = [setting(experiment, each, method, rows=rows) for each in experiment.configurations]
+    parts = [_part(method, of, solver, start, tolerance, accelerate=accelerate) for of in settings]
+    return Identification(experiment, method, solver.name, tuple(parts))
 
 
-def _part(method: str, of: Setting, solver: Backend, start: Floats | None, tolerance: float) -> Part:
+def _part(
+    method: str, of: Setting, solver: Backend, start: Floats | None, tolerance: float, *, accelerate: bool
+) -> Part:
     if method == "one-shot":
         return one_shot(of, solver)
     if method == "two-stage":
-        return two_stage(of, solver, start, tolerance)
+        return two_stage(of, solver, start, tolerance, accelerate=accelerate)
     return {"berman": berman, "qi": qi}[method](of, solver, start)

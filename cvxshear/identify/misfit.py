@@ -160,7 +160,7 @@ class Misfit:
             raise InputError("floor masses and story stiffnesses must be positive")
         parts, rows, matches = [], [], []
         for target in self.targets:
-            state = compose(self.experiment, target.configuration, self.effects, theta)
+            state = compose(self.experiment, target.configuration, self.effects, theta, derivatives=derivatives)
             found = modes(state.system.M, state.system.K)
             paired = _paired(target, found, state.gain)
             psi = found.shapes[np.ix_(target.floors, paired)].T * state.gain[target.floors]

@@ -9,6 +9,7 @@ from cvxshear.identify.results import Part
 from cvxshear.identify.separate import Setting, finished
 from cvxshear.identify.stiffness import MOST_ROUNDS, UNCHANGED, identified_stiffness
 from cvxshear.programs import one_shot_masses
+from cvxshear.programs.normal import LOST, digits_lost, keeps_rows
 from cvxshear.programs.rows import constrained, softened
 from cvxshear.typing import Floats
 
@@ -21,11 +22,14 @@ def one_shot(of: Setting, backend: Backend) -> Part:
     of : Setting
     backend : Backend
     """
-    plain = one_shot_masses(of.shapes, of.total)
+    plain = one_shot_masses(of.shapes, of.total, rows=of.rows)
     # Each row is a mass times the shapes' error: its standard deviation goes with the mean floor mass.
     row_std = of.shape_std * of.total / plain.unknowns
     added = of.configuration.added_mass
     mass = backend.solve(constrained(plain, of.mass_statements, -added)).x
+    if not keeps_rows(of.rows, len(mass)) and digits_lost(plain.R) > LOST:
+        again = one_shot_masses(of.shapes, of.total, rows=of.rows, at=mass)
+        mass = mass + backend.solve(constrained(again, of.mass_statements, mass - added)).x
     iterations = 1
     while iterations <= MOST_ROUNDS:
         soft = softened(plain, of.experiment.priors, "floor_mass", mass - added, row_std, step=False)

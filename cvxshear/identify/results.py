@@ -183,6 +183,12 @@ class Identification:
         """Whether every part converged."""
         return all(part.converged for part in self.parts)
 
+    def _repr_html_(self) -> str | None:
+        """What a notebook shows."""
+        from cvxshear.report.notebook import identification_html  # noqa: PLC0415 - loaded by a notebook only
+
+        return identification_html(self)
+
     def to_dict(self) -> Json:
         """The documented JSON."""
         single = None if self.single is None else self.single.to_dict()

@@ -38,6 +38,8 @@ class Setting:
         Exact statements about the floor masses without added mass, and about the story stiffnesses.
     shape_std : float
         Relative standard deviation of the shapes, root mean square; soft priors weigh against it.
+    rows : bool, optional
+        Whether programs keep a row a pair of modes, see `programs.mass_correction`.
     """
 
     experiment: Experiment
@@ -48,9 +50,10 @@ class Setting:
     mass_statements: list[Statement]
     stiffness_statements: list[Statement]
     shape_std: float
+    rows: bool | None = None
 
 
-def setting(experiment: Experiment, configuration: Configuration, method: str) -> Setting:
+def setting(experiment: Experiment, configuration: Configuration, method: str, *, rows: bool | None = None) -> Setting:
     """The setting of one configuration.
 
     Raises
@@ -92,6 +95,7 @@ def setting(experiment: Experiment, configuration: Configuration, method: str) -
             experiment.priors, "story_stiffness", n, least=SMALLEST * eigenvalues[0] * total / n
         ),
         shape_std=float(np.sqrt(np.mean(relative**2))),
+        rows=rows,
     )
 
 

@@ -17,6 +17,7 @@ from cvxshear.errors import CvxshearError, InputError
 from cvxshear.experiment import Configuration, Experiment
 from cvxshear.frame import Modes, mass_matrix, modes, stiffness_matrix, transformation
 from cvxshear.identify.domain import spread
+from cvxshear.priors import Nominal
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.rows import constrained, statements
 from cvxshear.typing import Floats
@@ -27,9 +28,10 @@ SMALLEST = 0.05
 
 
 def starts(experiment: Experiment) -> list[Floats]:
-    """Starting points theta, each of shape (2N,): from the story equations, and frames of uniform stiffness.
+    """Starting points theta, each of shape (2N,): design values, the story equations, frames of uniform stiffness.
 
-    The points are tried in this order; each keeps masses and stiffnesses positive.
+    Design values are those of nominal priors on both, where there are any. The points are tried in this
+    order; each keeps masses and stiffnesses positive.
     """
     uniform = _uniform(experiment, taper=0.0)
     points = []
@@ -40,7 +42,29 @@ def starts(experiment: Experiment) -> list[Floats]:
         except CvxshearError:
             break
         points.append(theta)
-    return [*points[-1:], uniform, _uniform(experiment, taper=0.6)]
+    return [*_nominal(experiment), *points[-1:], uniform, _uniform(experiment, taper=0.6)]
+
+
+def _nominal(experiment: Experiment) -> list[Floats]:
+    """The design values of masses and stiffnesses, where both are declared, at the right mean frequency."""
+    values = {prior.quantity: prior.values for prior in experiment.priors if isinstance(prior, Nominal)}
+    if len(values) < 2:
+        return []
+    mass, stiffness = values["floor_mass"], values["story_stiffness"]
+    known = experiment.frame.known_total
+    if known is not None:
+        mass = mass * known / mass.sum()
+    return [np.concatenate([mass, stiffness * _frequency_factor(experiment, mass, stiffness)])]
+
+
+def _frequency_factor(experiment: Experiment, mass: Floats, stiffness: Floats) -> float:
+    """By how much the stiffnesses must be multiplied for the mean logarithm of the frequencies to be right."""
+    ratios = []
+    for each in experiment.configurations:
+        found = modes(mass_matrix(mass + each.added_mass), stiffness_matrix(stiffness))
+        measured = (2 * np.pi * each.frequencies) ** 2
+        ratios.append(float(np.mean(np.log(measured / found.eigenvalues[each.modes - 1]))))
+    return float(np.exp(np.mean(ratios)))
 
 
 def _uniform(experiment: Experiment, taper: float) -> Floats:
@@ -56,12 +80,7 @@ def _uniform(experiment: Experiment, taper: float) -> Floats:
         if prior.quantity == "floor_mass" and prior.fixes_scale and known is None:
             nominal = getattr(prior, "values", None)
             mass = np.array(nominal) if nominal is not None else np.full(n, float(getattr(prior, "value", mass[0])))
-    ratios = []
-    for each in experiment.configurations:
-        found = modes(mass_matrix(mass + each.added_mass), stiffness_matrix(shape))
-        at = each.modes - 1
-        ratios.append(float(np.mean(np.log((2 * np.pi * each.frequencies) ** 2 / found.eigenvalues[at]))))
-    return np.concatenate([mass, shape * np.exp(np.mean(ratios))])
+    return np.concatenate([mass, shape * _frequency_factor(experiment, mass, shape)])
 
 
 def _guessed_total(experiment: Experiment) -> float:

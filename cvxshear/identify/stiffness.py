@@ -8,6 +8,7 @@ from cvxshear.backends import Backend
 from cvxshear.identify.separate import Setting
 from cvxshear.programs import story_stiffnesses
 from cvxshear.programs.mass import normalized
+from cvxshear.programs.normal import LOST, digits_lost, keeps_rows
 from cvxshear.programs.rows import constrained, softened
 from cvxshear.typing import Floats
 
@@ -31,9 +32,13 @@ def identified_stiffness(of: Setting, mass: Floats, backend: Backend) -> Floats:
     ndarray, shape (N,)
         N/m.
     """
-    plain = story_stiffnesses(normalized(of.shapes, mass), of.eigenvalues)
+    shapes = normalized(of.shapes, mass)
+    plain = story_stiffnesses(shapes, of.eigenvalues, rows=of.rows)
     origin = np.zeros(plain.unknowns)
     k = backend.solve(constrained(plain, of.stiffness_statements, origin)).x
+    if not keeps_rows(of.rows, len(k)) and digits_lost(plain.R) > LOST:
+        again = story_stiffnesses(shapes, of.eigenvalues, rows=of.rows, at=k)
+        k = k + backend.solve(constrained(again, of.stiffness_statements, k)).x
     row_std = of.shape_std * float(of.eigenvalues.max())
     for _ in range(MOST_ROUNDS):
         soft = softened(plain, of.experiment.priors, "story_stiffness", k, row_std, step=False)

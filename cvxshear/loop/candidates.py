@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from cvxshear.backends import Backend
 from cvxshear.effects import Effect, Placed
 from cvxshear.errors import CvxshearError
 from cvxshear.experiment import Experiment
@@ -16,6 +18,7 @@ from cvxshear.identify.misfit import Misfit
 from cvxshear.identify.uncertainty import NULL, TAKES_PART
 from cvxshear.loop.fitter import Fitter
 from cvxshear.loop.significance import log_p_gain
+from cvxshear.parallel import each
 from cvxshear.typing import Floats, Json
 
 ROUGH = 1e-2
@@ -90,7 +93,7 @@ def fit_candidates(base: Estimate, placed: Sequence[Placed], fitter: Fitter) -> 
 
     Admissible candidates come first, in order of the significance of their gain.
     """
-    rough = [fit_candidate(base, item, fitter, ROUGH) for item in placed]
+    rough = _roughly(base, placed, fitter)
     best = min((item.estimate.chi2 for item in rough if item.estimate is not None), default=np.inf)
     reach = best + IN_REACH * _noise(base, best)
     found = [
@@ -100,6 +103,30 @@ def fit_candidates(base: Estimate, placed: Sequence[Placed], fitter: Fitter) -> 
     return sorted(
         found, key=lambda item: (not item.admissible, item.log_p, item.estimate.chi2 if item.estimate else np.inf)
     )
+
+
+def _roughly(base: Estimate, placed: Sequence[Placed], fitter: Fitter) -> list[Candidate]:
+    """The rough fit of each candidate, over processes where the fitter has several."""
+    if fitter.jobs == 1 or len(placed) < 2:
+        return [fit_candidate(base, item, fitter, ROUGH) for item in placed]
+    found = each(partial(_counted, base, fitter.backend), placed, jobs=fitter.jobs)
+    fitter.fits += sum(fits for _, fits, _ in found)
+    fitter.programs += sum(programs for _, _, programs in found)
+    return [_own(base, item, candidate) for item, (candidate, _, _) in zip(placed, found, strict=True)]
+
+
+def _counted(base: Estimate, backend: Backend, placed: Placed) -> tuple[Candidate, int, int]:
+    """A rough fit in another process, with the fits and programs that it took."""
+    fitter = Fitter(backend)
+    return fit_candidate(base, placed, fitter, ROUGH), fitter.fits, fitter.programs
+
+
+def _own(base: Estimate, placed: Placed, found: Candidate) -> Candidate:
+    """A candidate from another process with this one's effects in it: there they were copies."""
+    estimate = found.estimate
+    if estimate is not None:
+        estimate = dataclasses.replace(estimate, misfit=Misfit(base.experiment, (*base.effects, placed)))
+    return dataclasses.replace(found, placed=placed, estimate=estimate)
 
 
 def _noise(base: Estimate, best: float) -> float:

@@ -37,6 +37,8 @@ def close_loop(
     assume: Sequence[str | Placed] = (),
     backend: str | Backend = "auto",
     priors: Sequence[Prior] = (),
+    *,
+    jobs: int = 1,
 ) -> Closure:
     """Find the physical effects that the shear model lacks.
 
@@ -50,6 +52,8 @@ def close_loop(
     backend : str or Backend, optional
     priors : sequence of Prior, optional
         Besides those of the experiment.
+    jobs : int, optional
+        Processes over which the candidates of a step are fitted; -1 takes every core.
 
     Returns
     -------
@@ -68,7 +72,7 @@ def close_loop(
         if effects is None
         else tuple(each if isinstance(each, Effect) else named([each])[0] for each in effects)
     )
-    loop = _Loop(experiment, wanted, Fitter(backends.get(backend)))
+    loop = _Loop(experiment, wanted, Fitter(backends.get(backend), jobs=jobs))
     return loop.run(assumed(experiment, assume))
 
 

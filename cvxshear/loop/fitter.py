@@ -20,11 +20,14 @@ class Fitter:
     backend : Backend
     fits, programs : int
         Fits made so far, and step programs that they solved.
+    jobs : int, optional
+        Processes over which candidates are fitted.
     """
 
     backend: Backend
     fits: int = 0
     programs: int = 0
+    jobs: int = 1
 
     def fit(self, misfit: Misfit, start: Floats, tolerance: float = CONVERGED_STEP) -> Estimate:
         """The estimate that Gauss-Newton reaches from a starting point."""

@@ -67,12 +67,14 @@ def _log_frequencies(setting: Setting, keep: Bools) -> Floats | None:
 
 def _early_against_late(setting: Setting, result: ModalResult) -> list[Finding]:
     """The impulse response from its start against the same once it has decayed to a third."""
-    found = []
     later = _later(setting, None)
     if later is None:
         return []
     change = np.log(result.frequencies) - later
+    if np.all(np.abs(change) < SMALLEST):
+        return []
     std = _std_of_change(setting)
+    found = []
     for place, mode in enumerate(result.modes):
         bound = SIGNIFICANT * (result.frequency_std[place] if std is None else std[place])
         if abs(change[place]) > max(bound, SMALLEST):

@@ -108,8 +108,9 @@ def signs_and_swaps(record: Record, shapes: Floats) -> list[Finding]:
         return [
             Finding(
                 "sign",
-                f"{channel} moves against all the others in the lowest mode, {_listed(first)} from the ground up; turned "
-                "round, every mode has as many changes of sign as a shear frame's; check its sign in the record file",
+                f"{channel} moves against all the others in the lowest mode, {_listed(first)} from the ground up; "
+                "turned round, every mode has as many changes of sign as a shear frame's; check its sign in the record "
+                "file",
                 {"channel": channel.name, "first_mode": first.tolist()},
             )
         ]

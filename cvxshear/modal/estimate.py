@@ -159,7 +159,7 @@ def covariance(setting: Setting, full: Details, seed: int) -> tuple[Floats, str,
     if len(groups):
         result, lost = jackknife(replicate, groups)
         how = f"jackknife over {len(groups)} {setting.source.unit}s"
-        if len(groups) < FEW_PIECES:
+        if len(groups) < FEW_PIECES and setting.source.impulse() is not None:
             result, how = _widened(result, disturbed(setting, full, seed)), f"{how}, at least {SURROGATES} surrogates'"
         return result, how, lost
     return disturbed(setting, full, seed), f"{SURROGATES} surrogates of the residual", 0

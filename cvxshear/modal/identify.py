@@ -24,7 +24,6 @@ from cvxshear.modal.shapes import RULES
 from cvxshear.modal.shift import shifted
 from cvxshear.modal.stabilization import Criteria
 
-
 LARGEST_SHAPE_STD = 0.3
 """Of an entry, over the mode's largest: a shape less sure is none."""
 LARGEST_FREQUENCY_STD = 0.05

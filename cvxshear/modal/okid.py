@@ -54,11 +54,19 @@ class OkidSource:
         self.outputs = pieces[0][1].shape[1]
         self.groups: Ints = np.zeros(len(pieces), dtype=np.int64)
         self.energies: Floats = np.array([float(np.mean(response**2)) for _, response in pieces])
+        # Poles and residues of the same pieces are asked for one after the other.
+        self._latest: tuple[bytes | None, Floats] | None = None
         # Triangles, not products: a product would square the condition number of the regression.
         self._triangles = [_triangle(_regression(u, y, lags)) for u, y in pieces]
 
     def markov(self, keep: Bools | None = None) -> Floats:
         """Markov parameters, shape (samples, outputs, inputs), the first one D."""
+        pieces = None if keep is None else keep.tobytes()
+        if self._latest is None or self._latest[0] != pieces:
+            self._latest = (pieces, self._regressed(keep))
+        return self._latest[1]
+
+    def _regressed(self, keep: Bools | None) -> Floats:
         chosen = self._triangles if keep is None else [t for t, k in zip(self._triangles, keep, strict=True) if k]
         triangle = _triangle(np.vstack(chosen))
         split = triangle.shape[1] - self.outputs
@@ -108,6 +116,6 @@ def _system_markov(direct: Floats, inputs: Floats, outputs: Floats, count: int) 
     values, vectors = linalg.eig(transition)
     weights = linalg.solve(vectors, drive.astype(np.complex128))
     kept = np.abs(values) < LARGEST_GROWTH
-    powers = values[kept][None, :] ** np.arange(count)[:, None]
+    powers = np.cumprod(np.vstack([np.ones(kept.sum()), np.tile(values[kept], (count - 1, 1))]), axis=0)
     later = np.einsum("ks,os,si->koi", powers, vectors[:rows, kept], weights[kept], optimize=True)
     return np.concatenate([direct[None], later.real])

@@ -108,7 +108,7 @@ def hammer_record(
 
 
 def base_record(
-    frame: KnownFrame, seed: int, *, noise: float, duration: float = 600.0, sampling_rate: float = 20.0
+    frame: KnownFrame, seed: int, *, noise: float, duration: float = 1200.0, sampling_rate: float = 20.0
 ) -> TimeRecord:
     """White base acceleration of 1 m/s2, absolute accelerations of the floors; noise on every sensor."""
     random = np.random.default_rng(seed)

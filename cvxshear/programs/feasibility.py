@@ -79,6 +79,29 @@ def feasible(parts: Sequence[Statement], size: int) -> bool:
     return bool(found.status != 2)
 
 
+def _plainly_feasible(parts: Sequence[Statement], size: int) -> bool:
+    """Whether the statements are lower bounds and at most one weighted sum that is greater than theirs.
+
+    Then a point that keeps them all is at hand, and no linear program need be solved.
+    """
+    lower = np.full(size, -np.inf)
+    sums: list[tuple[Floats, float]] = []
+    for part in parts:
+        said = part.constraints
+        if said.upper is not None or said.G is not None:
+            return False
+        if said.lower is not None:
+            lower = np.maximum(lower, said.lower)
+        if said.A is not None and said.b is not None:
+            sums += [(row, float(side)) for row, side in zip(said.A[:2], said.b[:2], strict=True)]
+        if len(sums) > 1:
+            return False
+    if not sums:
+        return True
+    row, side = sums[0]
+    return bool(np.all(row > 0) and np.all(np.isfinite(lower)) and row @ lower < side)
+
+
 def refuse_contradictions(parts: Sequence[Statement], size: int) -> None:
     """Raise where the statements cannot all be true.
 
@@ -94,7 +117,7 @@ def refuse_contradictions(parts: Sequence[Statement], size: int) -> None:
     """
     for part in parts:
         _refuse_malformed(part, size)
-    if feasible(parts, size):
+    if _plainly_feasible(parts, size) or feasible(parts, size):
         return
     core = list(parts)
     for part in parts:

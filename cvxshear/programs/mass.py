@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from cvxshear.programs.least_squares import LeastSquares, remaining
+from cvxshear.programs.normal import factored, keeps_rows, pair_adjoint, pair_normal
 from cvxshear.typing import Floats
 
 
@@ -30,7 +33,9 @@ def normalized(shapes: Floats, M: Floats) -> Floats:
     return scaled
 
 
-def mass_correction(shapes: Floats, floor_mass: Floats, total: float) -> LeastSquares:
+def mass_correction(
+    shapes: Floats, floor_mass: Floats, total: float, *, rows: bool | None = None, diagonal: bool = True
+) -> LeastSquares:
     """Eqs. 5 to 14: the correction dm that makes the modes orthonormal, the total kept.
 
     Row (i, j): (phi_i o phi_j)' dm = delta_ij - phi_i' M phi_j, for i <= j.
@@ -43,20 +48,46 @@ def mass_correction(shapes: Floats, floor_mass: Floats, total: float) -> LeastSq
         Masses of this iteration, with added mass, kg.
     total : float
         Their known sum, kg.
+    rows : bool, optional
+        Whether the program keeps a row a pair, or a factor of their normal matrix stands for them; by the number
+        of stories where not given (`normal.ROWS_UP_TO`).
+    diagonal : bool, optional
+        Without the rows i = j: see `identify.fixed_point`.
     """
-    R = pair_products(shapes)
-    i, j = np.triu_indices(shapes.shape[1])
-    everywhere = np.ones((1, len(floor_mass)))
-    return LeastSquares(
-        R=R,
-        s=np.where(i == j, 1.0, 0.0) - R @ floor_mass,
-        A=everywhere,
-        b=remaining(np.array([total]), everywhere, floor_mass),
-        names=tuple(f"floor_mass {place}" for place in range(1, len(floor_mass) + 1)),
-    )
+    if keeps_rows(rows, len(floor_mass)):
+        R = pair_products(shapes, diagonal=diagonal)
+        i, j = np.triu_indices(shapes.shape[1], k=0 if diagonal else 1)
+        return LeastSquares(R, np.where(i == j, 1.0, 0.0) - R @ floor_mass, **_total(floor_mass, total))
+    normal = pair_normal(shapes, diagonal=diagonal)
+    side = (np.sum(shapes**2, axis=1) if diagonal else 0.0) - normal @ floor_mass
+    if not diagonal:
+        normal, side = _with_total(normal, side, total - floor_mass.sum())
+    return LeastSquares(*factored(normal, side), **_total(floor_mass, total))
 
 
-def one_shot_masses(shapes: Floats, total: float) -> LeastSquares:
+def _with_total(normal: Floats, side: Floats, missing: float) -> tuple[Floats, Floats]:
+    """The normal equations with one more row, the total's.
+
+    Exact modes leave the direction of the masses themselves open where only pairs i < j are looked at; the total
+    closes it, and changes nothing since it holds exactly.
+    """
+    weight = float(np.trace(normal)) / len(normal) ** 2
+    return normal + weight, side + weight * missing
+
+
+def _total(at: Floats, total: float) -> dict[str, Any]:
+    """The equation that the masses add up to the total, for their change from `at`; and their names."""
+    everywhere = np.ones((1, len(at)))
+    return {
+        "A": everywhere,
+        "b": remaining(np.array([total]), everywhere, at),
+        "names": tuple(f"floor_mass {place}" for place in range(1, len(at) + 1)),
+    }
+
+
+def one_shot_masses(
+    shapes: Floats, total: float, *, rows: bool | None = None, at: Floats | None = None
+) -> LeastSquares:
     """All masses at once: modes are orthogonal whatever their scale, and the total is known.
 
     Row (i, j): (phi_i o phi_j)' m = 0, for i < j, with sum m = total. For exact modes the masses are exact,
@@ -69,13 +100,18 @@ def one_shot_masses(shapes: Floats, total: float) -> LeastSquares:
         scale it was reported in.
     total : float
         Sum of the masses with added mass, kg.
+    rows : bool, optional
+        As for `mass_correction`.
+    at : ndarray, shape (N,), optional
+        Masses from which the unknown is a change; none where not given.
     """
-    R = pair_products(shapes / np.linalg.norm(shapes, axis=0), diagonal=False)
-    n = shapes.shape[0]
-    return LeastSquares(
-        R=R,
-        s=np.zeros(len(R)),
-        A=np.ones((1, n)),
-        b=np.array([total]),
-        names=tuple(f"floor_mass {place}" for place in range(1, n + 1)),
-    )
+    unit = shapes / np.linalg.norm(shapes, axis=0)
+    origin = np.zeros(len(unit)) if at is None else at
+    if keeps_rows(rows, len(unit)):
+        R = pair_products(unit, diagonal=False)
+        return LeastSquares(R, -(R @ origin), **_total(origin, total))
+    normal = pair_normal(unit, diagonal=False)
+    side = np.zeros(len(unit))
+    if at is not None:
+        side = -pair_adjoint(unit, unit.T @ (at[:, None] * unit), diagonal=False)
+    return LeastSquares(*factored(*_with_total(normal, side, total - origin.sum())), **_total(origin, total))

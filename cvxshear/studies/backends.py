@@ -98,6 +98,12 @@ class Comparison:
     rows: tuple[Row, ...]
     left_out: str
 
+    def _repr_html_(self) -> str | None:
+        """What a notebook shows."""
+        from cvxshear.report.notebook import comparison_html  # noqa: PLC0415 - loaded by a notebook only
+
+        return comparison_html(self)
+
     def to_dict(self) -> Json:
         """The rows as dicts."""
         return {"experiment": self.experiment, "left_out": self.left_out, "rows": [asdict(row) for row in self.rows]}

@@ -1,11 +1,7 @@
 """Many complete measurements at once: the two-stage and one-shot methods in closed form, a sample a row.
 
-Both work on normal equations that need no row a pair of modes. With P the shapes, G = P P' and Q = P o P,
-
-    sum over i <= j of (phi_i o phi_j)(phi_i o phi_j)' = (G o G + Q Q') / 2,
-
-and (G o G - Q Q') / 2 is the same sum over i < j. Squaring squares the condition number, so this is for frames
-of a few stories; `identify` keeps the rows.
+Both work on normal matrices, which need no row a pair of modes (`programs.normal`). Squaring squares the condition
+number, which costs frames of a few stories nothing that could be seen; there `identify` keeps the rows.
 """
 
 from __future__ import annotations
@@ -16,6 +12,7 @@ import numpy as np
 
 from cvxshear.frame import transformation
 from cvxshear.identify.two_stage import MOST_ITERATIONS, TOLERANCE
+from cvxshear.programs.normal import pair_normal
 from cvxshear.typing import Bools, Floats, Ints
 
 
@@ -87,17 +84,9 @@ def one_shot_batch(mode_shapes: Floats, frequencies: Floats, total_mass: float) 
     """
     shapes = mode_shapes.transpose(0, 2, 1)
     unit = shapes / np.linalg.norm(shapes, axis=1, keepdims=True)
-    normal = _normal_matrix(unit, diagonal=False)
+    normal = pair_normal(unit, diagonal=False)
     mass = _held_to_sum(normal, np.zeros(normal.shape[:2]), total_mass)
     return _finished(shapes, frequencies, mass, np.ones(len(shapes), dtype=np.int64))
-
-
-def _normal_matrix(columns: Floats, *, diagonal: bool = True) -> Floats:
-    """A'A of the pair products of the columns, shape (S, N, N)."""
-    G = columns @ columns.transpose(0, 2, 1)
-    Q = columns**2
-    result: Floats = 0.5 * (G * G + (1.0 if diagonal else -1.0) * (Q @ Q.transpose(0, 2, 1)))
-    return result
 
 
 def _normalized(shapes: Floats, mass: Floats) -> Floats:
@@ -109,7 +98,7 @@ def _normalized(shapes: Floats, mass: Floats) -> Floats:
 def _corrections(shapes: Floats, mass: Floats, total: float) -> Floats:
     """dm of Eq. 14, shape (S, N)."""
     P = _normalized(shapes, mass)
-    normal = _normal_matrix(P)
+    normal = pair_normal(P)
     side = np.sum(P**2, axis=2) - (normal @ mass[:, :, None])[:, :, 0]
     return _held_to_sum(normal, side, total - mass.sum(axis=1))
 
@@ -133,7 +122,7 @@ def _finished(shapes: Floats, frequencies: Floats, mass: Floats, iterations: Int
     positive: Bools = np.asarray((mass > 0).all(axis=1))
     X = transformation(mass.shape[1]).T @ _normalized(shapes[positive], mass[positive])
     side = np.sum(X**2 * ((2 * np.pi * frequencies[positive]) ** 2)[:, None, :], axis=2)
-    stiffness[positive] = np.linalg.solve(_normal_matrix(X), side[:, :, None])[:, :, 0]
+    stiffness[positive] = np.linalg.solve(pair_normal(X), side[:, :, None])[:, :, 0]
     positive &= (stiffness > 0).all(axis=1)
     return Batch(
         np.where(positive[:, None], mass, np.nan), np.where(positive[:, None], stiffness, np.nan), iterations, positive

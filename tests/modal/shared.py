@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-DATA = Path(__file__).resolve().parents[2] / "../shared/data"
+DATA = Path(os.environ.get("CVXSHEAR_SHARED", Path(__file__).resolve().parents[3] / "shared")) / "data"
 SEEDS = int(os.environ.get("CVXSHEAR_SEEDS", "2"))
 """Repetitions of the simulated records; `python -m cvxshear.modal.study` does twenty."""
 

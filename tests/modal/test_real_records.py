@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+import tempfile
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -13,27 +17,34 @@ FLEXIBLE = ([3.68, 11.12, 16.60], [(0.427, 0.810, 1), (1, 0.372, -0.773), (-0.74
 STIFF = ([7.82, 25.05, 39.75], [(0.429, 0.831, 1), (1, 0.251, -0.792), (-0.680, 1, -0.653)])
 
 
+@functools.cache
+def mini(name, **options):
+    """The result for one record of the mini table; several tests ask for the same."""
+    with tempfile.TemporaryDirectory() as folder:
+        return run(mini_table(Path(folder), name), **options)[0]
+
+
 @needs_mini_table
 @pytest.mark.parametrize(
     ("name", "expected"), [("flexible-northridge", FLEXIBLE), ("stiff-northridge", STIFF)]
 )
-def test_mini_table(tmp_path, name, expected):
+def test_mini_table(name, expected):
     frequencies, shapes = expected
-    result, _ = run(mini_table(tmp_path, name))
+    result = mini(name)
     np.testing.assert_allclose(result.frequencies, frequencies, rtol=0.005)
     # The figures are real parts; a floor whose clock is late by 2 ms loses 3 % of its entry in the third mode.
     np.testing.assert_allclose(result.mode_shapes, shapes, atol=0.025)
     np.testing.assert_array_equal(result.modes, [1, 2, 3])
     assert result.mass_normalized is False
-    projected, _ = run(mini_table(tmp_path, name), rule="projection")
+    projected = mini(name, rule="projection")
     np.testing.assert_allclose(projected.mode_shapes, shapes, atol=0.012)
 
 
 @needs_mini_table
 @pytest.mark.parametrize("name", ["flexible-northridge", "stiff-northridge"])
-def test_late_sensor_of_the_mini_table(tmp_path, name):
+def test_late_sensor_of_the_mini_table(name):
     """The third floor's clock is 1 to 3 ms late, in both records."""
-    result, _ = run(mini_table(tmp_path, name))
+    result = mini(name)
     late = [finding for finding in result.findings if finding.kind == "clock offset"]
     third = [finding.numbers["seconds"] for finding in late if finding.numbers["channel"] == "floor3_x"]
     assert len(third) == 1
@@ -43,17 +54,17 @@ def test_late_sensor_of_the_mini_table(tmp_path, name):
 
 @needs_mini_table
 @pytest.mark.parametrize(("sine", "earthquake"), [("stiff-sine-2.0", "stiff-northridge")])
-def test_a_sensor_a_sample_off_changes_no_shape(tmp_path, sine, earthquake):
+def test_a_sensor_a_sample_off_changes_no_shape(sine, earthquake):
     """The sine record has its first floor's sensor one sample of 120 Hz late, the earthquake's has not."""
-    first, _ = run(mini_table(tmp_path, sine))
+    first = mini(sine)
     assert first.clock_offsets["floor1_x"][0] - first.clock_offsets["floor2_x"][0] == pytest.approx(1 / 120, abs=8e-4)
-    second, _ = run(mini_table(tmp_path, earthquake))
+    second = mini(earthquake)
     np.testing.assert_allclose(first.mode_shapes, second.mode_shapes, atol=0.012)
 
 
 @needs_mini_table
-def test_clocks_corrected_on_request(tmp_path):
-    result, _ = run(mini_table(tmp_path, "stiff-sine-2.0"), correct_clocks=True)
+def test_clocks_corrected_on_request():
+    result = mini("stiff-sine-2.0", correct_clocks=True)
     corrected = [finding for finding in result.findings if finding.message.endswith("; corrected")]
     assert corrected
     left = [item for item in result.findings if item.kind == "clock offset" and item not in corrected]
@@ -61,8 +72,8 @@ def test_clocks_corrected_on_request(tmp_path):
 
 
 @needs_mini_table
-def test_frequencies_that_depend_on_amplitude_are_found(tmp_path):
-    result, _ = run(mini_table(tmp_path, "flexible-northridge"))
+def test_frequencies_that_depend_on_amplitude_are_found():
+    result = mini("flexible-northridge")
     changes = [finding.numbers["change"] for finding in result.findings if finding.kind == "amplitude"]
     assert changes
     assert all(change < 0 for change in changes)
@@ -96,7 +107,7 @@ def test_southampton_is_not_reciprocal(tmp_path):
 
 @needs_southampton
 def test_southampton_was_cut_off(tmp_path):
-    """Mode 1 rings on at the end of 32 s: exp(-0.0017 * 2 pi 6.51 * 32) = 0.11; the masses depend on how that is read."""
+    """Mode 1 rings on after 32 s, exp(-0.0017 * 2 pi 6.51 * 32) = 0.11; the masses depend on how that is read."""
     result, _ = run(southampton(tmp_path))
     leak = next(finding for finding in result.findings if finding.kind == "leakage")
     assert leak.numbers["left"] == pytest.approx(0.108, abs=0.01)

@@ -1,0 +1,177 @@
+"""The house style of the figures: colours and marks that part in black and white, and fonts that have every letter.
+
+Colours are of the set of Okabe and Ito, which the colour-blind can tell apart; whatever a colour says, a marker, a
+line style or a hatch says as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache, wraps
+from itertools import cycle, islice
+from typing import Any, ParamSpec
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib import font_manager
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ft2font import FT2Font
+from matplotlib.ticker import FuncFormatter, LogLocator
+
+from cvxshear.typing import Floats
+
+P = ParamSpec("P")
+
+MEASURED = "#000000"
+BEFORE = "#D55E00"
+AFTER = "#0072B2"
+QUIET = "#767676"
+PALE = "#DCE9F2"
+COLOURS = (AFTER, BEFORE, "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+MARKERS = ("o", "s", "D", "^", "v", "P")
+HATCHES = ("", "////", "....", "xxxx", "\\\\\\\\", "oo")
+LINES = ("-", "--", "-.", ":")
+
+PAGE_WIDTH = 7.2
+"""inch, what an A4 page has between its margins."""
+
+LONGEST = 26
+"""Letters of a name that a figure shows."""
+
+OTHER_SCRIPTS = (
+    "Noto Sans CJK SC",
+    "Noto Sans CJK JP",
+    "WenQuanYi Micro Hei",
+    "Microsoft YaHei",
+    "PingFang SC",
+    "SimHei",
+)
+"""Fonts for names that DejaVu Sans has no letters for; used where one is installed."""
+
+SETTINGS = {
+    "font.size": 8.5,
+    "axes.titlesize": 9.0,
+    "axes.titlelocation": "left",
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "grid.color": "#D9D9D9",
+    "grid.linewidth": 0.5,
+    "legend.frameon": False,
+    "hatch.linewidth": 0.6,
+    "lines.linewidth": 1.3,
+    "lines.markersize": 4.5,
+    # A dollar sign in the name of a configuration is a dollar sign.
+    "text.parse_math": False,
+    # Letters as outlines: a file looks the same wherever it is opened.
+    "svg.fonttype": "path",
+    "svg.hashsalt": "cvxshear",
+}
+
+
+def settings() -> dict[Any, Any]:
+    """What to set for as long as a figure is made or written."""
+    return {**SETTINGS, "font.family": list(families())}
+
+
+@cache
+def families() -> tuple[str, ...]:
+    """The fonts that are used here, in order of preference."""
+    installed = set(font_manager.get_font_names())
+    return ("DejaVu Sans", *(name for name in OTHER_SCRIPTS if name in installed))
+
+
+@cache
+def _fonts() -> tuple[FT2Font, ...]:
+    return tuple(font_manager.get_font(font_manager.findfont(name, fallback_to_default=True)) for name in families())
+
+
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Make a figure in the house style, and leave the user's settings as they were."""
+
+    @wraps(draw)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with mpl.rc_context():
+            mpl.rcdefaults()
+            mpl.rcParams.update(settings())
+            figure = draw(*args, **kwargs)
+            # The layout is found once; what is drawn later, under whichever settings, stays where it is.
+            figure.draw_without_rendering()
+            if figure.get_layout_engine() is not None:
+                figure.set_layout_engine("none")
+        return figure
+
+    return drawn
+
+
+def new_figure(width: float, height: float, *, fixed: bool = False) -> Figure:
+    """An empty figure, inch, whose parts make room for each other unless their places are fixed."""
+    return Figure(figsize=(width, height), layout=None if fixed else "constrained")
+
+
+def grid_of(panels: int, columns: int) -> tuple[int, int]:
+    """Rows and columns for a number of panels."""
+    columns = max(1, min(columns, panels))
+    return -(-panels // columns), columns
+
+
+def panels(figure: Figure, count: int, columns: int, *, sharex: bool = False, sharey: bool = False) -> list[Axes]:
+    """So many panels in a grid; the places left over stay empty."""
+    rows, columns = grid_of(count, columns)
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey)
+    every: list[Axes] = list(axes.ravel())
+    for unused in every[count:]:
+        unused.remove()
+    if sharex:
+        # The lowest panel of a column tells the numbers, also where the grid's last row does not reach it.
+        for place in range(max(0, count - columns), count):
+            every[place].tick_params(labelbottom=True)
+    return every[:count]
+
+
+def letters(text: str, longest: int = LONGEST) -> str:
+    """A text from a file as a figure can show it: on one line, not too long, of letters that the fonts have."""
+    line = " ".join(text.split())
+    if len(line) > longest:
+        line = line[: longest - 1].rstrip() + "…"
+    return "".join(each if any(font.get_char_index(ord(each)) for font in _fonts()) else "□" for each in line)
+
+
+def assorted(marks: Sequence[str], count: int) -> list[str]:
+    """So many marks, from the first again where there are not enough."""
+    return list(islice(cycle(marks), count))
+
+
+def power_of_ten(value: float, _: object = None) -> str:
+    """Tick label of a logarithmic axis, such as 10⁻³."""
+    if value == 0 or not np.isfinite(value):
+        return "0"
+    exponent = np.log10(abs(value))
+    if abs(exponent - round(exponent)) > 1e-6:
+        return ""
+    sign = "−" if value < 0 else ""
+    number = round(exponent)
+    if 0 <= number <= 3:
+        return f"{sign}{10**number}"
+    return f"{sign}10{str(number).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
+
+
+def logarithmic(axis: Axis, most: int = 7) -> None:
+    """Ticks at powers of ten, labelled so."""
+    axis.set_major_locator(LogLocator(numticks=most))
+    axis.set_major_formatter(FuncFormatter(power_of_ten))
+    axis.set_minor_formatter(FuncFormatter(lambda value, at: ""))
+
+
+def spread(positions: Floats, gap: float, low: float, high: float) -> Floats:
+    """Positions of labels, ascending, at least a gap apart and between two ends, each near where it belongs."""
+    placed = np.asarray(positions, dtype=float).copy()
+    gap = min(gap, (high - low) / max(len(placed) - 1, 1))
+    for i in range(len(placed)):
+        placed[i] = max(placed[i], low if i == 0 else placed[i - 1] + gap)
+    for i in reversed(range(len(placed))):
+        placed[i] = min(placed[i], high if i == len(placed) - 1 else placed[i + 1] - gap)
+    return placed

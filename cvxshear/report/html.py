@@ -1,0 +1,91 @@
+"""The report of a closed loop as one HTML file that stands by itself: no network, figures inside."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+from cvxshear.errors import CvxshearError
+from cvxshear.loop import Closure
+from cvxshear.report.files import write_whole
+from cvxshear.studies.backends import Comparison, compare_backends
+
+try:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+
+    from cvxshear.report import figures
+    from cvxshear.report.figures.output import inline_svg
+except ImportError as error:
+    raise CvxshearError(
+        f"the report needs {error.name}, which is not installed: pip install 'cvxshear[report]'"
+    ) from error
+
+from cvxshear.report.contents import contents
+
+
+def write_report(result: Closure, path: str | Path, command: str, comparison: Comparison | None = None) -> None:
+    """Write the report of a closed loop.
+
+    Parameters
+    ----------
+    result : Closure
+    path : str or Path
+        Written in one piece; whatever was there before is replaced.
+    command : str
+        What makes this report again, as it was typed.
+    comparison : Comparison, optional
+        Of the backends; made where not given.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
+    """
+    write_whole(path, render(result, command, comparison))
+
+
+def render(result: Closure, command: str, comparison: Comparison | None = None) -> str:
+    """The report of a closed loop as HTML.
+
+    Parameters
+    ----------
+    result : Closure
+    command : str
+    comparison : Comparison, optional
+
+    Returns
+    -------
+    str
+        One page that refers to nothing outside itself.
+    """
+    if comparison is None:
+        comparison = compare_backends(result.experiment)
+    page = _environment().get_template("report.html")
+    return page.render(**contents(result, comparison, command), figure=_figures(result, comparison))
+
+
+@cache
+def _environment() -> Environment:
+    # Escapes every text, whatever the template is called: names and priors come from files.
+    return Environment(
+        loader=PackageLoader("cvxshear.report", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def _figures(result: Closure, comparison: Comparison) -> dict[str, Markup]:
+    """The drawings by name; matplotlib has escaped the texts in them."""
+    drawn = {
+        "frame": figures.frame(result),
+        "shapes": figures.shapes(result),
+        "residual": figures.residual(result),
+        "mac": figures.mac(result),
+        "backends": figures.backend_differences(comparison),
+    }
+    if result.candidates or result.effects:
+        drawn["ranking"] = figures.ranking(result)
+    return {name: Markup(inline_svg(figure, name)) for name, figure in drawn.items()}

@@ -1,0 +1,151 @@
+"""Runs what the documentation shows: the python blocks and the commands of each page, one after the other.
+
+    python runner.py FOLDER PAGE ...
+
+runs the pages in FOLDER, a copy of examples/ beside it, and prints a JSON object with what each block printed.
+It is a process of its own, so that effects, priors and backends that a page registers stay in it.
+"""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import io
+import json
+import os
+import runpy
+import shlex
+import shutil
+import sys
+import tempfile
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+
+FENCE = "```"
+
+IMPORTS_ALONE = {
+    "noise-study.md": "its block takes minutes",
+    "modal.md": "its block reads a record of the reader's own",
+}
+"""Pages whose python blocks stand for more than a test can do: their imports alone are run. A single block is marked
+as such by the word no-run after its fence."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block: the words after its fence, its text, the line it begins at."""
+
+    words: tuple[str, ...]
+    text: str
+    line: int
+
+    @property
+    def language(self) -> str:
+        return self.words[0] if self.words else ""
+
+    @property
+    def runs(self) -> bool:
+        return "no-run" not in self.words
+
+
+def blocks(page: str) -> list[Block]:
+    """The fenced blocks of a Markdown page in order."""
+    found: list[Block] = []
+    fence, words, start, lines = "", (), 0, []
+    for number, line in enumerate(page.splitlines(), 1):
+        mark = line[: len(line) - len(line.lstrip("`"))]
+        if not fence and len(mark) >= len(FENCE):
+            fence, words, start, lines = mark, tuple(line[len(mark) :].split()), number + 1, []
+        elif fence and line.strip() == fence:
+            found.append(Block(words, "\n".join(lines), start))
+            fence = ""
+        elif fence:
+            lines.append(line)
+    if fence:
+        raise ValueError(f"the fence before line {start} is never closed")
+    return found
+
+
+def commands(block: Block) -> list[tuple[str, str]]:
+    """The commands of a console block, each with the output shown below it."""
+    found: list[tuple[str, list[str]]] = []
+    for line in block.text.splitlines():
+        if line.startswith("$ "):
+            found.append((line[2:], []))
+        elif found:
+            found[-1][1].append(line)
+    return [(command, "\n".join(shown)) for command, shown in found]
+
+
+def run_command(command: str) -> None:
+    """Run `cvxshear ...`, `python SCRIPT` or `cat FILE` here; raises unless it ends with status 0."""
+    # A comment at the end is for the reader.
+    program, *arguments = shlex.split(command, comments=True)
+    if program == "cvxshear":
+        from cvxshear.cli import main  # noqa: PLC0415
+
+        try:
+            main(arguments)
+        except SystemExit as ended:
+            if ended.code not in (0, None):
+                raise RuntimeError(f"{command}: exit status {ended.code}") from None
+    elif program == "python" and len(arguments) == 1:
+        runpy.run_path(arguments[0], run_name="__main__")
+    elif program == "cat" and len(arguments) == 1:
+        print(Path(arguments[0]).read_text(encoding="utf-8"))
+    else:
+        raise RuntimeError(f"the documentation shows a command that its tests do not run: {command}")
+
+
+def run_python(block: Block, namespace: dict[str, object], page: Path) -> None:
+    """Run a python block; of one marked no-run the imports alone, so that no name in it is stale."""
+    tree = ast.parse(block.text)
+    if not block.runs or page.name in IMPORTS_ALONE:
+        tree.body = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
+    ast.increment_lineno(tree, block.line - 1)
+    # Not inherited: this module's own annotations are deferred, the page's are not.
+    exec(compile(tree, str(page), "exec", dont_inherit=True), namespace)
+
+
+def run_page(page: Path) -> dict[str, str]:
+    """What each block of a page printed, by "line" or, for the n-th command of a block, "line:n".
+
+    The key "error" holds the first failure; what follows it was not run.
+    """
+    printed: dict[str, str] = {}
+    namespace: dict[str, object] = {"__name__": "__main__"}
+    for block in blocks(page.read_text(encoding="utf-8")):
+        errors = io.StringIO()
+        out = io.StringIO()
+        try:
+            with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
+                if block.language == "python":
+                    run_python(block, namespace, page)
+                    printed[str(block.line)] = out.getvalue()
+                elif block.language == "console" and block.runs:
+                    for place, (command, _) in enumerate(commands(block)):
+                        out.seek(0)
+                        out.truncate()
+                        run_command(command)
+                        printed[f"{block.line}:{place}"] = out.getvalue()
+        except Exception:
+            printed["error"] = f"{page.name}, block at line {block.line}:\n{errors.getvalue()}{traceback.format_exc()}"
+            return printed
+    return printed
+
+
+def main(arguments: list[str]) -> None:
+    examples, *pages = [Path(argument).resolve() for argument in arguments]
+    results = {}
+    for page in pages:
+        with tempfile.TemporaryDirectory() as folder:
+            shutil.copytree(examples, Path(folder) / "examples")
+            os.chdir(folder)
+            results[str(page)] = run_page(page)
+            os.chdir(examples)
+    print(json.dumps(results))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

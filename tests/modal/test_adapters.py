@@ -1,0 +1,110 @@
+"""Modes identified elsewhere, and the figure."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import cvxshear
+from cvxshear.errors import InputError
+from cvxshear.modal import from_arrays, from_pyoma, identify_modes, stabilization_diagram
+from cvxshear.modal.simulate import PAPER_FRAME, base_record
+
+SHAPES = [[1.0, -0.6], [0.5, 1.0]]
+
+
+def test_arrays_are_put_in_order():
+    result = from_arrays([9.0, 3.0], np.array(SHAPES)[:, ::-1], floors=[2, 1], damping_ratios=[0.02, 0.01])
+    np.testing.assert_array_equal(result.frequencies, [3.0, 9.0])
+    np.testing.assert_array_equal(result.mode_shapes, [[0.5, 1.0], [1.0, -0.6]])
+    np.testing.assert_array_equal(result.damping_ratios, [0.01, 0.02])
+    assert result.uncertainty == "assumed for frequencies and shapes"
+    experiment = cvxshear.Experiment.from_dict(result.to_experiment({"total_mass": 3.0}))
+    np.testing.assert_array_equal(experiment.configurations[0].mode_shapes, [[0.5, 1.0], [1.0, -0.6]])
+
+
+def test_complex_shapes_become_real():
+    result = from_arrays([3.0, 9.0], np.array([[0.5, 1.0], [1.0, -0.6]]) * np.exp([[1j], [-2j]]))
+    scaled = result.mode_shapes / result.mode_shapes[[0, 1], [1, 0]][:, None]
+    np.testing.assert_allclose(scaled, [[0.5, 1.0], [1.0, -0.6]], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("frequencies", "shapes", "options", "expected"),
+    [
+        ([3.0], SHAPES, {}, "mode_shapes has 2 rows, frequencies 1 entries"),
+        ([3.0, np.nan], SHAPES, {}, r"frequencies, entry \(2,\) is not finite"),
+        ([3.0, 9.0], SHAPES[0], {}, "mode_shapes must have 2 dimension"),
+        ([3.0, 9.0], SHAPES, {"floors": [1]}, "floors must have 2 entries"),
+        ([3.0, 9.0], SHAPES, {"frequency_std": -1.0}, "frequency_std must be finite and not negative"),
+        (["a", "b"], SHAPES, {}, "frequencies must hold numbers"),
+    ],
+)
+def test_arrays_that_do_not_fit(frequencies, shapes, options, expected):
+    with pytest.raises(InputError, match=expected):
+        from_arrays(frequencies, shapes, **options)
+
+
+def test_pyoma_algorithm():
+    found = SimpleNamespace(
+        Fn=np.array([3.0, 9.0]),
+        Xi=np.array([0.01, 0.02]),
+        Phi=np.array([[0.5, 1.0], [1.0, -0.6]]).T,
+        Fn_std=np.array([0.003, 0.018]),
+    )
+    for item in (found, SimpleNamespace(result=found)):
+        result = from_pyoma(item, floors=[1, 2])
+        np.testing.assert_allclose(result.mode_shapes, [[0.5, 1.0], [1.0, -0.6]])
+        np.testing.assert_allclose(result.frequency_std, [0.001, 0.002])
+        np.testing.assert_allclose(result.damping_ratios, [0.01, 0.02])
+    with pytest.raises(InputError, match="choose modes first"):
+        from_pyoma(SimpleNamespace(result=SimpleNamespace(Fn=None, Phi=None)))
+
+
+@pytest.fixture(scope="module")
+def result():
+    return identify_modes(base_record(PAPER_FRAME, 0, noise=0.01, duration=150.0))
+
+
+def test_stabilization_diagram(result, tmp_path):
+    pytest.importorskip("matplotlib")
+    figure = stabilization_diagram(result)
+    lines = {line.get_label(): line for line in figure.axes[0].get_lines()}
+    frequencies, orders = lines["of a mode"].get_data()
+    assert set(np.round(frequencies, 1)) == {1.0, 2.2, 3.3}
+    assert max(orders) == 30
+    assert len(lines["pole"].get_xdata()) > 20
+    figure.savefig(tmp_path / "a.png")
+    assert (tmp_path / "a.png").stat().st_size > 5000
+
+
+def test_no_diagram_without_a_sweep():
+    with pytest.raises(InputError, match="no order sweep"):
+        stabilization_diagram(from_arrays([3.0, 9.0], SHAPES))
+
+
+def test_result_as_plain_values(result):
+    found = result.to_dict()
+    assert found["method"] == "okid"
+    assert found["uncertainty"] == "jackknife over 20 blocks"
+    np.testing.assert_allclose(found["frequencies"], PAPER_FRAME.modes()[0], rtol=1e-3)
+    assert all(type(value) is float for row in found["mode_shapes"] for value in row)
+    assert set(found["clock_offsets"]) == {"floor1", "floor2", "floor3", "input"}
+
+
+def test_covariance_agrees_with_the_stated_deviations(result):
+    diagonal = np.sqrt(np.diag(result.covariance))
+    np.testing.assert_allclose(diagonal[:3], result.frequency_std)
+    np.testing.assert_allclose(diagonal[3:].reshape(3, 3), result.mode_shape_std)
+    assert np.linalg.eigvalsh(result.covariance).min() > -1e-12 * diagonal.max() ** 2
+
+
+def test_importing_loads_neither_matplotlib_nor_the_optional_readers():
+    unwanted = "('matplotlib', 'pyuff', 'h5py', 'pyoma2')"
+    code = f"import cvxshear.modal, sys; print([m for m in {unwanted} if m in sys.modules])"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"

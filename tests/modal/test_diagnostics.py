@@ -1,0 +1,194 @@
+"""What is wrong with a record is found and said with its number, and what is right is left alone."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from cvxshear.modal import Channel, FrfRecord, FrfRun, Run, TimeRecord, identify_modes
+from cvxshear.modal.channels import channel_findings
+from cvxshear.modal.clock import offsets
+from cvxshear.modal.shift import shifted
+from cvxshear.modal.simulate import PAPER_FRAME, ambient_record, base_record, hammer_record
+from tests.modal.shared import TWO_STORY_FREQUENCIES, two_story_frf
+
+QUIET = {"clock offset", "sign", "swapped channels", "amplitude", "reciprocity", "dead channel", "clipped channel"}
+
+
+@pytest.fixture(scope="module")
+def record() -> TimeRecord:
+    return base_record(PAPER_FRAME, 7, noise=0.01, duration=150.0)
+
+
+def changed(record: TimeRecord, change) -> TimeRecord:
+    values = record.runs[0].responses.copy()
+    change(values)
+    return dataclasses.replace(record, runs=(Run(values, record.runs[0].excitation),))
+
+
+def kinds(result) -> set[str]:
+    return {finding.kind for finding in result.findings}
+
+
+def found(result, kind):
+    return [finding for finding in result.findings if finding.kind == kind]
+
+
+def test_a_sound_record_is_left_alone(record):
+    assert not kinds(identify_modes(record)) & QUIET
+    assert not kinds(identify_modes(hammer_record(PAPER_FRAME, 0, noise=0.01, hits=2))) & QUIET
+
+
+def test_clock_offset_is_found_and_corrected(record):
+    late = shifted(record, {"floor2": (-0.008, 0.0)})
+    result = identify_modes(late)
+    [finding] = found(result, "clock offset")
+    assert finding.numbers["channel"] == "floor2"
+    assert finding.numbers["seconds"] == pytest.approx(0.008, abs=3e-4)
+    again = identify_modes(late, correct_clocks=True)
+    assert [f.message.endswith("; corrected") for f in found(again, "clock offset")] == [True]
+    np.testing.assert_allclose(again.mode_shapes, identify_modes(record).mode_shapes, atol=2e-3)
+
+
+def test_clock_offset_of_the_input(record):
+    late = shifted(record, {"input": (-0.012, 0.0)})
+    [finding] = found(identify_modes(late), "clock offset")
+    assert finding.numbers["channel"] == "input"
+    assert finding.numbers["seconds"] == pytest.approx(0.012, abs=5e-4)
+
+
+def test_offsets_of_exact_shapes():
+    eigenvalues = 2j * np.pi * np.array([2.0, 6.0, 11.0]) - 0.1
+    shapes = np.array([[0.4, 0.8, 1.0], [1.0, 0.3, -0.8], [-0.7, 1.0, -0.5]])
+    late = np.array([0.004, 0.0, -0.002])
+    turned = shapes * np.exp(-1j * eigenvalues.imag[:, None] * late) * np.exp([[0.3j], [2j], [-1j]])
+    np.testing.assert_allclose(offsets(eigenvalues, turned).seconds, late, atol=1e-9)
+
+
+def test_shift_is_exact_for_a_slow_sine(record):
+    time = np.arange(1000) / 20.0
+    wave = np.column_stack([np.sin(2 * np.pi * 1.3 * time)] * 3)
+    run = Run(wave, np.cos(time))
+    moved = shifted(dataclasses.replace(record, runs=(run,)), {"floor1": (0.013, 0.0)}).runs[0].responses
+    edge = (1000 - len(moved)) // 2
+    expected = np.sin(2 * np.pi * 1.3 * (time + 0.013))[edge : edge + len(moved)]
+    np.testing.assert_allclose(moved[50:-50, 0], expected[50:-50], atol=2e-3)
+    np.testing.assert_allclose(moved[:, 1], wave[edge : edge + len(moved), 1], atol=1e-9)
+
+
+def test_sign(record):
+    def turn(values):
+        values[:, 1] *= -1
+
+    result = identify_modes(changed(record, turn))
+    [finding] = found(result, "sign")
+    assert finding.numbers["channel"] == "floor2"
+    np.testing.assert_allclose(result.frequencies, PAPER_FRAME.modes()[0], rtol=1e-3)
+
+
+def test_dead_channel_is_left_out(record):
+    def cut_wire(values):
+        values[:, 1] = 1e-9 * np.random.default_rng(0).standard_normal(len(values))
+
+    result = identify_modes(changed(record, cut_wire))
+    [finding] = found(result, "dead channel")
+    assert finding.numbers["floor"] == 2
+    np.testing.assert_array_equal(result.floors, [1, 3])
+    np.testing.assert_allclose(result.frequencies, PAPER_FRAME.modes()[0], rtol=1e-3)
+
+
+def test_clipped_channel(record):
+    level = 0.5 * np.abs(record.runs[0].responses[:, 2]).max()
+
+    def clip(values):
+        np.clip(values[:, 2], -level, level, out=values[:, 2])
+
+    [finding] = [f for f in channel_findings(changed(record, clip)) if f.kind == "clipped channel"]
+    assert finding.numbers["channel"] == "floor3"
+    assert abs(finding.numbers["level"]) == pytest.approx(level)
+    assert "of 3000 samples" in finding.message
+
+
+def test_drift(record):
+    def warm_up(values):
+        values[:, 0] += np.linspace(0, 3 * values[:, 0].std(), len(values))
+
+    [finding] = [f for f in channel_findings(changed(record, warm_up)) if f.kind == "drift"]
+    assert finding.numbers["channel"] == "floor1"
+    assert finding.numbers["over_std"] == pytest.approx(2.7, abs=0.3)
+
+
+def test_held_samples(record):
+    def fill_up(values):
+        values[1::2, 2] = values[::2, 2]
+
+    [finding] = [f for f in channel_findings(changed(record, fill_up)) if f.kind == "held samples"]
+    assert finding.numbers["repeats"] == 2
+
+
+def test_aliasing(record):
+    def hum(values):
+        # 49.6 Hz sampled at 20 Hz folds to 9.6 Hz; a sine of amplitude s has half the power of s^2.
+        values[:, 0] += values[:, 0].std() * np.sin(2 * np.pi * 49.6 * np.arange(len(values)) / 20)
+
+    [finding] = [f for f in channel_findings(changed(record, hum)) if f.kind == "aliasing"]
+    assert finding.numbers["channel"] == "floor1"
+    assert finding.numbers["share"] == pytest.approx(1 / 3, abs=0.05)
+
+
+def test_ambient_record_too_short():
+    result = identify_modes(ambient_record(PAPER_FRAME, 1, noise=0.01, duration=240.0))
+    [finding] = [f for f in found(result, "resolution") if "periods" in f.numbers]
+    assert finding.numbers["periods"] == pytest.approx(240 * 1.0336, rel=0.01)
+
+
+def frf_record(damping: float, gain: float = 1.0) -> FrfRecord:
+    frequencies = np.arange(1, 1025) / 32
+    runs = tuple(
+        FrfRun(two_story_frf(frequencies, damping, floor) * (gain if floor == 2 else 1.0), floor) for floor in (1, 2)
+    )
+    return FrfRecord((Channel("a1", 1), Channel("a2", 2)), runs=runs, frequencies=frequencies)
+
+
+def test_functions_give_the_masses():
+    result = identify_modes(frf_record(0.01))
+    np.testing.assert_allclose(result.frequencies, TWO_STORY_FREQUENCIES, rtol=2e-4)
+    np.testing.assert_allclose(result.damping_ratios, 0.01, rtol=0.02)
+    assert result.mass_normalized
+    np.testing.assert_allclose(
+        np.linalg.inv(result.mode_shapes.T @ result.mode_shapes), np.diag([2.0, 1.0]), atol=0.02
+    )
+    assert not found(result, "reciprocity")
+
+
+def test_reciprocity_violation():
+    [finding] = found(identify_modes(frf_record(0.01, gain=1.07)), "reciprocity")
+    assert finding.numbers["floors"] == [1, 2]
+    assert finding.numbers["largest"] == pytest.approx(0.07 / 1.035, abs=0.005)
+
+
+def test_resolution_coarser_than_the_line():
+    finding = found(identify_modes(frf_record(0.001)), "resolution")[0]
+    assert finding.numbers["resolution"] == pytest.approx(1 / 32)
+    assert finding.numbers["bandwidth"] == pytest.approx(0.002 * TWO_STORY_FREQUENCIES[0], rel=0.05)
+
+
+def test_frequency_that_depends_on_amplitude():
+    """Half the record shaken five times as hard, and 1 % softer by it."""
+    soft = dataclasses.replace(PAPER_FRAME, stiffnesses=0.98 * PAPER_FRAME.stiffnesses)
+    weak = base_record(PAPER_FRAME, 1, noise=0.01, duration=150.0).runs[0]
+    strong = base_record(soft, 2, noise=0.01, duration=150.0).runs[0]
+    strong = Run(5 * strong.responses, 5 * strong.excitation, name="strong")
+    channels = tuple(Channel(f"floor{floor}", floor) for floor in (1, 2, 3))
+    record = TimeRecord(channels, runs=(weak, strong), sampling_rate=20.0, input="base")
+    changes = [finding.numbers["change"] for finding in found(identify_modes(record), "amplitude")]
+    assert len(changes) == 3
+    np.testing.assert_allclose(changes, np.log(0.98) / 2, atol=0.002)
+
+
+def test_findings_are_plain_values(record):
+    finding = channel_findings(changed(record, lambda values: values.__setitem__((slice(None), 0), 0.0)))[0]
+    assert finding.to_dict()["kind"] == "dead channel"
+    assert isinstance(finding.to_dict()["numbers"]["std"], float)

@@ -1,0 +1,70 @@
+"""Results that every test of figures and reports looks at; made once."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import cvxshear
+from cvxshear.studies.noise import noise_study, paper_setups, six_story_study
+from tests.fe.experiments import simulated
+
+NASTY = '<img src="http://example.org/x" onerror="alert(1)"> $a_$ & 结构'
+"""A name that a page, a figure or a formula could stumble over."""
+
+
+def experiment(effect, stories, configurations=2, seed=3, **options):
+    declared, _ = simulated(
+        effect, stories=stories, configurations=configurations, rng=np.random.default_rng(seed), **options
+    )
+    return declared
+
+
+@pytest.fixture(scope="session")
+def paper():
+    return cvxshear.close_loop(cvxshear.load("paper"))
+
+
+@pytest.fixture(scope="session")
+def eight():
+    return cvxshear.close_loop(cvxshear.Experiment.from_dict(experiment("base_rocking", 8), name="eight stories"))
+
+
+@pytest.fixture(scope="session")
+def unexplained():
+    declared = experiment("sensor_gain", 3)
+    declared["configuration"][0]["name"] = NASTY
+    result = cvxshear.close_loop(cvxshear.Experiment.from_dict(declared, name=NASTY), effects=["story_change"])
+    assert result.verdict == "unexplained"
+    return result
+
+
+@pytest.fixture(scope="session")
+def twenty():
+    return cvxshear.close_loop(
+        cvxshear.Experiment.from_dict(experiment("base_rocking", 20, 1, modes=10), name="twenty stories"),
+        effects=["base_rocking"],
+    )
+
+
+@pytest.fixture(scope="session")
+def study():
+    return noise_study(paper_setups(), ("two-stage", "one-shot"), samples=50)
+
+
+@pytest.fixture(scope="session")
+def six_story():
+    return six_story_study(samples=4)
+
+
+@pytest.fixture(scope="session")
+def comparison(paper):
+    return cvxshear.compare_backends(paper.experiment)
+
+
+@pytest.fixture
+def no_heights(paper):
+    """The paper's result as if no heights had been declared."""
+    frame = dataclasses.replace(paper.experiment.frame, story_heights=None)
+    experiment = dataclasses.replace(paper.experiment, frame=frame)
+    return cvxshear.identify(experiment, method="two-stage")

@@ -1,0 +1,159 @@
+"""Reports opened in a real browser, a headless Chromium.
+
+Where no Chromium is on the PATH these tests are skipped, but in continuous integration (CI in the environment),
+where they fail.
+"""
+
+import json
+import os
+import shutil
+
+import pytest
+
+from cvxshear.report.html import write_report
+from cvxshear.report.numbers import percent, probability, significant
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+FLAGS = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+)  # fmt: skip
+DESKTOP, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
+A4 = {"width": 680, "height": 1000}
+
+WRITTEN = {
+    "min_mac": lambda value: significant(value, 6),
+    "chi2": significant,
+    "dof": str,
+    "p_value": probability,
+}
+
+
+def missing(what):
+    """Skip, or fail where the tests must run."""
+    if os.environ.get("CI"):
+        pytest.fail(f"the browser tests need {what}")
+    pytest.skip(f"needs {what}")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    path = next((found for name in NAMES if (found := shutil.which(name))), None)
+    if path is None:
+        missing(f"a Chromium on the PATH, under one of the names {', '.join(NAMES)}")
+    try:
+        from playwright.sync_api import sync_playwright  # noqa: PLC0415
+    except ImportError:
+        missing("the package playwright")
+    with sync_playwright() as driver:
+        started = driver.chromium.launch(executable_path=path, args=list(FLAGS))
+        yield started
+        started.close()
+
+
+@pytest.fixture(scope="module")
+def reports(paper, eight, unexplained, comparison, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("reports")
+    results = {"paper": paper, "eight": eight, "unexplained": unexplained}
+    for name, result in results.items():
+        write_report(result, folder / f"{name}.html", f"cvxshear loop {name}.toml", comparison)
+    return folder, results
+
+
+@pytest.fixture
+def opened(browser, reports):
+    """Open a report; at the end nothing was complained of, and nothing was asked for but the file itself."""
+    pages, said, asked = [], [], []
+
+    def call(name, viewport=DESKTOP, **options):
+        page = browser.new_page(viewport=viewport, **options)
+        pages.append(page)
+        page.on("console", lambda message: said.append(message.text))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto((reports[0] / f"{name}.html").as_uri())
+        return page
+
+    yield call
+    for page in pages:
+        page.close()
+    assert said == []
+    assert all(url.startswith(("file:", "data:")) for url in asked)
+    assert len([url for url in asked if url.startswith("file:")]) == len(pages)
+
+
+EVERY = pytest.mark.parametrize("name", ["paper", "eight", "unexplained"])
+
+
+@EVERY
+def test_the_page_says_what_the_json_says(opened, reports, name):
+    page = opened(name)
+    result = json.loads(json.dumps(reports[1][name].to_dict()))
+    assert page.inner_text("#verdict") == result["verdict"]
+    assert json.loads(page.text_content("#result")) == result
+    rows = page.query_selector_all("#errors tbody tr")
+    keys = [row.get_attribute("data-key") for row in rows]
+    assert set(keys) == set(result["before"])
+    for key, row in zip(keys, rows, strict=True):
+        for side, cell in zip(("before", "after"), row.query_selector_all("td"), strict=True):
+            assert json.loads(cell.get_attribute("data-exact")) == result[side][key]
+            assert cell.inner_text() == WRITTEN.get(key, percent)(result[side][key])
+    assert len(page.query_selector_all("#identified tbody tr")) == len(result["frame"]["floor_mass"])
+    for effect in result["effects"]:
+        assert effect["name"] in page.inner_text("#headline")
+
+
+@EVERY
+@pytest.mark.parametrize("viewport", [DESKTOP, PHONE], ids=["desktop", "phone"])
+def test_figures_have_size_and_the_page_does_not_run_over_its_edge(opened, name, viewport):
+    page = opened(name, viewport)
+    drawings = page.query_selector_all(".drawing > svg, svg.mode")
+    assert len(drawings) >= 6
+    for drawing in drawings:
+        box = drawing.bounding_box()
+        assert box["width"] > 50
+        assert box["height"] > 50
+    assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+
+
+def test_modes_are_set_in_motion_and_stopped(opened):
+    page = opened("paper")
+    column = page.query_selector("svg.mode .column")
+    before = column.get_attribute("points")
+    page.click("#play")
+    page.wait_for_function(
+        "before => document.querySelector('svg.mode .column').getAttribute('points') !== before", arg=before
+    )
+    assert page.inner_text("#play") == "Stop"
+    page.click("#play")
+    points = [
+        [float(value) for value in text.replace(",", " ").split()] for text in (before, column.get_attribute("points"))
+    ]
+    assert points[0] == points[1]
+
+
+def test_the_report_is_whole_without_scripts(browser, reports):
+    context = browser.new_context(java_script_enabled=False, viewport=DESKTOP)
+    page = context.new_page()
+    page.goto((reports[0] / "paper.html").as_uri())
+    assert page.inner_text("#verdict") == "explained"
+    assert not page.is_visible("#play")
+    assert page.query_selector("svg.mode .column").bounding_box()["width"] > 5
+    context.close()
+
+
+@EVERY
+def test_nothing_is_cut_off_on_paper(opened, name, tmp_path):
+    page = opened(name, A4)
+    page.emulate_media(media="print")
+    assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+    assert not page.is_visible("nav")
+    sheet = tmp_path / "report.pdf"
+    page.pdf(path=sheet, prefer_css_page_size=True)
+    assert sheet.read_bytes().startswith(b"%PDF")
+
+
+def test_a_keyboard_reaches_the_result_first(opened):
+    page = opened("paper")
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.textContent") == "To the result"

@@ -1,0 +1,201 @@
+"""The report as text: it stands by itself, says what the result says, and lets nothing of a file through as markup."""
+
+import html
+import json
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import cvxshear
+from cvxshear.effects import compose
+from cvxshear.errors import InputError
+from cvxshear.report import effect_size
+from cvxshear.report.html import render, write_report
+from tests.report.conftest import NASTY, experiment
+
+COMMAND = "cvxshear loop 'a & b.toml' --report <out>.html"
+VOID = {"meta", "link", "br", "img", "hr", "input"}
+
+
+class Page(HTMLParser):
+    """Tags, ids and headings of a page; every tag that was opened must be closed."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.tags, self.ids, self.attributes = [], [], [], []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes.append((tag, dict(attrs)))
+        self.ids += [value for name, value in attrs if name == "id"]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+@pytest.fixture(scope="module")
+def text(unexplained):
+    return render(unexplained, COMMAND)
+
+
+@pytest.fixture(scope="module")
+def page(text):
+    return Page(text)
+
+
+def test_nothing_of_a_file_is_let_through_as_markup(text, page):
+    assert "<img" not in text
+    assert html.escape(NASTY, quote=False).split('"')[0] in text
+    assert "img" not in page.tags
+    assert page.tags.count("script") == 1
+    assert html.escape(COMMAND, quote=False).replace("'", "&#39;") in text
+
+
+def test_the_page_refers_to_nothing_outside_itself(page):
+    for tag, attributes in page.attributes:
+        for name in ("src", "href", "xlink:href", "action", "data", "poster"):
+            assert attributes.get(name, "#").startswith(("#", "data:")), (tag, attributes)
+    assert "http-equiv" in dict(page.attributes[[tag for tag, _ in page.attributes].index("meta") + 2][1])
+
+
+def test_ids_are_unique_and_every_reference_has_its_aim(text, page):
+    assert len(page.ids) == len(set(page.ids))
+    aims = set(re.findall(r'href="#([^"]+)"', text)) | set(re.findall(r"url\(#([^)]+)\)", text))
+    assert aims
+    assert aims <= set(page.ids)
+
+
+def test_headings_descend_one_at_a_time_and_images_have_words(page):
+    levels = [int(tag[1]) for tag in page.tags if re.fullmatch(r"h[1-6]", tag)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert np.diff(levels).max() == 1
+    for tag, attributes in page.attributes:
+        if attributes.get("role") == "img":
+            assert attributes["aria-label"].strip()
+        elif tag == "svg":
+            assert attributes["aria-hidden"] == "true"
+
+
+def contrast(foreground, background):
+    """Of two colours such as #1b1b1b, as the accessibility guidelines (WCAG) define it."""
+
+    def luminance(colour):
+        parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+        linear = [part / 12.92 if part <= 0.03928 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+    light, dark = sorted([luminance(foreground), luminance(background)], reverse=True)
+    return (light + 0.05) / (dark + 0.05)
+
+
+def test_letters_stand_out_from_what_is_behind_them(text):
+    colours = dict(re.findall(r"--(\w+): (#[0-9a-f]+)", text))
+    grounds = ["#ffffff", *re.findall(r"background: (#[0-9a-f]{6})", text)]
+    for name in ("ink", "quiet", "link"):
+        colour = colours[name] if len(colours[name]) == 7 else "#" + "".join(2 * digit for digit in colours[name][1:])
+        assert min(contrast(colour, ground) for ground in grounds) > 4.5
+
+
+def test_the_whole_result_and_measurement_stand_in_the_report(text, unexplained):
+    found = {key: html.unescape(re.search(rf'<pre id="{key}">(.*?)</pre>', text, re.DOTALL)[1]) for key in
+             ("result", "measurement")}  # fmt: skip
+    assert json.loads(found["result"]) == json.loads(json.dumps(unexplained.to_dict()))
+    again = cvxshear.Experiment.from_dict(json.loads(found["measurement"]))
+    assert again.configurations[0].name == NASTY
+    assert again.configurations[0].frequencies == pytest.approx(unexplained.experiment.configurations[0].frequencies)
+
+
+def test_the_effect_of_gravity_has_its_size(paper):
+    said = " ".join(effect_size.in_words(paper.estimate, paper.effects[0].placed))
+    mass, stiffness = paper.frame.floor_mass, paper.frame.story_stiffness
+    # P-delta of columns that bend, by hand: 6/5 of the weight above story 1 over its height.
+    load = 1.2 * 9.81 * (mass.sum() + 77.1) / 0.39
+    assert f"{load / 1000:.3g} kN/m, {100 * load / stiffness[0]:.2f} % of the story stiffness, from story 1" in said
+    assert "“Structure 3”" in said
+
+
+def test_a_change_is_what_taking_the_effect_out_changes(eight):
+    placed = eight.effects[0].placed
+    (first, _) = effect_size.changes(eight.estimate, placed)
+    assert placed.effect.name == "base_rocking"
+    theta = eight.estimate.theta
+    z = 0.39 * np.arange(1, 9)
+    # A force at the top of 1 N turns the base by z_top / k_theta; every story drifts by its height times that.
+    drift = 1.0 / theta[8:16] + 0.39 * z[-1] * theta[16]
+    assert first.stiffness_share == pytest.approx(1.0 / drift / theta[8:16] - 1.0, rel=1e-6)
+    assert first.mass == pytest.approx(np.zeros(8), abs=1e-12)
+    said = effect_size.in_words(eight.estimate, placed)
+    assert any(f"{1e-3 / theta[16]:.0f} ±" in sentence and "kN m/rad" in sentence for sentence in said)
+
+
+@pytest.mark.parametrize("effect", ["gravity", "added_mass", "sensor_gain", "ground_spring", "mass_coupling",
+                                    "joint_rotation", "axial_columns", "story_change"])  # fmt: skip
+def test_every_effect_of_the_catalogue_has_words_for_its_size(effect):
+    declared = experiment(effect, 3, 2, noise=0.01)
+    tested = cvxshear.Experiment.from_dict(declared)
+    kind = next(item for item in cvxshear.effects.catalogue() if item.name == effect)
+    placed = cvxshear.effects.Placed(kind, kind.places(tested)[-1])
+    result = cvxshear.close_loop(tested, effects=[], assume=[placed])
+    said = effect_size.in_words(result.estimate, result.assumed[0])
+    assert said
+    assert all(sentence.endswith(".") and "nan" not in sentence for sentence in said)
+
+
+def test_a_report_is_written_whole(paper, comparison, tmp_path):
+    out = tmp_path / "report.html"
+    write_report(paper, out, COMMAND, comparison)
+    assert list(tmp_path.iterdir()) == [out]
+    assert Page(out.read_text(encoding="utf-8")).tags[:1] == ["html"]
+    with pytest.raises(InputError, match="cannot be written"):
+        write_report(paper, tmp_path / "nowhere" / "report.html", COMMAND, comparison)
+
+
+def test_results_show_themselves_in_a_notebook(paper, unexplained, comparison):
+    shown = paper._repr_html_()
+    assert "EXPLAINED: the shear model lacks gravity" in shown
+    assert "26.35" in shown
+    Page(shown)
+    assert "<img" not in unexplained._repr_html_()
+    identified = cvxshear.identify(paper.experiment, method="two-stage")._repr_html_()
+    assert "25.517 kN/m" in identified
+    Page(identified)
+    Page(comparison._repr_html_())
+
+
+def test_importing_the_library_loads_no_report():
+    code = "import cvxshear, sys; print([name for name in sys.modules if name.startswith('cvxshear.report')])"
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert shown.stdout.strip() == "[]"
+
+
+def test_the_animation_moves_the_drawing_that_was_made(text, unexplained):
+    """The script's own numbers are those that the drawings were made with."""
+    from cvxshear.report import motion  # noqa: PLC0415
+
+    script = text[text.index("<script>") :]
+    assert f"centre = {motion.WIDTH / 2:g}, half = {motion.HALF:g}, largest = {motion.SWAY:g}" in script
+    drawn = motion.drawings(unexplained)[0][1][0]
+    x = [float(point.split(",")[0]) for point in drawn.left.split()]
+    assert x == pytest.approx([motion.WIDTH / 2 - motion.HALF + motion.SWAY * sway for sway in drawn.sway], abs=0.01)
+
+
+def test_compose_without_the_effect_is_the_plain_frame(paper):
+    """What the sizes are measured against."""
+    each = paper.experiment.configurations[0]
+    plain = compose(paper.experiment, each, [], paper.estimate.theta[:4])
+    assert plain.system.K[0, 0] == pytest.approx(paper.frame.story_stiffness.sum())
