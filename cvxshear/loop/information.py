@@ -18,8 +18,21 @@ def information(estimate: Estimate, ranking: Sequence[Candidate]) -> tuple[str, 
         if item.confounded_with
     ]
     said += [f"{item.placed.label} could not be fitted ({item.failure})" for item in ranking if item.failure]
+    said += _implied_noise(estimate)
     weight = _gravity(estimate)
     return (*said, weight) if weight else tuple(said)
+
+
+def _implied_noise(estimate: Estimate) -> list[str]:
+    """What the residual says of the measurement's accuracy, where that was not declared."""
+    if estimate.experiment.noise_declared or not estimate.dof > 0:
+        return []
+    scale = estimate.noise_scale
+    frequency = max(float(each.log_frequency_std.max()) for each in estimate.experiment.configurations)
+    return [
+        f"the verdict takes frequencies to be uncertain to {100 * scale * frequency:.2g} %, as the residual says; if "
+        "yours are surer, declare frequency_std and mode_shape_std, and the residual is tested against them"
+    ]
 
 
 def _some(names: Sequence[str]) -> str:

@@ -40,6 +40,10 @@ def closure(result: Closure) -> Iterator[RenderableType]:
 
 def headline(result: Closure) -> str:
     """The verdict in a sentence that names what was found."""
+    if not result.effects and result.verdict == "adequate" and result.estimate.dof <= 0:
+        return "There is nothing to test: the shear model has as many parameters as there are data."
+    if not result.effects and result.verdict == "adequate" and not result.experiment.noise_declared:
+        return "Nothing was added: no effect that was looked for improves the shear model beyond the noise it leaves."
     if not result.effects:
         return VERDICTS[result.verdict]
     names = " and ".join(found.placed.label for found in result.effects)

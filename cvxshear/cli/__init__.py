@@ -1,0 +1,75 @@
+"""The command line."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated, Any
+
+import typer
+
+from cvxshear.cli import frames, studies
+from cvxshear.cli.output import typed
+from cvxshear.errors import CvxshearError, NoSolutionError
+
+app = typer.Typer(
+    name="cvxshear",
+    help="Floor masses and story stiffnesses of shear-type frames from measured modes, and what the shear model lacks.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+study = typer.Typer(help="Many identifications at once.", no_args_is_help=True)
+for command in (
+    frames.identify,
+    frames.loop,
+    frames.modes,
+    frames.backends,
+    studies.reproduce,
+):
+    app.command()(command)
+study.command()(studies.noise)
+app.add_typer(study, name="study")
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        from cvxshear import __version__  # noqa: PLC0415
+
+        typer.echo(f"cvxshear {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_show_version, is_eager=True)
+    ] = False,
+) -> None:
+    pass
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line; 0 done, 1 no solution, 2 bad input, and no traceback for either."""
+    status: Any = 0
+    typed[:] = sys.argv[1:] if arguments is None else arguments
+    try:
+        status = app(args=arguments, standalone_mode=False)
+    except NoSolutionError as error:
+        _complain(error)
+        status = 1
+    except CvxshearError as error:
+        _complain(error)
+        status = 2
+    except typer.Abort:
+        status = 130
+    except Exception as error:
+        # Typer's own complaints about options know how to show themselves.
+        if not hasattr(error, "show") or not hasattr(error, "exit_code"):
+            raise
+        error.show()
+        status = error.exit_code
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _complain(error: CvxshearError) -> None:
+    sys.stderr.write(f"cvxshear: {error}\n")

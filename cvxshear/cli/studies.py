@@ -1,0 +1,72 @@
+"""The commands that identify many times: the paper's tables and the noise study."""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Annotated, Any
+
+import typer
+
+from cvxshear.cli.output import BackendName, FigureOut, JsonOut, Quiet, deliver, figures_for, names, progress
+
+
+def reproduce(
+    backend: BackendName = "auto",
+    samples: Annotated[
+        int, typer.Option(help="Samples of the larger noise study, beside the paper's 100.", min=2)
+    ] = 10_000,
+    seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 2023,
+    figure: FigureOut = None,
+    out: JsonOut = None,
+) -> None:
+    """Print the paper's figures beside recomputed ones, with the difference.
+
+    Example: cvxshear reproduce
+    """
+    from cvxshear.paper import reproduce as run  # noqa: PLC0415
+    from cvxshear.paper.terminal import render  # noqa: PLC0415
+
+    drawing = figures_for(figure)
+    result = run(backend, samples=tuple(sorted({100, samples})), seed=seed)
+    if drawing is not None:
+        drawing.save(_mass_iteration(drawing), figure)
+    deliver(result.to_dict(), out, lambda: [render(result)])
+
+
+def _mass_iteration(drawing: ModuleType) -> Any:
+    """The paper's Fig. 4: errors of the masses in each iteration, from its two initial masses."""
+    from cvxshear import identify as run  # noqa: PLC0415
+    from cvxshear.paper import tables  # noqa: PLC0415
+    from cvxshear.paper.three_story import ThreeStory  # noqa: PLC0415
+
+    of = ThreeStory("auto")
+    found = [run(of.experiment, "two-stage", initial_mass=start) for start in tables.INITIAL_MASS.values()]
+    return drawing.convergence(*found, true_mass=of.truth.floor_mass)
+
+
+def noise(
+    samples: Annotated[int, typer.Option(help="Samples of each noise level and method.", min=2)] = 2000,
+    seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 2023,
+    methods: Annotated[str, typer.Option(help="Methods, commas between.")] = "two-stage,one-shot,efficient",
+    figure: FigureOut = None,
+    boxes: Annotated[str | None, typer.Option(help="Draw box plots (Fig. 5) into this file.", metavar="OUT")] = None,
+    quiet: Quiet = False,
+    out: JsonOut = None,
+) -> None:
+    """Print the scatter of each method under noise beside the Cramer-Rao bound: Table 3, Figs. 5 and 6, six stories.
+
+    Example: cvxshear study noise --samples 200
+    """
+    from cvxshear.studies import noise_study, paper_setups, six_story_study  # noqa: PLC0415
+    from cvxshear.studies.noise_table import render  # noqa: PLC0415
+
+    drawing = figures_for(figure, boxes)
+    with progress("three stories", quiet) as advance:
+        three = noise_study(paper_setups(), tuple(names(methods) or ()), samples, seed, progress=advance)
+    with progress("six stories", quiet) as advance:
+        six = six_story_study(samples, seed, progress=advance)
+    if drawing is not None and figure is not None:
+        drawing.save(drawing.noise_variation(three), figure)
+    if drawing is not None and boxes is not None:
+        drawing.save(drawing.noise_boxes(three), boxes)
+    deliver({"three_story": three.to_dict(), "six_story": six.to_dict()}, out, lambda: [render(three), render(six)])
