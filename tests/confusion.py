@@ -33,11 +33,12 @@ OUTCOMES = ("first", "rival", "wrong", "missed", "nothing")
 
 @dataclass(frozen=True)
 class Trial:
-    """One random frame: what is in it, and how many configurations are tested."""
+    """One random frame: what is in it, how many configurations are tested, and whether their mass is spread out."""
 
     effect: str | None
     configurations: int
     seed: int
+    spread: bool = True
 
 
 def place(item):
@@ -54,8 +55,10 @@ def outcome(trial):
     stories = int(rng.integers(3, 9))
     added = np.round(rng.uniform(0.0, HEAVIEST, (trial.configurations, stories)) * 2) / 2
     added[0] = 0.0
+    # The simulation's own default is one counterweight on one floor a test.
+    counterweights = added.tolist() if trial.spread else None
     declared, truth = simulated(
-        trial.effect, stories=stories, configurations=trial.configurations, rng=rng, added_mass=added.tolist()
+        trial.effect, stories=stories, configurations=trial.configurations, rng=rng, added_mass=counterweights
     )
     result = close_loop(Experiment.from_dict(declared)).to_dict()
     found = result["effects"]
@@ -84,10 +87,10 @@ def _run(trial):
     return trial, word, result["verdict"], deviation(result, truth), [place(item) for item in result["effects"]]
 
 
-def trials(frames, seed, effects=EFFECTS, configurations=(1, 3)):
+def trials(frames, seed, effects=EFFECTS, configurations=(1, 3), *, spread=True):
     """So many frames for each effect and number of configurations, each with a seed of its own."""
     return [
-        Trial(effect, count, seed * 1_000_000 + 10_000 * EFFECTS.index(effect) + 1000 * count + i)
+        Trial(effect, count, seed * 1_000_000 + 10_000 * EFFECTS.index(effect) + 1000 * count + i, spread)
         for count in configurations
         for effect in effects
         for i in range(frames)
@@ -134,12 +137,17 @@ def main():
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     parser.add_argument("--effects", nargs="*", default=None)
     parser.add_argument("--configurations", type=int, nargs="*", default=[1, 3])
+    parser.add_argument("--one-floor", action="store_true", help="one counterweight on one floor in each further test")
     parser.add_argument("--failures", action="store_true", help="list every frame whose effect was not named")
     options = parser.parse_args()
     effects = EFFECTS if options.effects is None else [None if name == "none" else name for name in options.effects]
     with ProcessPoolExecutor(options.jobs) as pool:
         results = list(
-            pool.map(_run, trials(options.frames, options.seed, effects, options.configurations), chunksize=2)
+            pool.map(
+                _run,
+                trials(options.frames, options.seed, effects, options.configurations, spread=not options.one_floor),
+                chunksize=2,
+            )
         )
     print_table(results, effects, options.configurations)
     print_totals(results)
