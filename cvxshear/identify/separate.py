@@ -126,11 +126,13 @@ def finished(of: Setting, mass: Floats, stiffness: Floats, **more: object) -> Pa
     alone = Experiment(of.experiment.frame, (of.configuration,), of.experiment.priors, of.experiment.name)
     misfit = Misfit(alone)
     theta = np.concatenate([net, stiffness])
+    # The stiffnesses, and the masses less the known total, are what the data had to determine.
+    free = len(net) + (0 if of.experiment.frame.floor_masses is not None else len(net) - 1)
     at = misfit.evaluate(theta, derivatives=False)
     return Part(
         name=of.configuration.name,
         frame=IdentifiedFrame(net, stiffness),
-        fit=quality(misfit, at.matches, at.chi2, misfit.count(theta) - (2 * len(net) - 1)),
+        fit=quality(misfit, at.matches, at.chi2, misfit.count(theta) - free),
         predictions=predictions(misfit, at.matches),
         **more,  # type: ignore[arg-type]
     )
