@@ -9,10 +9,12 @@ from scipy import linalg
 
 import cvxshear
 from cvxshear import Experiment, InputError, close_loop
-from cvxshear.effects import Effect, Parameter, Place, Placed, catalogue
+from cvxshear.effects import Effect, Parameter, Place, Placed, catalogue, named
 from cvxshear.loop.fitter import Fitter
 from cvxshear.loop.held_out import held_out_frequency_error
+from cvxshear.loop.results import Found
 from cvxshear.priors import Ratio
+from cvxshear.report.loop_terminal import effect
 from tests.confusion import HIDDEN, Trial, deviation, outcome
 from tests.fe.experiments import simulated
 from tests.frames import chain, configuration, experiment, modes_of, shared
@@ -285,6 +287,17 @@ def test_a_prediction_that_the_rest_does_not_determine_is_passed_over():
     of = Experiment.from_dict(experiment(MASS, STIFFNESS, *tables, frame={}))
     result = close_loop(of, effects=[])
     assert held_out_frequency_error(result.estimate, Fitter(cvxshear.backends.get("auto"))) is None
+
+
+def test_an_end_of_the_physical_range_is_only_said_where_there_is_one():
+    texts = {}
+    for name, value in (("mass_coupling", 0.9), ("gravity", 1.2), ("gravity", 1.1)):
+        placed = Placed(named([name])[0])
+        parameter = placed.effect.parameters[0].name
+        texts[name, value] = effect(Found(placed, {parameter: value}, {parameter: 0.01}, (), -20.0))
+    assert "end of what is physical" not in texts["mass_coupling", 0.9]
+    assert "end of what is physical" not in texts["gravity", 1.1]
+    assert "at the upper end of what is physical" in texts["gravity", 1.2]
 
 
 def test_the_json_has_the_documented_keys_and_is_json():

@@ -16,6 +16,9 @@ from cvxshear.typing import Bools
 DETERMINED = 1e-3
 """Largest change of the logarithm of a frequency along a direction left open, for the prediction to count."""
 
+USEFUL = 0.1
+"""Largest relative standard deviation of a prediction, for it to count."""
+
 
 def held_out_frequency_error(estimate: Estimate, fitter: Fitter) -> float | None:
     """Largest |predicted / measured - 1| over the frequencies left out in turn.
@@ -60,5 +63,7 @@ def _prediction_errors(estimate: Estimate, name: str, mask: Bools, fitter: Fitte
     which = (configuration.modes[mask] - 1).tolist()
     gradient = mode_derivatives(found, state.system, which)[0] / (2 * found.eigenvalues[which])
     open_change = np.abs(gradient * np.abs(rest.theta)[:, None])[~rest.uncertainty.determined].sum(axis=0)
+    noise = rest.noise_scale if np.isfinite(rest.noise_scale) else 1.0
+    variance = np.einsum("pm,pq,qm->m", gradient, rest.uncertainty.covariance(noise), gradient)
     error = np.abs(found.frequencies[which] / configuration.frequencies[mask] - 1.0)
-    return [float(value) for value in error[open_change <= DETERMINED]]
+    return [float(value) for value in error[(open_change <= DETERMINED) & (variance <= USEFUL**2)]]

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.effects import Placed, compose
+from cvxshear.effects import Parameter, Placed, compose
 from cvxshear.effects.base import State
 from cvxshear.experiment import Configuration
 from cvxshear.frame import modes
 from cvxshear.identify.efficient import Estimate
-from cvxshear.report.numbers import percent, scaled, significant, with_std
+from cvxshear.report.numbers import percent, scaled, with_std
 from cvxshear.typing import Floats
 
 NOTHING = 1e-9
@@ -207,14 +207,15 @@ FAMILIAR: dict[str, Callable[[Estimate], tuple[str, float, str]]] = {
 
 def summary(placed: Placed, parameters: dict[str, float], std: dict[str, float | None]) -> list[tuple[str, str]]:
     """Name and value ± standard deviation of each parameter, with a remark where one sits on a physical bound."""
-    result = []
-    for item in placed.effect.parameters:
-        value = parameters[item.name]
-        text = with_std(value, std[item.name], item.unit)
-        for bound, word in ((item.lower, "lower"), (item.upper, "upper")):
-            if np.isfinite(bound) and abs(value - bound) <= 1e-9 * max(1.0, abs(bound)):
-                text = (
-                    f"{significant(value)} {item.unit}".strip() + f" (on its {word} physical bound, so without a std)"
-                )
-        result.append((item.name, text))
-    return result
+    return [
+        (item.name, with_std(parameters[item.name], std[item.name], item.unit) + at_an_end(item, parameters[item.name]))
+        for item in placed.effect.parameters
+    ]
+
+
+def at_an_end(item: Parameter, value: float) -> str:
+    """A remark where a parameter's value is one of its physical bounds; empty elsewhere."""
+    for bound, word in ((item.lower, "lower"), (item.upper, "upper")):
+        if np.isfinite(bound) and abs(value - bound) <= 1e-9 * max(1.0, abs(bound)):
+            return f" (at the {word} end of what is physical)"
+    return ""

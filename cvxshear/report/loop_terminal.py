@@ -11,7 +11,8 @@ from rich.text import Text
 from cvxshear.loop import VERDICTS, Closure
 from cvxshear.loop.residual import by_mode
 from cvxshear.loop.results import Found
-from cvxshear.report.numbers import percent, probability, significant, with_std
+from cvxshear.report.effect_size import summary
+from cvxshear.report.numbers import percent, probability, significant
 from cvxshear.report.terminal import declared, frame_table, plain_table
 
 SHOWN_CANDIDATES = 8
@@ -99,17 +100,13 @@ def steps(result: Closure) -> Table:
 def effect(found: Found) -> str:
     """An effect in words: what it is, its formula, its size and how sure it is."""
     kind = found.placed.effect
-    sizes = ", ".join(
-        f"{item.name} = {with_std(found.parameters[item.name], found.std[item.name], item.unit)}"
-        for item in kind.parameters
-    )
-    bound = _on_bound(found)
+    sizes = ", ".join(f"{name} = {value}" for name, value in summary(found.placed, found.parameters, found.std))
     rivals = ", ".join(rival.placed.label for rival in found.rivals)
     return "\n".join(
         [
             f"{found.placed.label}: {kind.summary}",
             f"  {kind.formula}",
-            f"  {sizes}{bound}; a gain like this by chance: {probability(_exp(found.log_p))}",
+            f"  {sizes}; a gain like this by chance: {probability(_exp(found.log_p))}",
             f"  rivals: {rivals or 'none'}",
         ]
     )
@@ -117,16 +114,6 @@ def effect(found: Found) -> str:
 
 def _exp(log_p: float) -> float:
     return 0.0 if log_p < -700 else 2.718281828459045**log_p
-
-
-def _on_bound(found: Found) -> str:
-    """A remark where a parameter sits on one of its physical bounds."""
-    for item in found.placed.effect.parameters:
-        value = found.parameters[item.name]
-        for bound, word in ((item.lower, "lower"), (item.upper, "upper")):
-            if abs(value - bound) <= 1e-9 * max(1.0, abs(bound)):
-                return f" (at the {word} end of what is physical)"
-    return ""
 
 
 def ranking(result: Closure) -> Table:
