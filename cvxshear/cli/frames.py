@@ -153,6 +153,7 @@ def modes(
     count: Annotated[int | None, typer.Option(help="How many modes; as many as stories where not given.")] = None,
     correct_clocks: Annotated[bool, typer.Option(help="Take clock offsets between the channels out.")] = False,
     accept_swapped: Annotated[bool, typer.Option(help="Go on where two channels look swapped.")] = False,
+    quiet: Quiet = False,
     out: JsonOut = None,
 ) -> None:
     """Identify natural frequencies, damping and mode shapes from a record.
@@ -162,19 +163,20 @@ def modes(
     from cvxshear.modal import run  # noqa: PLC0415
     from cvxshear.report import modal_terminal  # noqa: PLC0415
 
-    result, _ = run(
-        record,
-        method=method,
-        count=count,
-        correct_clocks=correct_clocks,
-        accept_swapped=accept_swapped,
-        output=output,
-        uff=uff,
-    )
+    with progress("identifying modes", quiet):
+        result, _ = run(
+            record,
+            method=method,
+            count=count,
+            correct_clocks=correct_clocks,
+            accept_swapped=accept_swapped,
+            output=output,
+            uff=uff,
+        )
     deliver(result.to_dict(), out, lambda: modal_terminal.modes(result))
 
 
-def backends(file: File, figure: FigureOut = None, out: JsonOut = None) -> None:
+def backends(file: File, figure: FigureOut = None, quiet: Quiet = False, out: JsonOut = None) -> None:
     """Solve the same programs with every installed backend, and compare them to the closed form.
 
     Example: cvxshear backends paper
@@ -183,7 +185,8 @@ def backends(file: File, figure: FigureOut = None, out: JsonOut = None) -> None:
     from cvxshear.report import terminal  # noqa: PLC0415
 
     drawing = figures_for(figure)
-    result = compare_backends(load(file))
+    with progress("comparing backends", quiet):
+        result = compare_backends(load(file))
     if drawing is not None:
         drawing.save(drawing.backend_differences(result), figure)
     deliver(result.to_dict(), out, lambda: terminal.comparison(result))

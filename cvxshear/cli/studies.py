@@ -17,6 +17,7 @@ def reproduce(
     ] = 10_000,
     seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 2023,
     figure: FigureOut = None,
+    quiet: Quiet = False,
     out: JsonOut = None,
 ) -> None:
     """Print the paper's figures beside recomputed ones, with the difference.
@@ -27,7 +28,8 @@ def reproduce(
     from cvxshear.paper.terminal import render  # noqa: PLC0415
 
     drawing = figures_for(figure)
-    result = run(backend, samples=tuple(sorted({100, samples})), seed=seed)
+    with progress("reproducing the paper", quiet):
+        result = run(backend, samples=tuple(sorted({100, samples})), seed=seed)
     if drawing is not None:
         drawing.save(_mass_iteration(drawing), figure)
     deliver(result.to_dict(), out, lambda: [render(result)])
