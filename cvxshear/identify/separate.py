@@ -17,7 +17,9 @@ from cvxshear.programs.rows import statements
 from cvxshear.typing import Floats
 
 SMALLEST = 1e-3
-"""Of the mean floor mass, and of the stiffness that would carry it at the first frequency: less is not positive."""
+"""Of the mean floor mass, and of the stiffness that would carry it at the first frequency: less is not positive.
+
+A bound much smaller than this is lost in a solver's own tolerances; HiGHS 1.15 ends with an error on one of 1e-6."""
 
 
 @dataclass(frozen=True, eq=False)
