@@ -33,7 +33,7 @@ app.add_typer(study, name="study")
 
 def _show_version(asked: bool) -> None:
     if asked:
-        from cvxshear import __version__  # noqa: PLC0415
+        from cvxshear import __version__
 
         typer.echo(f"cvxshear {__version__}")
         raise typer.Exit

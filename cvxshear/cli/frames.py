@@ -54,9 +54,9 @@ def identify(
     Example: cvxshear identify paper --method two-stage
     """
     # The solvers load slowly, and help needs none of them.
-    from cvxshear import identify as run  # noqa: PLC0415
-    from cvxshear import load  # noqa: PLC0415
-    from cvxshear.report import terminal  # noqa: PLC0415
+    from cvxshear import identify as run
+    from cvxshear import load
+    from cvxshear.report import terminal
 
     drawing = figures_for(figure)
     experiment, start = load(file), _numbers(initial_mass)
@@ -106,12 +106,12 @@ def loop(
 
     Example: cvxshear loop paper
     """
-    from cvxshear import close_loop  # noqa: PLC0415
-    from cvxshear.report import loop_terminal  # noqa: PLC0415
+    from cvxshear import close_loop
+    from cvxshear.report import loop_terminal
 
     drawing = figures_for(figure)
     if report is not None:
-        from cvxshear.report.html import write_report  # noqa: PLC0415
+        from cvxshear.report.html import write_report
     with progress("closing the loop", quiet):
         experiment, found = _measured(file)
         result = close_loop(experiment, effects=names(effects), assume=names(assume) or (), backend=backend, jobs=jobs)
@@ -125,9 +125,9 @@ def loop(
 
 def _measured(file: str) -> tuple[Experiment, ModalResult | None]:
     """The experiment of a measurement file, or of the record that a record file names, with its modes."""
-    from cvxshear import Experiment, load  # noqa: PLC0415
-    from cvxshear.formats.toml import is_record_file  # noqa: PLC0415
-    from cvxshear.modal import run  # noqa: PLC0415
+    from cvxshear import Experiment, load
+    from cvxshear.formats.toml import is_record_file
+    from cvxshear.modal import run
 
     if not is_record_file(file):
         return load(file), None
@@ -136,7 +136,7 @@ def _measured(file: str) -> tuple[Experiment, ModalResult | None]:
 
 
 def _modes_of(found: ModalResult | None) -> Iterable[RenderableType]:
-    from cvxshear.report import modal_terminal  # noqa: PLC0415
+    from cvxshear.report import modal_terminal
 
     return () if found is None else (*modal_terminal.modes(found), "")
 
@@ -160,8 +160,8 @@ def modes(
 
     Example: cvxshear modes record.toml -o test.toml
     """
-    from cvxshear.modal import run  # noqa: PLC0415
-    from cvxshear.report import modal_terminal  # noqa: PLC0415
+    from cvxshear.modal import run
+    from cvxshear.report import modal_terminal
 
     with progress("identifying modes", quiet):
         result, _ = run(
@@ -181,8 +181,8 @@ def backends(file: File, figure: FigureOut = None, quiet: Quiet = False, out: Js
 
     Example: cvxshear backends paper
     """
-    from cvxshear import compare_backends, load  # noqa: PLC0415
-    from cvxshear.report import terminal  # noqa: PLC0415
+    from cvxshear import compare_backends, load
+    from cvxshear.report import terminal
 
     drawing = figures_for(figure)
     with progress("comparing backends", quiet):

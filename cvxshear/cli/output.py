@@ -63,8 +63,8 @@ def figures_for(*paths: str | None) -> ModuleType | None:
     if not asked:
         return None
     try:
-        from cvxshear.report import figures  # noqa: PLC0415
-        from cvxshear.report.figures.output import kind_of  # noqa: PLC0415
+        from cvxshear.report import figures
+        from cvxshear.report.figures.output import kind_of
     except ImportError as error:
         raise InputError(f"--figure needs {error.name}: pip install 'cvxshear[plot]'") from error
     for path in asked:
@@ -78,7 +78,7 @@ def progress(title: str, quiet: bool) -> Iterator[Callable[[int, int], None] | N
     if quiet or not sys.stderr.isatty():
         yield None
         return
-    from rich.progress import Progress  # noqa: PLC0415
+    from rich.progress import Progress
 
     with Progress(console=Console(stderr=True), transient=True) as bars:
         task = bars.add_task(title, total=None)

@@ -24,8 +24,8 @@ def reproduce(
 
     Example: cvxshear reproduce
     """
-    from cvxshear.paper import reproduce as run  # noqa: PLC0415
-    from cvxshear.paper.terminal import render  # noqa: PLC0415
+    from cvxshear.paper import reproduce as run
+    from cvxshear.paper.terminal import render
 
     drawing = figures_for(figure)
     with progress("reproducing the paper", quiet):
@@ -37,9 +37,9 @@ def reproduce(
 
 def _mass_iteration(drawing: ModuleType) -> Any:
     """The paper's Fig. 4: errors of the masses in each iteration, from its two initial masses."""
-    from cvxshear import identify as run  # noqa: PLC0415
-    from cvxshear.paper import tables  # noqa: PLC0415
-    from cvxshear.paper.three_story import ThreeStory  # noqa: PLC0415
+    from cvxshear import identify as run
+    from cvxshear.paper import tables
+    from cvxshear.paper.three_story import ThreeStory
 
     of = ThreeStory("auto")
     found = [run(of.experiment, "two-stage", initial_mass=start) for start in tables.INITIAL_MASS.values()]
@@ -59,8 +59,8 @@ def noise(
 
     Example: cvxshear study noise --samples 200
     """
-    from cvxshear.studies import noise_study, paper_setups, six_story_study  # noqa: PLC0415
-    from cvxshear.studies.noise_table import render  # noqa: PLC0415
+    from cvxshear.studies import noise_study, paper_setups, six_story_study
+    from cvxshear.studies.noise_table import render
 
     drawing = figures_for(figure, boxes)
     with progress("three stories", quiet) as advance:
