@@ -1,4 +1,4 @@
-"""A backend of one's own: scipy's SLSQP, polished by the library's certificate like every other."""
+"""A backend of one's own: scipy's SLSQP, its solutions certified like every other's."""
 
 from pathlib import Path
 

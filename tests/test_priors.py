@@ -69,7 +69,9 @@ def test_one_sided_bounds_leave_the_other_side_open():
 
 
 def test_bounds_may_close_on_one_value():
-    Bounds("floor_mass", lower=2.0, upper=2.0).check(3)
+    closed = Bounds("floor_mass", lower=2.0, upper=2.0)
+    closed.check(3)
+    assert_array_equal(said(closed)["lower"], said(closed)["upper"])
 
 
 def test_exact_ratio():
