@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from cvxshear import InfeasibleError, InputError, NoSolutionError, UnsuitableError, backends
-from cvxshear.backends import cvxpy_backend
-from cvxshear.backends.base import Answer, Backend
+from cvxshear.backends import Answer, Backend, cvxpy_backend
 from cvxshear.backends.canonical import canonical
 from cvxshear.programs import LeastSquares
 
@@ -179,8 +178,8 @@ def test_a_far_bound_changes_neither_the_answer_nor_the_scaling():
 
 def test_cvxpy_compiles_a_shape_once(monkeypatch):
     compiled = []
-    original = cvxpy_backend._compile
-    monkeypatch.setattr(cvxpy_backend, "_compile", lambda *shape: compiled.append(shape) or original(*shape))
+    original = cvxpy_backend._parametrised
+    monkeypatch.setattr(cvxpy_backend, "_parametrised", lambda *shape: compiled.append(shape) or original(*shape))
     backend = cvxpy_backend.Cvxpy("CLARABEL")
     for seed in range(4):
         backend.solve(random_program(seed)[0])

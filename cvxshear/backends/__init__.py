@@ -1,7 +1,7 @@
 """Backends: interchangeable solvers of the least-squares programs, each solution certified here."""
 
-from cvxshear.backends.base import Answer, Backend
-from cvxshear.backends.canonical import Canonical
+from cvxshear.backends.base import Backend
+from cvxshear.backends.canonical import Answer, Canonical
 from cvxshear.backends.registry import available, get, register
 from cvxshear.backends.solution import Certificate, Solution
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cvxshear.backends.base import ACCEPTED, Answer, Backend, certify
-from cvxshear.backends.canonical import Canonical
+from cvxshear.backends.base import ACCEPTED, Backend, certify
+from cvxshear.backends.canonical import Answer, Canonical
 from cvxshear.errors import NoSolutionError, UnsuitableError
 
 
@@ -34,6 +34,9 @@ class Auto(Backend):
         self._definite = tuple(definite)
         self._singular = tuple(singular)
 
+    def whole_answer(self, problem: Canonical) -> Answer:
+        return self.answer(problem)
+
     def answer(self, problem: Canonical) -> Answer:
         try:
             return self._closed_form.answer(problem)
@@ -50,7 +53,7 @@ class Auto(Backend):
         inaccurate: Answer | None = None
         for backend in self._singular if problem.singular else self._definite:
             try:
-                found = backend.answer(problem)
+                found = backend.whole_answer(problem)
             except NoSolutionError as error:
                 failure = failure or error
                 continue

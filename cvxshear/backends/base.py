@@ -2,46 +2,19 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.backends.canonical import Canonical, canonical
+from cvxshear.backends import working_set
+from cvxshear.backends.canonical import Answer, Canonical, canonical
 from cvxshear.backends.solution import Certificate, Solution
 from cvxshear.errors import NoSolutionError
 from cvxshear.programs import LeastSquares
-from cvxshear.typing import Floats
 
 ACCEPTED = 1e-6
 """Largest residual of a certificate with which a solution is let through."""
-
-FAR = 1e3
-"""An inequality whose slack at zero is greater than this, in scaled units, is moved in to it for the solve."""
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """A solver's answer to a scaled program, before anybody has checked it.
-
-    Parameters
-    ----------
-    z : ndarray, shape (n,)
-    y : ndarray, shape (a,)
-        Multipliers of E z = e.
-    w : ndarray, shape (g,)
-        Multipliers of F z <= f.
-    status : str
-    iterations : int or None
-    """
-
-    z: Floats
-    y: Floats
-    w: Floats
-    status: str
-    iterations: int | None
 
 
 class Backend(ABC):
@@ -66,12 +39,19 @@ class Backend(ABC):
             With the solver's reason, where it did not solve it.
         """
 
-    def solve(self, program: LeastSquares) -> Solution:
+    def whole_answer(self, problem: Canonical) -> Answer:
+        """Solve the scaled program, `answer` seeing the inequalities that matter alone (`working_set`)."""
+        return working_set.answered(self.answer, problem)
+
+    def solve(self, program: LeastSquares, start: Solution | None = None) -> Solution:
         """Solve a program, and certify the solution.
 
         Parameters
         ----------
         program : LeastSquares
+        start : Solution, optional
+            Of a program like this one, of the same shape. The inequalities that held it are handed to the solver at
+            once, and a solver that can begin at a point begins at this one.
 
         Returns
         -------
@@ -81,14 +61,16 @@ class Backend(ABC):
         ------
         InfeasibleError
             Where equalities contradict each other.
+        InputError
+            Where `start` has another shape.
         UnsuitableError
             Where the backend cannot take such a program.
         NoSolutionError
             Where the solver failed, or the certificate's worst residual exceeds `ACCEPTED`.
         """
-        start = time.perf_counter()
+        began = time.perf_counter()
         problem = canonical(program)
-        answer = self._answer_near(problem)
+        answer = self.whole_answer(problem if start is None else problem.starting_at(start))
         certificate = certify(problem, answer)
         if not certificate.worst <= ACCEPTED:
             raise NoSolutionError(
@@ -100,20 +82,8 @@ class Backend(ABC):
         y, w = problem.multipliers(answer.y, answer.w)
         return Solution(
             problem.to_x(answer.z), y, w, certificate, self.name, answer.status, answer.iterations,
-            time.perf_counter() - start,
+            time.perf_counter() - began,
         )  # fmt: skip
-
-    def _answer_near(self, problem: Canonical) -> Answer:
-        """The answer, with inequalities that are far from active moved in so that they do not spoil the scaling."""
-        limit = FAR
-        while True:
-            near = Canonical(**{**problem.__dict__, "f": np.minimum(problem.f, limit)})
-            answer = self.answer(near)
-            far = problem.f > limit
-            if not np.any(far & (problem.F @ answer.z > 0.5 * limit)):
-                # Far inequalities are inactive: their multipliers are zero, not the rounding that a solver returns.
-                return dataclasses.replace(answer, w=np.where(far, 0.0, answer.w))
-            limit *= FAR
 
 
 def certify(problem: Canonical, answer: Answer) -> Certificate:

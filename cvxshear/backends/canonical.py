@@ -16,18 +16,45 @@ scaled: C = [W R; sigma A] D, z = D^-1 x / tau, objective |C z - q|^2.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
 from scipy.linalg import lapack
 
-from cvxshear.errors import InfeasibleError
+from cvxshear.backends.solution import Solution
+from cvxshear.errors import InfeasibleError, InputError
 from cvxshear.programs import LeastSquares
 from cvxshear.typing import Bools, Floats
 
 SINGULAR = 1e-12
 """Reciprocal condition number of the scaled rows below which they are taken not to determine the unknowns."""
+
+TOUCHING = 1e-9
+"""Violation of an inequality, in scaled units, that still counts as rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """An answer to a scaled program, before anybody has checked it.
+
+    Parameters
+    ----------
+    z : ndarray, shape (n,)
+    y : ndarray, shape (a,)
+        Multipliers of E z = e.
+    w : ndarray, shape (g,)
+        Multipliers of F z <= f.
+    status : str
+    iterations : int or None
+    """
+
+    z: Floats
+    y: Floats
+    w: Floats
+    status: str
+    iterations: int | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +71,8 @@ class Canonical:
         Inequalities, bounds among them, rows of unit length.
     singular : bool
         Whether the rows and the equalities leave a direction free.
+    start : Answer, optional
+        The answer to a program like this one, from where a solver that can may begin.
     """
 
     C: Floats
@@ -58,6 +87,42 @@ class Canonical:
     _equality_scale: Floats
     _inequality_scale: Floats
     _independent: Bools
+    start: Answer | None = None
+
+    def violated(self, z: Floats) -> Bools:
+        """Which inequalities a point violates by more than rounding, shape (g,)."""
+        excess: Bools = self.F @ z - self.f > TOUCHING
+        return excess
+
+    def keeping(self, inequalities: Bools) -> Canonical:
+        """The program with some of its inequalities alone."""
+        start = self.start
+        if start is not None:
+            start = dataclasses.replace(start, w=start.w[inequalities])
+        return dataclasses.replace(self, F=self.F[inequalities], f=self.f[inequalities], start=start)
+
+    def starting_at(self, solution: Solution) -> Canonical:
+        """The program with a solution of a program of the same shape as its start.
+
+        Raises
+        ------
+        InputError
+            Where the shapes differ.
+        """
+        y, w = solution.equality_multipliers, solution.inequality_multipliers
+        if (len(solution.x), len(y), len(w)) != (len(self.q), len(self._independent), len(self.f)):
+            raise InputError(
+                f"start must be a solution of a program of {len(self.q)} unknowns, {len(self._independent)} equalities "
+                f"and {len(self.f)} inequalities, not of {len(solution.x)}, {len(y)} and {len(w)}"
+            )
+        scaled = Answer(
+            self.to_z(solution.x),
+            y[self._independent] / (self._tau**2 * self._equality_scale),
+            w / (self._tau**2 * self._inequality_scale),
+            solution.status,
+            solution.iterations,
+        )
+        return dataclasses.replace(self, start=scaled)
 
     def to_z(self, x: Floats) -> Floats:
         """The scaled unknowns of x."""
@@ -157,6 +222,8 @@ def _independent_rows(A: Floats, b: Floats) -> Bools:
     if not len(A):
         return keep
     scale = np.linalg.norm(A, axis=1)
+    if len(A) == 1 and scale[0] > 0:
+        return keep
     rows = A / np.where(scale > 0, scale, 1.0)[:, None]
     side = b / np.where(scale > 0, scale, 1.0)
     _, triangle, order = linalg.qr(rows.T, mode="economic", pivoting=True)

@@ -3,32 +3,23 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 from typing import Any
 
 import cvxpy as cp
 import numpy as np
 
-from cvxshear.backends.base import Answer, Backend
-from cvxshear.backends.canonical import Canonical
+from cvxshear.backends.base import Backend
+from cvxshear.backends.canonical import Answer, Canonical
+from cvxshear.backends.compiled import Compiled, Parametrised
 from cvxshear.errors import NoSolutionError
 
 ACCURATE: dict[str, dict[str, Any]] = {
     "CLARABEL": {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12},
-    "OSQP": {"eps_abs": 1e-10, "eps_rel": 1e-10, "max_iter": 200_000},
+    # Polishing, on by default in cvxpy, has nothing left to do at this accuracy, and prints that it has not.
+    "OSQP": {"eps_abs": 1e-10, "eps_rel": 1e-10, "max_iter": 200_000, "polishing": False},
     "SCS": {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iters": 200_000},
 }
 """Accuracy settings a solver, as in `qpsolvers_backend`."""
-
-
-@dataclass(eq=False)
-class _Compiled:
-    """A problem of one shape, its numbers left open as parameters."""
-
-    problem: cp.Problem
-    z: cp.Variable
-    parameters: dict[str, cp.Parameter]
-    constraints: dict[str, cp.Constraint]
 
 
 class Cvxpy(Backend):
@@ -43,57 +34,65 @@ class Cvxpy(Backend):
 
     Notes
     -----
-    The problem is written so that cvxpy's rules for parametrised programs (DPP) hold: every number that
-    changes from one solve to the next is a parameter, and the compilation is done once for each shape.
+    A shape is compiled once, its numbers left open as parameters by cvxpy's rules for such programs (DPP), and solved
+    again with new numbers (`compiled`). The number of inequalities is rounded up to a power of two, with rows that
+    say 0 z <= 1, so that few shapes occur, and there is always a constraint, without which SCS refuses.
     """
 
     def __init__(self, solver: str, options: dict[str, Any] | None = None) -> None:
         self.name = f"cvxpy-{solver.lower()}"
         self._solver = solver
         self._options = ACCURATE.get(solver, {}) if options is None else options
-        self._compiled: dict[tuple[int, int, int, bool], _Compiled] = {}
+        self._compiled: dict[tuple[int, int, int, bool], Compiled] = {}
 
     def __reduce__(self) -> tuple[type[Cvxpy], tuple[str, dict[str, Any]]]:
         """To another process without what was compiled."""
         return type(self), (self._solver, self._options)
 
     def answer(self, problem: Canonical) -> Answer:
-        shape = (len(problem.q), len(problem.e), len(problem.f), problem.singular)
+        inequalities = len(problem.f)
+        padding = _padding(len(problem.e), inequalities)
+        shape = (len(problem.q), len(problem.e), inequalities + padding, problem.singular)
         if shape not in self._compiled:
-            self._compiled[shape] = _compile(*shape)
-        compiled = self._compiled[shape]
-        for name, parameter in compiled.parameters.items():
-            parameter.value = getattr(problem, name)
+            self._compiled[shape] = Compiled(_parametrised(*shape), self._solver, self._options)
+        numbers = {
+            "q": problem.q,
+            "C": problem.C,
+            "E": problem.E,
+            "e": problem.e,
+            "F": np.concatenate([problem.F, np.zeros((padding, len(problem.q)))]),
+            "f": np.concatenate([problem.f, np.ones(padding)]),
+        }
         try:
             with warnings.catch_warnings():
                 # "Solution may be inaccurate" is also the status, which is looked at below.
                 warnings.simplefilter("ignore")
-                compiled.problem.solve(  # type: ignore[no-untyped-call]
-                    solver=self._solver, enforce_dpp=True, **self._options
-                )
+                found = self._compiled[shape].solve(numbers, warm=problem.start is not None)
         except cp.SolverError as error:
             raise NoSolutionError(self.name, str(error)) from error
-        status = str(compiled.problem.status)
-        if status != cp.OPTIMAL or compiled.z.value is None:
-            raise NoSolutionError(self.name, f"no solution found (its status: {status})")
-        duals = {name: np.atleast_1d(item.dual_value) for name, item in compiled.constraints.items()}
-        return Answer(
-            np.asarray(compiled.z.value),
-            duals.get("E", np.zeros(0)),
-            duals.get("F", np.zeros(0)),
-            status,
-            compiled.problem.solver_stats.num_iters,
-        )
+        if found.status != cp.OPTIMAL:
+            raise NoSolutionError(self.name, f"no solution found (its status: {found.status})")
+        y, w = (found.duals.get(name, np.zeros(0)) for name in ("E", "F"))
+        return Answer(found.z, y, w[:inequalities], found.status, found.iterations)
 
 
-def _compile(unknowns: int, equalities: int, inequalities: int, singular: bool) -> _Compiled:
-    """The problem of this shape; |C z - q|^2 / 2 where C is not the identity, |z - q|^2 / 2 where it is."""
+def _padding(equalities: int, inequalities: int) -> int:
+    """Rows that say nothing, to the next power of two, and one where there is no constraint."""
+    if not inequalities:
+        return 0 if equalities else 1
+    return (1 << (inequalities - 1).bit_length()) - inequalities
+
+
+def _parametrised(unknowns: int, equalities: int, inequalities: int, singular: bool) -> Parametrised:
+    """The problem of this shape; |C z - q|^2 / 2 where C is not the identity, else |z|^2 / 2 - q'z."""
     z = cp.Variable(unknowns)
     parameters = {"q": cp.Parameter(unknowns)}
-    fit = z
     if singular:
         parameters["C"] = cp.Parameter((unknowns, unknowns))
-        fit = parameters["C"] @ z
+        objective = 0.5 * cp.sum_squares(parameters["C"] @ z - parameters["q"])  # type: ignore[attr-defined]
+    else:
+        # Without the constant the solver needs no further unknowns for z - q.
+        objective = 0.5 * cp.sum_squares(z) - parameters["q"] @ z  # type: ignore[attr-defined]
     constraints: dict[str, cp.Constraint] = {}
     if equalities:
         parameters["E"], parameters["e"] = cp.Parameter((equalities, unknowns)), cp.Parameter(equalities)
@@ -101,6 +100,5 @@ def _compile(unknowns: int, equalities: int, inequalities: int, singular: bool) 
     if inequalities:
         parameters["F"], parameters["f"] = cp.Parameter((inequalities, unknowns)), cp.Parameter(inequalities)
         constraints["F"] = parameters["F"] @ z <= parameters["f"]
-    objective = 0.5 * cp.sum_squares(fit - parameters["q"])  # type: ignore[attr-defined]
     problem = cp.Problem(cp.Minimize(objective), list(constraints.values()))
-    return _Compiled(problem, z, parameters, constraints)
+    return Parametrised(problem, z, parameters, constraints)

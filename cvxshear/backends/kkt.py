@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import linalg
 
-from cvxshear.backends.base import Answer, Backend
-from cvxshear.backends.canonical import Canonical
+from cvxshear.backends.base import Backend
+from cvxshear.backends.canonical import Answer, Canonical
+from cvxshear.backends.nearest import nearest
 from cvxshear.errors import NoSolutionError, UnsuitableError
-from cvxshear.typing import Floats
-
-TOUCHING = 1e-9
-"""Violation of an inequality, in scaled units, that still counts as rounding."""
 
 
 class Kkt(Backend):
@@ -26,23 +22,16 @@ class Kkt(Backend):
 
     name = "kkt"
 
+    def whole_answer(self, problem: Canonical) -> Answer:
+        return self.answer(problem)
+
     def answer(self, problem: Canonical) -> Answer:
         if problem.singular:
             raise NoSolutionError(self.name, "the data and the equalities do not determine every unknown")
-        z, y = _nearest(problem)
-        excess = problem.F @ z - problem.f
-        if np.any(excess > TOUCHING):
+        z, y = nearest(problem)
+        if np.any(problem.violated(z)):
             raise UnsuitableError(
                 "backend kkt: a bound or another inequality is active at the solution, and the closed form takes "
                 "equalities only; choose another backend, clarabel for one"
             )
         return Answer(z, y, np.zeros(len(problem.f)), "closed form", 1)
-
-
-def _nearest(problem: Canonical) -> tuple[Floats, Floats]:
-    """The nearest point to q on E z = e, and the multipliers: with E' = B T, q - z = B T'^-1 (E q - e) = E' y."""
-    if not len(problem.E):
-        return problem.q.copy(), np.zeros(0)
-    B, T = np.linalg.qr(problem.E.T)
-    along = linalg.solve_triangular(T, problem.E @ problem.q - problem.e, trans="T")
-    return problem.q - B @ along, linalg.solve_triangular(T, along)

@@ -9,8 +9,8 @@ import numpy as np
 import qpsolvers
 from scipy import sparse
 
-from cvxshear.backends.base import Answer, Backend
-from cvxshear.backends.canonical import Canonical
+from cvxshear.backends.base import Backend
+from cvxshear.backends.canonical import Answer, Canonical
 from cvxshear.errors import NoSolutionError
 
 ACCURATE: dict[str, dict[str, Any]] = {
@@ -47,12 +47,14 @@ class Qpsolvers(Backend):
 
     def answer(self, problem: Canonical) -> Answer:
         stated = self._stated(problem)
+        # Solvers that cannot begin at a point pass over it.
+        start = None if problem.start is None else problem.start.z
         try:
             with warnings.catch_warnings():
                 # What a solver warns about (an inaccurate solution, an iteration limit) is either told by `found`
                 # or measured by the certificate.
                 warnings.simplefilter("ignore")
-                found = qpsolvers.solve_problem(stated, self.name, **self.options)
+                found = qpsolvers.solve_problem(stated, self.name, initvals=start, **self.options)
         except (qpsolvers.QPError, ValueError, ArithmeticError) as error:
             raise NoSolutionError(self.name, str(error) or type(error).__name__) from error
         status = _status(found)

@@ -259,9 +259,7 @@ def _driver(channels: list[Declared], kind: str) -> Declared | None:
 def _table(columns: Columns, responses: list[Declared], path: Path) -> Floats:
     if not responses:
         raise InputError("no channel is on a floor above the ground")
-    return np.column_stack(
-        [item.factor * columns.column(item.column, item.place or path.name) for item in responses]
-    )
+    return np.column_stack([item.factor * columns.column(item.column, item.place or path.name) for item in responses])
 
 
 def _rate(declared: Mapping[str, Any], columns: Columns) -> float:
@@ -334,4 +332,3 @@ def _lines_of(text: str, table: str) -> list[int]:
     """The line of each `[[table]]` header."""
     pattern = re.compile(rf"^\s*\[\[\s*{table}\s*\]\]")
     return [number for number, line in enumerate(text.splitlines(), 1) if pattern.match(line)]
-

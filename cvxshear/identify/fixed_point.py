@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cvxshear.backends import Backend
+from cvxshear.backends import Backend, Solution
 from cvxshear.identify.separate import Setting
 from cvxshear.programs import mass_correction
 from cvxshear.programs.mass import normalized
@@ -26,7 +26,9 @@ from cvxshear.typing import Floats
 MOST_ITERATIONS = 1000
 
 
-def correction(of: Setting, mass: Floats, backend: Backend, *, diagonal: bool = True) -> Floats:
+def correction(
+    of: Setting, mass: Floats, backend: Backend, start: Solution | None = None, *, diagonal: bool = True
+) -> Solution:
     """One step dm from these masses.
 
     Parameters
@@ -35,12 +37,15 @@ def correction(of: Setting, mass: Floats, backend: Backend, *, diagonal: bool = 
     mass : ndarray, shape (N,)
         With added mass, kg.
     backend : Backend
+    start : Solution, optional
+        Of the step before.
     diagonal : bool, optional
         With the rows i = j, Eq. 14 as printed.
 
     Returns
     -------
-    ndarray, shape (N,)
+    Solution
+        Its x is dm.
     """
     net = mass - of.configuration.added_mass
     program = mass_correction(normalized(of.shapes, mass), mass, of.total, rows=of.rows, diagonal=diagonal)
@@ -48,7 +53,7 @@ def correction(of: Setting, mass: Floats, backend: Backend, *, diagonal: bool = 
     program = softened(
         program.replace(A=None, b=None), of.experiment.priors, "floor_mass", net, of.shape_std, step=True
     )
-    return backend.solve(constrained(program, of.mass_statements, net)).x
+    return backend.solve(constrained(program, of.mass_statements, net), start)
 
 
 def iterated(
@@ -73,8 +78,10 @@ def iterated(
     """
     history, before = [start], np.inf
     diagonal = not accelerate
+    solution: Solution | None = None
     while len(history) <= MOST_ITERATIONS:
-        dm = correction(of, history[-1], backend, diagonal=diagonal)
+        solution = correction(of, history[-1], backend, solution, diagonal=diagonal)
+        dm = solution.x
         history.append(history[-1] + dm)
         length = float(np.max(np.abs(dm)))
         if length < tolerance * float(np.max(np.abs(history[-1]))):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.backends import Backend
+from cvxshear.backends import Backend, Solution
 from cvxshear.errors import InputError
 from cvxshear.identify.misfit import Evaluation, Misfit
 from cvxshear.priors import Constraints
@@ -110,8 +110,10 @@ def gauss_newton(
     """
     theta = _made_feasible(theta, domain, backend)
     at = misfit.evaluate(theta)
+    solution: Solution | None = None
     for step in range(1, MOST_STEPS + 1):
-        d = backend.solve(step_program(at, theta, domain)).x
+        solution = backend.solve(step_program(at, theta, domain), solution)
+        d = solution.x
         rms = np.sqrt(at.chi2 / max(len(at.r), 1))
         if np.max(np.abs(at.J @ d), initial=0.0) < tolerance * max(1.0, rms):
             return Fit(theta, at, "step below tolerance", step)

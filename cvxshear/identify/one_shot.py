@@ -26,7 +26,8 @@ def one_shot(of: Setting, backend: Backend) -> Part:
     # Each row is a mass times the shapes' error: its standard deviation goes with the mean floor mass.
     row_std = of.shape_std * of.total / plain.unknowns
     added = of.configuration.added_mass
-    mass = backend.solve(constrained(plain, of.mass_statements, -added)).x
+    solution = backend.solve(constrained(plain, of.mass_statements, -added))
+    mass = solution.x
     if not keeps_rows(of.rows, len(mass)) and digits_lost(plain.R) > LOST:
         again = one_shot_masses(of.shapes, of.total, rows=of.rows, at=mass)
         mass = mass + backend.solve(constrained(again, of.mass_statements, mass - added)).x
@@ -37,7 +38,8 @@ def one_shot(of: Setting, backend: Backend) -> Part:
             break
         # The soft rows speak of the masses without added mass.
         shifted = soft.replace(s=soft.s + _shift(soft.R, plain.R.shape[0], added))
-        before, mass = mass, backend.solve(constrained(shifted, of.mass_statements, -added)).x
+        solution = backend.solve(constrained(shifted, of.mass_statements, -added), solution)
+        before, mass = mass, solution.x
         iterations += 1
         if np.max(np.abs(mass - before)) <= UNCHANGED * np.max(np.abs(mass)):
             break

@@ -35,7 +35,8 @@ def identified_stiffness(of: Setting, mass: Floats, backend: Backend) -> Floats:
     shapes = normalized(of.shapes, mass)
     plain = story_stiffnesses(shapes, of.eigenvalues, rows=of.rows)
     origin = np.zeros(plain.unknowns)
-    k = backend.solve(constrained(plain, of.stiffness_statements, origin)).x
+    solution = backend.solve(constrained(plain, of.stiffness_statements, origin))
+    k = solution.x
     if not keeps_rows(of.rows, len(k)) and digits_lost(plain.R) > LOST:
         again = story_stiffnesses(shapes, of.eigenvalues, rows=of.rows, at=k)
         k = k + backend.solve(constrained(again, of.stiffness_statements, k)).x
@@ -44,7 +45,8 @@ def identified_stiffness(of: Setting, mass: Floats, backend: Backend) -> Floats:
         soft = softened(plain, of.experiment.priors, "story_stiffness", k, row_std, step=False)
         if soft is plain:
             return k
-        before, k = k, backend.solve(constrained(soft, of.stiffness_statements, origin)).x
+        solution = backend.solve(constrained(soft, of.stiffness_statements, origin), solution)
+        before, k = k, solution.x
         if np.max(np.abs(k - before)) <= UNCHANGED * np.max(np.abs(k)):
             break
     return k

@@ -74,9 +74,7 @@ def from_arrays(
     frequency = _spread(frequency_std, ASSUMED_FREQUENCY_STD, (count,), "frequency_std")[by_frequency]
     entries = _spread(mode_shape_std, ASSUMED_SHAPE_STD, (count, width), "mode_shape_std")[by_frequency][:, by_floor]
     damping = _spread(damping_ratios, 0.0, (count,), "damping_ratios")[by_frequency]
-    assumed = [
-        key for key, given in (("frequencies", frequency_std), ("shapes", mode_shape_std)) if given is None
-    ]
+    assumed = [key for key, given in (("frequencies", frequency_std), ("shapes", mode_shape_std)) if given is None]
     highest = int(places.max())
     return ModalResult(
         name=checks.text(name, "name"),

@@ -85,7 +85,7 @@ def clock_findings(result: ModalResult, full: Details) -> list[Finding]:
             Finding(
                 "clock offset",
                 f'the clock of "{name}" is {abs(late) * 1e3:.2f} ms {"late" if late > 0 else "early"} '
-                f"(std {std * 1e3:.2f} ms) against that of \"{names[full.clocks.reference]}\": a phase of {turn:.1f} "
+                f'(std {std * 1e3:.2f} ms) against that of "{names[full.clocks.reference]}": a phase of {turn:.1f} '
                 f"degrees at the highest mode{phases}",
                 {"channel": name, "seconds": late, "std": std, "turn_degrees": turn, "left_degrees": left},
             )

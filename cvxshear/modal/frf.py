@@ -232,11 +232,7 @@ def hit_spectra(record: TimeRecord) -> tuple[list[Spectra], int]:
     for run, start in zip(record.runs, starts, strict=True):
         force = np.fft.rfft(_quiet_after_blow(_excitation(run))[start : start + samples])
         response = np.fft.rfft(run.responses[start : start + samples], axis=0)
-        result.append(
-            Spectra(
-                np.conj(force)[:, None] * response, np.abs(force) ** 2, np.abs(response) ** 2, run.floor
-            )
-        )
+        result.append(Spectra(np.conj(force)[:, None] * response, np.abs(force) ** 2, np.abs(response) ** 2, run.floor))
     return result, samples
 
 

@@ -170,9 +170,7 @@ def _reproducible(result: ModalResult, sweep: Sweep) -> Sweep:
 
 
 def _chosen(sweep: Sweep) -> Values:
-    return Values(
-        np.array([item.eigenvalue for item in sweep.chosen]), np.array([item.shape for item in sweep.chosen])
-    )
+    return Values(np.array([item.eigenvalue for item in sweep.chosen]), np.array([item.shape for item in sweep.chosen]))
 
 
 def _nothing(sweep: Sweep) -> str:

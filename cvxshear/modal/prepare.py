@@ -179,7 +179,7 @@ def _one_floor(record: TimeRecord) -> int:
     if len(floors) > 1:
         raise UnsuitableError(
             f"runs driven at floors {', '.join(map(str, floors))} cannot share one regression; hand in one record a "
-            "floor, or blows, which method \"era\" takes together"
+            'floor, or blows, which method "era" takes together'
         )
     return floors[0]
 

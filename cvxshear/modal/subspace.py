@@ -67,9 +67,7 @@ def _data(excitation: Floats, response: Floats, rows: int) -> Floats:
         view = np.lib.stride_tricks.sliding_window_view(values, rows, axis=0)[start : start + count]
         return view.transpose(0, 2, 1).reshape(count, -1)
 
-    return np.hstack(
-        [windows(excitation, rows), windows(excitation, 0), windows(response, 0), windows(response, rows)]
-    )
+    return np.hstack([windows(excitation, rows), windows(excitation, 0), windows(response, 0), windows(response, rows)])
 
 
 def _triangle(matrix: Floats) -> Floats:

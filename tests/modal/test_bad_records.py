@@ -129,7 +129,7 @@ def test_text_column(tmp_path, good):
     text[12] = ",".join([*cells[:4], "overload"])
     (tmp_path / "test.csv").write_text("\n".join(text))
     message = refused(path)
-    assert 'test.csv, line 13: channel "a3" holds \'overload\', which is not a number' in message
+    assert "test.csv, line 13: channel \"a3\" holds 'overload', which is not a number" in message
 
 
 def test_empty_file(tmp_path, good):

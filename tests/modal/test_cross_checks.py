@@ -43,9 +43,7 @@ def test_mdof():
     mdof = pytest.importorskip("mdof")
     record = base_record(PAPER_FRAME, 0, noise=0.01, duration=200.0)
     shaken = record.runs[0]
-    transition, _, output, *_ = mdof.sysid(
-        shaken.excitation[None], shaken.responses.T, method="srim", order=6, dt=0.05
-    )
+    transition, _, output, *_ = mdof.sysid(shaken.excitation[None], shaken.responses.T, method="srim", order=6, dt=0.05)
     frequencies, shapes = by_poles(np.asarray(transition), np.asarray(output), 20.0)
     ours = identify_modes(record)
     for frequency, shape in zip(ours.frequencies, ours.mode_shapes, strict=True):

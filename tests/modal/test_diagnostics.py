@@ -157,9 +157,7 @@ def test_functions_give_the_masses():
     np.testing.assert_allclose(result.frequencies, TWO_STORY_FREQUENCIES, rtol=2e-4)
     np.testing.assert_allclose(result.damping_ratios, 0.01, rtol=0.02)
     assert result.mass_normalized
-    np.testing.assert_allclose(
-        np.linalg.inv(result.mode_shapes.T @ result.mode_shapes), np.diag([2.0, 1.0]), atol=0.02
-    )
+    np.testing.assert_allclose(np.linalg.inv(result.mode_shapes.T @ result.mode_shapes), np.diag([2.0, 1.0]), atol=0.02)
     assert not found(result, "reciprocity")
 
 

@@ -25,9 +25,7 @@ def mini(name, **options):
 
 
 @needs_mini_table
-@pytest.mark.parametrize(
-    ("name", "expected"), [("flexible-northridge", FLEXIBLE), ("stiff-northridge", STIFF)]
-)
+@pytest.mark.parametrize(("name", "expected"), [("flexible-northridge", FLEXIBLE), ("stiff-northridge", STIFF)])
 def test_mini_table(name, expected):
     frequencies, shapes = expected
     result = mini(name)
@@ -85,9 +83,7 @@ def test_southampton(tmp_path):
     np.testing.assert_allclose(result.frequencies, [6.512, 17.461, 26.502], rtol=3e-4)
     np.testing.assert_allclose(result.damping_ratios, [0.0017, 0.0024, 0.0022], atol=1e-4)
     scaled = result.mode_shapes / np.max(np.abs(result.mode_shapes), axis=1, keepdims=True)
-    np.testing.assert_allclose(
-        scaled, [(0.479, 0.827, 1), (1, 0.358, -0.783), (-0.723, 1, -0.480)], atol=0.005
-    )
+    np.testing.assert_allclose(scaled, [(0.479, 0.827, 1), (1, 0.358, -0.783), (-0.723, 1, -0.480)], atol=0.005)
     assert result.mass_normalized
     masses = np.diag(np.linalg.inv(result.mode_shapes.T @ result.mode_shapes))
     assert np.all((masses > 4.8) & (masses < 5.4))

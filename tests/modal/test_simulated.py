@@ -115,9 +115,7 @@ def two_story_decay(seed: int, noise: float, window: float | None = None) -> Tim
     if window is not None:
         values = values * np.exp(-time / window)[:, None]
     channels = (Channel("a1", 1), Channel("a2", 2))
-    return TimeRecord(
-        channels, runs=(Run(values),), sampling_rate=100.0, input="free_decay", exponential_window=window
-    )
+    return TimeRecord(channels, runs=(Run(values),), sampling_rate=100.0, input="free_decay", exponential_window=window)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01])
