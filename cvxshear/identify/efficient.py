@@ -10,16 +10,20 @@ import numpy as np
 from cvxshear.backends import Backend
 from cvxshear.effects import Placed
 from cvxshear.effects.composition import slices
-from cvxshear.errors import CvxshearError, NoSolutionError
+from cvxshear.errors import CvxshearError, InputError, NoSolutionError
 from cvxshear.experiment import Experiment
 from cvxshear.identify.domain import domain_of, refuse_contradicting
 from cvxshear.identify.gauss_newton import CONVERGED_STEP, Domain, Fit, gauss_newton
 from cvxshear.identify.misfit import Misfit
 from cvxshear.identify.quality import Quality, quality
 from cvxshear.identify.results import IdentifiedFrame, Part, Prediction, predictions
-from cvxshear.identify.start import starts
+from cvxshear.identify.smooth import smooth_start
+from cvxshear.identify.start import starts, uniform
 from cvxshear.identify.uncertainty import Uncertainty, uncertainty
 from cvxshear.typing import Floats
+
+FAR_OFF = 100.0
+"""Chi-square a datum beyond which a starting point is not near the data: errors of ten standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,8 +157,8 @@ def fitted(misfit: Misfit, theta: Floats, backend: Backend, tolerance: float = C
 def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed] = ()) -> Estimate:
     """Fit floor masses, story stiffnesses and effects to all configurations together.
 
-    The starting points are tried in order until one leads to a fit that the data do not speak against; the
-    best is kept.
+    The starting points are tried, the nearest to the data first, until one leads to a fit that the data do not speak
+    against; the best is kept.
 
     Parameters
     ----------
@@ -178,7 +182,7 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed
     own = np.array([value for placed in effects for value in placed.start])
     best: Estimate | None = None
     failure: CvxshearError | None = None
-    for start in starts(experiment):
+    for start in _nearest_first(misfit, own):
         try:
             found = fitted(misfit, np.concatenate([start, own]), backend)
         except NoSolutionError as error:
@@ -191,3 +195,20 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed
     if best is None:
         raise failure if failure is not None else NoSolutionError(backend.name, "no starting point has modes")
     return best
+
+
+def _nearest_first(misfit: Misfit, own: Floats) -> list[Floats]:
+    """The starting points, the nearest to the data first; before them a smooth frame where none of them is near."""
+
+    def chi2(start: Floats) -> float:
+        try:
+            return misfit.evaluate(np.concatenate([start, own]), derivatives=False).chi2
+        except InputError:
+            return float("inf")
+
+    points = starts(misfit.experiment)
+    far = {id(point): chi2(point) for point in points}
+    ordered = sorted(points, key=lambda point: far[id(point)])
+    if far[id(ordered[0])] <= FAR_OFF * misfit.count(np.concatenate([ordered[0], own])):
+        return ordered
+    return [smooth_start(misfit.experiment, uniform(misfit.experiment)), *ordered]

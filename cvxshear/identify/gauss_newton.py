@@ -1,4 +1,10 @@
-"""Gauss-Newton: every step is one least-squares program, and no step makes the fit worse."""
+"""Gauss-Newton: every step is one least-squares program, and no step makes the fit worse.
+
+Where the data hardly determine some direction a plain step leads far along it, out of the range in which the model is
+nearly linear. Where no plain step lowers the misfit it is damped (Levenberg 1944, Marquardt 1963): rows that hold each
+parameter back, weighed against the sensitivity of the data to it, heavier after a step that failed and lighter after
+one that did what the linearised model promised (Nielsen 1999).
+"""
 
 from __future__ import annotations
 
@@ -8,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.backends import Backend, Solution
-from cvxshear.errors import InputError
+from cvxshear.errors import InputError, NoSolutionError
 from cvxshear.identify.misfit import Evaluation, Misfit
 from cvxshear.priors import Constraints
 from cvxshear.programs import LeastSquares
@@ -20,11 +26,21 @@ CONVERGED_STEP = 1e-6
 """Largest change of a residual, in standard deviations and relative to their root mean square where that is above
 one, of a step that counts as none."""
 
-MOST_STEPS = 60
-MOST_HALVINGS = 30
-DAMPING = 1e-7
+MOST_STEPS = 100
+HALVINGS = 2
+"""Times that a step is halved before it is damped."""
+
+LEAST_DAMPING = 1e-7
 """Weight of the rows that hold a step back, relative to the sensitivity of the data to each parameter. They move no
 stationary point; they keep a step along a direction that the data do not determine from being arbitrary."""
+
+FIRST_DAMPING = 1e-2
+MOST_DAMPING = 1e6
+"""Weights at which a step is damped for the first time, and beyond which there is no step left to try."""
+
+FLAT = 0.1
+FLAT_STEPS = 3
+"""Decrease of chi-square, where its mean a datum is one, that this many damped steps in a row must bring to go on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +53,8 @@ class Fit:
     at : Evaluation
         Residuals and derivatives there.
     reason : str
-        "step below tolerance", "no step lowers the misfit", or "step limit".
+        "step below tolerance", "no step lowers the misfit", "misfit flat along directions that the data hardly
+        determine", or "step limit".
     steps : int
         Number of step programs solved.
     """
@@ -72,12 +89,45 @@ class Domain:
     interval_std: Floats
 
 
-def step_program(at: Evaluation, theta: Floats, domain: Domain) -> LeastSquares:
-    """The program of one step d: minimize |J d + r|^2, theta + d within its domain."""
+class _Damping:
+    """The weight of the rows that hold a step back."""
+
+    def __init__(self) -> None:
+        self.weight = LEAST_DAMPING
+        self._factor = 2.0
+
+    @property
+    def active(self) -> bool:
+        """Whether it holds a step back by more than rounding."""
+        return self.weight > LEAST_DAMPING
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether more would leave nothing of the step."""
+        return self.weight > MOST_DAMPING
+
+    def heavier(self) -> None:
+        """After a step that failed: more, and faster with each that fails."""
+        self.weight = max(self._factor * self.weight, FIRST_DAMPING)
+        self._factor *= 2.0
+
+    def lighter(self, kept: float) -> None:
+        """After a step that kept this part of what the linearised model promised."""
+        self.weight = max(LEAST_DAMPING, self.weight * max(1.0 / 3.0, 1.0 - (2.0 * kept - 1.0) ** 3))
+        self._factor = 2.0
+        if self.weight < FIRST_DAMPING / 100.0:
+            self.weight = LEAST_DAMPING
+
+
+def step_program(at: Evaluation, theta: Floats, domain: Domain, damping: float = LEAST_DAMPING) -> LeastSquares:
+    """The program of one step d: minimize |J d + r|^2 + |damping D d|^2, theta + d within its domain.
+
+    D is the diagonal of the lengths of J's columns.
+    """
     sensitivity = np.linalg.norm(at.J, axis=0)
-    damping = DAMPING * np.where(sensitivity > 0, sensitivity, 1.0)
+    held = damping * np.where(sensitivity > 0, sensitivity, 1.0)
     program = LeastSquares(
-        R=np.concatenate([at.J, np.diag(damping)]),
+        R=np.concatenate([at.J, np.diag(held)]),
         s=np.concatenate([-at.r, np.zeros(len(theta))]),
     )
     return constrained(program, domain.statements, theta)
@@ -110,26 +160,44 @@ def gauss_newton(
     """
     theta = _made_feasible(theta, domain, backend)
     at = misfit.evaluate(theta)
+    damping, flat = _Damping(), 0
     solution: Solution | None = None
     for step in range(1, MOST_STEPS + 1):
-        solution = backend.solve(step_program(at, theta, domain), solution)
+        try:
+            solution = backend.solve(step_program(at, theta, domain, damping.weight), solution)
+        except NoSolutionError:
+            # A program so badly conditioned that the solver gives up is better conditioned with more damping.
+            if damping.exhausted:
+                raise
+            damping.heavier()
+            continue
         d = solution.x
         rms = np.sqrt(at.chi2 / max(len(at.r), 1))
-        if np.max(np.abs(at.J @ d), initial=0.0) < tolerance * max(1.0, rms):
+        if not damping.active and np.max(np.abs(at.J @ d), initial=0.0) < tolerance * max(1.0, rms):
             return Fit(theta, at, "step below tolerance", step)
-        taken = _halved(misfit, theta, d, at)
+        taken = _halved(misfit, theta, d, at, 0 if damping.active else HALVINGS)
         if taken is None:
-            return Fit(theta, at, "no step lowers the misfit", step)
+            if damping.exhausted:
+                return Fit(theta, at, "no step lowers the misfit", step)
+            damping.heavier()
+            continue
+        gain, before = at.chi2 - taken[1].chi2, at
         theta, at = taken
+        if damping.active:
+            flat = flat + 1 if gain < FLAT * max(1.0, rms**2) else 0
+            if flat == FLAT_STEPS:
+                return Fit(theta, at, "misfit flat along directions that the data hardly determine", step)
+            promised = before.chi2 - float(np.sum((before.r + before.J @ d) ** 2))
+            damping.lighter(gain / promised if promised > 0 else 0.0)
     return Fit(theta, at, "step limit", MOST_STEPS)
 
 
-def _halved(misfit: Misfit, theta: Floats, d: Floats, at: Evaluation) -> tuple[Floats, Evaluation] | None:
+def _halved(
+    misfit: Misfit, theta: Floats, d: Floats, at: Evaluation, halvings: int
+) -> tuple[Floats, Evaluation] | None:
     """theta + d, or + d/2, d/4, ...: the first that lowers the misfit, evaluated; None where none does."""
-    length = 1.0
-    for _ in range(MOST_HALVINGS):
-        trial = theta + length * d
-        length *= 0.5
+    for power in range(halvings + 1):
+        trial = theta + 0.5**power * d
         try:
             # With derivatives at once: nearly always the first trial is taken, and they are needed then.
             found = misfit.evaluate(trial)

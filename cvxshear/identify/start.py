@@ -26,23 +26,46 @@ ROUNDS = 6
 SMALLEST = 0.05
 """Smallest start of a mass or stiffness, as a part of their mean: a start at zero is none."""
 
+TAPERS = (0.2, 0.4, 0.6, 0.8)
+"""Parts of the bottom story's stiffness by which the top story's is smaller."""
+
 
 def starts(experiment: Experiment) -> list[Floats]:
-    """Starting points theta, each of shape (2N,): design values, the story equations, frames of uniform stiffness.
+    """Starting points theta, each of shape (2N,), masses and stiffnesses positive.
 
-    Design values are those of nominal priors on both, where there are any. The points are tried in this
-    order; each keeps masses and stiffnesses positive.
+    Design values, those of nominal priors on both, where there are any; the story equations; and frames of equal
+    masses, of uniform stiffness and of the stiffness that falls with height as the ratios of the frequencies say.
     """
-    uniform = _uniform(experiment, taper=0.0)
+    even = uniform(experiment)
     points = []
-    theta = uniform
+    theta = even
     for _ in range(1 if all(each.complete for each in experiment.configurations) else ROUNDS):
         try:
             theta = _from_story_equations(experiment, theta)
         except CvxshearError:
             break
         points.append(theta)
-    return [*_nominal(experiment), *points[-1:], uniform, _uniform(experiment, taper=0.6)]
+    return [*_nominal(experiment), *points[-1:], even, _tapered(experiment)]
+
+
+def _tapered(experiment: Experiment) -> Floats:
+    """The frame of `uniform` whose taper suits the frequencies best."""
+    return min((uniform(experiment, taper) for taper in TAPERS), key=lambda theta: _frequency_misfit(experiment, theta))
+
+
+def _frequency_misfit(experiment: Experiment, theta: Floats) -> float:
+    """Sum of the squared errors of the logarithms of the frequencies."""
+    n = experiment.stories
+    return sum(
+        float(np.sum(_log_eigenvalue_ratios(each, theta[:n], theta[n:]) ** 2)) for each in experiment.configurations
+    )
+
+
+def _log_eigenvalue_ratios(configuration: Configuration, mass: Floats, stiffness: Floats) -> Floats:
+    """log(measured / modelled) of the eigenvalues."""
+    found = modes(mass_matrix(mass + configuration.added_mass), stiffness_matrix(stiffness))
+    measured = (2 * np.pi * configuration.frequencies) ** 2
+    return np.log(measured / found.eigenvalues[configuration.modes - 1])
 
 
 def _nominal(experiment: Experiment) -> list[Floats]:
@@ -59,15 +82,11 @@ def _nominal(experiment: Experiment) -> list[Floats]:
 
 def _frequency_factor(experiment: Experiment, mass: Floats, stiffness: Floats) -> float:
     """By how much the stiffnesses must be multiplied for the mean logarithm of the frequencies to be right."""
-    ratios = []
-    for each in experiment.configurations:
-        found = modes(mass_matrix(mass + each.added_mass), stiffness_matrix(stiffness))
-        measured = (2 * np.pi * each.frequencies) ** 2
-        ratios.append(float(np.mean(np.log(measured / found.eigenvalues[each.modes - 1]))))
+    ratios = [np.mean(_log_eigenvalue_ratios(each, mass, stiffness)) for each in experiment.configurations]
     return float(np.exp(np.mean(ratios)))
 
 
-def _uniform(experiment: Experiment, taper: float) -> Floats:
+def uniform(experiment: Experiment, taper: float = 0.0) -> Floats:
     """A frame of equal masses and of stiffnesses that fall by `taper` to the top, at the right first frequency."""
     n = experiment.stories
     frame = experiment.frame
