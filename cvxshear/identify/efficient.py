@@ -151,7 +151,7 @@ def fitted(misfit: Misfit, theta: Floats, backend: Backend, tolerance: float = C
     domain = domain_of(misfit.experiment, misfit.effects, theta)
     fit = gauss_newton(misfit, theta, domain, backend, tolerance)
     names = parameter_names(misfit.experiment, misfit.effects)
-    return Estimate(misfit, domain, fit, uncertainty(fit.at.J, fit.theta, domain, names))
+    return Estimate(misfit, domain, fit, uncertainty(fit.at.triangle[0], fit.theta, domain, names))
 
 
 def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed] = ()) -> Estimate:

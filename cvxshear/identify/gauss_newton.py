@@ -124,12 +124,10 @@ def step_program(at: Evaluation, theta: Floats, domain: Domain, damping: float =
 
     D is the diagonal of the lengths of J's columns.
     """
-    sensitivity = np.linalg.norm(at.J, axis=0)
+    U, c = at.triangle
+    sensitivity = np.linalg.norm(U, axis=0)
     held = damping * np.where(sensitivity > 0, sensitivity, 1.0)
-    program = LeastSquares(
-        R=np.concatenate([at.J, np.diag(held)]),
-        s=np.concatenate([-at.r, np.zeros(len(theta))]),
-    )
+    program = LeastSquares(R=np.concatenate([U, np.diag(held)]), s=np.concatenate([-c, np.zeros(len(theta))]))
     return constrained(program, domain.statements, theta)
 
 

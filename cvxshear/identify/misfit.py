@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -18,7 +19,7 @@ from scipy.optimize import linear_sum_assignment
 from cvxshear.effects import Placed, compose
 from cvxshear.errors import InputError
 from cvxshear.experiment import Configuration, Experiment
-from cvxshear.frame import Modes, mode_derivatives, modes
+from cvxshear.frame import Modes, System, mode_derivatives, modes
 from cvxshear.typing import Bools, Floats, Ints
 
 PAIRED = 0.5
@@ -98,7 +99,7 @@ class Evaluation:
     r : ndarray, shape (d,)
         Model less measurement in standard deviations.
     J : ndarray, shape (d, P)
-        dr/dtheta; of no rows where it was not asked for.
+        dr/dtheta, its columns those asked for; of no rows where none was.
     matches : tuple of Match
         One a configuration.
     """
@@ -111,6 +112,16 @@ class Evaluation:
     def chi2(self) -> float:
         """Sum of squares of the residuals."""
         return float(self.r @ self.r)
+
+    @cached_property
+    def triangle(self) -> tuple[Floats, Floats]:
+        """U and c with |J x + r|^2 = |U x + c|^2 + constant for every x: J = Q U, c = Q' r, at most P rows.
+
+        All that a step and its uncertainty need of J; there are many more data than parameters.
+        """
+        whole = np.asarray(np.linalg.qr(np.column_stack([self.J, self.r]), mode="r"))
+        P = self.J.shape[1]
+        return whole[:P, :P], whole[:P, P]
 
 
 class Misfit:
@@ -142,13 +153,16 @@ class Misfit:
         """Number of data, soft priors included."""
         return sum(target.count for target in self.targets) + len(self._soft(theta)[0])
 
-    def evaluate(self, theta: Floats, *, derivatives: bool = True) -> Evaluation:
+    def evaluate(self, theta: Floats, *, derivatives: bool = True, by: slice = slice(None)) -> Evaluation:
         """Residuals, and their derivatives unless told otherwise.
 
         Parameters
         ----------
         theta : ndarray, shape (P,)
             Floor masses without added mass, story stiffnesses, effect parameters.
+        derivatives : bool, optional
+        by : slice, optional
+            The parameters by which derivatives are wanted, all where not given.
 
         Raises
         ------
@@ -170,18 +184,19 @@ class Misfit:
             parts += [frequency * target.frequency_weights, shape.ravel()]
             matches.append(Match(found, paired, scale[:, None] * psi))
             if derivatives:
-                dlam, dphi = mode_derivatives(found, state.system, paired)
+                system, d_gain = state.system, state.d_gain[by]
+                dlam, dphi = mode_derivatives(found, System(system.M, system.K, system.dM[by], system.dK[by]), paired)
                 rows.append((dlam * (0.5 * target.frequency_weights / found.eigenvalues[paired])).T)
                 dpsi = dphi[:, target.floors].transpose(0, 2, 1) * state.gain[target.floors]
-                dpsi += psi / state.gain[target.floors] * state.d_gain[:, None, target.floors]
+                dpsi += psi / state.gain[target.floors] * d_gain[:, None, target.floors]
                 dshape = target.weights * scale[:, None] * dpsi
                 if unit is not None:
                     dshape -= unit * np.sum(unit * dshape, axis=2, keepdims=True)
-                rows.append(dshape.reshape(len(theta), -1).T)
+                rows.append(dshape.reshape(len(dlam), -1).T)
         r, J = self._soft(theta)
         return Evaluation(
             np.concatenate([*parts, r]),
-            np.concatenate([*rows, J]) if derivatives else np.zeros((0, len(theta))),
+            np.concatenate([*rows, J[:, by]]) if derivatives else np.zeros((0, len(theta))),
             tuple(matches),
         )
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -39,11 +40,12 @@ class Uncertainty:
 
     Parameters
     ----------
-    root : ndarray, shape (P, f)
-        Directions that the constraints leave free, bounds that are touched held, each of unit effect on the data:
-        J root has orthonormal columns.
-    reach : ndarray, shape (P, g)
-        The same with parameters of an interval free to leave its ends.
+    J : ndarray, shape (d, P)
+        Derivatives of the standardized residuals, or a triangular factor of them.
+    equalities : ndarray, shape (a, P)
+        Rows on which every change is zero.
+    touching, ends : ndarray, shapes (t, P) and (e, P)
+        Rows of the inequalities that hold with equality: of bounds, and of the ends of a parameter's interval.
     interval_std : ndarray, shape (P,)
         Standard deviation that an interval of physical values stands for; infinite where there is none.
     determined : ndarray of bool, shape (P,)
@@ -55,13 +57,28 @@ class Uncertainty:
         Parameters that sit on a bound.
     """
 
-    root: Floats
-    reach: Floats
+    J: Floats
+    equalities: Floats
+    touching: Floats
+    ends: Floats
     interval_std: Floats
     determined: Bools
     null_directions: tuple[tuple[str, ...], ...]
     free: int
     active: tuple[str, ...]
+
+    @cached_property
+    def root(self) -> Floats:
+        """Directions that the constraints leave free, bounds that are touched held, each of unit effect on the data.
+
+        Shape (P, f); J root has orthonormal columns.
+        """
+        return _unit_directions(self.J, np.concatenate([self.equalities, self.touching, self.ends]))
+
+    @cached_property
+    def reach(self) -> Floats:
+        """The same with parameters of an interval free to leave its ends, shape (P, g)."""
+        return _unit_directions(self.J, np.concatenate([self.equalities, self.touching]))
 
     def covariance(self, noise: float = 1.0) -> Floats:
         """Covariance of the determined part, shape (P, P), in the parameters' own units.
@@ -93,39 +110,42 @@ def uncertainty(J: Floats, theta: Floats, domain: Domain, names: Sequence[str]) 
     Parameters
     ----------
     J : ndarray, shape (d, P)
-        Derivatives of the standardized residuals.
+        Derivatives of the standardized residuals, or a triangular factor of them.
     theta : ndarray, shape (P,)
     domain : Domain
     names : sequence of str
         Of the P parameters.
     """
     here = constrained(LeastSquares(R=J, s=np.zeros(len(J))), domain.statements, theta)
-    length = np.linalg.norm(J, axis=0)
-    unit = 1.0 / np.where(length > 0, length, 1.0)
+    unit = _units(J)
     A, _ = here.equalities
     G, h = here.inequalities
     touching = G[h <= TOUCHING * np.linalg.norm(G * unit, axis=1)]
-    free = _null_space(A * unit)
-    determined, null = _split(J * unit, free)
+    determined, null = _split(J * unit, _null_space(A * unit))
     ends = np.any(touching[:, np.isfinite(domain.interval_std)], axis=1)
     open_part = np.linalg.norm(null, axis=1) if null.size else np.zeros(len(theta))
     return Uncertainty(
-        root=_unit_directions(J, unit, np.concatenate([A, touching])),
-        reach=_unit_directions(J, unit, np.concatenate([A, touching[~ends]])),
+        J=J,
+        equalities=A,
+        touching=touching[~ends],
+        ends=touching[ends],
         interval_std=domain.interval_std,
         determined=open_part < 1e-4,
         null_directions=tuple(_words(column, names) for column in null.T),
         free=determined[0].shape[1],
-        active=tuple(
-            name
-            for name, row in zip(names, touching.T if len(touching) else [()] * len(names), strict=True)
-            if np.any(row)
-        ),
+        active=tuple(name for name, on in zip(names, np.any(touching, axis=0), strict=True) if on),
     )
 
 
-def _unit_directions(J: Floats, unit: Floats, held: Floats) -> Floats:
+def _units(J: Floats) -> Floats:
+    """The change of each parameter that changes the data by one; one where none does."""
+    length = np.linalg.norm(J, axis=0)
+    return 1.0 / np.where(length > 0, length, 1.0)
+
+
+def _unit_directions(J: Floats, held: Floats) -> Floats:
     """Directions on which the held rows are zero and that the data determine, each of unit effect on the data."""
+    unit = _units(J)
     (basis, values), _ = _split(J * unit, _null_space(held * unit))
     return unit[:, None] * (basis / values)
 

@@ -11,13 +11,13 @@ import numpy as np
 
 from cvxshear.backends import Backend
 from cvxshear.effects import Effect, Placed
-from cvxshear.errors import CvxshearError
+from cvxshear.errors import CvxshearError, InputError
 from cvxshear.experiment import Experiment
-from cvxshear.identify.efficient import Estimate, parameter_names
+from cvxshear.identify.efficient import Estimate
 from cvxshear.identify.misfit import Misfit
-from cvxshear.identify.uncertainty import NULL, TAKES_PART
 from cvxshear.loop.fitter import Fitter
 from cvxshear.loop.significance import log_p_gain
+from cvxshear.loop.tangent import Tangent
 from cvxshear.parallel import each
 from cvxshear.typing import Floats, Json
 
@@ -88,12 +88,13 @@ def possible(experiment: Experiment, effects: Sequence[Effect], taken: Sequence[
     ]
 
 
-def fit_candidates(base: Estimate, placed: Sequence[Placed], fitter: Fitter) -> list[Candidate]:
-    """Fit the model of `base` with each of these effects added, best first.
+def fit_candidates(tangent: Tangent, placed: Sequence[Placed], fitter: Fitter) -> list[Candidate]:
+    """Fit the tangent's model with each of these effects added, best first.
 
     Admissible candidates come first, in order of the significance of their gain.
     """
-    rough = _roughly(base, placed, fitter)
+    base = tangent.base
+    rough = _roughly(tangent, placed, fitter)
     best = min((item.estimate.chi2 for item in rough if item.estimate is not None), default=np.inf)
     reach = best + IN_REACH * _noise(base, best)
     found = [
@@ -105,20 +106,20 @@ def fit_candidates(base: Estimate, placed: Sequence[Placed], fitter: Fitter) -> 
     )
 
 
-def _roughly(base: Estimate, placed: Sequence[Placed], fitter: Fitter) -> list[Candidate]:
+def _roughly(tangent: Tangent, placed: Sequence[Placed], fitter: Fitter) -> list[Candidate]:
     """The rough fit of each candidate, over processes where the fitter has several."""
     if fitter.jobs == 1 or len(placed) < 2:
-        return [fit_candidate(base, item, fitter, ROUGH) for item in placed]
-    found = each(partial(_counted, base, fitter.backend), placed, jobs=fitter.jobs)
+        return [fit_candidate(tangent, item, fitter, ROUGH) for item in placed]
+    found = each(partial(_counted, tangent, fitter.backend), placed, jobs=fitter.jobs)
     fitter.fits += sum(fits for _, fits, _ in found)
     fitter.programs += sum(programs for _, _, programs in found)
-    return [_own(base, item, candidate) for item, (candidate, _, _) in zip(placed, found, strict=True)]
+    return [_own(tangent.base, item, candidate) for item, (candidate, _, _) in zip(placed, found, strict=True)]
 
 
-def _counted(base: Estimate, backend: Backend, placed: Placed) -> tuple[Candidate, int, int]:
+def _counted(tangent: Tangent, backend: Backend, placed: Placed) -> tuple[Candidate, int, int]:
     """A rough fit in another process, with the fits and programs that it took."""
     fitter = Fitter(backend)
-    return fit_candidate(base, placed, fitter, ROUGH), fitter.fits, fitter.programs
+    return fit_candidate(tangent, placed, fitter, ROUGH), fitter.fits, fitter.programs
 
 
 def _own(base: Estimate, placed: Placed, found: Candidate) -> Candidate:
@@ -144,62 +145,27 @@ def _refined(base: Estimate, rough: Candidate, fitter: Fitter) -> Candidate:
     return dataclasses.replace(rough, estimate=estimate, log_p=log_p_gain(base, estimate) if rough.admissible else 0.0)
 
 
-def fit_candidate(base: Estimate, placed: Placed, fitter: Fitter, tolerance: float) -> Candidate:
-    """Fit the model of `base` with one more effect, starting from where `base` ended."""
-    if not score(base, placed).determined:
-        return Candidate(placed, None, 0.0, confounded_with=confounders(base, placed))
+def fit_candidate(tangent: Tangent, placed: Placed, fitter: Fitter, tolerance: float) -> Candidate:
+    """Fit the tangent's model with one more effect, starting from where it ended."""
+    base = tangent.base
+    if not tangent.score(placed).determined:
+        return Candidate(placed, None, 0.0, confounded_with=tangent.confounders(placed))
+    misfit = Misfit(base.experiment, (*base.effects, placed))
     try:
-        estimate = fitter.fit(
-            Misfit(base.experiment, (*base.effects, placed)), np.concatenate([base.theta, placed.start]), tolerance
-        )
+        estimate = fitter.fit(misfit, _nearer_start(misfit, tangent, placed), tolerance)
     except CvxshearError as error:
         return Candidate(placed, None, 0.0, failure=str(error))
     if not np.all(estimate.uncertainty.determined[estimate.own(placed)]):
-        return Candidate(placed, estimate, 0.0, confounded_with=confounders(base, placed))
+        return Candidate(placed, estimate, 0.0, confounded_with=tangent.confounders(placed))
     return Candidate(placed, estimate, log_p_gain(base, estimate))
 
 
-@dataclass(frozen=True)
-class Score:
-    """What an effect would do to a fit, from derivatives alone.
-
-    Parameters
-    ----------
-    gain : float
-        Decrease of chi-square that the linearised model promises (Rao's score test).
-    determined : bool
-        Whether the data tell the effect's parameters from those already in the model.
-    """
-
-    gain: float
-    determined: bool
-
-
-def score(base: Estimate, placed: Placed) -> Score:
-    """The score of an effect at its null value, all other parameters following."""
-    g = sensitivity(base, placed)
-    known = base.fit.at.J @ base.uncertainty.root
-    own = g - known @ (known.T @ g)
-    lengths, left = np.linalg.norm(g, axis=0), np.linalg.norm(own, axis=0)
-    if np.any(left <= NULL * np.maximum(lengths, 1e-300)):
-        return Score(0.0, determined=False)
-    basis, _ = np.linalg.qr(own)
-    return Score(float(np.sum((basis.T @ base.fit.at.r) ** 2)), determined=True)
-
-
-def sensitivity(base: Estimate, placed: Placed) -> Floats:
-    """Derivative of the residuals by an effect's parameters at its null value, shape (d, p)."""
-    misfit = Misfit(base.experiment, (*base.effects, placed))
-    null = [item.null for item in placed.effect.parameters]
-    return misfit.evaluate(np.concatenate([base.theta, null])).J[:, len(base.theta) :]
-
-
-def confounders(base: Estimate, placed: Placed) -> tuple[str, ...]:
-    """The parameters whose change, as far as they are free, does what an effect does; largest share first."""
-    root = base.uncertainty.root
-    J = base.fit.at.J
-    change = root @ ((J @ root).T @ sensitivity(base, placed).sum(axis=1))
-    share = np.abs(change) * np.linalg.norm(J, axis=0)
-    names = parameter_names(base.experiment, base.effects)
-    order = np.argsort(-share, kind="stable")
-    return tuple(names[i] for i in order if share[i] > TAKES_PART * share[order[0]])
+def _nearer_start(misfit: Misfit, tangent: Tangent, placed: Placed) -> Floats:
+    """The linearised model's minimum, or the fit as it is with the effect's own start: the one that fits better."""
+    plain, predicted = np.concatenate([tangent.base.theta, placed.start]), tangent.predicted(placed)
+    try:
+        better = misfit.evaluate(predicted, derivatives=False).chi2 < misfit.evaluate(plain, derivatives=False).chi2
+    except InputError:
+        # Outside the model's domain: the linearised model is no guide here.
+        return plain
+    return predicted if better else plain

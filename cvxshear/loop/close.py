@@ -14,7 +14,7 @@ from cvxshear.errors import InputError
 from cvxshear.experiment import Experiment
 from cvxshear.identify.efficient import Estimate, efficient
 from cvxshear.identify.misfit import Misfit
-from cvxshear.loop.candidates import Candidate, fit_candidates, parameters_of, possible, score
+from cvxshear.loop.candidates import Candidate, fit_candidates, parameters_of, possible
 from cvxshear.loop.fitter import Fitter
 from cvxshear.loop.held_out import held_out_frequency_error
 from cvxshear.loop.information import information
@@ -22,6 +22,7 @@ from cvxshear.loop.next_test import next_test
 from cvxshear.loop.residual import where_it_sits
 from cvxshear.loop.results import Closure, Found, Step
 from cvxshear.loop.significance import FAMILY_LEVEL, RESIDUAL_LEVEL, log_p_gain, not_worse, significant_gain
+from cvxshear.loop.tangent import Tangent
 from cvxshear.priors import Prior
 
 MOST_EFFECTS = 6
@@ -106,6 +107,7 @@ class _Loop:
         self.ranking: list[Candidate] = []
         self.declared: tuple[Placed, ...] = ()
         self._fitted: dict[frozenset[Placed], list[Candidate]] = {}
+        self._last_tangent: Tangent | None = None
 
     @property
     def now(self) -> Estimate:
@@ -165,16 +167,23 @@ class _Loop:
         p_value = base.quality.p_value
         if p_value is None or p_value < FAMILY_LEVEL:
             return True
-        best = max(score(base, placed).gain for placed in there)
+        tangent = self._tangent(base)
+        best = max(tangent.score(placed).gain for placed in there)
         return significant_gain(float(stats.chi2.logsf(best, 1)), len(there))
 
     def _candidates(self, base: Estimate, there: Sequence[Placed]) -> list[Candidate]:
         """The candidates fitted on top of a base; the same base is not fitted to again."""
         key = frozenset(base.effects)
         if key not in self._fitted:
-            self._fitted[key] = fit_candidates(base, there, self.fitter)
+            self._fitted[key] = fit_candidates(self._tangent(base), there, self.fitter)
         wanted = set(there)
         return [item for item in self._fitted[key] if item.placed in wanted]
+
+    def _tangent(self, base: Estimate) -> Tangent:
+        """The linearised model at a fit, made once."""
+        if self._last_tangent is None or self._last_tangent.base is not base:
+            self._last_tangent = Tangent(base)
+        return self._last_tangent
 
     def _note_family_p(self, best: Candidate, family: int) -> None:
         """With an estimated noise scale, the residual's test is that of the best candidate among all."""
