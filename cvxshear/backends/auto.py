@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 from cvxshear.backends.base import ACCEPTED, Backend, certify
 from cvxshear.backends.canonical import Answer, Canonical
+from cvxshear.backends.solution import Solution
 from cvxshear.errors import NoSolutionError, UnsuitableError
 
 
@@ -34,26 +35,26 @@ class Auto(Backend):
         self._definite = tuple(definite)
         self._singular = tuple(singular)
 
-    def whole_answer(self, problem: Canonical) -> Answer:
-        return self.answer(problem)
-
     def answer(self, problem: Canonical) -> Answer:
+        return self.whole_answer(problem)
+
+    def whole_answer(self, problem: Canonical, start: Solution | None = None) -> Answer:
         try:
             return self._closed_form.answer(problem)
         except UnsuitableError:
-            return self._general(problem)
+            return self._general(problem, start)
         except NoSolutionError:
             if not len(problem.F):
                 raise
-            return self._general(problem)
+            return self._general(problem, start)
 
-    def _general(self, problem: Canonical) -> Answer:
+    def _general(self, problem: Canonical, start: Solution | None) -> Answer:
         """The first answer of a general solver whose certificate is good; else the first one's failure or answer."""
         failure: NoSolutionError | None = None
         inaccurate: Answer | None = None
         for backend in self._singular if problem.singular else self._definite:
             try:
-                found = backend.whole_answer(problem)
+                found = backend.whole_answer(problem, start)
             except NoSolutionError as error:
                 failure = failure or error
                 continue

@@ -39,9 +39,9 @@ class Backend(ABC):
             With the solver's reason, where it did not solve it.
         """
 
-    def whole_answer(self, problem: Canonical) -> Answer:
+    def whole_answer(self, problem: Canonical, start: Solution | None = None) -> Answer:
         """Solve the scaled program, `answer` seeing the inequalities that matter alone (`working_set`)."""
-        return working_set.answered(self.answer, problem)
+        return working_set.answered(self.answer, problem.starting_at(start))
 
     def solve(self, program: LeastSquares, start: Solution | None = None) -> Solution:
         """Solve a program, and certify the solution.
@@ -70,7 +70,9 @@ class Backend(ABC):
         """
         began = time.perf_counter()
         problem = canonical(program)
-        answer = self.whole_answer(problem if start is None else problem.starting_at(start))
+        if start is not None:
+            problem.refuse_start(start)
+        answer = self.whole_answer(problem, start)
         certificate = certify(problem, answer)
         if not certificate.worst <= ACCEPTED:
             raise NoSolutionError(

@@ -101,13 +101,12 @@ class Canonical:
             start = dataclasses.replace(start, w=start.w[inequalities])
         return dataclasses.replace(self, F=self.F[inequalities], f=self.f[inequalities], start=start)
 
-    def starting_at(self, solution: Solution) -> Canonical:
-        """The program with a solution of a program of the same shape as its start.
+    def refuse_start(self, solution: Solution) -> None:
+        """Raise where a solution is of a program of another shape.
 
         Raises
         ------
         InputError
-            Where the shapes differ.
         """
         y, w = solution.equality_multipliers, solution.inequality_multipliers
         if (len(solution.x), len(y), len(w)) != (len(self.q), len(self._independent), len(self.f)):
@@ -115,6 +114,12 @@ class Canonical:
                 f"start must be a solution of a program of {len(self.q)} unknowns, {len(self._independent)} equalities "
                 f"and {len(self.f)} inequalities, not of {len(solution.x)}, {len(y)} and {len(w)}"
             )
+
+    def starting_at(self, solution: Solution | None) -> Canonical:
+        """The program with a solution of a program of the same shape as its start, or with none."""
+        if solution is None:
+            return self
+        y, w = solution.equality_multipliers, solution.inequality_multipliers
         scaled = Answer(
             self.to_z(solution.x),
             y[self._independent] / (self._tau**2 * self._equality_scale),

@@ -7,6 +7,7 @@ import numpy as np
 from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
 from cvxshear.backends.nearest import nearest
+from cvxshear.backends.solution import Solution
 from cvxshear.errors import NoSolutionError, UnsuitableError
 
 
@@ -22,7 +23,7 @@ class Kkt(Backend):
 
     name = "kkt"
 
-    def whole_answer(self, problem: Canonical) -> Answer:
+    def whole_answer(self, problem: Canonical, start: Solution | None = None) -> Answer:
         return self.answer(problem)
 
     def answer(self, problem: Canonical) -> Answer:

@@ -50,6 +50,7 @@ def noise(
     samples: Annotated[int, typer.Option(help="Samples of each noise level and method.", min=2)] = 2000,
     seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 2023,
     methods: Annotated[str, typer.Option(help="Methods, commas between.")] = "two-stage,one-shot,efficient",
+    jobs: Annotated[int, typer.Option(help="Processes; -1 takes every core.")] = 1,
     figure: FigureOut = None,
     boxes: Annotated[str | None, typer.Option(help="Draw box plots (Fig. 5) into this file.", metavar="OUT")] = None,
     quiet: Quiet = False,
@@ -64,9 +65,9 @@ def noise(
 
     drawing = figures_for(figure, boxes)
     with progress("three stories", quiet) as advance:
-        three = noise_study(paper_setups(), tuple(names(methods) or ()), samples, seed, progress=advance)
+        three = noise_study(paper_setups(), tuple(names(methods) or ()), samples, seed, jobs=jobs, progress=advance)
     with progress("six stories", quiet) as advance:
-        six = six_story_study(samples, seed, progress=advance)
+        six = six_story_study(samples, seed, jobs=jobs, progress=advance)
     if drawing is not None and figure is not None:
         drawing.save(drawing.noise_variation(three), figure)
     if drawing is not None and boxes is not None:

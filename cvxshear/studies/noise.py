@@ -8,14 +8,16 @@ same data, and how often a stated 95 % interval holds the truth.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from cvxshear import checks
 from cvxshear.errors import InputError, NoSolutionError
 from cvxshear.identify import METHODS, identify
+from cvxshear.parallel import Progress, each
 from cvxshear.studies.batch import one_shot_batch, two_stage_batch
 from cvxshear.studies.cramer_rao import bound
 from cvxshear.studies.scatter import Scatter
@@ -30,9 +32,6 @@ SEED = 2023
 MOST_SAMPLES = 1_000_000
 LARGEST_SEED = 2**63
 COMPARED = ("two-stage", "one-shot", "efficient")
-
-Progress = Callable[[int, int], None]
-"""Called with the number of identifications done and to do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +53,9 @@ class NoiseStudy:
 
     def of(self, method: str, mode_shape_std: float | None = None) -> Scatter:
         """The first scatter of a method, at one noise level if given."""
-        for each in self.scatters:
-            if each.method == method and mode_shape_std in (None, each.setup.mode_shape_std):
-                return each
+        for scatter in self.scatters:
+            if scatter.method == method and mode_shape_std in (None, scatter.setup.mode_shape_std):
+                return scatter
         level = "" if mode_shape_std is None else f" at mode_shape_std {mode_shape_std:g}"
         raise InputError(f"the study has no method {method!r}{level}")
 
@@ -66,7 +65,7 @@ class NoiseStudy:
             "samples": self.samples,
             "seed": self.seed,
             "backend": self.backend,
-            "scatters": [each.to_dict() for each in self.scatters],
+            "scatters": [scatter.to_dict() for scatter in self.scatters],
         }
 
 
@@ -77,6 +76,7 @@ def noise_study(
     seed: int = SEED,
     *,
     backend: str = "auto",
+    jobs: int = 1,
     progress: Progress | None = None,
 ) -> NoiseStudy:
     """Identify many noisy measurements of known frames.
@@ -94,6 +94,8 @@ def noise_study(
     backend : str, optional
         For the methods that solve their programs sample by sample; two-stage and one-shot on complete data are
         done in closed form, all samples at once.
+    jobs : int, optional
+        Processes for those methods, -1 for every core; the figures do not depend on it.
     progress : callable, optional
         Called with the number of identifications done and to do.
 
@@ -118,7 +120,7 @@ def noise_study(
         for method in methods:
             shown = None if progress is None else _from(progress, len(scatters) * samples, total)
             began = time.perf_counter()
-            estimates, std = _estimates(setup, measured, method, backend, shown)
+            estimates, std = _estimates(setup, measured, method, backend, jobs, shown)
             scatters.append(Scatter(setup, method, estimates, std, least, time.perf_counter() - began))
     return NoiseStudy(tuple(scatters), samples, seed, backend)
 
@@ -129,7 +131,7 @@ def paper_setups(sigmas: Sequence[float] = SIGMAS) -> tuple[Setup, ...]:
 
 
 def six_story_study(
-    samples: int = SAMPLES, seed: int = SEED, *, backend: str = "auto", progress: Progress | None = None
+    samples: int = SAMPLES, seed: int = SEED, *, backend: str = "auto", jobs: int = 1, progress: Progress | None = None
 ) -> NoiseStudy:
     """The efficient method on incomplete data: six stories, four modes at five floors, noise on everything.
 
@@ -137,10 +139,11 @@ def six_story_study(
     ----------
     samples, seed : int, optional
     backend : str, optional
+    jobs : int, optional
     progress : callable, optional
         As for `noise_study`.
     """
-    return noise_study([six_story()], ("efficient",), samples, seed, backend=backend, progress=progress)
+    return noise_study([six_story()], ("efficient",), samples, seed, backend=backend, jobs=jobs, progress=progress)
 
 
 def _from(progress: Progress, before: int, total: int) -> Progress:
@@ -149,31 +152,41 @@ def _from(progress: Progress, before: int, total: int) -> Progress:
 
 
 def _estimates(
-    setup: Setup, measured: tuple[Floats, Floats], method: str, backend: str, progress: Progress | None
+    setup: Setup, measured: tuple[Floats, Floats], method: str, backend: str, jobs: int, progress: Progress | None
 ) -> tuple[Floats, Floats | None]:
     """Estimates and, where the method states any, standard deviations, shape (samples, 2N) each."""
     frequencies, shapes = measured
     samples = len(shapes)
-    estimates = np.full((samples, 2 * setup.stories), np.nan)
-    std = np.full(estimates.shape, np.nan) if method == "efficient" else None
+    both = np.full((samples, 2, 2 * setup.stories), np.nan)
     one_by_one = np.arange(samples)
     if setup.complete and method in ("two-stage", "one-shot"):
         total = float(setup.floor_mass.sum())
         closed_form = two_stage_batch if method == "two-stage" else one_shot_batch
         batch = closed_form(shapes, frequencies, total)
-        estimates = np.hstack([batch.floor_mass, batch.story_stiffness])
+        both[:, 0] = np.hstack([batch.floor_mass, batch.story_stiffness])
         one_by_one = np.flatnonzero(~batch.positive)
-    for place in one_by_one:
-        try:
-            found = identify(setup.experiment(frequencies[place], shapes[place]), method, backend).frame
-        except NoSolutionError:
-            continue  # counted: a row of nan is a sample without an answer
-        if found is not None:
-            estimates[place] = np.concatenate([found.floor_mass, found.story_stiffness])
-            if std is not None and found.floor_mass_std is not None and found.story_stiffness_std is not None:
-                std[place] = np.concatenate([found.floor_mass_std, found.story_stiffness_std])
-        if progress is not None:
-            progress(int(place) + 1, samples)
+    before = samples - len(one_by_one)
+    identified = each(
+        partial(_identified, setup, method, backend),
+        [(frequencies[place], shapes[place]) for place in one_by_one],
+        jobs=jobs,
+        progress=None if progress is None else lambda done, _: progress(before + done, samples),
+    )
+    both[one_by_one] = np.reshape(identified, (len(one_by_one), *both.shape[1:]))
     if progress is not None:
         progress(samples, samples)
-    return estimates, std
+    return both[:, 0], both[:, 1] if method == "efficient" else None
+
+
+def _identified(setup: Setup, method: str, backend: str, measured: tuple[Floats, Floats]) -> Floats:
+    """Masses and stiffnesses of one sample and their standard deviations, shape (2, 2N), nan where there are none."""
+    result = np.full((2, 2 * setup.stories), np.nan)
+    try:
+        found = identify(setup.experiment(*measured), method, backend).frame
+    except NoSolutionError:
+        return result  # counted: a row of nan is a sample without an answer
+    if found is not None:
+        result[0] = np.concatenate([found.floor_mass, found.story_stiffness])
+        if found.floor_mass_std is not None and found.story_stiffness_std is not None:
+            result[1] = np.concatenate([found.floor_mass_std, found.story_stiffness_std])
+    return result

@@ -114,6 +114,13 @@ def test_progress_counts_every_identification():
     assert seen[-1] == (12, 12)
 
 
+def test_two_processes_give_the_same_figures():
+    alone, together = (noise_study(paper_setups([0.03]), ("efficient",), 6, seed=9, jobs=jobs) for jobs in (1, 2))
+    np.testing.assert_array_equal(alone.scatters[0].estimates, together.scatters[0].estimates)
+    np.testing.assert_array_equal(alone.scatters[0].stated_std, together.scatters[0].stated_std)
+    assert np.all(np.isfinite(alone.scatters[0].stated_std))
+
+
 def test_a_method_that_cannot_use_the_data_says_so():
     with pytest.raises(UnsuitableError, match=r"two-stage cannot use .* it needs all 6 modes"):
         noise_study([six_story()], ("two-stage",), 5)
