@@ -238,7 +238,9 @@ def test_the_same_answers_from_every_backend(backend):
     assert found.effects[0].parameters["s"] == pytest.approx(expected.effects[0].parameters["s"], rel=1e-5)
 
 
-@pytest.mark.parametrize("backend", ["clarabel", "osqp", "quadprog", "daqp", "cvxpy-scs"])
+@pytest.mark.parametrize(
+    "backend", ["clarabel", "osqp", "quadprog", "daqp", "highs", "piqp", "proxqp", "scs", "cvxpy-scs"]
+)
 def test_the_same_answer_where_gamma_sits_on_its_bound(backend):
     of = cvxshear.load("paper")
     expected = close_loop(of, effects=["gravity"])

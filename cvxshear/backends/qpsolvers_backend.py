@@ -29,6 +29,10 @@ ACCURATE: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 """Accuracy settings a solver, chosen so that masses and stiffnesses agree with the closed form within 1e-6."""
 
+MAGNIFIED: dict[str, float] = {"highs": 1e4}
+"""Factor of the unknowns and the right sides. HiGHS takes a reduced gradient of some 1e-6 for none, whatever its
+tolerances; on greater numbers that is less."""
+
 
 class Qpsolvers(Backend):
     """One solver of qpsolvers.
@@ -44,11 +48,13 @@ class Qpsolvers(Backend):
     def __init__(self, name: str, options: dict[str, Any] | None = None) -> None:
         self.name = name
         self.options = ACCURATE.get(name, {}) if options is None else options
+        self._scale = MAGNIFIED.get(name, 1.0)
 
     def answer(self, problem: Canonical) -> Answer:
         stated = self._stated(problem)
         # Solvers that cannot begin at a point pass over it.
-        start = None if problem.start is None else problem.start.z
+        scale = self._scale
+        start = None if problem.start is None else scale * problem.start.z
         try:
             with warnings.catch_warnings():
                 # What a solver warns about (an inaccurate solution, an iteration limit) is either told by `found`
@@ -62,18 +68,19 @@ class Qpsolvers(Backend):
             raise NoSolutionError(self.name, f"no solution found (its status: {status})")
         y = np.zeros(len(problem.e)) if found.y is None or not len(problem.e) else np.asarray(found.y)
         w = np.zeros(len(problem.f)) if found.z is None or not len(problem.f) else np.asarray(found.z)
-        return Answer(np.asarray(found.x), y, w, status, _iterations(found.extras))
+        return Answer(np.asarray(found.x) / scale, y / scale, w / scale, status, _iterations(found.extras))
 
     def _stated(self, problem: Canonical) -> qpsolvers.Problem:
         """The problem in the solver's preferred matrix format: z'C'C z / 2 - (C'q)'z."""
+        scale = self._scale
         stored = np.asarray if self.name in qpsolvers.dense_solvers else sparse.csc_matrix
         return qpsolvers.Problem(
             stored(problem.C.T @ problem.C),
-            -problem.C.T @ problem.q,
+            -problem.C.T @ (scale * problem.q),
             stored(problem.F) if len(problem.f) else None,
-            problem.f if len(problem.f) else None,
+            scale * problem.f if len(problem.f) else None,
             stored(problem.E) if len(problem.e) else None,
-            problem.e if len(problem.e) else None,
+            scale * problem.e if len(problem.e) else None,
         )
 
 
