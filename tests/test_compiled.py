@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
+from cvxshear import UnsuitableError
 from cvxshear.backends import cvxpy_backend
 from cvxshear.backends.compiled import FIRST_MARK, Compiled, _places
 from cvxshear.programs import LeastSquares
@@ -57,5 +58,5 @@ def test_numbers_of_inequalities_up_to_a_power_of_two_are_one_shape(monkeypatch)
 
 def test_a_cvxpy_that_changes_the_parameters_is_noticed():
     data = {"A": sparse.csc_array(np.array([[FIRST_MARK, 2 * (FIRST_MARK + 1)]])), "b": np.array([7.0]), "dims": None}
-    with pytest.raises(NotImplementedError, match="do not hold the parameters as they are"):
+    with pytest.raises(UnsuitableError, match=r"does not hand .* as they are; choose a backend that is not cvxpy's"):
         dict(_places(data, 2))

@@ -17,6 +17,7 @@ import cvxpy as cp
 import numpy as np
 from scipy import sparse
 
+from cvxshear.errors import UnsuitableError
 from cvxshear.typing import Floats, Ints
 
 FIRST_MARK = 1001.0
@@ -103,6 +104,11 @@ class Compiled:
         As cvxpy calls it.
     options : dict
         The solver's own.
+
+    Raises
+    ------
+    UnsuitableError
+        Where this version of cvxpy changes the parameters on their way to the solver.
     """
 
     def __init__(self, of: Parametrised, solver: str, options: Mapping[str, Any]) -> None:
@@ -169,4 +175,7 @@ def _places(data: Mapping[str, Any], count: int) -> Iterator[tuple[str, _Filled]
         seen[number[at]] = True
         yield key, _Filled(array, at, number[at], np.sign(values[at]))
     if not np.all(seen):
-        raise NotImplementedError("this cvxpy's compiled problems do not hold the parameters as they are")
+        raise UnsuitableError(
+            f"cvxpy {cp.__version__} does not hand the parameters of a problem to its solver as they are; choose a "
+            "backend that is not cvxpy's, clarabel for one"
+        )

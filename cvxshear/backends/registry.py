@@ -40,7 +40,7 @@ def _through_cvxpy() -> dict[str, Backend]:
 
     from cvxshear.backends.cvxpy_backend import Cvxpy  # noqa: PLC0415
 
-    installed = cp.installed_solvers()  # type: ignore[no-untyped-call]
+    installed = cp.installed_solvers()  # type: ignore[no-untyped-call]  # cvxpy leaves it untyped
     return {item.name: item for item in (Cvxpy(name) for name in THROUGH_CVXPY if name in installed)}
 
 

@@ -198,7 +198,7 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed
 
 
 def _nearest_first(misfit: Misfit, own: Floats) -> list[Floats]:
-    """The starting points, the nearest to the data first; before them a smooth frame where none of them is near."""
+    """The starting points with modes, the nearest to the data first; before them a smooth frame where none is near."""
 
     def chi2(start: Floats) -> float:
         try:
@@ -206,9 +206,10 @@ def _nearest_first(misfit: Misfit, own: Floats) -> list[Floats]:
         except InputError:
             return float("inf")
 
-    points = starts(misfit.experiment)
-    far = {id(point): chi2(point) for point in points}
-    ordered = sorted(points, key=lambda point: far[id(point)])
-    if far[id(ordered[0])] <= FAR_OFF * misfit.count(np.concatenate([ordered[0], own])):
+    measured = [(chi2(start), start) for start in starts(misfit.experiment)]
+    usable = sorted((item for item in measured if np.isfinite(item[0])), key=lambda item: item[0])
+    ordered = [start for _, start in usable]
+    if usable and usable[0][0] <= FAR_OFF * misfit.count(np.concatenate([ordered[0], own])):
         return ordered
-    return [smooth_start(misfit.experiment, uniform(misfit.experiment)), *ordered]
+    smooth = smooth_start(misfit.experiment, uniform(misfit.experiment))
+    return [smooth, *ordered] if np.isfinite(chi2(smooth)) else ordered

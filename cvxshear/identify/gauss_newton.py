@@ -35,8 +35,10 @@ LEAST_DAMPING = 1e-7
 stationary point; they keep a step along a direction that the data do not determine from being arbitrary."""
 
 FIRST_DAMPING = 1e-2
+NEGLIGIBLE_DAMPING = 1e-4
 MOST_DAMPING = 1e6
-"""Weights at which a step is damped for the first time, and beyond which there is no step left to try."""
+"""Weights at which a step is damped for the first time, below which it is a plain one again, and beyond which there is
+no step left to try."""
 
 FLAT = 0.1
 FLAT_STEPS = 3
@@ -66,7 +68,7 @@ class Fit:
 
     @property
     def converged(self) -> bool:
-        """Whether it stopped because there was nothing left to gain."""
+        """Whether it stopped because there was nothing left to gain, or hardly anything."""
         return self.reason != "step limit"
 
 
@@ -115,7 +117,7 @@ class _Damping:
         """After a step that kept this part of what the linearised model promised."""
         self.weight = max(LEAST_DAMPING, self.weight * max(1.0 / 3.0, 1.0 - (2.0 * kept - 1.0) ** 3))
         self._factor = 2.0
-        if self.weight < FIRST_DAMPING / 100.0:
+        if self.weight < NEGLIGIBLE_DAMPING:
             self.weight = LEAST_DAMPING
 
 
@@ -181,7 +183,9 @@ def gauss_newton(
             continue
         gain, before = at.chi2 - taken[1].chi2, at
         theta, at = taken
-        if damping.active:
+        if not damping.active:
+            flat = 0
+        else:
             flat = flat + 1 if gain < FLAT * max(1.0, rms**2) else 0
             if flat == FLAT_STEPS:
                 return Fit(theta, at, "misfit flat along directions that the data hardly determine", step)

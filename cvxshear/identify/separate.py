@@ -136,5 +136,5 @@ def finished(of: Setting, mass: Floats, stiffness: Floats, **more: object) -> Pa
         frame=IdentifiedFrame(net, stiffness),
         fit=quality(misfit, at.matches, at.chi2, misfit.count(theta) - free),
         predictions=predictions(misfit, at.matches),
-        **more,  # type: ignore[arg-type]
+        **more,  # type: ignore[arg-type]  # fields of Part, of the types that it says
     )

@@ -1,8 +1,8 @@
 """A starting frame for data that no other start is near: smooth over the height, from the lowest modes to all.
 
 A tall frame has many local minima: a high mode of the model with its nodes half a wave off fits worse on the way to
-where it fits. The lowest modes have none, and they see masses and stiffnesses as smooth functions of the height. So
-the logarithms of both are polynomials in the height,
+where it fits. The lowest modes have hardly any, and they see masses and stiffnesses as smooth functions of the height.
+So the logarithms of both are polynomials in the height,
 
     theta = theta_0 o exp(B c),        B Legendre polynomials up to a degree,
 
@@ -31,7 +31,7 @@ STD = 1.0 / 3.0
 """Standard deviation of each coefficient about zero: what these data do not tell stays uniform."""
 
 LARGEST = 3.0
-"""Bound of |B c|, so that no trial overflows: factors from 1/20 to 20."""
+"""Bound of |B c| in a stage, so that no trial overflows: factors from 1/20 to 20."""
 
 
 @dataclass(frozen=True, eq=False)

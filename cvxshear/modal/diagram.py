@@ -34,7 +34,7 @@ def stabilization_diagram(result: ModalResult) -> Figure:
     if result.sweep is None:
         raise InputError("these modes were not identified from a record here: there is no order sweep to draw")
     try:
-        from matplotlib.figure import Figure  # noqa: PLC0415
+        from matplotlib.figure import Figure  # noqa: PLC0415 - an extra, loaded to draw
     except ImportError:
         raise InputError("the diagram needs matplotlib: install cvxshear[figures]") from None
     sweep = result.sweep

@@ -6,7 +6,7 @@ A record holds physical values: sign and calibration have been applied. Its arra
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -264,7 +264,7 @@ class FrfRecord(_Recorded):
     """
 
     runs: tuple[FrfRun, ...] = ()
-    frequencies: Floats = ()  # type: ignore[assignment]
+    frequencies: Floats = field(default_factory=lambda: np.zeros(0))
     truncated: bool | None = None
 
     def __post_init__(self) -> None:

@@ -89,7 +89,7 @@ class LeastSquares:
 
     def replace(self, **changes: object) -> LeastSquares:
         """A copy with some parts replaced."""
-        return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
+        return dataclasses.replace(self, **changes)  # type: ignore[arg-type]  # fields of this class, of the types that it says
 
 
 def remaining(side: Floats, rows: Floats, origin: Floats) -> Floats:

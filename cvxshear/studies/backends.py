@@ -15,7 +15,7 @@ from cvxshear.identify.domain import domain_of
 from cvxshear.identify.gauss_newton import step_program
 from cvxshear.identify.misfit import Misfit
 from cvxshear.identify.separate import Setting, setting, start_mass
-from cvxshear.identify.start import starts
+from cvxshear.identify.start import uniform
 from cvxshear.programs import LeastSquares, mass_correction, one_shot_masses, story_stiffnesses
 from cvxshear.programs.mass import normalized
 from cvxshear.programs.rows import constrained
@@ -179,7 +179,7 @@ def _tightened(program: LeastSquares, origin: Floats) -> LeastSquares:
 
 def _step_problems(experiment: Experiment) -> list[Problem]:
     """The step program of the efficient estimator at a frame of uniform stiffness, where there is a way to go."""
-    theta = starts(experiment)[-2]
+    theta = uniform(experiment)
     at = Misfit(experiment).evaluate(theta)
     return [Problem("step", step_program(at, theta, domain_of(experiment, (), theta)), theta)]
 

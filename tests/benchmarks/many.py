@@ -113,4 +113,8 @@ def _loop():
         found = close_loop(of, jobs=jobs)
         what = f"loop, 20 stories, 3 configurations, {jobs} process{'es' * (jobs > 1)}"
         added = ", ".join(one.placed.label for one in found.effects)
-        yield what, shown(time.perf_counter() - began), f"{found.verdict}: {added} ({found.fits} fits)"
+        yield (
+            what,
+            shown(time.perf_counter() - began),
+            f"{found.verdict}: {added} ({found.fits} fits, {found.programs} step programs)",
+        )
