@@ -10,7 +10,7 @@ from cvxshear import backends, effects, priors
 from cvxshear.errors import CvxshearError, InfeasibleError, InputError, NoSolutionError, UnsuitableError
 from cvxshear.experiment import Configuration, Experiment, Frame
 from cvxshear.formats.toml import load
-from cvxshear.identify import Identification, identify
+from cvxshear.identification import Identification, identify
 from cvxshear.loop import Closure, close_loop
 from cvxshear.priors import Prior
 from cvxshear.studies.backends import Comparison, compare_backends

@@ -7,12 +7,12 @@ import pytest
 
 from cvxshear import Experiment, backends, identify
 from cvxshear.effects import Gravity, Placed
-from cvxshear.identify.domain import domain_of
-from cvxshear.identify.efficient import efficient
-from cvxshear.identify.gauss_newton import Domain, gauss_newton
-from cvxshear.identify.misfit import Misfit
-from cvxshear.identify.start import starts
-from cvxshear.identify.uncertainty import uncertainty
+from cvxshear.identification.domain import domain_of
+from cvxshear.identification.efficient import efficient
+from cvxshear.identification.gauss_newton import Domain, gauss_newton
+from cvxshear.identification.misfit import Misfit
+from cvxshear.identification.start import starts
+from cvxshear.identification.uncertainty import uncertainty
 from cvxshear.priors import Bounds, Nominal, Value
 from tests.frames import configuration, experiment, modes_of
 

@@ -13,7 +13,7 @@ import pytest
 
 from cvxshear import Experiment, InputError, NoSolutionError, UnsuitableError, backends, close_loop, identify
 from cvxshear.frame import mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
-from cvxshear.identify.separate import setting
+from cvxshear.identification.separate import setting
 from cvxshear.parallel import each
 from cvxshear.priors import Bounds, Nominal, Ratio
 from cvxshear.programs import mass_correction, one_shot_masses, story_stiffnesses

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from cvxshear import Experiment, NoSolutionError, backends, identify
-from cvxshear.identify.domain import domain_of
-from cvxshear.identify.efficient import FAR_OFF
-from cvxshear.identify.gauss_newton import gauss_newton
-from cvxshear.identify.misfit import Misfit
-from cvxshear.identify.smooth import smooth_start
-from cvxshear.identify.start import starts, uniform
+from cvxshear.identification.domain import domain_of
+from cvxshear.identification.efficient import FAR_OFF
+from cvxshear.identification.gauss_newton import gauss_newton
+from cvxshear.identification.misfit import Misfit
+from cvxshear.identification.smooth import smooth_start
+from cvxshear.identification.start import starts, uniform
 from tests.frames import configuration, experiment
 
 

@@ -5,8 +5,8 @@ import pytest
 
 from cvxshear import Experiment, backends
 from cvxshear.effects import Place, Placed, named
-from cvxshear.identify.efficient import efficient
-from cvxshear.identify.misfit import Misfit
+from cvxshear.identification.efficient import efficient
+from cvxshear.identification.misfit import Misfit
 from cvxshear.loop.candidates import fit_candidate
 from cvxshear.loop.fitter import Fitter
 from cvxshear.loop.tangent import Tangent

@@ -13,8 +13,8 @@ from cvxshear.backends import Backend
 from cvxshear.effects import Effect, Placed
 from cvxshear.errors import CvxshearError, InputError
 from cvxshear.experiment import Experiment
-from cvxshear.identify.efficient import Estimate
-from cvxshear.identify.misfit import Misfit
+from cvxshear.identification.efficient import Estimate
+from cvxshear.identification.misfit import Misfit
 from cvxshear.loop.fitter import Fitter
 from cvxshear.loop.significance import log_p_gain
 from cvxshear.loop.tangent import Tangent

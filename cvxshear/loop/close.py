@@ -12,8 +12,8 @@ from cvxshear.backends import Backend
 from cvxshear.effects import Effect, Placed, catalogue, named
 from cvxshear.errors import InputError
 from cvxshear.experiment import Experiment
-from cvxshear.identify.efficient import Estimate, efficient
-from cvxshear.identify.misfit import Misfit
+from cvxshear.identification.efficient import Estimate, efficient
+from cvxshear.identification.misfit import Misfit
 from cvxshear.loop.candidates import Candidate, fit_candidates, parameters_of, possible
 from cvxshear.loop.fitter import Fitter
 from cvxshear.loop.held_out import held_out_frequency_error

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cvxshear.backends import Backend
-from cvxshear.identify.efficient import Estimate, fitted
-from cvxshear.identify.gauss_newton import CONVERGED_STEP
-from cvxshear.identify.misfit import Misfit
+from cvxshear.identification.efficient import Estimate, fitted
+from cvxshear.identification.gauss_newton import CONVERGED_STEP
+from cvxshear.identification.misfit import Misfit
 from cvxshear.typing import Floats
 
 

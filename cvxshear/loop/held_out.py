@@ -8,8 +8,8 @@ from cvxshear.effects import compose
 from cvxshear.effects.composition import slices
 from cvxshear.errors import CvxshearError
 from cvxshear.frame import mode_derivatives, modes
-from cvxshear.identify.efficient import Estimate
-from cvxshear.identify.misfit import Misfit
+from cvxshear.identification.efficient import Estimate
+from cvxshear.identification.misfit import Misfit
 from cvxshear.loop.fitter import Fitter
 from cvxshear.typing import Bools
 

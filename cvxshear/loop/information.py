@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cvxshear.identify.efficient import Estimate
+from cvxshear.identification.efficient import Estimate
 from cvxshear.loop.candidates import Candidate
 
 

@@ -12,8 +12,8 @@ from cvxshear.effects import compose
 from cvxshear.errors import InputError
 from cvxshear.experiment import Experiment
 from cvxshear.frame import modes
-from cvxshear.identify.efficient import Estimate
-from cvxshear.identify.misfit import Misfit
+from cvxshear.identification.efficient import Estimate
+from cvxshear.identification.misfit import Misfit
 from cvxshear.typing import Floats, Json
 
 PARTS_OF_A_FLOOR = (0.25, 0.5, 1.0)

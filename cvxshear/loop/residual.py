@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from scipy import stats
 
-from cvxshear.identify.efficient import Estimate
-from cvxshear.identify.quality import frequency_errors, shape_error
+from cvxshear.identification.efficient import Estimate
+from cvxshear.identification.quality import frequency_errors, shape_error
 from cvxshear.typing import Json
 
 CONSPICUOUS = 0.01

@@ -8,8 +8,8 @@ import numpy as np
 
 from cvxshear.effects import Placed
 from cvxshear.experiment import Experiment
-from cvxshear.identify.efficient import Estimate
-from cvxshear.identify.results import IdentifiedFrame
+from cvxshear.identification.efficient import Estimate
+from cvxshear.identification.results import IdentifiedFrame
 from cvxshear.loop.candidates import Candidate, parameters_of
 from cvxshear.loop.next_test import NextTest
 from cvxshear.loop.residual import by_floor, by_mode

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
-from cvxshear.identify.efficient import Estimate
+from cvxshear.identification.efficient import Estimate
 
 FAMILY_LEVEL = 0.05
 """Chance of adding an effect to data that have none, over all candidates of a step together."""

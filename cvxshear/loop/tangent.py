@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.effects import Placed
-from cvxshear.identify.efficient import Estimate, parameter_names
-from cvxshear.identify.misfit import Misfit
-from cvxshear.identify.uncertainty import NULL, TAKES_PART
+from cvxshear.identification.efficient import Estimate, parameter_names
+from cvxshear.identification.misfit import Misfit
+from cvxshear.identification.uncertainty import NULL, TAKES_PART
 from cvxshear.typing import Floats
 
 

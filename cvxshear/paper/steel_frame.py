@@ -8,7 +8,7 @@ import numpy as np
 
 from cvxshear.backends import Backend
 from cvxshear.formats.toml import load
-from cvxshear.identify import identify
+from cvxshear.identification import identify
 from cvxshear.paper import tables
 from cvxshear.paper.results import Row, Section
 from cvxshear.paper.shapes import RecoveredShapes, recovered_shapes

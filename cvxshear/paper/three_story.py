@@ -10,9 +10,9 @@ import numpy as np
 from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.experiment import Configuration, Experiment, Frame
-from cvxshear.identify import Part, identify
-from cvxshear.identify.separate import setting
-from cvxshear.identify.stiffness import identified_stiffness
+from cvxshear.identification import Part, identify
+from cvxshear.identification.separate import setting
+from cvxshear.identification.stiffness import identified_stiffness
 from cvxshear.paper import tables
 from cvxshear.paper.results import Row, Section
 from cvxshear.studies.setups import three_story

@@ -11,7 +11,7 @@ from cvxshear.effects import Parameter, Placed, compose
 from cvxshear.effects.base import State
 from cvxshear.experiment import Configuration
 from cvxshear.frame import modes
-from cvxshear.identify.efficient import Estimate
+from cvxshear.identification.efficient import Estimate
 from cvxshear.report.numbers import percent, scaled, with_std
 from cvxshear.typing import Floats
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.experiment import Experiment
-from cvxshear.identify import Prediction
+from cvxshear.identification import Prediction
 from cvxshear.loop import Closure
 
 WIDTH, HEIGHT = 120.0, 170.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING
 
-from cvxshear.identify import Identification, IdentifiedFrame
+from cvxshear.identification import Identification, IdentifiedFrame
 from cvxshear.loop import Closure
 from cvxshear.report.numbers import percent, scaled, significant, with_std
 from cvxshear.studies.backends import Comparison

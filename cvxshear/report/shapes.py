@@ -8,8 +8,8 @@ import numpy as np
 
 from cvxshear.effects import compose
 from cvxshear.experiment import Experiment
-from cvxshear.identify import Identification
-from cvxshear.identify.efficient import Estimate
+from cvxshear.identification import Identification
+from cvxshear.identification.efficient import Estimate
 from cvxshear.loop import Closure
 from cvxshear.typing import Floats, Ints
 

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cvxshear.experiment import Experiment
-from cvxshear.identify import Identification, IdentifiedFrame, Part
+from cvxshear.identification import Identification, IdentifiedFrame, Part
 from cvxshear.report.numbers import percent, probability, scaled, significant, with_std
 from cvxshear.studies.backends import Comparison
 

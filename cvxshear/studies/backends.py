@@ -11,11 +11,11 @@ import numpy as np
 from cvxshear import backends
 from cvxshear.errors import CvxshearError, UnsuitableError
 from cvxshear.experiment import Experiment
-from cvxshear.identify.domain import domain_of
-from cvxshear.identify.gauss_newton import step_program
-from cvxshear.identify.misfit import Misfit
-from cvxshear.identify.separate import Setting, setting, start_mass
-from cvxshear.identify.start import uniform
+from cvxshear.identification.domain import domain_of
+from cvxshear.identification.gauss_newton import step_program
+from cvxshear.identification.misfit import Misfit
+from cvxshear.identification.separate import Setting, setting, start_mass
+from cvxshear.identification.start import uniform
 from cvxshear.programs import LeastSquares, mass_correction, one_shot_masses, story_stiffnesses
 from cvxshear.programs.mass import normalized
 from cvxshear.programs.rows import constrained

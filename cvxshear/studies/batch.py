@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.frame import transformation
-from cvxshear.identify.two_stage import MOST_ITERATIONS, TOLERANCE
+from cvxshear.identification.two_stage import MOST_ITERATIONS, TOLERANCE
 from cvxshear.programs.normal import pair_normal
 from cvxshear.typing import Bools, Floats, Ints
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from cvxshear import checks
 from cvxshear.errors import InputError, NoSolutionError
-from cvxshear.identify import METHODS, identify
+from cvxshear.identification import METHODS, identify
 from cvxshear.parallel import Progress, each
 from cvxshear.studies.batch import one_shot_batch, two_stage_batch
 from cvxshear.studies.cramer_rao import bound

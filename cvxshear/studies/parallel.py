@@ -9,7 +9,7 @@ import numpy as np
 
 from cvxshear.errors import NoSolutionError
 from cvxshear.experiment import Experiment
-from cvxshear.identify import Identification, identify
+from cvxshear.identification import Identification, identify
 from cvxshear.parallel import Progress, each
 from cvxshear.typing import Floats
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from cvxshear.experiment import Configuration, Experiment, Frame
 from cvxshear.frame import mass_matrix, modes, stiffness_matrix
-from cvxshear.identify import identify
+from cvxshear.identification import identify
 from cvxshear.typing import Floats
 
 SPREAD = 0.3

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.identify.results import plain
+from cvxshear.identification.results import plain
 from cvxshear.studies.setups import Setup
 from cvxshear.typing import Bools, Floats, Json
 

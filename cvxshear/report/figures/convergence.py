@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from cvxshear.errors import InputError
-from cvxshear.identify import Identification, Part
+from cvxshear.identification import Identification, Part
 from cvxshear.report.figures.style import (
     COLOURS,
     LINES,

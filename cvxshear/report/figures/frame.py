@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from cvxshear.experiment import Experiment
-from cvxshear.identify import Identification, IdentifiedFrame
+from cvxshear.identification import Identification, IdentifiedFrame
 from cvxshear.loop import Closure
 from cvxshear.report.figures.style import AFTER, PALE, QUIET, grid_of, letters, new_figure, panels, spread, styled
 from cvxshear.report.numbers import scaled, with_std

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cvxshear.identify import Identification
+from cvxshear.identification import Identification
 from cvxshear.loop import Closure
 from cvxshear.report.figures.style import PAGE_WIDTH, grid_of, letters, new_figure, panels, styled
 from cvxshear.report.shapes import mac_tables

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 
-from cvxshear.identify.efficient import Estimate
+from cvxshear.identification.efficient import Estimate
 from cvxshear.loop import Closure
 from cvxshear.loop.residual import ModeResidual, by_mode
 from cvxshear.report.figures.style import AFTER, BEFORE, PAGE_WIDTH, QUIET, letters, new_figure, power_of_ten, styled

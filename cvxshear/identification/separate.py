@@ -8,10 +8,10 @@ import numpy as np
 
 from cvxshear.errors import UnsuitableError
 from cvxshear.experiment import Configuration, Experiment
-from cvxshear.identify.domain import refuse_contradicting
-from cvxshear.identify.misfit import Misfit
-from cvxshear.identify.quality import quality
-from cvxshear.identify.results import IdentifiedFrame, Part, predictions
+from cvxshear.identification.domain import refuse_contradicting
+from cvxshear.identification.misfit import Misfit
+from cvxshear.identification.quality import quality
+from cvxshear.identification.results import IdentifiedFrame, Part, predictions
 from cvxshear.programs.feasibility import Statement
 from cvxshear.programs.rows import statements
 from cvxshear.typing import Floats

@@ -6,9 +6,9 @@ import numpy as np
 
 from cvxshear.backends import Backend
 from cvxshear.errors import UnsuitableError
-from cvxshear.identify.results import Part
-from cvxshear.identify.separate import Setting, finished, start_mass
-from cvxshear.identify.stiffness import identified_stiffness
+from cvxshear.identification.results import Part
+from cvxshear.identification.separate import Setting, finished, start_mass
+from cvxshear.identification.stiffness import identified_stiffness
 from cvxshear.programs import mass_correction
 from cvxshear.programs.mass import normalized
 from cvxshear.typing import Floats

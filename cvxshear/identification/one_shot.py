@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.identify.results import Part
-from cvxshear.identify.separate import Setting, finished
-from cvxshear.identify.stiffness import MOST_ROUNDS, UNCHANGED, identified_stiffness
+from cvxshear.identification.results import Part
+from cvxshear.identification.separate import Setting, finished
+from cvxshear.identification.stiffness import MOST_ROUNDS, UNCHANGED, identified_stiffness
 from cvxshear.programs import one_shot_masses
 from cvxshear.programs.normal import LOST, digits_lost, keeps_rows
 from cvxshear.programs.rows import constrained, softened

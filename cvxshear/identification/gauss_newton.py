@@ -15,7 +15,7 @@ import numpy as np
 
 from cvxshear.backends import Backend, Solution
 from cvxshear.errors import InputError, NoSolutionError
-from cvxshear.identify.misfit import Evaluation, Misfit
+from cvxshear.identification.misfit import Evaluation, Misfit
 from cvxshear.priors import Constraints
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.feasibility import Statement

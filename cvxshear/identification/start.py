@@ -16,7 +16,7 @@ from cvxshear import backends
 from cvxshear.errors import CvxshearError, InputError
 from cvxshear.experiment import Configuration, Experiment
 from cvxshear.frame import Modes, mass_matrix, modes, stiffness_matrix, transformation
-from cvxshear.identify.domain import spread
+from cvxshear.identification.domain import spread
 from cvxshear.priors import Nominal
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.rows import constrained, statements

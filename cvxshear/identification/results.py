@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cvxshear.experiment import Experiment
-from cvxshear.identify.misfit import Match, Misfit
-from cvxshear.identify.quality import Quality
+from cvxshear.identification.misfit import Match, Misfit
+from cvxshear.identification.quality import Quality
 from cvxshear.typing import Floats, Json
 
 

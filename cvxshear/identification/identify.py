@@ -10,12 +10,12 @@ from cvxshear import backends, checks
 from cvxshear.backends import Backend
 from cvxshear.errors import UnsuitableError
 from cvxshear.experiment import Experiment
-from cvxshear.identify.baselines import berman, qi
-from cvxshear.identify.efficient import efficient, parameter_names
-from cvxshear.identify.one_shot import one_shot
-from cvxshear.identify.results import Identification, Part
-from cvxshear.identify.separate import Setting, setting
-from cvxshear.identify.two_stage import TOLERANCE, two_stage
+from cvxshear.identification.baselines import berman, qi
+from cvxshear.identification.efficient import efficient, parameter_names
+from cvxshear.identification.one_shot import one_shot
+from cvxshear.identification.results import Identification, Part
+from cvxshear.identification.separate import Setting, setting
+from cvxshear.identification.two_stage import TOLERANCE, two_stage
 from cvxshear.priors import Prior
 from cvxshear.typing import Floats
 

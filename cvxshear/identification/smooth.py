@@ -19,7 +19,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
 from cvxshear.experiment import Experiment
-from cvxshear.identify.misfit import Misfit
+from cvxshear.identification.misfit import Misfit
 from cvxshear.typing import Floats
 
 MOST_DEGREE = 8

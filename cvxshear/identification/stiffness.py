@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.identify.separate import Setting
+from cvxshear.identification.separate import Setting
 from cvxshear.programs import story_stiffnesses
 from cvxshear.programs.mass import normalized
 from cvxshear.programs.normal import LOST, digits_lost, keeps_rows

@@ -9,7 +9,7 @@ import numpy as np
 from cvxshear.effects import Placed
 from cvxshear.effects.composition import slices
 from cvxshear.experiment import Experiment
-from cvxshear.identify.gauss_newton import Domain, embedded
+from cvxshear.identification.gauss_newton import Domain, embedded
 from cvxshear.priors import Constraints
 from cvxshear.programs.feasibility import Statement, refuse_contradictions
 from cvxshear.programs.rows import statements

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.backends import Backend, Solution
-from cvxshear.identify.separate import Setting
+from cvxshear.identification.separate import Setting
 from cvxshear.programs import mass_correction
 from cvxshear.programs.mass import normalized
 from cvxshear.programs.rows import constrained, softened

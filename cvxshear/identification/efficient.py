@@ -12,14 +12,14 @@ from cvxshear.effects import Placed
 from cvxshear.effects.composition import slices
 from cvxshear.errors import CvxshearError, InputError, NoSolutionError
 from cvxshear.experiment import Experiment
-from cvxshear.identify.domain import domain_of, refuse_contradicting
-from cvxshear.identify.gauss_newton import CONVERGED_STEP, Domain, Fit, gauss_newton
-from cvxshear.identify.misfit import Misfit
-from cvxshear.identify.quality import Quality, quality
-from cvxshear.identify.results import IdentifiedFrame, Part, Prediction, predictions
-from cvxshear.identify.smooth import smooth_start
-from cvxshear.identify.start import starts, uniform
-from cvxshear.identify.uncertainty import Uncertainty, uncertainty
+from cvxshear.identification.domain import domain_of, refuse_contradicting
+from cvxshear.identification.gauss_newton import CONVERGED_STEP, Domain, Fit, gauss_newton
+from cvxshear.identification.misfit import Misfit
+from cvxshear.identification.quality import Quality, quality
+from cvxshear.identification.results import IdentifiedFrame, Part, Prediction, predictions
+from cvxshear.identification.smooth import smooth_start
+from cvxshear.identification.start import starts, uniform
+from cvxshear.identification.uncertainty import Uncertainty, uncertainty
 from cvxshear.typing import Floats
 
 FAR_OFF = 100.0

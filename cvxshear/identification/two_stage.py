@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.identify.fixed_point import MOST_ITERATIONS, iterated
-from cvxshear.identify.results import Part
-from cvxshear.identify.separate import Setting, finished, start_mass
-from cvxshear.identify.stiffness import identified_stiffness
+from cvxshear.identification.fixed_point import MOST_ITERATIONS, iterated
+from cvxshear.identification.results import Part
+from cvxshear.identification.separate import Setting, finished, start_mass
+from cvxshear.identification.stiffness import identified_stiffness
 from cvxshear.typing import Floats
 
 __all__ = ["MOST_ITERATIONS", "TOLERANCE", "two_stage"]

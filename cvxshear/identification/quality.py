@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from scipy import stats
 
-from cvxshear.identify.misfit import Match, Misfit, Target
+from cvxshear.identification.misfit import Match, Misfit, Target
 from cvxshear.typing import Floats, Json
 
 

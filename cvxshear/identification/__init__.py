@@ -1,0 +1,6 @@
+"""Identification of floor masses and story stiffnesses."""
+
+from cvxshear.identification.identify import METHODS, identify
+from cvxshear.identification.results import Identification, IdentifiedFrame, Part, Prediction
+
+__all__ = ["METHODS", "Identification", "IdentifiedFrame", "Part", "Prediction", "identify"]
