@@ -47,10 +47,13 @@ class Configuration:
     ----------
     frequencies : array_like, shape (m,)
         Natural frequencies, Hz, ascending.
-    mode_shapes : array_like, shape (m, n)
+    mode_shapes : array_like, shape (m, n), optional
         One row a mode, one entry a measured floor, of any scale and sign; nan where not measured. A row of
-        nan alone stands for a mode of which only the frequency is known.
+        nan alone stands for a mode of which only the frequency is known; without any, no shape is.
     name : str, optional
+    state : str, optional
+        The state of the frame: configurations of one state share what was undeclared about it; the configuration's
+        name where empty.
     added_mass : array_like, shape (N,), optional
         kg on each floor, known; none where empty.
     measured_floors : array_like of int, shape (n,), optional
@@ -75,8 +78,9 @@ class Configuration:
     """
 
     frequencies: Floats
-    mode_shapes: Floats
+    mode_shapes: Floats = field(default_factory=_no_floats)
     name: str = "configuration 1"
+    state: str = ""
     added_mass: Floats = field(default_factory=_no_floats)
     measured_floors: Ints = field(default_factory=_no_ints)
     modes: Ints = field(default_factory=_no_ints)
@@ -88,6 +92,7 @@ class Configuration:
 
     def __post_init__(self) -> None:
         checks.text(self.name, "configuration: name")
+        self._put("state", checks.text(self.state, self._at("state")) if self.state else self.name)
         self._check_modes()
         self._check_shapes()
         self._check_noise()
@@ -124,7 +129,10 @@ class Configuration:
             self._put("damping_ratios", ratios)
 
     def _check_shapes(self) -> None:
-        shapes = checks.table(self.mode_shapes, self._at("mode_shapes"), rows=len(self.frequencies), nan=True)
+        if _absent(self.mode_shapes) and self.mode_shapes is not None:
+            shapes = checks.frozen(np.zeros((len(self.frequencies), 0)))
+        else:
+            shapes = checks.table(self.mode_shapes, self._at("mode_shapes"), rows=len(self.frequencies), nan=True)
         self._put("mode_shapes", shapes)
         self._put("mass_normalized", checks.flag(self.mass_normalized, self._at("mass_normalized")))
         if _absent(self.added_mass):
@@ -138,6 +146,8 @@ class Configuration:
         else:
             where = self._at("measured_floors")
             self._put("measured_floors", checks.ascending_whole(self.measured_floors, where, most=MOST_STORIES))
+            if not width:
+                raise InputError(f"{where} is given, but no mode_shapes: leave it out, or give the shapes")
             if len(self.measured_floors) != width:
                 raise InputError(
                     f"{where} has {checks.entries(len(self.measured_floors))}, each row of mode_shapes has {width}: "
@@ -209,12 +219,11 @@ class Configuration:
         if isinstance(declared, Mapping) and declared.get("name") is not None:
             where = f'configuration "{checks.text(declared["name"], f"{name}: name")}"'
         fields = [item.name for item in dataclasses.fields(Configuration)]
-        table = checks.keys(declared, fields, ["frequencies", "mode_shapes"], where, elsewhere=elsewhere)
-        for key in ("added_mass", "measured_floors", "modes"):
+        table = checks.keys(declared, fields, ["frequencies"], where, elsewhere=elsewhere)
+        for key in ("added_mass", "measured_floors", "modes", "mode_shapes"):
             if table.get(key) is not None and _absent(table[key]):
                 raise InputError(f"{where}: {key} must not be empty; leave the key out for its default")
-        required = ("frequencies", "mode_shapes")
-        given = {key: value for key, value in table.items() if value is not None or key in required}
+        given = {key: value for key, value in table.items() if value is not None or key == "frequencies"}
         return Configuration(**{"name": name, **given})
 
     def to_dict(self) -> Json:
@@ -223,7 +232,7 @@ class Configuration:
         return {
             key: value.tolist() if isinstance(value, np.ndarray) else value
             for key, value in values.items()
-            if not _absent(value)
+            if not _absent(value) and (key, value) != ("state", self.name)
         }
 
     def in_frame(self, stories: int) -> Configuration:
@@ -235,9 +244,9 @@ class Configuration:
             Where it names a floor or a mode that the frame has not.
         """
         floors, modes = self.measured_floors, self.modes
-        if not len(floors):
+        if not len(floors) and self.mode_shapes.shape[1]:
             floors = checks.frozen(np.arange(1, stories + 1))
-        if floors[-1] > stories:
+        if len(floors) and floors[-1] > stories:
             raise InputError(
                 f"{self._at('measured_floors')} names floor {floors[-1]} of a frame of {stories} stories; floors count "
                 f"from 1, the first above ground, to {stories}"
@@ -262,6 +271,18 @@ class Configuration:
         return np.isfinite(self.mode_shapes)
 
     @property
+    def known_shapes(self) -> Floats:
+        """`mode_shapes` with zero where nothing was measured, shape (m, n)."""
+        return np.where(self.measured, self.mode_shapes, 0.0)
+
+    @property
+    def entry_weights(self) -> Floats:
+        """One over the standard deviation of each shape entry, zero where nothing was measured, shape (m, n)."""
+        known = self.measured
+        weights: Floats = np.where(known, 1.0 / np.where(known, self.entry_std, 1.0), 0.0)
+        return weights
+
+    @property
     def complete(self) -> bool:
         """Whether every mode was measured at every floor."""
         stories = len(self.added_mass)
@@ -281,7 +302,7 @@ class Configuration:
         Multiplicative noise on an entry measured as zero would weigh it infinitely; it is taken to be at
         least a thousandth of the mode's largest entry.
         """
-        largest = np.max(np.abs(np.where(self.measured, self.mode_shapes, 0.0)), axis=1, keepdims=True)
+        largest = np.max(np.abs(self.known_shapes), axis=1, keepdims=True, initial=0.0)
         relative = DEFAULT_MODE_SHAPE_STD if self.mode_shape_std is None else self.mode_shape_std
         if self.mode_shape_noise == "multiplicative":
             std: Floats = relative * np.maximum(np.abs(self.mode_shapes), 1e-3 * largest)

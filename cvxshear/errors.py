@@ -24,6 +24,10 @@ class UnsuitableError(InputError):
     """The chosen method or backend cannot use these data; the message names one that can."""
 
 
+class NoModesError(CvxshearError, ArithmeticError):
+    """A model has no modes: a mass is not positive, or the frame would buckle."""
+
+
 class NoSolutionError(CvxshearError, RuntimeError):
     """A backend found no solution, or one whose certificate is not good enough.
 

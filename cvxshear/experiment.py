@@ -17,10 +17,17 @@ from cvxshear import checks
 from cvxshear.checks import MOST_STORIES
 from cvxshear.configuration import Configuration
 from cvxshear.errors import InputError
+from cvxshear.expected_effect import ExpectedEffect
 from cvxshear.priors import Prior, check_quantity
+from cvxshear.static_test import StaticTest
 from cvxshear.typing import Floats, Json
 
-__all__ = ["MOST_STORIES", "Configuration", "Experiment", "Frame", "Prior"]
+__all__ = [
+    "MOST_STORIES", "Configuration", "ExpectedEffect", "Experiment", "Frame", "Prior", "StaticTest", "Tested",
+]  # fmt: skip
+
+Tested = Configuration | StaticTest
+"""What was measured on one state of the frame; either has a `name`, a `state` and an `added_mass`."""
 
 T = TypeVar("T")
 
@@ -41,6 +48,10 @@ class Frame:
         kg, known, without added mass.
     gravity : float, optional
         m/s2.
+    total_mass_std : float, optional
+        Relative standard deviation of `total_mass`; exact without it.
+    reference : str, optional
+        The state that is the frame itself: no change and no undeclared mass sits in it.
 
     Raises
     ------
@@ -53,6 +64,8 @@ class Frame:
     total_mass: float | None = None
     floor_masses: Floats | None = None
     gravity: float = 9.81
+    total_mass_std: float | None = None
+    reference: str | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -71,6 +84,12 @@ class Frame:
                     f"{self.total_mass:g} kg; give one of the two, or values that agree"
                 )
         put(self, "gravity", checks.number(self.gravity, "frame: gravity", above=0.0))
+        if self.total_mass_std is not None:
+            put(self, "total_mass_std", checks.number(self.total_mass_std, "frame: total_mass_std", above=0.0))
+            if self.total_mass is None or self.floor_masses is not None:
+                raise InputError("frame: total_mass_std belongs to total_mass; give that, and no floor_masses")
+        if self.reference is not None:
+            checks.text(self.reference, "frame: reference")
 
     def _checked_heights(self, heights: object) -> Floats:
         """One height a story; a single number, for all stories, stays one until their number is known."""
@@ -132,6 +151,10 @@ class Experiment:
     priors : sequence of Prior, optional
     name : str, optional
         For reports; the file's name where it was read from one.
+    static : sequence of StaticTest, optional
+        Pull or tilt tests.
+    expected : sequence of ExpectedEffect, optional
+        What is known beforehand of effects that the shear model lacks.
 
     Raises
     ------
@@ -143,6 +166,8 @@ class Experiment:
     configurations: tuple[Configuration, ...]
     priors: tuple[Prior, ...] = ()
     name: str = "experiment"
+    static: tuple[StaticTest, ...] = ()
+    expected: tuple[ExpectedEffect, ...] = ()
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -151,12 +176,16 @@ class Experiment:
             raise InputError(f"frame must be a Frame, not {checks.shown(self.frame)}")
         put(self, "configurations", _all_of(Configuration, self.configurations, "configurations"))
         put(self, "priors", _all_of(Prior, self.priors, "priors"))
+        put(self, "static", _all_of(StaticTest, self.static, "static"))
+        put(self, "expected", _all_of(ExpectedEffect, self.expected, "expected"))
         if not self.configurations:
             raise InputError("at least one [[configuration]] is needed: none was found")
         self._check_names()
         stories = self._count_stories()
         put(self, "frame", self.frame._completed(stories))
         put(self, "configurations", tuple(each.in_frame(stories) for each in self.configurations))
+        put(self, "static", tuple(each.in_frame(stories) for each in self.static))
+        self._check_states()
         for place, prior in enumerate(self.priors, 1):
             with _named(place):
                 check_quantity(prior)
@@ -165,10 +194,18 @@ class Experiment:
 
     def _check_names(self) -> None:
         seen: set[str] = set()
-        for configuration in self.configurations:
-            if configuration.name in seen:
-                raise InputError(f'two configurations are named "{configuration.name}"; give each a name of its own')
-            seen.add(configuration.name)
+        for tested in self.tested:
+            if tested.name in seen:
+                raise InputError(f'two configurations are named "{tested.name}"; give each a name of its own')
+            seen.add(tested.name)
+
+    def _check_states(self) -> None:
+        """Raise where the reference or an expected effect names a state, floor or story that there is not."""
+        states = self.states
+        if self.frame.reference is not None and self.frame.reference not in states:
+            raise InputError(f"frame: reference = {self.frame.reference!r} is no state; the states are {_quoted(states)}")
+        for each in self.expected:
+            each.check(self.stories, states)
 
     def _count_stories(self) -> int:
         """The number of stories, which every part must agree on."""
@@ -183,10 +220,14 @@ class Experiment:
         for each in self.configurations:
             if len(each.added_mass):
                 said[f'configuration "{each.name}": added_mass'] = len(each.added_mass)
-            if not len(each.measured_floors):
+            if not len(each.measured_floors) and each.mode_shapes.shape[1]:
                 said[f'configuration "{each.name}": mode_shapes (no measured_floors given)'] = each.mode_shapes.shape[1]
+        said |= {f'static test "{each.name}": force': len(each.force) for each in self.static}
         if not said:
-            each = max(self.configurations, key=lambda item: int(item.measured_floors[-1]))
+            seen = [each for each in self.configurations if len(each.measured_floors)]
+            if not seen:
+                raise InputError("nothing tells how many stories the frame has; give frame: stories")
+            each = max(seen, key=lambda item: int(item.measured_floors[-1]))
             said[f'configuration "{each.name}": measured_floors'] = int(each.measured_floors[-1])
         (first, stories), *others = said.items()
         for key, count in others:
@@ -196,18 +237,22 @@ class Experiment:
             raise InputError(f"{first} speaks of {stories} stories; {MOST_STORIES} are the most that are taken")
         return stories
 
+    @property
+    def scale_known_otherwise(self) -> bool:
+        """Whether something else than a declared total or floor masses tells how heavy the frame is."""
+        return (
+            len({tuple(each.added_mass) for each in self.configurations}) > 1
+            or any(each.mass_normalized and each.measured.any() for each in self.configurations)
+            or any(prior.fixes_scale for prior in self.priors)
+            or bool(self.static)
+        )
+
     def _check_scale(self) -> None:
-        added = [tuple(each.added_mass) for each in self.configurations]
-        if (
-            self.frame.known_total is None
-            and len(set(added)) < 2
-            and not any(each.mass_normalized and each.measured.any() for each in self.configurations)
-            and not any(prior.fixes_scale for prior in self.priors)
-        ):
+        if self.frame.known_total is None and not self.scale_known_otherwise:
             raise InputError(
                 "nothing tells how heavy the frame is: give frame: total_mass or floor_masses, two configurations with "
-                "different added_mass, mass_normalized shapes, or a prior that fixes the scale (value, or nominal "
-                "without free_scale)"
+                "different added_mass, mass_normalized shapes, a static test, or a prior that fixes the scale (value, or "
+                "nominal without free_scale)"
             )
 
     @staticmethod
@@ -217,7 +262,7 @@ class Experiment:
         Parameters
         ----------
         declared : dict
-            The keys `frame` (optional), `configuration` (list) and `prior` (list, optional).
+            The keys `frame` (optional), `configuration` (list), and the optional lists `prior`, `static`, `effect`.
         name : str, optional
 
         Returns
@@ -231,7 +276,7 @@ class Experiment:
         """
         frame_keys = {item.name: "[frame]" for item in dataclasses.fields(Frame)}
         tested_keys = {item.name: "[[configuration]]" for item in dataclasses.fields(Configuration)}
-        tables = ["frame", "configuration", "prior"]
+        tables = ["frame", "configuration", "prior", "static", "effect"]
         table = checks.keys(declared, tables, [], "the measurement file", elsewhere={**tested_keys, **frame_keys})
         if table.get("configuration") is None:
             raise InputError("at least one [[configuration]] is needed: none was found")
@@ -244,15 +289,42 @@ class Experiment:
         for place, item in enumerate(_tables(table.get("prior"), "prior"), 1):
             with _named(place):
                 priors.append(Prior.from_dict(item))
-        return Experiment(frame, configurations, tuple(priors), name)
+        static = tuple(
+            StaticTest.from_dict(item, name=f"static test {place}")
+            for place, item in enumerate(_tables(table.get("static"), "static"), 1)
+        )
+        expected = tuple(
+            ExpectedEffect.from_dict(item, f"effect {place}")
+            for place, item in enumerate(_tables(table.get("effect"), "effect"), 1)
+        )
+        return Experiment(frame, configurations, tuple(priors), name, static, expected)
 
     def to_dict(self) -> Json:
         """The dict of the measurement file's shape that declares this experiment."""
         result: Json = {"frame": self.frame.to_dict()}
         if self.priors:
             result["prior"] = [prior.to_dict() for prior in self.priors]
+        if self.expected:
+            result["effect"] = [each.to_dict() for each in self.expected]
         result["configuration"] = [each.to_dict() for each in self.configurations]
+        if self.static:
+            result["static"] = [each.to_dict() for each in self.static]
         return result
+
+    @property
+    def tested(self) -> tuple[Tested, ...]:
+        """Configurations, then static tests."""
+        return (*self.configurations, *self.static)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The states that were tested, in the order in which they come first."""
+        return tuple(dict.fromkeys(each.state for each in self.tested))
+
+    @property
+    def changed_states(self) -> tuple[str, ...]:
+        """The states that may differ from the frame itself: all but the reference."""
+        return tuple(state for state in self.states if state != self.frame.reference)
 
     @property
     def stories(self) -> int:
@@ -287,6 +359,11 @@ def _named(place: int) -> Iterator[None]:
         yield
     except InputError as error:
         raise type(error)(f"prior {place}: {error}") from error
+
+
+def _quoted(names: Iterable[str]) -> str:
+    """Names as a message lists them."""
+    return ", ".join(f'"{name}"' for name in names)
 
 
 def _tables(value: object, key: str) -> list[object]:

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from scipy import linalg
 
-from cvxshear.errors import InputError
+from cvxshear.errors import NoModesError
 from cvxshear.typing import Floats, Ints
 
 TALL = 40
@@ -76,7 +76,7 @@ class Modes:
     eigenvalues : ndarray, shape (N,)
         lambda = omega^2, (rad/s)^2.
     shapes : ndarray, shape (N, N)
-        One column a mode, mass-normalized: shapes' M shapes = 1.
+        One row a mode, mass-normalized: shapes M shapes' = 1.
     """
 
     eigenvalues: Floats
@@ -103,17 +103,18 @@ def modes(M: Floats, K: Floats) -> Modes:
 
     Raises
     ------
-    InputError
+    NoModesError
         Where M is not positive definite, or K has a negative eigenvalue: the frame would buckle.
     """
     try:
-        eigenvalues, shapes = _chain_modes(M, K) if _is_chain(M, K) else linalg.eigh(K, M, check_finite=False)
-    except linalg.LinAlgError:
-        raise InputError("the mass matrix is not positive definite") from None
-    if eigenvalues[0] <= 0:
-        raise InputError(f"the frame is not stable: the lowest eigenvalue is {eigenvalues[0]:g} (rad/s)^2")
-    largest = shapes[np.argmax(np.abs(shapes), axis=0), np.arange(len(shapes))]
-    return Modes(eigenvalues, shapes * np.sign(largest))
+        eigenvalues, vectors = _chain_modes(M, K) if _is_chain(M, K) else linalg.eigh(K, M, check_finite=False)
+    except (linalg.LinAlgError, ValueError):
+        raise NoModesError("the mass matrix is not positive definite") from None
+    if not eigenvalues[0] > 0:
+        raise NoModesError(f"the frame is not stable: the lowest eigenvalue is {eigenvalues[0]:g} (rad/s)^2")
+    shapes = vectors.T
+    largest = shapes[np.arange(len(shapes)), np.argmax(np.abs(shapes), axis=1)]
+    return Modes(eigenvalues, shapes * np.sign(largest)[:, None])
 
 
 def _is_chain(M: Floats, K: Floats) -> bool:
@@ -156,18 +157,18 @@ def mode_derivatives(of: Modes, system: System, which: slice | Ints | list[int])
     Returns
     -------
     dlam : ndarray, shape (P, m)
-    dphi : ndarray, shape (P, N, m)
+    dphi : ndarray, shape (P, m, N)
     """
-    lam, phi = of.eigenvalues, of.shapes
+    lam, phi = of.eigenvalues, of.shapes.T
     lam_j, phi_j = lam[which], phi[:, which]
-    stiff = phi.T @ (system.dK @ phi_j)
-    heavy = phi.T @ (system.dM @ phi_j)
-    S = stiff - lam_j * heavy
+    by_stiffness = phi.T @ (system.dK @ phi_j)
+    by_mass = phi.T @ (system.dM @ phi_j)
+    S = by_stiffness - lam_j * by_mass
     own = np.arange(len(lam))[which]
     column = np.arange(len(own))
     dlam = S[:, own, column]
     gap = lam_j[None, :] - lam[:, None]
     gap[own, column] = 1.0
     share = S / gap
-    share[:, own, column] = -0.5 * heavy[:, own, column]
-    return dlam, phi @ share
+    share[:, own, column] = -0.5 * by_mass[:, own, column]
+    return dlam, share.transpose(0, 2, 1) @ phi.T

@@ -5,7 +5,7 @@
 
 from cvxshear.effects.added_mass import AddedMass
 from cvxshear.effects.axial_columns import AxialColumns
-from cvxshear.effects.base import Effect, Parameter, Place, Placed, State
+from cvxshear.effects.base import Effect, Parameter, Place, Placed, Scale, State
 from cvxshear.effects.base_rocking import BaseRocking
 from cvxshear.effects.composition import compose
 from cvxshear.effects.flexibility import add_flexibility
@@ -16,6 +16,7 @@ from cvxshear.effects.mass_coupling import MassCoupling
 from cvxshear.effects.registry import catalogue, named, register
 from cvxshear.effects.sensor_gain import SensorGain
 from cvxshear.effects.story_change import StoryChange
+from cvxshear.effects.total_mass import TotalMass
 
 __all__ = [
     "AddedMass",
@@ -29,9 +30,11 @@ __all__ = [
     "Parameter",
     "Place",
     "Placed",
+    "Scale",
     "SensorGain",
     "State",
     "StoryChange",
+    "TotalMass",
     "add_flexibility",
     "catalogue",
     "compose",

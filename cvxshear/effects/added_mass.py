@@ -1,22 +1,33 @@
-"""A mass that the declaration of one configuration misses."""
+"""A mass that the declaration of one state misses."""
 
 from __future__ import annotations
 
-from cvxshear.effects.base import Effect, Parameter, Place, State
+from collections.abc import Sequence
+
+import numpy as np
+
+from cvxshear.effects.base import Effect, Parameter, Place, Scale, State
+from cvxshear.experiment import Experiment
+from cvxshear.priors import Constraints
+from cvxshear.quantities import with_std
 from cvxshear.typing import Floats
 
 
 class AddedMass(Effect):
-    """M + mass e e' at one floor in one configuration; negative where more was declared than was there."""
+    """M + mass e e' at one floor in one state; negative where more was declared than was there.
+
+    No floor can lose more than it holds. Expected size: 15 % of the mean floor mass, a weight that somebody carried
+    up or took away.
+    """
 
     name = "added_mass"
-    summary = "In one configuration a floor carries more or less mass than was declared."
-    formula = "M + mass e_j e_j' in one configuration"
+    summary = "In one state a floor carries more or less mass than was declared."
+    formula = "M + mass e_j e_j' in one state"
     source = "rigid mass at floor j"
     stage = "mass"
     parameters = (Parameter("mass", "kg"),)
-    sits_at = ("floor", "configuration")
-    needs = ("several configurations",)
+    sits_at = ("floor", "state")
+    needs = ("several states",)
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         assert place.floor is not None
@@ -25,3 +36,18 @@ class AddedMass(Effect):
         M[at, at] += values[0]
         dM[own, at, at] += 1.0
         return state.with_mass(M, dM)
+
+    def sizes(self, of: Scale) -> Floats:
+        return np.array([0.15 * of.floor_mass])
+
+    def limits(self, experiment: Experiment, place: Place) -> Constraints:
+        assert place.floor is not None
+        declared = [each.added_mass[place.floor - 1] for each in experiment.tested if each.state == place.state]
+        row = np.zeros(2 * experiment.stories + 1)
+        row[place.floor - 1] = row[-1] = -1.0
+        return Constraints(G=row[None], h=np.array([min(declared, default=0.0)]))
+
+    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+        size = with_std(abs(values[0]), std[0], units[0])
+        where = f'on floor {place.floor} of "{place.state}"'
+        return f"an undeclared mass of {size} {where}" if values[0] > 0 else f"{size} missing {where}"

@@ -1,20 +1,26 @@
-"""What every physical effect is, and the state of a configuration that effects act on."""
+"""What every physical effect is, and the tested state of a frame that effects act on."""
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
-from cvxshear.experiment import Configuration, Experiment
+from cvxshear import checks
+from cvxshear.errors import InputError
+from cvxshear.experiment import Experiment, Tested
 from cvxshear.frame import System
+from cvxshear.priors import Constraints
+from cvxshear.quantities import with_std
 from cvxshear.typing import Floats, Json
 
 STAGES = ("story", "elastic", "flexibility", "spring", "mass", "gravity", "inertia", "shape")
-"""The order in which effects act on a configuration, whatever the order they were named in: story stiffnesses,
+"""The order in which effects act on a tested state, whatever the order they were named in: story stiffnesses,
 the elastic frame made of them, what adds flexibility, what adds springs, masses, the weight of those masses, how
 masses are coupled, and what the sensors make of the shapes."""
 
@@ -34,6 +40,8 @@ class Parameter:
         The value at which the effect vanishes.
     start : float
         Where a fit starts from.
+    unit_in_stories : str
+        Its unit where heights are not declared, so that lengths count in stories.
     """
 
     name: str
@@ -42,6 +50,40 @@ class Parameter:
     upper: float = np.inf
     null: float = 0.0
     start: float = 0.0
+    unit_in_stories: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Scale:
+    """Sizes of a frame, which the effects' own are compared with.
+
+    Parameters
+    ----------
+    floor_mass, story_stiffness : float
+        Means, kg and N/m.
+    heights : ndarray, shape (N,)
+        Story heights, m; ones where they are not declared.
+    """
+
+    floor_mass: float
+    story_stiffness: float
+    heights: Floats
+
+    @property
+    def elevations(self) -> Floats:
+        """Of the floors, shape (N,)."""
+        return np.cumsum(self.heights)
+
+    @property
+    def sway(self) -> float:
+        """Displacement of the top under a unit force there, m/N, all stories alike."""
+        return len(self.heights) / self.story_stiffness
+
+
+def heights_of(experiment: Experiment) -> Floats:
+    """Story heights, shape (N,), m; ones, all stories alike, where they are not declared."""
+    heights = experiment.frame.story_heights
+    return np.ones(experiment.stories) if heights is None else heights
 
 
 @dataclass(frozen=True)
@@ -52,41 +94,42 @@ class Place:
     ----------
     floor, story : int or None
         1 the lowest.
-    configuration : str or None
-        Its name.
+    state : str or None
+        Of the frame.
     """
 
     floor: int | None = None
     story: int | None = None
-    configuration: str | None = None
+    state: str | None = None
 
     def to_dict(self) -> Json:
-        return dataclasses.asdict(self)
+        """Its parts; the state goes by the key `configuration`."""
+        return {"floor": self.floor, "story": self.story, "configuration": self.state}
 
     def describe(self) -> str:
         """In words, such as "floor 3 of test 2"; empty where it sits nowhere in particular."""
         parts = [
             f"{word} {number}" for word, number in (("floor", self.floor), ("story", self.story)) if number is not None
         ]
-        if self.configuration is not None:
-            parts.append(f'"{self.configuration}"')
+        if self.state is not None:
+            parts.append(f'"{self.state}"')
         return " of ".join(parts)
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """One configuration of the frame while effects act on it, with derivatives by all P parameters of the fit.
+    """One tested state of the frame while effects act on it, with derivatives by all P parameters of the fit.
 
     The parameters are the N floor masses, the N story stiffnesses, and then the effects' own.
 
     Parameters
     ----------
     experiment : Experiment
-    configuration : Configuration
+    tested : Tested
     frame_stiffness : ndarray, shape (N,)
         Story stiffnesses of the frame itself, N/m.
     story_stiffness : ndarray, shape (N,)
-        Those of this configuration, N/m.
+        Those of this state, N/m.
     d_story_stiffness : ndarray, shape (P, N)
     system : System
         Matrices and their derivatives, those of the effects' own parameters included (P rows).
@@ -96,7 +139,7 @@ class State:
     """
 
     experiment: Experiment
-    configuration: Configuration
+    tested: Tested
     frame_stiffness: Floats
     story_stiffness: Floats
     d_story_stiffness: Floats
@@ -114,10 +157,8 @@ class State:
 
     @property
     def heights(self) -> Floats:
-        """Story heights, shape (N,), m; only for effects that need them."""
-        heights = self.experiment.frame.story_heights
-        assert heights is not None, "an effect that uses heights must list them in its needs"
-        return heights
+        """Story heights, shape (N,), m; ones where they are not declared."""
+        return heights_of(self.experiment)
 
     @property
     def elevations(self) -> Floats:
@@ -144,11 +185,19 @@ class Effect(ABC):
         One of `STAGES`: what it acts on.
     parameters : tuple of Parameter
     sits_at : tuple of str
-        Of "floor", "story", "configuration": what its place names.
+        Of "floor", "story", "state": what its place names.
     needs : tuple of str
-        Of "heights", "several configurations".
+        Of "heights", "several states".
     lowest_floor : int
         The lowest floor it can sit at.
+    probability : float
+        That a tested frame has it somewhere, before anything is measured.
+    size : float or None
+        Expected size of the first parameter, in its unit, in place of that of `sizes`.
+    releases : tuple of str
+        Of "total_mass": declarations that do not hold as they stand where it is in the model.
+    uses_heights : bool
+        Whether it takes undeclared story heights as equal.
     """
 
     name: ClassVar[str]
@@ -160,6 +209,10 @@ class Effect(ABC):
     sits_at: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[tuple[str, ...]] = ()
     lowest_floor: ClassVar[int] = 1
+    probability: float = 0.1
+    size: float | None = None
+    releases: ClassVar[tuple[str, ...]] = ()
+    uses_heights: ClassVar[bool] = False
 
     @abstractmethod
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
@@ -180,20 +233,79 @@ class Effect(ABC):
             With matrices and derivatives changed; those by other parameters too, where they change.
         """
 
+    def sizes(self, of: Scale) -> Floats:
+        """The size that practice meets, shape (p,): standard deviations of the parameters about their null values.
+
+        Infinite where a parameter is as probable anywhere between its bounds; so it is by default.
+        """
+        return np.full(len(self.parameters), np.inf)
+
+    def expected_sizes(self, of: Scale) -> Floats:
+        """`sizes`, the first of them `size` where that is given."""
+        usual = self.sizes(of)
+        return usual if self.size is None else np.concatenate([[self.size], usual[1:]])
+
+    def limits(self, experiment: Experiment, place: Place) -> Constraints:
+        """What is physically possible beyond the parameters' own bounds, as rows on masses, stiffnesses, parameters.
+
+        The rows have 2N + p entries: floor masses, story stiffnesses, the effect's own parameters; none by default.
+        """
+        return Constraints()
+
     def lacks(self, experiment: Experiment) -> str:
         """What the experiment would have to declare for this effect to be looked for; empty where it has all."""
         if "heights" in self.needs and experiment.frame.story_heights is None:
             return "story_heights"
-        if "several configurations" in self.needs and len(experiment.configurations) < 2:
-            return "several configurations"
+        if "several states" in self.needs and len(experiment.states) < 2:
+            return "several states"
         return ""
+
+    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+        """Effect, place and size in words, as the subject of a sentence.
+
+        Parameters
+        ----------
+        place : Place
+        values, std : ndarray, shape (p,)
+            Parameters and their standard deviations, nan where not determined.
+        of : Scale
+            Of the frame that was found.
+        units : sequence of str
+            Of the parameters.
+        """
+        where = place.describe()
+        sizes = ", ".join(
+            f"{item.name} = {with_std(float(value), float(error), unit)}"
+            for item, value, error, unit in zip(self.parameters, values, std, units, strict=True)
+        )
+        return f"{self.label}{f' at {where}' if where else ''} ({sizes})"
+
+    def known_anyway(self, experiment: Experiment, floor_mass: Floats, story_stiffness: Floats) -> str:
+        """A sentence on what is known of the effect even where the data do not show it; empty by default."""
+        return ""
+
+    @property
+    def label(self) -> str:
+        """Its name as words."""
+        return self.name.replace("_", " ")
+
+    def expecting(self, *, size: float | None = None, probability: float | None = None) -> Self:
+        """The same effect with another size of its first parameter, in its unit, or another probability."""
+        changed = copy.copy(self)
+        if probability is not None:
+            if not 0.0 < probability < 1.0:
+                raise InputError(f"the probability of {self.name} must lie between 0 and 1, not {probability:g}")
+            changed.probability = probability
+        if size is not None:
+            changed.size = checks.number(size, f"the size of {self.name}", above=0.0)
+        return changed
 
     def places(self, experiment: Experiment) -> list[Place]:
         """Everywhere the effect can sit in this experiment."""
         stories = range(1, experiment.stories + 1)
         floors = [floor for floor in stories if floor >= self.lowest_floor] if "floor" in self.sits_at else [None]
         levels = list(stories) if "story" in self.sits_at else [None]
-        states = [each.name for each in experiment.configurations] if "configuration" in self.sits_at else [None]
+        states = list(experiment.changed_states) if "state" in self.sits_at else [None]
         return [Place(floor, story, state) for floor in floors for story in levels for state in states]
 
 
@@ -220,14 +332,19 @@ class Placed:
 
     @property
     def label(self) -> str:
-        """Such as "ground_spring at floor 4"."""
+        """Such as "ground spring at floor 4"."""
         where = self.place.describe()
-        return f"{self.effect.name} at {where}" if where else self.effect.name
+        return f"{self.effect.label} at {where}" if where else self.effect.label
 
     def to_dict(self) -> Json:
         """Name and place."""
         return {"name": self.effect.name, **self.place.to_dict()}
 
-    def acts_on(self, configuration: Configuration) -> bool:
-        """Whether this configuration has the effect in it."""
-        return self.place.configuration in (None, configuration.name)
+    def acts_on(self, tested: Tested) -> bool:
+        """Whether this state of the frame has the effect in it."""
+        return self.place.state in (None, tested.state)
+
+    def units(self, experiment: Experiment) -> tuple[str, ...]:
+        """Of its parameters; lengths count in stories where heights are not declared."""
+        metric = experiment.frame.story_heights is not None
+        return tuple(item.unit if metric else item.unit_in_stories or item.unit for item in self.effect.parameters)

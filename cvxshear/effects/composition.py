@@ -1,4 +1,4 @@
-"""The frame in one configuration with effects in it."""
+"""The frame in one tested state with effects in it."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ from collections.abc import Sequence
 import numpy as np
 
 from cvxshear.effects.base import STAGES, Placed, State
-from cvxshear.experiment import Configuration, Experiment
+from cvxshear.experiment import Experiment, Tested
 from cvxshear.frame import System, mass_matrix, shear_system, stiffness_matrix
 from cvxshear.typing import Floats
 
 
 def compose(
     experiment: Experiment,
-    configuration: Configuration,
+    tested: Tested,
     effects: Sequence[Placed],
     theta: Floats,
     *,
     derivatives: bool = True,
 ) -> State:
-    """Matrices and sensor gains of one configuration, with derivatives by every parameter.
+    """Matrices and sensor gains of one tested state, with derivatives by every parameter.
 
     Parameters
     ----------
     experiment : Experiment
-    configuration : Configuration
+    tested : Tested
     effects : sequence of Placed
     theta : ndarray, shape (P,)
         Floor masses without added mass (N), story stiffnesses (N), then the effects' parameters in order.
@@ -37,14 +37,14 @@ def compose(
     State
     """
     if not derivatives and not effects:
-        return _plain(experiment, configuration, theta)
+        return _plain(experiment, tested, theta)
     n, size = experiment.stories, len(theta)
     mass, stiffness = theta[:n], theta[n : 2 * n]
-    plain = shear_system(mass + configuration.added_mass, stiffness)
+    plain = shear_system(mass + tested.added_mass, stiffness)
     extra = np.zeros((size - 2 * n, n, n))
     state = State(
         experiment=experiment,
-        configuration=configuration,
+        tested=tested,
         frame_stiffness=stiffness,
         story_stiffness=stiffness,
         d_story_stiffness=np.concatenate([np.zeros((n, n)), np.eye(n), np.zeros((size - 2 * n, n))]),
@@ -53,23 +53,23 @@ def compose(
         d_gain=np.zeros((size, n)),
     )
     for placed, own in sorted(slices(effects, 2 * n), key=lambda item: STAGES.index(item[0].effect.stage)):
-        if placed.acts_on(configuration):
+        if placed.acts_on(tested):
             state = placed.effect.apply(state, placed.place, theta[own], own)
     return state
 
 
-def _plain(experiment: Experiment, configuration: Configuration, theta: Floats) -> State:
-    """The shear frame of a configuration with derivatives of no rows: 2 N^3 numbers less."""
+def _plain(experiment: Experiment, tested: Tested, theta: Floats) -> State:
+    """The shear frame of a tested state with derivatives of no rows: 2 N^3 numbers less."""
     n = experiment.stories
     mass, stiffness = theta[:n], theta[n : 2 * n]
     none = np.zeros((0, n, n))
     return State(
         experiment=experiment,
-        configuration=configuration,
+        tested=tested,
         frame_stiffness=stiffness,
         story_stiffness=stiffness,
         d_story_stiffness=np.zeros((0, n)),
-        system=System(mass_matrix(mass + configuration.added_mass), stiffness_matrix(stiffness), none, none),
+        system=System(mass_matrix(mass + tested.added_mass), stiffness_matrix(stiffness), none, none),
         gain=np.ones(n),
         d_gain=np.zeros((0, n)),
     )

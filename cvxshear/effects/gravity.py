@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from cvxshear.effects.base import Effect, Parameter, Place, State
+from cvxshear.effects.base import Effect, Parameter, Place, Scale, State
+from cvxshear.experiment import Experiment
 from cvxshear.frame import transformation
+from cvxshear.quantities import with_std
 from cvxshear.typing import Floats
 
 
@@ -14,6 +18,9 @@ class Gravity(Effect):
 
     gamma is 1 for columns that stay straight (a string of rigid links: P/h a story) and 6/5 for columns
     clamped at both ends that bend (the consistent geometric stiffness of a cubic: 6 P / 5 h).
+
+    Weight always acts; whether the stiffness of a test is the one without it, so that it shows, is a matter of what
+    was declared (weights that changed between tests): even odds. Any gamma of the interval is as probable.
     """
 
     name = "gravity"
@@ -27,6 +34,7 @@ class Gravity(Effect):
     stage = "gravity"
     parameters = (Parameter("gamma", "", lower=1.0, upper=1.2, null=0.0, start=1.1),)
     needs = ("heights",)
+    probability = 0.5
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         gamma = values[0]
@@ -40,3 +48,20 @@ class Gravity(Effect):
         dK = system.dK - gamma * ((T * (d_load / state.heights)[:, None, :]) @ T.T)
         dK[own] -= unit
         return state.with_stiffness(system.K - gamma * unit, dK)
+
+    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+        return f"the weight that the columns carry (gravity, gamma = {with_std(values[0], std[0])})"
+
+    def known_anyway(self, experiment: Experiment, floor_mass: Floats, story_stiffness: Floats) -> str:
+        """How much of a story's stiffness the weight above takes, where heights are declared."""
+        heights = experiment.frame.story_heights
+        if heights is None:
+            return ""
+        shares = []
+        for each in experiment.tested:
+            load = experiment.frame.gravity * np.cumsum((floor_mass + each.added_mass)[::-1])[::-1] / heights
+            shares.append(float(np.max(load / (story_stiffness + load))))
+        return (
+            f"the weight above takes up to {100 * max(shares):.2g} % of a story's stiffness (P/h, up to 6/5 of it for "
+            "columns that bend); the stiffnesses given are what is left"
+        )

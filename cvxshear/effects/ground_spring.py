@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from cvxshear.effects.base import Effect, Parameter, Place, State
+from collections.abc import Sequence
+
+import numpy as np
+
+from cvxshear.effects.base import Effect, Parameter, Place, Scale, State
+from cvxshear.quantities import scaled, with_std
 from cvxshear.typing import Floats
 
 
 class GroundSpring(Effect):
-    """K + s e e' at one floor above the first, where it would be story 1's own stiffness."""
+    """K + s e e' at one floor above the first, where it would be story 1's own stiffness.
+
+    Expected size: a tenth of the mean story stiffness. Cables, rods of shakers and neighbours that touch are far
+    softer than a story; a brace that is not would have been seen.
+    """
 
     name = "ground_spring"
     summary = (
@@ -27,3 +36,10 @@ class GroundSpring(Effect):
         K[at, at] += values[0]
         dK[own, at, at] += 1.0
         return state.with_stiffness(K, dK)
+
+    def sizes(self, of: Scale) -> Floats:
+        return np.array([0.1 * of.story_stiffness])
+
+    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+        factor, unit = scaled([float(values[0])], units[0])
+        return f"something that holds floor {place.floor} with {with_std(values[0], std[0], unit, factor)}"

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy import linalg
 
-from cvxshear.effects.base import Effect, Parameter, Place, State
+from cvxshear.effects.base import Effect, Parameter, Place, Scale, State
+from cvxshear.quantities import with_std
 from cvxshear.typing import Floats
 
 
@@ -14,7 +17,12 @@ class JointRotation(Effect):
 
     A story of stiffness k = 12 E I / h^3 and height h, with sway u and joint rotation theta at either end,
     has the stiffness of the Bernoulli beam, k [1, h/2; h^2/3, h^2/6 coupling]. The beams of each floor resist
-    with r, N m/rad; the columns are clamped at the ground. eta = mean(k h^2) / r, zero for rigid beams.
+    with r, N m/rad; the columns are clamped at the ground. eta = mean(k h^2) / r, zero for rigid beams. Only the
+    ratios of the heights matter.
+
+    Expected size 0.5: with beams as stiff as the columns, I_b / L = I_c / h, one bay has r = 12 E I_b / L and
+    k h^2 = 24 E I_c / h, so eta = 2; frames tested as shear frames have beams several times stiffer (Chopra, Dynamics
+    of Structures, on the beam-to-column stiffness ratio).
     """
 
     name = "joint_rotation"
@@ -28,7 +36,13 @@ class JointRotation(Effect):
     )
     stage = "elastic"
     parameters = (Parameter("eta", "", lower=0.0, upper=100.0, null=0.0, start=0.05),)
-    needs = ("heights",)
+    uses_heights = True
+
+    def sizes(self, of: Scale) -> Floats:
+        return np.array([0.5])
+
+    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+        return f"joints that turn, beams not being rigid (eta = {with_std(values[0], std[0])})"
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         eta = values[0]

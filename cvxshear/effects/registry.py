@@ -15,6 +15,7 @@ from cvxshear.effects.joint_rotation import JointRotation
 from cvxshear.effects.mass_coupling import MassCoupling
 from cvxshear.effects.sensor_gain import SensorGain
 from cvxshear.effects.story_change import StoryChange
+from cvxshear.effects.total_mass import TotalMass
 
 _catalogue: dict[str, Effect] = {
     effect.name: effect
@@ -28,6 +29,7 @@ _catalogue: dict[str, Effect] = {
         MassCoupling(),
         SensorGain(),
         StoryChange(),
+        TotalMass(),
     )
 }
 

@@ -1,27 +1,33 @@
-"""A story that is stiffer or softer in one configuration than in the others."""
+"""A story that is stiffer or softer in one state than in the others."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
-from cvxshear.effects.base import Effect, Parameter, Place, State
+import numpy as np
+
+from cvxshear.effects.base import Effect, Parameter, Place, Scale, State
 from cvxshear.frame import stiffness_matrix, transformation
+from cvxshear.quantities import with_std
 from cvxshear.typing import Floats
 
 
 class StoryChange(Effect):
-    """k_i (1 + change) in one configuration."""
+    """k_i (1 + change) in one state.
+
+    Expected size 25 %: what damage, a loosened joint or a repair does to a story is seen from some percent up, and a
+    story that has lost more than half is no story of this frame any more.
+    """
 
     name = "story_change"
-    summary = (
-        "One story is softer or stiffer in one configuration than in the others: damage, or a joint that loosened."
-    )
-    formula = "k_i (1 + change) in one configuration"
+    summary = "One story is softer or stiffer in one state than in the others: damage, a repair, a joint that loosened."
+    formula = "k_i (1 + change) in one state"
     source = "change of one story's columns or joints between tests"
     stage = "story"
     parameters = (Parameter("change", "", lower=-0.99, upper=99.0),)
-    sits_at = ("story", "configuration")
-    needs = ("several configurations",)
+    sits_at = ("story", "state")
+    needs = ("several states",)
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         assert place.story is not None
@@ -33,3 +39,11 @@ class StoryChange(Effect):
         T = transformation(len(k))
         changed = dataclasses.replace(state, story_stiffness=k, d_story_stiffness=dk)
         return changed.with_stiffness(stiffness_matrix(k), (T * dk[:, None, :]) @ T.T)
+
+    def sizes(self, of: Scale) -> Floats:
+        return np.array([0.25])
+
+    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+        word = "stiffer" if values[0] > 0 else "softer"
+        size = with_std(100 * abs(values[0]), 100 * std[0], "%")
+        return f'a story {place.story} that is {size} {word} in "{place.state}"'

@@ -38,10 +38,8 @@ def qi(of: Setting, backend: Backend, initial_mass: Floats | None = None) -> Par
         of,
         mass,
         identified_stiffness(of, mass, backend),
-        converged=True,
         iterations=1,
         history=np.array([start - added, mass - added]),
-        reason="solved",
     )
 
 
@@ -72,9 +70,7 @@ def berman(of: Setting, backend: Backend, initial_mass: Floats | None = None) ->
         of,
         np.diag(M).copy(),
         identified_stiffness(of, M, backend),
-        converged=True,
         iterations=1,
         history=np.array([start - added, np.diag(M) - added]),
         mass_matrix=M,
-        reason="solved",
     )

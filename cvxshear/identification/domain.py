@@ -1,14 +1,15 @@
-"""Where the parameters of a fit may lie: positivity, declared masses, exact priors, the effects' bounds."""
+"""Where the parameters of a fit may lie: positivity, declared masses, exact priors, what the effects can be."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
 
 from cvxshear.effects import Placed
 from cvxshear.effects.composition import slices
-from cvxshear.experiment import Experiment
+from cvxshear.experiment import Experiment, Frame
 from cvxshear.identification.gauss_newton import Domain, embedded
 from cvxshear.priors import Constraints
 from cvxshear.programs.feasibility import Statement, refuse_contradictions
@@ -19,11 +20,11 @@ SMALLEST = 1e-3
 """Of the mean at the start: a smaller mass or stiffness does not count as positive."""
 
 
-def spread(heavy: Sequence[Statement], stiff: Sequence[Statement], n: int, size: int) -> list[Statement]:
+def spread(masses: Sequence[Statement], stiffnesses: Sequence[Statement], n: int, size: int) -> list[Statement]:
     """Statements about the masses and about the stiffnesses as statements about all parameters."""
     return [
         Statement(part.name, embedded(part.constraints, at, size))
-        for parts, at in ((heavy, slice(0, n)), (stiff, slice(n, 2 * n)))
+        for parts, at in ((masses, slice(0, n)), (stiffnesses, slice(n, 2 * n)))
         for part in parts
     ]
 
@@ -37,7 +38,7 @@ def refuse_contradicting(experiment: Experiment) -> None:
         Naming a smallest set that cannot.
     """
     n = experiment.stories
-    refuse_contradictions(statements(experiment.priors, "floor_mass", n, experiment.frame), n)
+    refuse_contradictions(statements(experiment.priors, "floor_mass", n, _exact(experiment.frame, ())), n)
     refuse_contradictions(statements(experiment.priors, "story_stiffness", n), n)
 
 
@@ -45,9 +46,13 @@ def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) 
     """The domain of the parameters of a fit with these effects."""
     n, size = experiment.stories, len(theta)
     mass, stiffness = SMALLEST * theta[:n].mean(), SMALLEST * theta[n : 2 * n].mean()
-    heavy = statements(experiment.priors, "floor_mass", n, experiment.frame, least=mass)
-    stiff = statements(experiment.priors, "story_stiffness", n, least=stiffness)
-    parts = spread(heavy, stiff, n, size)
+    frame = _exact(experiment.frame, effects)
+    parts = spread(
+        statements(experiment.priors, "floor_mass", n, frame, least=mass),
+        statements(experiment.priors, "story_stiffness", n, least=stiffness),
+        n,
+        size,
+    )
     interval_std = np.full(size, np.inf)
     for placed, own in slices(effects, 2 * n):
         parameters = placed.effect.parameters
@@ -60,4 +65,15 @@ def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) 
         )
         interval_std[own] = [(item.upper - item.lower) / np.sqrt(12) for item in parameters]
         parts.append(Statement(f"bounds of {placed.label}", embedded(bounds, own, size)))
+        limits = placed.effect.limits(experiment, placed.place)
+        columns = np.concatenate([np.arange(2 * n), np.arange(own.start, own.stop)])
+        parts.append(Statement(f"what {placed.label} can be", embedded(limits, columns, size)))
     return Domain(parts, np.where(theta == 0, 1.0, np.abs(theta)), interval_std)
+
+
+def _exact(frame: Frame, effects: Sequence[Placed]) -> Frame:
+    """The frame with a total mass only where it holds exactly."""
+    released = any("total_mass" in placed.effect.releases for placed in effects)
+    if frame.floor_masses is None and frame.total_mass is not None and (released or frame.total_mass_std is not None):
+        return dataclasses.replace(frame, total_mass=None, total_mass_std=None)
+    return frame

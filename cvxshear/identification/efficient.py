@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.effects import Placed
+from cvxshear.effects import Placed, Scale
+from cvxshear.effects.base import heights_of
 from cvxshear.effects.composition import slices
-from cvxshear.errors import CvxshearError, InputError, NoSolutionError
+from cvxshear.errors import CvxshearError, NoModesError, NoSolutionError
 from cvxshear.experiment import Experiment
 from cvxshear.identification.domain import domain_of, refuse_contradicting
 from cvxshear.identification.gauss_newton import CONVERGED_STEP, Domain, Fit, gauss_newton
 from cvxshear.identification.misfit import Misfit
+from cvxshear.identification.noise import NoiseEstimate, estimated_noise
 from cvxshear.identification.quality import Quality, quality
 from cvxshear.identification.results import IdentifiedFrame, Part, Prediction, predictions
 from cvxshear.identification.smooth import smooth_start
@@ -25,6 +29,10 @@ from cvxshear.typing import Floats
 FAR_OFF = 100.0
 """Chi-square a datum beyond which a starting point is not near the data: errors of ten standard deviations."""
 
+MOST_NOISES = 4
+SAME_NOISE = 0.02
+"""Estimates of an undeclared noise, and the relative change of its factors that counts as none."""
+
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
@@ -33,17 +41,20 @@ class Estimate:
     Parameters
     ----------
     misfit : Misfit
-        With the experiment and the effects of the fit.
+        With the experiment, the effects and the noise of the fit.
     domain : Domain
     fit : Fit
     uncertainty : Uncertainty
-        In units of the declared (or default) noise; `std` has the noise scale in it.
+        From data, priors, and what is expected of the effects.
+    noise : NoiseEstimate
+        Of what was left undeclared.
     """
 
     misfit: Misfit
     domain: Domain
     fit: Fit
     uncertainty: Uncertainty
+    noise: NoiseEstimate = NoiseEstimate()
 
     @property
     def experiment(self) -> Experiment:
@@ -62,7 +73,7 @@ class Estimate:
 
     @property
     def chi2(self) -> float:
-        """Sum of squared residuals in units of the declared (or default) standard deviations."""
+        """Sum of squared residuals of data and priors, in units of the declared or the estimated noise."""
         return self.fit.at.chi2
 
     @property
@@ -71,31 +82,36 @@ class Estimate:
         return self.misfit.count(self.theta) - self.uncertainty.free
 
     @property
-    def noise_scale(self) -> float:
-        """Factor of all standard deviations: 1 where declared, else estimated, nan where nothing is left to do so."""
-        if self.experiment.noise_declared:
-            return 1.0
-        return float(np.sqrt(self.chi2 / self.dof)) if self.dof > 0 else float("nan")
-
-    @property
     def std(self) -> Floats:
         """Standard deviations of all parameters, shape (P,); nan where undetermined."""
-        return self.uncertainty.std(self.noise_scale)
+        return self.uncertainty.std()
 
     @property
     def correlation(self) -> Floats:
         """Correlations of all parameters, shape (P, P)."""
-        return self.uncertainty.correlation(self.noise_scale)
+        return self.uncertainty.correlation()
 
     @property
+    def p_value(self) -> float | None:
+        """Probability of a residual as large, or, with undeclared noise, of instruments with noise as large."""
+        return self.quality.p_value if self.noise.p_value is None else self.noise.p_value
+
+    @cached_property
     def quality(self) -> Quality:
         """Errors and chi-square."""
-        return quality(self.misfit, self.fit.at.matches, self.chi2, self.dof)
+        declared = not self.misfit.open_noises
+        return quality(self.misfit.data, self.fit.at.models, self.chi2, self.dof, declared=declared)
 
     @property
     def predictions(self) -> tuple[Prediction, ...]:
         """All modes at all floors, one prediction a configuration."""
-        return predictions(self.misfit, self.fit.at.matches)
+        return predictions(self.fit.at.models)
+
+    @property
+    def scale(self) -> Scale:
+        """Mean floor mass and story stiffness, and the heights."""
+        n = self.experiment.stories
+        return Scale(float(self.theta[:n].mean()), float(self.theta[n : 2 * n].mean()), heights_of(self.experiment))
 
     @property
     def frame(self) -> IdentifiedFrame:
@@ -110,11 +126,15 @@ class Estimate:
         return next(at for item, at in slices(self.effects, 2 * self.experiment.stories) if item is placed)
 
     @property
+    def free_directions(self) -> Floats:
+        """Directions that the constraints leave free and anything determines, of unit effect on all residuals."""
+        return self.uncertainty.root_of(self.fit.at.triangle[0])
+
+    @property
     def part(self) -> Part:
         """The estimate in the form that every method returns."""
         return Part(
             name="",
-            converged=self.fit.converged,
             iterations=self.fit.steps,
             frame=self.frame,
             fit=self.quality,
@@ -138,7 +158,31 @@ def parameter_names(experiment: Experiment, effects: Sequence[Placed]) -> tuple[
 
 
 def fitted(misfit: Misfit, theta: Floats, backend: Backend, tolerance: float = CONVERGED_STEP) -> Estimate:
-    """The estimate that Gauss-Newton reaches from a starting point.
+    """The estimate that Gauss-Newton reaches from a starting point, with the noise that it speaks for.
+
+    Parameters
+    ----------
+    misfit : Misfit
+        Its noise is where the estimate of an undeclared one starts.
+    theta : ndarray, shape (P,)
+    backend : Backend
+    tolerance : float, optional
+        Of `gauss_newton`.
+    """
+    estimate = fitted_with(misfit, theta, backend, tolerance)
+    for _ in range(MOST_NOISES if misfit.open_noises else 0):
+        noise = estimated_noise(estimate.misfit, estimate.fit.at, estimate.free_directions)
+        before = estimate.misfit.noise
+        estimate = dataclasses.replace(estimate, noise=noise)
+        if all(abs(np.log(factor / before.of(kind))) < SAME_NOISE for kind, factor in noise.noise.factors):
+            break
+        again = fitted_with(estimate.misfit.replaced(noise=noise.noise), estimate.theta, backend, tolerance)
+        estimate = dataclasses.replace(again, noise=noise)
+    return estimate
+
+
+def fitted_with(misfit: Misfit, theta: Floats, backend: Backend, tolerance: float = CONVERGED_STEP) -> Estimate:
+    """The estimate that Gauss-Newton reaches from a starting point, the noise held as it is.
 
     Parameters
     ----------
@@ -151,7 +195,7 @@ def fitted(misfit: Misfit, theta: Floats, backend: Backend, tolerance: float = C
     domain = domain_of(misfit.experiment, misfit.effects, theta)
     fit = gauss_newton(misfit, theta, domain, backend, tolerance)
     names = parameter_names(misfit.experiment, misfit.effects)
-    return Estimate(misfit, domain, fit, uncertainty(fit.at.triangle[0], fit.theta, domain, names))
+    return Estimate(misfit, domain, fit, uncertainty(fit.at.known_triangle, fit.theta, domain, names))
 
 
 def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed] = ()) -> Estimate:
@@ -190,7 +234,7 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed
             continue
         if best is None or found.chi2 < best.chi2:
             best = found
-        if best.chi2 <= 3.0 * max(best.dof, 1):
+        if best.chi2 <= 3.0 * max(best.dof, 1) and not misfit.open_noises:
             break
     if best is None:
         raise failure if failure is not None else NoSolutionError(backend.name, "no starting point has modes")
@@ -203,7 +247,7 @@ def _nearest_first(misfit: Misfit, own: Floats) -> list[Floats]:
     def chi2(start: Floats) -> float:
         try:
             return misfit.evaluate(np.concatenate([start, own]), derivatives=False).chi2
-        except InputError:
+        except NoModesError:
             return float("inf")
 
     measured = [(chi2(start), start) for start in starts(misfit.experiment)]

@@ -14,13 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.backends import Backend, Solution
-from cvxshear.errors import InputError, NoSolutionError
+from cvxshear.errors import NoModesError, NoSolutionError
+from cvxshear.identification.ending import Ending
 from cvxshear.identification.misfit import Evaluation, Misfit
 from cvxshear.priors import Constraints
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.feasibility import Statement
 from cvxshear.programs.rows import constrained
-from cvxshear.typing import Floats
+from cvxshear.typing import Floats, Ints
 
 CONVERGED_STEP = 1e-6
 """Largest change of a residual, in standard deviations and relative to their root mean square where that is above
@@ -54,22 +55,20 @@ class Fit:
     theta : ndarray, shape (P,)
     at : Evaluation
         Residuals and derivatives there.
-    reason : str
-        "step below tolerance", "no step lowers the misfit", "misfit flat along directions that the data hardly
-        determine", or "step limit".
+    reason : Ending
     steps : int
         Number of step programs solved.
     """
 
     theta: Floats
     at: Evaluation
-    reason: str
+    reason: Ending
     steps: int
 
     @property
     def converged(self) -> bool:
         """Whether it stopped because there was nothing left to gain, or hardly anything."""
-        return self.reason != "step limit"
+        return self.reason.converged
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,26 +171,26 @@ def gauss_newton(
             damping.heavier()
             continue
         d = solution.x
-        rms = np.sqrt(at.chi2 / max(len(at.r), 1))
+        rms = np.sqrt(at.objective / max(len(at.r), 1))
         if not damping.active and np.max(np.abs(at.J @ d), initial=0.0) < tolerance * max(1.0, rms):
-            return Fit(theta, at, "step below tolerance", step)
+            return Fit(theta, at, Ending.STATIONARY, step)
         taken = _halved(misfit, theta, d, at, 0 if damping.active else HALVINGS)
         if taken is None:
             if damping.exhausted:
-                return Fit(theta, at, "no step lowers the misfit", step)
+                return Fit(theta, at, Ending.NO_BETTER_STEP, step)
             damping.heavier()
             continue
-        gain, before = at.chi2 - taken[1].chi2, at
+        gain, before = at.objective - taken[1].objective, at
         theta, at = taken
         if not damping.active:
             flat = 0
         else:
             flat = flat + 1 if gain < FLAT * max(1.0, rms**2) else 0
             if flat == FLAT_STEPS:
-                return Fit(theta, at, "misfit flat along directions that the data hardly determine", step)
-            promised = before.chi2 - float(np.sum((before.r + before.J @ d) ** 2))
+                return Fit(theta, at, Ending.FLAT, step)
+            promised = before.objective - float(np.sum((before.r + before.J @ d) ** 2))
             damping.lighter(gain / promised if promised > 0 else 0.0)
-    return Fit(theta, at, "step limit", MOST_STEPS)
+    return Fit(theta, at, Ending.STEP_LIMIT, MOST_STEPS)
 
 
 def _halved(
@@ -203,10 +202,10 @@ def _halved(
         try:
             # With derivatives at once: nearly always the first trial is taken, and they are needed then.
             found = misfit.evaluate(trial)
-        except InputError:
+        except NoModesError:
             # Outside the model's domain (a mass not positive, a frame that buckles): too long a step.
             continue
-        if found.chi2 < at.chi2:
+        if found.objective < at.objective:
             return trial, found
     return None
 
@@ -217,7 +216,7 @@ def _made_feasible(theta: Floats, domain: Domain, backend: Backend) -> Floats:
     return theta + backend.solve(constrained(nearest, domain.statements, theta)).x
 
 
-def embedded(said: Constraints, at: slice, size: int) -> Constraints:
+def embedded(said: Constraints, at: slice | Ints, size: int) -> Constraints:
     """Statements about some of the parameters as statements about all of them."""
 
     def wide(rows: Floats | None) -> Floats | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.backends import Backend
+from cvxshear.identification.ending import Ending
 from cvxshear.identification.results import Part
 from cvxshear.identification.separate import Setting, finished
 from cvxshear.identification.stiffness import MOST_ROUNDS, UNCHANGED, identified_stiffness
@@ -47,9 +48,8 @@ def one_shot(of: Setting, backend: Backend) -> Part:
         of,
         mass,
         identified_stiffness(of, mass, backend),
-        converged=iterations <= MOST_ROUNDS,
         iterations=iterations,
-        reason="solved",
+        reason=Ending.SOLVED if iterations <= MOST_ROUNDS else Ending.ITERATION_LIMIT,
     )
 
 

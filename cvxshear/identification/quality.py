@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
 from scipy import stats
 
-from cvxshear.identification.misfit import Match, Misfit, Target
+from cvxshear.data import Datum, Model
 from cvxshear.typing import Floats, Json
 
 
@@ -33,6 +33,8 @@ class Quality:
         Number of data less number of free parameters.
     p_value : float or None
         Of chi2, where the noise is declared and a degree of freedom is left.
+    max_displacement_error : float or None
+        Largest difference of a displacement over the largest of its test; None where none was measured.
     """
 
     max_frequency_error: float
@@ -42,56 +44,45 @@ class Quality:
     chi2: float
     dof: int
     p_value: float | None
+    max_displacement_error: float | None = None
 
     def to_dict(self) -> Json:
         """The fields by name."""
         return asdict(self)
 
 
-def quality(misfit: Misfit, matches: Iterable[Match], chi2: float, dof: int) -> Quality:
-    """The errors of a model whose matches these are.
+def quality(data: Sequence[Datum], models: Sequence[Model], chi2: float, dof: int, *, declared: bool) -> Quality:
+    """The errors of a model.
 
     Parameters
     ----------
-    misfit : Misfit
-    matches : iterable of Match
-        One a configuration.
+    data : sequence of Datum
+    models : sequence of Model
+        One a tested state.
     chi2 : float
     dof : int
+    declared : bool
+        Whether chi2 is one, every standard deviation having been declared.
     """
-    frequency, macs, shapes = [], [], []
-    for target, match in zip(misfit.targets, matches, strict=True):
-        frequency.append(frequency_errors(target, match))
-        for measured, modelled, weight in zip(target.shapes, match.seen, target.weights, strict=True):
-            known = weight > 0
-            if known.sum() > 1:
-                macs.append(mac(measured[known], modelled[known]))
-            if known.any():
-                shapes.append(shape_error(measured[known], modelled[known]))
-    errors = np.concatenate(frequency)
-    declared = misfit.experiment.noise_declared
+    by_tested = {id(model.state.tested): model for model in models}
+    errors: dict[str, list[Floats]] = {}
+    for datum in data:
+        for name, values in datum.errors(by_tested[id(datum.tested)]).items():
+            errors.setdefault(name, []).append(values)
+    found = {name: np.concatenate(values) for name, values in errors.items()}
+    frequency = found.get("frequency_error", np.zeros(0))
     return Quality(
-        max_frequency_error=float(np.max(np.abs(errors))),
-        rms_frequency_error=float(np.sqrt(np.mean(errors**2))),
-        min_mac=min(macs) if macs else None,
-        max_shape_error=max(shapes) if shapes else None,
+        max_frequency_error=float(np.max(np.abs(frequency), initial=0.0)),
+        rms_frequency_error=float(np.sqrt(np.mean(frequency**2))) if frequency.size else 0.0,
+        min_mac=_extreme(found, "mac", np.min),
+        max_shape_error=_extreme(found, "shape_error", np.max),
         chi2=chi2,
         dof=dof,
         p_value=float(stats.chi2.sf(chi2, dof)) if declared and dof > 0 else None,
+        max_displacement_error=_extreme(found, "displacement_error", lambda values: np.max(np.abs(values))),
     )
 
 
-def frequency_errors(target: Target, match: Match) -> Floats:
-    """model / measured - 1, shape (m,)."""
-    return match.modes.frequencies[match.paired] / np.exp(target.log_frequencies) - 1.0
-
-
-def mac(a: Floats, b: Floats) -> float:
-    """Modal assurance criterion of two shapes, (a'b)^2 / (a'a b'b)."""
-    return float((a @ b) ** 2 / ((a @ a) * (b @ b)))
-
-
-def shape_error(measured: Floats, modelled: Floats) -> float:
-    """Largest difference, the measured shape scaled to a largest entry of 1, the model's to it by least squares."""
-    unit = measured / measured[np.argmax(np.abs(measured))]
-    return float(np.max(np.abs(modelled * (unit @ modelled) / (modelled @ modelled) - unit)))
+def _extreme(found: dict[str, Floats], name: str, of: Callable[[Floats], float]) -> float | None:
+    values = found.get(name)
+    return None if values is None or not values.size else float(of(values))

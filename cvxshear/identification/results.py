@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from cvxshear.experiment import Experiment
-from cvxshear.identification.misfit import Match, Misfit
+from cvxshear.data import Model
+from cvxshear.experiment import Configuration, Experiment
+from cvxshear.identification.ending import Ending
 from cvxshear.identification.quality import Quality
 from cvxshear.typing import Floats, Json
 
@@ -66,11 +68,11 @@ class Prediction:
     mode_shapes: Floats
 
     @staticmethod
-    def of(name: str, match: Match) -> Prediction:
-        """The prediction for a configuration of this name."""
-        shapes = match.modes.shapes.T
+    def of(model: Model) -> Prediction:
+        """The prediction of a model of a tested state."""
+        shapes = model.modes.shapes
         largest = shapes[np.arange(len(shapes)), np.argmax(np.abs(shapes), axis=1)]
-        return Prediction(name, match.modes.frequencies, shapes / largest[:, None])
+        return Prediction(model.state.tested.name, model.modes.frequencies, shapes / largest[:, None])
 
     def to_dict(self) -> Json:
         """The fields as lists."""
@@ -81,11 +83,9 @@ class Prediction:
         }
 
 
-def predictions(misfit: Misfit, matches: tuple[Match, ...]) -> tuple[Prediction, ...]:
+def predictions(models: Sequence[Model]) -> tuple[Prediction, ...]:
     """One prediction a configuration."""
-    return tuple(
-        Prediction.of(target.configuration.name, match) for target, match in zip(misfit.targets, matches, strict=True)
-    )
+    return tuple(Prediction.of(model) for model in models if isinstance(model.state.tested, Configuration))
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,6 @@ class Part:
     ----------
     name : str
         Of the configuration; empty for all together.
-    converged : bool
     iterations : int
     frame : IdentifiedFrame
     fit : Quality
@@ -105,19 +104,23 @@ class Part:
         Floor masses without added mass at the start and after each iteration, kg.
     mass_matrix : ndarray, shape (N, N), optional
         Where a baseline's corrected mass matrix is full; with added mass, kg.
-    reason : str
+    reason : Ending
         Why the iteration stopped.
     """
 
     name: str
-    converged: bool
     iterations: int
     frame: IdentifiedFrame
     fit: Quality
     predictions: tuple[Prediction, ...]
     history: Floats | None = None
     mass_matrix: Floats | None = None
-    reason: str = ""
+    reason: Ending = Ending.SOLVED
+
+    @property
+    def converged(self) -> bool:
+        """Whether the iteration stopped because there was nothing left to gain."""
+        return self.reason.converged
 
     def to_dict(self) -> Json:
         """The fields as plain values; the full mass matrix only where there is one."""
@@ -125,7 +128,7 @@ class Part:
             "name": self.name,
             "converged": self.converged,
             "iterations": self.iterations,
-            "reason": self.reason,
+            "reason": str(self.reason),
             "frame": self.frame.to_dict(),
             "fit": self.fit.to_dict(),
             "predictions": [item.to_dict() for item in self.predictions],

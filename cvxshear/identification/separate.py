@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -125,16 +126,18 @@ def finished(of: Setting, mass: Floats, stiffness: Floats, **more: object) -> Pa
         Further fields of `Part`.
     """
     net = mass - of.configuration.added_mass
-    alone = Experiment(of.experiment.frame, (of.configuration,), of.experiment.priors, of.experiment.name)
+    frame = dataclasses.replace(of.experiment.frame, reference=None)
+    alone = Experiment(frame, (of.configuration,), of.experiment.priors, of.experiment.name)
     misfit = Misfit(alone)
     theta = np.concatenate([net, stiffness])
     # The stiffnesses, and the masses less the known total, are what the data had to determine.
     free = len(net) + (0 if of.experiment.frame.floor_masses is not None else len(net) - 1)
     at = misfit.evaluate(theta, derivatives=False)
+    declared = not misfit.open_noises
     return Part(
         name=of.configuration.name,
         frame=IdentifiedFrame(net, stiffness),
-        fit=quality(misfit, at.matches, at.chi2, misfit.count(theta) - free),
-        predictions=predictions(misfit, at.matches),
+        fit=quality(misfit.data, at.models, at.chi2, misfit.count(theta) - free, declared=declared),
+        predictions=predictions(at.models),
         **more,  # type: ignore[arg-type]  # fields of Part, of the types that it says
     )

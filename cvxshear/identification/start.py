@@ -130,9 +130,9 @@ def _from_story_equations(experiment: Experiment, theta: Floats) -> Floats:
     program = LeastSquares(
         R=np.concatenate([*rows, np.diag(ridge)]), s=np.concatenate([*sides, ridge * theta]),
     )  # fmt: skip
-    heavy = statements(experiment.priors, "floor_mass", n, experiment.frame)
-    stiff = statements(experiment.priors, "story_stiffness", n)
-    x = backends.get("auto").solve(constrained(program, spread(heavy, stiff, n, 2 * n), np.zeros(2 * n))).x
+    masses = statements(experiment.priors, "floor_mass", n, experiment.frame)
+    stiffnesses = statements(experiment.priors, "story_stiffness", n)
+    x = backends.get("auto").solve(constrained(program, spread(masses, stiffnesses, n, 2 * n), np.zeros(2 * n))).x
     m, k = x[:n], x[n:]
     if m.mean() <= 0 or k.mean() <= 0:
         raise InputError("the story equations have no solution of positive masses and stiffnesses")
@@ -149,11 +149,11 @@ def filled(configuration: Configuration, j: int, model: Modes) -> Floats:
     floors = configuration.measured_floors[known] - 1
     own = int(configuration.modes[j]) - 1
     if not len(floors):
-        return model.shapes[:, own]
+        return model.shapes[own]
     count = max(1, len(floors) // 2)
     near = np.argsort(np.abs(np.arange(n) - own), kind="stable")[:count]
     values = configuration.mode_shapes[j, known]
-    share = np.linalg.lstsq(model.shapes[np.ix_(floors, near)], values, rcond=None)[0]
-    phi: Floats = model.shapes[:, near] @ share
+    share = np.linalg.lstsq(model.shapes[np.ix_(near, floors)].T, values, rcond=None)[0]
+    phi: Floats = share @ model.shapes[near]
     phi[floors] = values
     return phi

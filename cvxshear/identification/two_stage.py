@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.backends import Backend
+from cvxshear.identification.ending import Ending
 from cvxshear.identification.fixed_point import MOST_ITERATIONS, iterated
 from cvxshear.identification.results import Part
 from cvxshear.identification.separate import Setting, finished, start_mass
@@ -48,8 +49,7 @@ def two_stage(
         of,
         mass,
         identified_stiffness(of, mass, backend),
-        converged=converged,
         iterations=len(history) - 1,
         history=np.array(history) - of.configuration.added_mass,
-        reason="correction below tolerance (Eq. 15)" if converged else "iteration limit",
+        reason=Ending.CORRECTION if converged else Ending.ITERATION_LIMIT,
     )

@@ -80,28 +80,26 @@ class Uncertainty:
         """The same with parameters of an interval free to leave its ends, shape (P, g)."""
         return _unit_directions(self.J, np.concatenate([self.equalities, self.touching]))
 
-    def covariance(self, noise: float = 1.0) -> Floats:
-        """Covariance of the determined part, shape (P, P), in the parameters' own units.
+    def root_of(self, J: Floats) -> Floats:
+        """Directions that the constraints leave free, of unit effect on other residuals than these, shape (P, f)."""
+        return _unit_directions(J, np.concatenate([self.equalities, self.touching, self.ends]))
 
-        Parameters
-        ----------
-        noise : float, optional
-            Factor of all standard deviations of the data.
-        """
+    def covariance(self) -> Floats:
+        """Covariance of the determined part, shape (P, P), in the parameters' own units."""
         known = (self.reach / self.interval_std[:, None]).T @ (self.reach / self.interval_std[:, None])
-        information = np.eye(self.reach.shape[1]) / noise**2 + known
+        information = np.eye(self.reach.shape[1]) + known
         covariance: Floats = self.reach @ np.linalg.solve(information, self.reach.T)
         return covariance
 
-    def std(self, noise: float = 1.0) -> Floats:
+    def std(self) -> Floats:
         """Standard deviations, shape (P,); nan where the data do not determine a parameter."""
-        return np.where(self.determined, np.sqrt(np.maximum(np.diag(self.covariance(noise)), 0.0)), np.nan)
+        return np.where(self.determined, np.sqrt(np.maximum(np.diag(self.covariance()), 0.0)), np.nan)
 
-    def correlation(self, noise: float = 1.0) -> Floats:
+    def correlation(self) -> Floats:
         """Correlations, shape (P, P); nan where one of the two is undetermined or fixed."""
-        std = self.std(noise)
+        std = self.std()
         with np.errstate(invalid="ignore", divide="ignore"):
-            return self.covariance(noise) / np.outer(std, std)
+            return self.covariance() / np.outer(std, std)
 
 
 def uncertainty(J: Floats, theta: Floats, domain: Domain, names: Sequence[str]) -> Uncertainty:

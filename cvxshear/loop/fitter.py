@@ -1,37 +1,186 @@
-"""Fits, and how many there were."""
+"""Fits of sets of effects to one experiment, none made twice, and the effort they take."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 
+import numpy as np
+
+from cvxshear import backends
 from cvxshear.backends import Backend
+from cvxshear.effects import Placed
+from cvxshear.effects.composition import slices
+from cvxshear.errors import CvxshearError, NoModesError, NoSolutionError, UnsuitableError
+from cvxshear.experiment import Experiment
 from cvxshear.identification.efficient import Estimate, fitted
+from cvxshear.identification.expectation import Expectation
 from cvxshear.identification.gauss_newton import CONVERGED_STEP
 from cvxshear.identification.misfit import Misfit
+from cvxshear.loop.evidence import log_evidence
+from cvxshear.loop.hypotheses import Hypothesis
+from cvxshear.loop.model_class import ModelClass
+from cvxshear.parallel import each as in_parallel
 from cvxshear.typing import Floats
+
+ROUGH = 1e-2
+"""Tolerance of Gauss-Newton, in standard deviations, while sets are looked for."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A set of effects that is worth a fit, and where that starts.
+
+    Parameters
+    ----------
+    effects : tuple of Placed
+        In the order of their parameters, those assumed included.
+    starts : tuple of ndarray, shape (P,)
+        Starting points; the one that fits best is taken.
+    misfit : Misfit
+        Whose data and noise the fit has.
+    """
+
+    effects: tuple[Placed, ...]
+    starts: tuple[Floats, ...]
+    misfit: Misfit
 
 
 @dataclass(eq=False)
 class Fitter:
-    """Fits models on one backend and counts the effort.
+    """Fits sets of effects on one backend and counts the effort.
 
     Parameters
     ----------
+    experiment : Experiment
     backend : Backend
+    hypotheses : sequence of Hypothesis
+    assumed : tuple of Placed
+        In every set.
+    expectation : Expectation
+    jobs : int
+        Processes over which sets are fitted.
     fits, programs : int
         Fits made so far, and step programs that they solved.
-    jobs : int, optional
-        Processes over which candidates are fitted.
+    stand_ins : int
+        Fits that the backend refused and another one made.
     """
 
+    experiment: Experiment
     backend: Backend
+    hypotheses: Sequence[Hypothesis]
+    assumed: tuple[Placed, ...]
+    expectation: Expectation
+    jobs: int = 1
     fits: int = 0
     programs: int = 0
-    jobs: int = 1
+    stand_ins: int = 0
+    _log_odds: dict[Placed, float] = field(init=False)
 
-    def fit(self, misfit: Misfit, start: Floats, tolerance: float = CONVERGED_STEP) -> Estimate:
-        """The estimate that Gauss-Newton reaches from a starting point."""
+    def __post_init__(self) -> None:
+        self._log_odds = {item.placed: item.log_odds for item in self.hypotheses}
+
+    def log_prior(self, effects: Iterable[Placed]) -> float:
+        """Sum of the logarithms of the prior odds."""
+        return sum(self._log_odds[placed] for placed in effects)
+
+    def proposal(self, of: Estimate, effects: Sequence[Placed], more: Sequence[Floats] = ()) -> Proposal:
+        """The set of these effects, started from a fit that shares some of them."""
+        n2 = 2 * self.experiment.stories
+        values = {placed: of.theta[own] for placed, own in slices(of.effects, n2)}
+        own = [values.get(placed, np.array(placed.start)) for placed in effects]
+        plain = np.concatenate([of.theta[:n2], *own])
+        return Proposal(tuple(effects), (*more, plain), of.misfit.replaced(effects))
+
+    def fit(self, misfit: Misfit, start: Floats) -> Estimate:
+        """The fit of a model from a starting point."""
         self.fits += 1
-        found = fitted(misfit, start, self.backend, tolerance)
-        self.programs += found.fit.steps
+        found, stood_in = with_stand_in(self.backend, lambda by: fitted(misfit, start, by))
+        self.stand_ins += stood_in
         return found
+
+    def models(self, proposals: Sequence[Proposal], tolerance: float = ROUGH) -> list[ModelClass]:
+        """The fitted sets, over processes where there are several."""
+        if self.jobs == 1 or len(proposals) < 2:
+            found = [_fitted(proposal, self.backend, tolerance) for proposal in proposals]
+        else:
+            work = _Work(self.backend, tolerance)
+            found = [
+                (_own(item, proposal), stood_in)
+                for (item, stood_in), proposal in zip(
+                    in_parallel(work, proposals, jobs=self.jobs), proposals, strict=True
+                )
+            ]
+        self.stand_ins += sum(stood_in for _, stood_in in found)
+        return [self._model(proposal, item) for proposal, (item, _) in zip(proposals, found, strict=True)]
+
+    def _model(self, proposal: Proposal, found: Estimate | CvxshearError) -> ModelClass:
+        self.fits += 1
+        effects = frozenset(proposal.effects) - frozenset(self.assumed)
+        if isinstance(found, CvxshearError):
+            return ModelClass(effects, None, -np.inf, self.log_prior(effects), found)
+        self.programs += found.fit.steps
+        return self.model_of(found)
+
+    def model_of(self, estimate: Estimate) -> ModelClass:
+        """The set that an estimate is the fit of."""
+        effects = frozenset(estimate.effects) - frozenset(self.assumed)
+        return ModelClass(effects, estimate, log_evidence(estimate, self.expectation), self.log_prior(effects))
+
+    def refined(self, model: ModelClass) -> ModelClass:
+        """The same set fitted to full accuracy; as it is where that fails."""
+        if model.estimate is None:
+            return model
+        (found,) = self.models([self.proposal(model.estimate, model.estimate.effects)], CONVERGED_STEP)
+        return model if found.estimate is None else found
+
+
+@dataclass(frozen=True)
+class _Work:
+    """A fit in another process."""
+
+    backend: Backend
+    tolerance: float
+
+    def __call__(self, proposal: Proposal) -> tuple[Estimate | CvxshearError, bool]:
+        return _fitted(proposal, self.backend, self.tolerance)
+
+
+def _own(found: Estimate | CvxshearError, proposal: Proposal) -> Estimate | CvxshearError:
+    """A fit from another process about this one's effects: there they were copies."""
+    if isinstance(found, CvxshearError):
+        return found
+    theta = found.theta
+    misfit = proposal.misfit.replaced(noise=found.misfit.noise)
+    fit = type(found.fit)(theta, misfit.evaluate(theta), found.fit.reason, found.fit.steps)
+    return Estimate(misfit, found.domain, fit, found.uncertainty, found.noise)
+
+
+def _fitted(proposal: Proposal, backend: Backend, tolerance: float) -> tuple[Estimate | CvxshearError, bool]:
+    """The fit of a set, or why there is none; and whether another backend had to make it."""
+    try:
+        return with_stand_in(backend, lambda by: fitted(proposal.misfit, _nearest(proposal), by, tolerance))
+    except CvxshearError as error:
+        return error, False
+
+
+def with_stand_in(backend: Backend, fit: Callable[[Backend], Estimate]) -> tuple[Estimate, bool]:
+    """A fit on one backend, or on `auto` where that one refuses or fails; and whether it did."""
+    try:
+        return fit(backend), False
+    except (UnsuitableError, NoSolutionError):
+        if backend.name == "auto":
+            raise
+        return fit(backends.get("auto")), True
+
+
+def _nearest(proposal: Proposal) -> Floats:
+    """The starting point that fits best."""
+
+    def objective(theta: Floats) -> float:
+        try:
+            return proposal.misfit.evaluate(theta, derivatives=False).objective
+        except NoModesError:
+            return float("inf")
+
+    return min(proposal.starts, key=objective) if len(proposal.starts) > 1 else proposal.starts[0]

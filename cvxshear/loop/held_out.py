@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from cvxshear.effects import compose
-from cvxshear.effects.composition import slices
 from cvxshear.errors import CvxshearError
+from cvxshear.experiment import Experiment
 from cvxshear.frame import mode_derivatives, modes
-from cvxshear.identification.efficient import Estimate
+from cvxshear.identification.efficient import Estimate, fitted_with
 from cvxshear.identification.misfit import Misfit
 from cvxshear.loop.fitter import Fitter
 from cvxshear.typing import Bools
@@ -19,51 +21,67 @@ DETERMINED = 1e-3
 USEFUL = 0.1
 """Largest relative standard deviation of a prediction, for it to count."""
 
+MOST = 24
+"""Predictions that are made: every one is a fit, and a tall frame has many modes."""
 
-def held_out_frequency_error(estimate: Estimate, fitter: Fitter) -> float | None:
-    """Largest |predicted / measured - 1| over the frequencies left out in turn.
+Errors = dict[tuple[str, int], float]
+"""|predicted / measured - 1| by configuration and mode."""
 
-    Each configuration's frequencies are predicted from the others, or each mode's from the other modes where
-    there is one configuration. Effects of the left-out configuration alone are unknown to the others and not
-    used for it. A frequency that the remaining data do not determine is passed over.
+
+def held_out_frequency_errors(before: Estimate, after: Estimate, fitter: Fitter) -> tuple[float | None, float | None]:
+    """Largest |predicted / measured - 1| over the same frequencies left out in turn, by either model.
+
+    Each configuration's frequencies are predicted from the others, or each mode's from the other modes where there is
+    one configuration. An effect that concerns one state cannot be judged by the others, nor a frequency that the rest
+    does not determine under both models.
 
     Returns
     -------
-    float or None
-        None where no frequency could be predicted.
+    before, after : float or None
+        None for both where no frequency could be predicted by both.
     """
-    errors = [error for name, mask in _left_out(estimate) for error in _prediction_errors(estimate, name, mask, fitter)]
-    return max(errors) if errors else None
+    concerned = {placed.place.state for placed in (*before.effects, *after.effects)}
+    pairs = [
+        (_prediction_errors(before, name, mask, fitter), _prediction_errors(after, name, mask, fitter))
+        for name, mask in _left_out(before.experiment, concerned)
+    ]
+    both = [(b[key], a[key]) for b, a in pairs for key in b if key in a]
+    if not both:
+        return None, None
+    return max(b for b, _ in both), max(a for _, a in both)
 
 
-def _left_out(estimate: Estimate) -> list[tuple[str, Bools]]:
+def _left_out(experiment: Experiment, concerned: set[str | None]) -> list[tuple[str, Bools]]:
     """Configuration and the modes of it that are left out, one after the other."""
-    configurations = estimate.experiment.configurations
+    configurations = experiment.configurations
     if len(configurations) > 1:
-        return [(each.name, np.ones(len(each.frequencies), dtype=bool)) for each in configurations]
+        alone = [each for each in configurations if each.state not in concerned]
+        return [(each.name, np.ones(len(each.frequencies), dtype=bool)) for each in alone][:MOST]
     (only,) = configurations
-    return [(only.name, row) for row in np.eye(len(only.frequencies), dtype=bool)] if len(only.frequencies) > 1 else []
+    rows: Sequence[Bools] = np.eye(len(only.frequencies), dtype=bool)
+    return [(only.name, row) for row in rows][:MOST] if len(only.frequencies) > 1 else []
 
 
-def _prediction_errors(estimate: Estimate, name: str, mask: Bools, fitter: Fitter) -> list[float]:
-    """|predicted / measured - 1| of the left-out frequencies that the rest determines."""
-    whole = len(estimate.experiment.configurations) > 1
-    kept = [placed for placed in estimate.effects if not (whole and placed.place.configuration == name)]
-    n = estimate.experiment.stories
-    own = [at for placed, at in slices(estimate.effects, 2 * n) if placed in kept]
-    start = np.concatenate([estimate.theta[: 2 * n], *(estimate.theta[at] for at in own)])
+def _prediction_errors(estimate: Estimate, name: str, mask: Bools, fitter: Fitter) -> Errors:
+    """The errors of the left-out frequencies that the rest determines."""
+    misfit = Misfit(
+        estimate.experiment, estimate.effects, {name: mask}, estimate.misfit.noise, estimate.misfit.expectation
+    )
+    fitter.fits += 1
     try:
-        rest = fitter.fit(Misfit(estimate.experiment, kept, {name: mask}), start)
+        rest = fitted_with(misfit, estimate.theta, fitter.backend)
     except CvxshearError:
         # No prediction can be made from the rest; what can be predicted elsewhere still counts.
-        return []
+        return {}
+    if not rest.fit.converged:
+        return {}
     configuration = next(each for each in estimate.experiment.configurations if each.name == name)
-    state = compose(estimate.experiment, configuration, kept, rest.theta)
+    state = compose(estimate.experiment, configuration, estimate.effects, rest.theta)
     found = modes(state.system.M, state.system.K)
     which = (configuration.modes[mask] - 1).tolist()
     gradient = mode_derivatives(found, state.system, which)[0] / (2 * found.eigenvalues[which])
     open_change = np.abs(gradient * np.abs(rest.theta)[:, None])[~rest.uncertainty.determined].sum(axis=0)
-    noise = rest.noise_scale if np.isfinite(rest.noise_scale) else 1.0
-    variance = np.einsum("pm,pq,qm->m", gradient, rest.uncertainty.covariance(noise), gradient)
+    variance = np.einsum("pm,pq,qm->m", gradient, rest.uncertainty.covariance(), gradient)
     error = np.abs(found.frequencies[which] / configuration.frequencies[mask] - 1.0)
-    return [float(value) for value in error[(open_change <= DETERMINED) & (variance <= USEFUL**2)]]
+    counts = (open_change <= DETERMINED) & (variance <= USEFUL**2)
+    return {(name, mode): float(value) for mode, value, good in zip(which, error, counts, strict=True) if good}

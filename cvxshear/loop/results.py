@@ -9,10 +9,11 @@ import numpy as np
 from cvxshear.effects import Placed
 from cvxshear.experiment import Experiment
 from cvxshear.identification.efficient import Estimate
+from cvxshear.identification.noise import NoiseEstimate
 from cvxshear.identification.results import IdentifiedFrame
-from cvxshear.loop.candidates import Candidate, parameters_of
 from cvxshear.loop.next_test import NextTest
-from cvxshear.loop.residual import by_floor, by_mode
+from cvxshear.loop.posterior import Rival
+from cvxshear.loop.residual import by_floor, by_part
 from cvxshear.typing import Json
 
 VERDICTS = {
@@ -30,21 +31,20 @@ class Step:
     Parameters
     ----------
     estimate : Estimate
+        In the noise of the final model.
     action : str
-        What led to it, in words.
-    tried : int
-        How many candidates were fitted to choose it.
+        What it is, in words.
     p_value : float or None
-        Of the residual that it leaves.
+        Of the residual that it leaves, in the noise of the final model; of that noise where it is the final model's
+        own and nobody declared it.
     held_out : float or None
         Held-out frequency error.
     """
 
     estimate: Estimate
     action: str
-    tried: int
     p_value: float | None
-    held_out: float | None
+    held_out: float | None = None
 
     def to_dict(self) -> Json:
         """The figures that `before` and `after` have, and the effects so far."""
@@ -53,33 +53,113 @@ class Step:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class AddedEffect:
     """An effect that was added, with its rivals.
 
     Parameters
     ----------
     placed : Placed
+    probability : float
+        That it is there.
     parameters, std : dict of str to float
-    rivals : tuple of Candidate
-        Whose fit in its place is not significantly worse.
-    log_p : float
-        Logarithm of the probability of its gain if it were not there.
+    size : str
+        Effect, place and size in words.
+    rivals : tuple of Rival
+        What may be there in its place.
+    remarks : tuple of str
+        Parameters at an end of what is physical.
     """
 
     placed: Placed
+    probability: float
     parameters: dict[str, float]
     std: dict[str, float | None]
-    rivals: tuple[Candidate, ...]
-    log_p: float
+    size: str
+    rivals: tuple[Rival, ...]
+    remarks: tuple[str, ...] = ()
 
     def to_dict(self) -> Json:
-        """Name, place, parameters, standard deviations, rivals."""
+        """Name, place, probability, parameters, standard deviations, size in words, rivals."""
         return {
             **self.placed.to_dict(),
+            "probability": self.probability,
             "parameters": self.parameters,
             "std": self.std,
-            "gain_p_value": float(np.exp(self.log_p)),
-            "rivals": [rival.to_dict() for rival in self.rivals],
+            "size": self.size,
+            "rivals": [
+                {**rival.placed.to_dict(), "probability": rival.probability, "twin": rival.twin}
+                for rival in self.rivals
+            ],
+        }
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect that was looked for.
+
+    Parameters
+    ----------
+    placed : Placed
+    probability : float
+        That it is there.
+    prior : float
+        The same before anything was measured.
+    chi2 : float
+        With it in the final model, all else following, as the linearised model has it; of the final model itself
+        where it is in that.
+    dof : int
+    p_value : float
+        Of its gain in chi-square, times the number of effects that were looked for.
+    confounded_with : tuple of str
+        Parameters that the data cannot tell it from; empty where they can.
+    """
+
+    placed: Placed
+    probability: float
+    prior: float
+    chi2: float
+    dof: int
+    p_value: float
+    confounded_with: tuple[str, ...] = ()
+
+    def to_dict(self) -> Json:
+        """Name, place and figures."""
+        return {
+            **self.placed.to_dict(),
+            "probability": self.probability,
+            "prior_probability": self.prior,
+            "chi2": self.chi2,
+            "dof": self.dof,
+            "p_value": self.p_value,
+            "confounded_with": list(self.confounded_with),
+        }
+
+
+@dataclass(frozen=True)
+class EffectSet:
+    """A set of effects among those visited.
+
+    Parameters
+    ----------
+    effects : tuple of Placed
+    probability : float
+    log_evidence : float
+    chi2 : float
+        In its own noise.
+    """
+
+    effects: tuple[Placed, ...]
+    probability: float
+    log_evidence: float
+    chi2: float
+
+    def to_dict(self) -> Json:
+        """The fields by name."""
+        return {
+            "effects": [placed.to_dict() for placed in self.effects],
+            "probability": self.probability,
+            "log_evidence": self.log_evidence,
+            "chi2": self.chi2,
         }
 
 
@@ -97,16 +177,21 @@ class Closure:
         What the verdict rests on: the declared noise, or an estimate of it.
     steps : tuple of Step
         The first is the shear model, the last the final one.
-    effects : tuple of Found
+    effects : tuple of AddedEffect
+        Most probable first.
     assumed : tuple of Placed
+    models : tuple of EffectSet
+        The sets of a probability of 0.1 % or more, most probable first.
+    averaged : IdentifiedFrame
+        The frame averaged over all sets.
     candidates : tuple of Candidate
-        Ranking of the last step at which candidates were fitted.
+        All effects that were looked for, most probable first.
     not_considered : dict of str to str
         Effects that were not looked for, and what the experiment would have to declare.
     remains : tuple of str
         Where a significant residual sits, in words.
     information : tuple of str
-        What the data cannot show but is known.
+        What the data cannot show but is known, and what else a reader should know of the fits.
     next_test : NextTest or None
     fits, programs : int
         How many fits were made, and how many step programs they solved.
@@ -117,8 +202,10 @@ class Closure:
     verdict: str
     rests_on: str
     steps: tuple[Step, ...]
-    effects: tuple[Found, ...]
+    effects: tuple[AddedEffect, ...]
     assumed: tuple[Placed, ...]
+    models: tuple[EffectSet, ...]
+    averaged: IdentifiedFrame
     candidates: tuple[Candidate, ...]
     not_considered: dict[str, str]
     remains: tuple[str, ...]
@@ -147,11 +234,10 @@ class Closure:
         """The identified frame."""
         return self.estimate.frame
 
-    def _repr_html_(self) -> str | None:
-        """What a notebook shows."""
-        from cvxshear.report.notebook import closure_html  # noqa: PLC0415 - loaded by a notebook only
-
-        return closure_html(self)
+    @property
+    def noise(self) -> NoiseEstimate:
+        """The noise that was estimated."""
+        return self.estimate.noise
 
     def to_dict(self) -> Json:
         """The documented JSON."""
@@ -161,12 +247,14 @@ class Closure:
             "backend": self.backend,
             "effects": [item.to_dict() for item in self.effects],
             "assumed": [{**p.to_dict(), "parameters": parameters_of(self.estimate, p)} for p in self.assumed],
+            "models": [item.to_dict() for item in self.models],
+            "averaged": self.averaged.to_dict(),
+            "noise": self.noise.to_dict(),
             "before": self.before.to_dict(),
             "after": self.after.to_dict(),
             "steps": [
                 {
                     "action": step.action,
-                    "tried": step.tried,
                     "effects": [
                         {**p.to_dict(), "parameters": parameters_of(step.estimate, p)} for p in step.estimate.effects
                     ],
@@ -181,9 +269,9 @@ class Closure:
             "at_bounds": list(self.estimate.uncertainty.active),
             "predictions": [item.to_dict() for item in self.estimate.predictions],
             "residual": {
-                "by_mode": {
-                    "before": [item.to_dict() for item in by_mode(self.before.estimate)],
-                    "after": [item.to_dict() for item in by_mode(self.estimate)],
+                "by_part": {
+                    "before": [item.to_dict() for item in by_part(self.before.estimate)],
+                    "after": [item.to_dict() for item in by_part(self.estimate)],
                 },
                 "by_floor": {"before": by_floor(self.before.estimate), "after": by_floor(self.estimate)},
             },
@@ -193,3 +281,16 @@ class Closure:
             "fits": self.fits,
             "programs": self.programs,
         }
+
+
+def parameters_of(estimate: Estimate, placed: Placed) -> dict[str, float]:
+    """The values of an effect's parameters by name."""
+    values = estimate.theta[estimate.own(placed)]
+    return {item.name: float(value) for item, value in zip(placed.effect.parameters, values, strict=True)}
+
+
+def stds_of(estimate: Estimate, placed: Placed) -> dict[str, float | None]:
+    """Their standard deviations; None where not determined."""
+    stds = estimate.std[estimate.own(placed)]
+    names = [item.name for item in placed.effect.parameters]
+    return {name: None if np.isnan(std) else float(std) for name, std in zip(names, stds, strict=True)}

@@ -56,7 +56,7 @@ def recovered_shapes(floor_mass: Floats, story_stiffness: Floats, frequencies: F
         program = story_stiffnesses(normalized(shapes, floor_mass), eigenvalues)
         return np.asarray(np.linalg.lstsq(program.R, program.s, rcond=None)[0] / story_stiffness - 1.0)
 
-    model = modes(mass_matrix(floor_mass), stiffness_matrix(story_stiffness)).shapes[:, 0]
+    model = modes(mass_matrix(floor_mass), stiffness_matrix(story_stiffness)).shapes[0]
     found = optimize.least_squares(misfit, [model[0] / model[1]], xtol=1e-15, ftol=1e-15, gtol=1e-15)
     first = float(found.x[0])
     return RecoveredShapes(first, second(first), float(np.max(np.abs(found.fun))))

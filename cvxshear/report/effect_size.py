@@ -12,7 +12,7 @@ from cvxshear.effects.base import State
 from cvxshear.experiment import Configuration
 from cvxshear.frame import modes
 from cvxshear.identification.efficient import Estimate
-from cvxshear.report.numbers import percent, scaled, with_std
+from cvxshear.quantities import percent, scaled, with_std
 from cvxshear.typing import Floats
 
 NOTHING = 1e-9

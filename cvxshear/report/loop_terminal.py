@@ -12,7 +12,7 @@ from cvxshear.loop import VERDICTS, Closure
 from cvxshear.loop.residual import by_mode
 from cvxshear.loop.results import Found
 from cvxshear.report.effect_size import summary
-from cvxshear.report.numbers import percent, probability, significant
+from cvxshear.quantities import percent, probability, significant
 from cvxshear.report.terminal import declared, frame_table, plain_table
 
 SHOWN_CANDIDATES = 8

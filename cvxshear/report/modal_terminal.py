@@ -8,7 +8,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from cvxshear.modal import ModalResult
-from cvxshear.report.numbers import percent, significant
+from cvxshear.quantities import percent, significant
 from cvxshear.report.terminal import plain_table
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from cvxshear.identification import Identification, IdentifiedFrame
 from cvxshear.loop import Closure
-from cvxshear.report.numbers import percent, scaled, significant, with_std
+from cvxshear.quantities import percent, scaled, significant, with_std
 from cvxshear.studies.backends import Comparison
 from cvxshear.typing import Json
 

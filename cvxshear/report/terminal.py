@@ -11,7 +11,7 @@ from rich.text import Text
 
 from cvxshear.experiment import Experiment
 from cvxshear.identification import Identification, IdentifiedFrame, Part
-from cvxshear.report.numbers import percent, probability, scaled, significant, with_std
+from cvxshear.quantities import percent, probability, scaled, significant, with_std
 from cvxshear.studies.backends import Comparison
 
 

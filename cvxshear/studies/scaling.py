@@ -51,7 +51,7 @@ def exact_experiment(stories: int, seed: int = 0) -> tuple[Experiment, Floats, F
     stiffness = 2e7 * stories * rng.uniform(1 - SPREAD, 1 + SPREAD, stories)
     found = modes(mass_matrix(mass), stiffness_matrix(stiffness))
     frame = Frame(stories=stories, total_mass=float(mass.sum()))
-    return Experiment(frame, (Configuration(found.frequencies, found.shapes.T),)), mass, stiffness
+    return Experiment(frame, (Configuration(found.frequencies, found.shapes),)), mass, stiffness
 
 
 def cost(stories: int, method: str, *, repeats: int = 3, accelerate: bool = False, rows: bool | None = None) -> Cost:

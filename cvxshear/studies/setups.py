@@ -97,7 +97,7 @@ class Setup:
         """
         found = modes(mass_matrix(self.floor_mass), stiffness_matrix(self.story_stiffness))
         which = self.modes - 1
-        shapes = found.shapes[np.ix_(self.measured_floors - 1, which)].T
+        shapes = found.shapes[np.ix_(which, self.measured_floors - 1)]
         largest = shapes[np.arange(len(shapes)), np.argmax(np.abs(shapes), axis=1)]
         return found.frequencies[which], shapes / largest[:, None]
 

@@ -11,7 +11,7 @@ import shutil
 import pytest
 
 from cvxshear.report.html import write_report
-from cvxshear.report.numbers import percent, probability, significant
+from cvxshear.quantities import percent, probability, significant
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 FLAGS = (

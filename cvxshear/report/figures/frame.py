@@ -11,7 +11,7 @@ from cvxshear.experiment import Experiment
 from cvxshear.identification import Identification, IdentifiedFrame
 from cvxshear.loop import Closure
 from cvxshear.report.figures.style import AFTER, PALE, QUIET, grid_of, letters, new_figure, panels, spread, styled
-from cvxshear.report.numbers import scaled, with_std
+from cvxshear.quantities import scaled, with_std
 from cvxshear.typing import Floats
 
 LINE = 0.17

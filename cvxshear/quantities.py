@@ -1,4 +1,4 @@
-"""How numbers are written for people."""
+"""How numbers and quantities are written for people."""
 
 from __future__ import annotations
 

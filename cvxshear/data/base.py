@@ -1,0 +1,188 @@
+"""What every kind of datum is, and the model that it is compared with."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from cvxshear.data.pairing import paired
+from cvxshear.effects.base import State
+from cvxshear.experiment import Configuration, Experiment, Tested
+from cvxshear.frame import Modes, System, mode_derivatives, modes
+from cvxshear.typing import Bools, Floats, Ints, Json
+
+NOISES = ("frequency", "mode_shape", "displacement")
+"""What is measured with a noise of its own."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Factors on the default standard deviations of what declares none.
+
+    Parameters
+    ----------
+    factors : tuple of (str, float)
+        Each kind of `NOISES` whose standard deviation somebody left open, with its factor.
+    """
+
+    factors: tuple[tuple[str, float], ...] = ()
+
+    def of(self, kind: str) -> float:
+        """The factor of a kind; 1 where it is none of these."""
+        return dict(self.factors).get(kind, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """The model of one tested state, as data of every kind see it.
+
+    Parameters
+    ----------
+    state : State
+        Matrices with the effects in them, and their derivatives by P parameters.
+    by : slice
+        The parameters by which derivatives are wanted.
+    derivatives : bool
+        Whether they are wanted at all.
+    """
+
+    state: State
+    by: slice
+    derivatives: bool
+
+    @cached_property
+    def modes(self) -> Modes:
+        """All modes."""
+        return modes(self.state.system.M, self.state.system.K)
+
+    @cached_property
+    def wanted(self) -> System:
+        """The matrices, with the derivatives that are wanted."""
+        system = self.state.system
+        return System(system.M, system.K, system.dM[self.by], system.dK[self.by])
+
+    @cached_property
+    def paired(self) -> Ints:
+        """Which mode of the model each measured one is, zero-based, shape (m,)."""
+        assert isinstance(self.state.tested, Configuration)
+        return paired(self.state.tested, self.modes, self.state.gain)
+
+    @cached_property
+    def mode_derivatives(self) -> tuple[Floats, Floats]:
+        """Derivatives of the paired eigenvalues, shape (P, m), and mass-normalized shapes, shape (P, m, N)."""
+        return mode_derivatives(self.modes, self.wanted, self.paired)
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """Model less measurement in standard deviations.
+
+    Parameters
+    ----------
+    r : ndarray, shape (d,)
+    J : ndarray, shape (d, P)
+        dr/dtheta; of no rows where no derivatives were wanted.
+    """
+
+    r: Floats
+    J: Floats
+
+
+class Datum(ABC):
+    """Data of one kind from one tested state.
+
+    A kind of one's own is a subclass with these attributes and methods, handed to `cvxshear.data.register`.
+
+    Attributes
+    ----------
+    noise : str
+        One of `NOISES`: what its standard deviation is that of.
+    tested : Tested
+        The state of the frame that it was measured in.
+    """
+
+    noise: ClassVar[str]
+    tested: Tested
+
+    @classmethod
+    @abstractmethod
+    def of(cls, experiment: Experiment) -> Sequence[Datum]:
+        """All data of this kind in an experiment."""
+
+    @property
+    @abstractmethod
+    def label(self) -> str:
+        """What and where it was measured, for a reader."""
+
+    @property
+    @abstractmethod
+    def declared(self) -> bool:
+        """Whether its standard deviation was declared."""
+
+    @property
+    @abstractmethod
+    def count(self) -> int:
+        """Number of data: entries, less what each of them leaves free."""
+
+    @abstractmethod
+    def residual(self, model: Model) -> Residual:
+        """Model less measurement, in the declared or the default standard deviations."""
+
+    def errors(self, model: Model) -> Mapping[str, Floats]:
+        """Errors that an engineer reads, by the words of `Quality`; none by default."""
+        return {}
+
+    def without(self, left_out: Bools) -> Datum:
+        """The datum without some of the modes of its configuration, where it speaks of modes."""
+        return self
+
+    def describe(self, model: Model) -> list[Deviation]:
+        """Its parts, each with its error and deviation; by default one of the whole."""
+        r = self.residual(model).r
+        deviation = float(np.sqrt(np.mean(r**2))) if r.size else 0.0
+        return [Deviation(self.noise, self.tested.name, self.label, None, deviation, max(len(r), 1))]
+
+    def by_floor(self, model: Model) -> Mapping[int, Floats]:
+        """Residuals in standard deviations by the floor they were measured at; none by default."""
+        return {}
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """How far a part of the measurement lies from the model.
+
+    Parameters
+    ----------
+    noise : str
+        One of `NOISES`.
+    configuration : str
+        Where it was measured.
+    place : str
+        Which part, such as "mode 1" or "floor 2".
+    error : float or None
+        Relative.
+    deviations : float
+        In standard deviations; root mean square over the entries where there are several.
+    entries : int
+    """
+
+    noise: str
+    configuration: str
+    place: str
+    error: float | None
+    deviations: float
+    entries: int = 1
+
+    @property
+    def label(self) -> str:
+        """Such as 'the frequency of mode 1 of "bare"'."""
+        return f'the {self.noise.replace("_", " ")} of {self.place} of "{self.configuration}"'
+
+    def to_dict(self) -> Json:
+        """The fields by name."""
+        return asdict(self)

@@ -1,0 +1,75 @@
+"""Natural frequencies: their logarithms, each with its standard deviation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.data.base import Datum, Deviation, Model, Residual
+from cvxshear.experiment import Configuration, Experiment
+from cvxshear.typing import Bools, Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Frequencies(Datum):
+    """r_j = (log f_j - log measured f_j) / std_j, with dlog f = dlambda / (2 lambda).
+
+    Parameters
+    ----------
+    tested : Configuration
+    kept : ndarray of bool, shape (m,)
+        Which of its modes count.
+    """
+
+    noise = "frequency"
+    tested: Configuration
+    kept: Bools
+
+    @classmethod
+    def of(cls, experiment: Experiment) -> Sequence[Frequencies]:
+        """One a configuration."""
+        return [cls(each, np.ones(len(each.frequencies), dtype=bool)) for each in experiment.configurations]
+
+    @property
+    def label(self) -> str:
+        """Whose frequencies."""
+        return f'frequencies of "{self.tested.name}"'
+
+    @property
+    def declared(self) -> bool:
+        """Whether `frequency_std` was given."""
+        return self.tested.frequency_std is not None
+
+    @property
+    def count(self) -> int:
+        """One a mode."""
+        return int(np.sum(self.kept))
+
+    def residual(self, model: Model) -> Residual:
+        """Differences of logarithms over the standard deviation of the logarithm."""
+        weights = 1.0 / self.tested.log_frequency_std[self.kept]
+        values = model.modes.eigenvalues[model.paired][self.kept]
+        r = weights * (0.5 * np.log(values) - np.log(2 * np.pi * self.tested.frequencies[self.kept]))
+        if not model.derivatives:
+            return Residual(r, np.zeros((0, 0)))
+        return Residual(r, (model.mode_derivatives[0][:, self.kept] * (0.5 * weights / values)).T)
+
+    def errors(self, model: Model) -> Mapping[str, Floats]:
+        """model / measured - 1 of each frequency."""
+        modelled = model.modes.frequencies[model.paired][self.kept]
+        return {"frequency_error": modelled / self.tested.frequencies[self.kept] - 1.0}
+
+    def without(self, left_out: Bools) -> Frequencies:
+        """The other modes."""
+        return Frequencies(self.tested, self.kept & ~left_out)
+
+    def describe(self, model: Model) -> list[Deviation]:
+        """One a mode."""
+        errors, r = self.errors(model)["frequency_error"], self.residual(model).r
+        modes = self.tested.modes[self.kept]
+        return [
+            Deviation(self.noise, self.tested.name, f"mode {mode}", float(error), float(z))
+            for mode, error, z in zip(modes, errors, r, strict=True)
+        ]

@@ -1,0 +1,134 @@
+"""Mode shapes, each up to its own scale, or with it where they are mass-normalized."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.data.base import Datum, Deviation, Model, Residual
+from cvxshear.data.pairing import mac, scaled
+from cvxshear.experiment import Configuration, Experiment
+from cvxshear.typing import Bools, Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Shapes(Datum):
+    """r = W (c phi - measured phi), the scale c of each mode eliminated.
+
+    At the c of least squares the sum of squares is stationary in c, so its gradient is J' r with
+    J = (1 - u u') W c dphi (Golub and Pereyra 1973, in Kaufman's form). Mass-normalized shapes have only a free sign.
+
+    Parameters
+    ----------
+    tested : Configuration
+    kept : ndarray of bool, shape (m,)
+        Which of its modes count.
+    """
+
+    noise = "mode_shape"
+    tested: Configuration
+    kept: Bools
+
+    @classmethod
+    def of(cls, experiment: Experiment) -> Sequence[Shapes]:
+        """One a configuration that has a shape."""
+        return [
+            cls(each, each.measured.any(axis=1)) for each in experiment.configurations if each.measured.any()
+        ]  # fmt: skip
+
+    @property
+    def label(self) -> str:
+        """Whose shapes."""
+        return f'mode shapes of "{self.tested.name}"'
+
+    @property
+    def declared(self) -> bool:
+        """Whether `mode_shape_std` was given."""
+        return self.tested.mode_shape_std is not None
+
+    @property
+    def count(self) -> int:
+        """Entries, less one a mode whose scale is free."""
+        entries = np.sum(self.tested.measured[self.kept], axis=1)
+        return int(np.sum(np.maximum(entries - (0 if self.tested.mass_normalized else 1), 0)))
+
+    def _laid_on(self, model: Model) -> tuple[Floats, Floats, Floats, Floats | None]:
+        """Weights, the modelled shapes as the sensors would show them, their scales, and u where the scale is free."""
+        configuration = self.tested
+        floors = configuration.measured_floors - 1
+        weights = configuration.entry_weights[self.kept]
+        psi = model.modes.shapes[np.ix_(model.paired[self.kept], floors)] * model.state.gain[floors]
+        scale, unit = scaled(configuration.known_shapes[self.kept], psi, weights)
+        if configuration.mass_normalized:
+            return weights, psi, np.where(scale < 0, -1.0, 1.0), None
+        return weights, psi, scale, unit
+
+    def seen(self, model: Model) -> Floats:
+        """The modelled shapes as the sensors would show them, on the measured ones' scale, shape (kept, n)."""
+        _, psi, scale, _ = self._laid_on(model)
+        return scale[:, None] * psi
+
+    def residual(self, model: Model) -> Residual:
+        """Differences of entries over their standard deviations; zero where nothing was measured."""
+        weights, psi, scale, unit = self._laid_on(model)
+        r = (weights * (scale[:, None] * psi - self.tested.known_shapes[self.kept])).ravel()
+        if not model.derivatives:
+            return Residual(r, np.zeros((0, 0)))
+        floors = self.tested.measured_floors - 1
+        gain, d_gain = model.state.gain[floors], model.state.d_gain[model.by][:, floors]
+        dpsi = model.mode_derivatives[1][:, self.kept][:, :, floors] * gain
+        if np.any(d_gain):
+            dpsi = dpsi + psi / gain * d_gain[:, None, :]
+        J = weights * scale[:, None] * dpsi
+        if unit is not None:
+            J = J - unit * np.sum(unit * J, axis=2, keepdims=True)
+        return Residual(r, J.reshape(len(J), -1).T)
+
+    def errors(self, model: Model) -> Mapping[str, Floats]:
+        """MAC of each shape known at two floors, and the largest difference of an entry of each."""
+        criteria, differences = [], []
+        for measured, modelled, known in self._rows(model):
+            if known.sum() > 1:
+                criteria.append(mac(measured[known], modelled[known]))
+            differences.append(shape_error(measured[known], modelled[known]))
+        return {"mac": np.array(criteria), "shape_error": np.array(differences)}
+
+    def _rows(self, model: Model) -> list[tuple[Floats, Floats, Bools]]:
+        """Measured and modelled shape of each mode, and which entries are known."""
+        known = self.tested.measured[self.kept]
+        return list(zip(self.tested.mode_shapes[self.kept], self.seen(model), known, strict=True))
+
+    def without(self, left_out: Bools) -> Shapes:
+        """The other modes."""
+        return Shapes(self.tested, self.kept & ~left_out)
+
+    def describe(self, model: Model) -> list[Deviation]:
+        """One a mode."""
+        z = self.residual(model).r.reshape(int(self.kept.sum()), -1)
+        return [
+            Deviation(
+                self.noise,
+                self.tested.name,
+                f"mode {mode}",
+                shape_error(measured[known], modelled[known]),
+                float(np.sqrt(np.mean(row[known] ** 2))),
+                int(known.sum()),
+            )
+            for mode, row, (measured, modelled, known) in zip(
+                self.tested.modes[self.kept], z, self._rows(model), strict=True
+            )
+        ]
+
+    def by_floor(self, model: Model) -> Mapping[int, Floats]:
+        """The entries at each floor."""
+        z = self.residual(model).r.reshape(int(self.kept.sum()), -1)
+        known = self.tested.measured[self.kept]
+        return {int(floor): z[known[:, at], at] for at, floor in enumerate(self.tested.measured_floors)}
+
+
+def shape_error(measured: Floats, modelled: Floats) -> float:
+    """Largest difference, the measured shape scaled to a largest entry of 1, the model's to it by least squares."""
+    unit = measured / measured[np.argmax(np.abs(measured))]
+    return float(np.max(np.abs(modelled * (unit @ modelled) / (modelled @ modelled) - unit)))

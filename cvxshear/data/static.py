@@ -1,0 +1,77 @@
+"""A static pull or tilt test: known forces, measured displacements."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.data.base import Datum, Deviation, Model, Residual
+from cvxshear.experiment import Experiment, StaticTest
+from cvxshear.typing import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Static(Datum):
+    """r = (K^-1 f - measured u) / std, with du = -K^-1 dK u.
+
+    Parameters
+    ----------
+    tested : StaticTest
+    """
+
+    noise = "displacement"
+    tested: StaticTest
+
+    @classmethod
+    def of(cls, experiment: Experiment) -> Sequence[Static]:
+        """One a static test."""
+        return [cls(each) for each in experiment.static]
+
+    @property
+    def label(self) -> str:
+        """Which test."""
+        return f'displacements of "{self.tested.name}"'
+
+    @property
+    def declared(self) -> bool:
+        """Whether `displacement_std` was given."""
+        return self.tested.displacement_std is not None
+
+    @property
+    def count(self) -> int:
+        """One a measured displacement."""
+        return int(np.sum(self.tested.measured))
+
+    def residual(self, model: Model) -> Residual:
+        """Differences of displacements over their standard deviations, measured floors only."""
+        test, known = self.tested, self.tested.measured
+        system = model.wanted
+        weights = 1.0 / test.entry_std[known]
+        u = np.linalg.solve(system.K, test.force)
+        r = weights * (u - test.displacement)[known]
+        if not model.derivatives:
+            return Residual(r, np.zeros((0, 0)))
+        slopes = -np.linalg.solve(system.K, (system.dK @ u).T)
+        return Residual(r, weights[:, None] * slopes[known])
+
+    def errors(self, model: Model) -> Mapping[str, Floats]:
+        """model / measured - 1, relative to the largest measured displacement."""
+        test, known = self.tested, self.tested.measured
+        u = np.linalg.solve(model.state.system.K, test.force)
+        return {"displacement_error": (u - test.displacement)[known] / np.max(np.abs(test.displacement[known]))}
+
+    def describe(self, model: Model) -> list[Deviation]:
+        """One a measured floor."""
+        floors = np.flatnonzero(self.tested.measured) + 1
+        errors, r = self.errors(model)["displacement_error"], self.residual(model).r
+        return [
+            Deviation(self.noise, self.tested.name, f"floor {floor}", float(error), float(z))
+            for floor, error, z in zip(floors, errors, r, strict=True)
+        ]
+
+    def by_floor(self, model: Model) -> Mapping[int, Floats]:
+        """The displacement at each floor."""
+        floors = np.flatnonzero(self.tested.measured) + 1
+        return {int(floor): np.array([z]) for floor, z in zip(floors, self.residual(model).r, strict=True)}

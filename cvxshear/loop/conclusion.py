@@ -1,0 +1,242 @@
+"""From the sets that were visited to a verdict and everything that is reported with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy import stats
+
+from cvxshear.effects import Effect, Placed
+from cvxshear.identification.efficient import Estimate, fitted_with, parameter_names
+from cvxshear.loop.fitter import Fitter, with_stand_in
+from cvxshear.loop.held_out import held_out_frequency_errors
+from cvxshear.loop.linear import Linearised
+from cvxshear.loop.next_test import next_test
+from cvxshear.loop.posterior import Posterior
+from cvxshear.loop.residual import where_it_sits
+from cvxshear.loop.results import AddedEffect, Candidate, Closure, EffectSet, Step, parameters_of, stds_of
+from cvxshear.loop.search import Search
+
+RESIDUAL_LEVEL = 0.01
+"""Probability below which a residual, or a noise, counts as improbable."""
+
+EXPLAINED = 0.95
+"""Probability at its place that each added effect has where the data are called explained."""
+
+NEGLIGIBLE_FREQUENCY, NEGLIGIBLE_SHAPE = 1e-5, 1e-4
+"""Largest relative errors of a frequency and of a shape entry that no engineer would look into."""
+
+SHOWN = 1e-3
+"""Probability of a set from which on it is reported."""
+
+TOLD = 1.1
+"""Ratio of precisions, with the data and without, from which on they tell an effect from the frame."""
+
+AT_AN_END = 1e-3
+"""Distance from a bound, in standard deviations of what is expected, at which a parameter sits on it."""
+
+
+def conclude(search: Search, posterior: Posterior, wanted: Sequence[Effect]) -> Closure:
+    """The verdict on the visited sets.
+
+    Parameters
+    ----------
+    search : Search
+    posterior : Posterior
+        Of the same sets.
+    wanted : sequence of Effect
+        That were asked for.
+    """
+    fitter = search.fitter
+    final = search.fit_of(posterior.verdict_set())
+    steps = _steps(final, posterior, fitter)
+    after = steps[-1]
+    added = tuple(_added(posterior, final, placed) for placed in _by_probability(posterior, final, fitter))
+    significant = after.p_value is not None and after.p_value < RESIDUAL_LEVEL
+    negligible = significant and _negligible(final)
+    rivals = [model for rival in _rival_sets(posterior, added) if (model := search.visited[rival].estimate) is not None]
+    return Closure(
+        experiment=fitter.experiment,
+        backend=fitter.backend.name,
+        verdict=_verdict(added, unexplained=significant and not negligible),
+        rests_on=_rests_on(final),
+        steps=steps,
+        effects=added,
+        assumed=fitter.assumed,
+        models=tuple(_shown_sets(posterior)),
+        averaged=posterior.averaged(),
+        candidates=tuple(_candidates(posterior, final, fitter)),
+        not_considered={each.name: lack for each in wanted if (lack := each.lacks(fitter.experiment))},
+        remains=tuple(where_it_sits(final)) if significant and not negligible else (),
+        information=tuple(_information(search, posterior, final, negligible=negligible)),
+        next_test=next_test(final, rivals),
+        fits=fitter.fits,
+        programs=fitter.programs,
+    )
+
+
+def _by_probability(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[Placed]:
+    added = [placed for placed in final.effects if placed not in fitter.assumed]
+    return sorted(added, key=lambda placed: -posterior.of_effects[placed])
+
+
+def _verdict(added: Sequence[AddedEffect], *, unexplained: bool) -> str:
+    if unexplained:
+        return "unexplained"
+    if not added:
+        return "adequate"
+    return "explained" if all(item.probability >= EXPLAINED for item in added) else "ambiguous"
+
+
+def _negligible(final: Estimate) -> bool:
+    quality = final.quality
+    return (
+        quality.max_frequency_error < NEGLIGIBLE_FREQUENCY and (quality.max_shape_error or 0.0) < NEGLIGIBLE_SHAPE
+    )  # fmt: skip
+
+
+def _steps(final: Estimate, posterior: Posterior, fitter: Fitter) -> tuple[Step, ...]:
+    """The shear model, then one effect more at a time, the most probable first, all in the noise of the last."""
+    order = _by_probability(posterior, final, fitter)
+    what = "the shear model"
+    if fitter.assumed:
+        what += f" with {', '.join(placed.label for placed in fitter.assumed)} assumed"
+    before = _in_noise_of(final, [], fitter) if order else final
+    held = held_out_frequency_errors(before, final, fitter)
+    if not order:
+        return (Step(final, what, _final_p(final), held[1]),)
+    steps = [Step(before, what, _p_value(before), held[0])]
+    for count, placed in enumerate(order[:-1], 1):
+        estimate = _in_noise_of(final, order[:count], fitter)
+        steps.append(Step(estimate, f"with {placed.label}", _p_value(estimate)))
+    return (*steps, Step(final, f"with {order[-1].label}", _final_p(final), held[1]))
+
+
+def _in_noise_of(final: Estimate, effects: Sequence[Placed], fitter: Fitter) -> Estimate:
+    """The fit with only some of the effects, in the final model's noise."""
+    proposal = fitter.proposal(final, (*fitter.assumed, *effects))
+    fitter.fits += 1
+    found, _ = with_stand_in(fitter.backend, lambda by: fitted_with(proposal.misfit, proposal.starts[0], by))
+    return found
+
+
+def _p_value(estimate: Estimate) -> float | None:
+    """Of the residual in the noise of the fit; None where no degree of freedom is left."""
+    return float(stats.chi2.sf(estimate.chi2, estimate.dof)) if estimate.dof > 0 else None
+
+
+def _final_p(final: Estimate) -> float | None:
+    """The smaller of the residual's in its noise, and of that noise where nobody declared it."""
+    if final.dof <= 0:
+        return None
+    values = [value for value in (_p_value(final), final.noise.p_value) if value is not None]
+    return min(values)
+
+
+def _added(posterior: Posterior, final: Estimate, placed: Placed) -> AddedEffect:
+    parameters, std = parameters_of(final, placed), stds_of(final, placed)
+    units = placed.units(final.experiment)
+    own = final.own(placed)
+    return AddedEffect(
+        placed,
+        posterior.of_effects[placed],
+        parameters,
+        std,
+        placed.effect.phrase(placed.place, final.theta[own], final.std[own], final.scale, units),
+        tuple(posterior.rivals(placed)),
+        tuple(_remarks(final, placed)),
+    )
+
+
+def _remarks(final: Estimate, placed: Placed) -> Iterator[str]:
+    """Where a parameter sits on a bound of what is physical."""
+    stds = final.misfit.expectation.of(placed)
+    for item, value, std in zip(placed.effect.parameters, final.theta[final.own(placed)], stds, strict=True):
+        size = std if np.isfinite(std) else item.upper - item.lower
+        for bound, word in ((item.lower, "lower"), (item.upper, "upper")):
+            if np.isfinite(bound) and abs(value - bound) <= AT_AN_END * size:
+                yield f"{item.name} is at the {word} end of what is physical"
+
+
+def _rival_sets(posterior: Posterior, added: Sequence[AddedEffect]) -> list[frozenset[Placed]]:
+    """The sets that hold what may be there in place of an added effect."""
+    if not any(item.rivals for item in added):
+        return []
+    least = 0.05 * float(posterior.probabilities[0])
+    return [
+        model.effects
+        for model, probability in zip(posterior.models[1:], posterior.probabilities[1:], strict=True)
+        if probability >= least and not {item.placed for item in added} <= model.effects
+    ]
+
+
+def _shown_sets(posterior: Posterior) -> Iterator[EffectSet]:
+    for model, probability in zip(posterior.models, posterior.probabilities, strict=True):
+        if probability >= SHOWN and model.estimate is not None:
+            order = tuple(placed for placed in model.estimate.effects if placed in model.effects)
+            yield EffectSet(order, float(probability), model.log_evidence, model.estimate.chi2)
+
+
+def _candidates(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[Candidate]:
+    """All that was looked for, the most probable first."""
+    there = set(final.effects)
+    lacking = [item.placed for item in fitter.hypotheses if item.placed not in there]
+    linear = Linearised(final, lacking, fitter.expectation) if lacking else None
+    names = parameter_names(final.experiment, final.effects)
+    found = []
+    for item in fitter.hypotheses:
+        placed = item.placed
+        count = len(placed.effect.parameters)
+        confounded: tuple[str, ...] = ()
+        if placed in there or linear is None:
+            kept = [each for each in final.effects if each is not placed and each not in fitter.assumed]
+            gain, chi2, dof = _in_noise_of(final, kept, fitter).chi2 - final.chi2, final.chi2, final.dof
+        else:
+            gain = linear.decrease(placed)
+            chi2, dof = final.chi2 - gain, final.dof - count
+            confounded = () if linear.told(placed) >= TOLD else linear.confounders(placed, names)
+        p_value = min(1.0, len(fitter.hypotheses) * float(stats.chi2.sf(max(gain, 0.0), count)))
+        probability = posterior.of_effects[placed]
+        found.append(Candidate(placed, probability, item.probability, chi2, dof, p_value, confounded))
+    return sorted(found, key=lambda each: (-each.probability, each.chi2))
+
+
+def _rests_on(final: Estimate) -> str:
+    """What the verdict rests on."""
+    if final.dof <= 0:
+        return "nothing that could speak against it: the model has as many parameters as there are data"
+    if not final.misfit.open_noises:
+        return "the declared standard deviations"
+    told = ", ".join(
+        f"{kind.replace('_', ' ')} {factor:.2g} times the default" for kind, factor in final.misfit.noise.factors
+    )
+    declared = "" if len(final.misfit.open_noises) == len({datum.noise for datum in final.misfit.data}) else "declared and "
+    return f"{declared}estimated noise ({told})"
+
+
+def _information(search: Search, posterior: Posterior, final: Estimate, *, negligible: bool) -> Iterator[str]:
+    """What a reader should know besides."""
+    experiment, fitter = search.fitter.experiment, search.fitter
+    n = experiment.stories
+    if negligible:
+        yield (
+            "the residual is significant but negligible: frequencies are off by "
+            f"{final.quality.max_frequency_error:.1g} at most, less than anybody needs"
+        )
+    if not final.fit.converged:
+        yield f"the final fit did not converge ({final.fit.reason}); its numbers are where it stopped"
+    for placed in posterior.untold():
+        yield f"these data cannot tell whether there is {placed.label}: its odds are what they were before"
+    failed = [model for model in search.visited.values() if model.failure is not None]
+    if failed:
+        yield f"{len(failed)} of {len(search.visited)} sets of effects could not be fitted ({failed[0].failure})"
+    if fitter.stand_ins:
+        yield f"{fitter.stand_ins} of {fitter.fits} fits that {fitter.backend.name} refused were made by auto"
+    if experiment.frame.story_heights is None and any(placed.effect.uses_heights for placed in final.effects):
+        yield "story heights are not declared and taken as equal; lengths count in stories"
+    for effect in {item.placed.effect.name: item.placed.effect for item in fitter.hypotheses}.values():
+        if effect.name not in {placed.effect.name for placed in final.effects}:
+            said = effect.known_anyway(experiment, final.theta[:n], final.theta[n : 2 * n])
+            if said:
+                yield said

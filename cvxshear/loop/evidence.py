@@ -1,0 +1,171 @@
+"""The evidence of a set of effects: the probability of the data under it (Beck and Yuen 2004).
+
+Laplace's approximation at the penalised optimum. With x the directions that the equalities leave free and H the
+Gauss-Newton Hessian of half the sum of squares, everything expected among its rows,
+
+    log Z = -objective / 2 - log det H / 2 + sum over effects of the logarithm of their priors' constants
+            - sum of log theta over the frame + the logarithm of the part of the Gaussian that keeps the inequalities
+            + what undeclared noise adds.
+
+A parameter that is pressed against a bound with the multiplier w has integral(exp(-w t - t^2 / 2 s^2)) dt in place of
+a whole Gaussian, s^2 its variance. Directions of the frame count in units of a typical floor and story, the same in
+every set; so the constants of the frame's own prior cancel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import optimize, special
+
+from cvxshear.effects import Placed
+from cvxshear.effects.composition import slices
+from cvxshear.identification.efficient import Estimate
+from cvxshear.identification.expectation import Expectation
+from cvxshear.programs import LeastSquares
+from cvxshear.programs.rows import constrained
+from cvxshear.typing import Floats
+
+FAR = 6.0
+"""Standard deviations from an inequality beyond which it cuts nothing off."""
+
+TOUCHING = 1e-4
+"""Distance from an inequality, in standard deviations, at which it counts as active."""
+
+
+def log_evidence(estimate: Estimate, expectation: Expectation) -> float:
+    """Logarithm of the evidence, up to a constant that all sets for the same data share.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        The penalised optimum.
+    expectation : Expectation
+        The same as that of the fit.
+    """
+    B = free_basis(estimate, expectation)
+    U, c = estimate.fit.at.triangle
+    moved = U @ B
+    H = moved.T @ moved
+    sign, log_det = np.linalg.slogdet(H)
+    if sign <= 0:
+        return -np.inf
+    value = -0.5 * (estimate.fit.at.objective + float(log_det)) + estimate.noise.gain - _log_size(estimate, expectation)
+    value += sum(_log_constant(placed, expectation) for placed in estimate.effects if not placed.fixed)
+    return float(value + _log_kept(estimate, B, np.linalg.inv(H), moved.T @ c))
+
+
+def _log_size(estimate: Estimate, expectation: Expectation) -> float:
+    """Sum of the logarithms of masses and stiffnesses in typical units: their prior is one of the logarithms."""
+    scale = expectation.scale
+    assert scale is not None, "evidence needs an expectation"
+    n = estimate.experiment.stories
+    mass, stiffness = estimate.theta[:n] / scale.floor_mass, estimate.theta[n : 2 * n] / scale.story_stiffness
+    return float(np.sum(np.log(mass)) + np.sum(np.log(stiffness)))
+
+
+def free_basis(estimate: Estimate, expectation: Expectation) -> Floats:
+    """Columns that span what the equalities leave free, shape (P, f).
+
+    First orthonormal directions of the frame, in units of a typical floor and story; then one for each parameter of
+    the effects, its own entry 1, with the least change of the frame that keeps the equalities.
+    """
+    n2 = 2 * estimate.experiment.stories
+    size = len(estimate.theta)
+    scale = expectation.scale
+    assert scale is not None, "evidence needs an expectation"
+    unit = np.repeat([scale.floor_mass, scale.story_stiffness], n2 // 2)
+    A, _ = _program(estimate).equalities
+    lengths = np.linalg.norm(np.hstack([A[:, :n2] * unit, A[:, n2:]]), axis=1)
+    A = A / np.where(lengths > 0, lengths, 1.0)[:, None]
+    frame, own = A[:, :n2] * unit, A[:, n2:]
+    held = np.linalg.norm(frame, axis=1) < 1e-12
+    inverse = np.linalg.pinv(frame, rcond=1e-10)
+    _, values, right = np.linalg.svd(frame, full_matrices=True)
+    open_frame = right[int(np.sum(values > 1e-10)) :].T
+    # An effect held at a value has a row of its own and no direction.
+    fixed = np.any(np.abs(own[held]) > 0, axis=0)
+    parameters = np.flatnonzero(~fixed)
+    B = np.zeros((size, open_frame.shape[1] + len(parameters)))
+    B[:n2, : open_frame.shape[1]] = unit[:, None] * open_frame
+    for column, parameter in enumerate(parameters, open_frame.shape[1]):
+        B[n2 + parameter, column] = 1.0
+        B[:n2, column] = -unit * (inverse @ own[:, parameter])
+    return B
+
+
+def _program(estimate: Estimate) -> LeastSquares:
+    """The fit's constraints about its optimum."""
+    empty = LeastSquares(R=estimate.fit.at.triangle[0], s=np.zeros(len(estimate.fit.at.triangle[1])))
+    return constrained(empty, estimate.domain.statements, estimate.theta)
+
+
+def _log_constant(placed: Placed, expectation: Expectation) -> float:
+    """Logarithm of the constant of an effect's prior, times sqrt(2 pi) for each parameter, as in Laplace's integral."""
+    value = 0.0
+    for item, std in zip(placed.effect.parameters, expectation.of(placed), strict=True):
+        if np.isinf(std):
+            value += 0.5 * np.log(2 * np.pi) - np.log(item.upper - item.lower)
+        else:
+            below, above = (item.lower - item.null) / std, (item.upper - item.null) / std
+            value -= np.log(std) + np.log(special.ndtr(above) - special.ndtr(below))
+    return float(value)
+
+
+def _log_kept(estimate: Estimate, B: Floats, covariance: Floats, gradient: Floats) -> float:
+    """Logarithm of the part of the Gaussian that keeps the inequalities, each by itself."""
+    program = _program(estimate)
+    n2 = 2 * estimate.experiment.stories
+    value = 0.0
+    assert program.lower is not None
+    assert program.upper is not None
+    G = np.zeros((0, len(B))) if program.G is None else program.G
+    h = np.zeros(0) if program.h is None else program.h
+    rows = np.concatenate([-np.eye(len(B)), np.eye(len(B)), G]) @ B
+    slack = np.concatenate([-program.lower, program.upper, h])
+    std = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", rows, covariance, rows), 0.0))
+    multipliers = _multipliers(rows, slack <= TOUCHING * std, gradient)
+    own = np.concatenate([np.arange(start.start, start.stop) for _, start in slices(estimate.effects, n2)] or [[]])
+    together = {int(p) for p in own}
+    for p in sorted(together):
+        if std[p] > 0:
+            slope = multipliers[p] - multipliers[p + len(B)]
+            value += log_interval(-slack[p], slack[p + len(B)], slope, std[p])
+    for row in range(len(rows)):
+        of_own = row < 2 * len(B) and row % len(B) in together
+        if not of_own and std[row] > 0 and slack[row] < FAR * std[row]:
+            value += log_interval(-np.inf, max(slack[row], 0.0), -multipliers[row], std[row])
+    return value
+
+
+def _multipliers(rows: Floats, active: np.ndarray[tuple[int], np.dtype[np.bool_]], gradient: Floats) -> Floats:
+    """w >= 0 with gradient + rows' w = 0, zero for rows that are not active."""
+    result = np.zeros(len(rows))
+    lengths = np.linalg.norm(rows, axis=1)
+    active = active & (lengths > 0)
+    if np.any(active):
+        unit = rows[active] / lengths[active, None]
+        result[active] = optimize.nnls(unit.T, -gradient)[0] / lengths[active]
+    return result
+
+
+def log_interval(lower: float, upper: float, slope: float, std: float) -> float:
+    """log of the integral of exp(-slope t - t^2 / 2 std^2) / (sqrt(2 pi) std) from lower to upper."""
+    shift = slope * std
+    return float(0.5 * shift**2 + log_normal_between(lower / std + shift, upper / std + shift))
+
+
+def log_normal_between(a: float, b: float) -> float:
+    """log(Phi(b) - Phi(a)), without loss in either tail."""
+    if a > 0:
+        a, b = -b, -a
+    high, low = special.log_ndtr(b), special.log_ndtr(a)
+    if not high > low:
+        return -np.inf
+    return float(high + np.log(-np.expm1(low - high)))
+
+
+def log_constants(effects: Sequence[Placed], expectation: Expectation) -> float:
+    """Logarithm of the constants of the priors of several effects."""
+    return sum(_log_constant(placed, expectation) for placed in effects)

@@ -1,0 +1,148 @@
+"""What the loop looks for: every effect at every place, each with the odds that it is there beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from cvxshear import checks
+from cvxshear.effects import Effect, Place, Placed, catalogue
+from cvxshear.errors import InputError
+from cvxshear.experiment import ExpectedEffect, Experiment
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """An effect at a place, before anything is measured.
+
+    Parameters
+    ----------
+    placed : Placed
+    probability : float
+        That it is there.
+    size : float or None
+        Standard deviation of its first parameter, where the experiment knows better than the effect.
+    """
+
+    placed: Placed
+    probability: float
+    size: float | None = None
+
+    @property
+    def log_odds(self) -> float:
+        """Logarithm of the odds that it is there."""
+        return float(np.log(self.probability) - np.log1p(-self.probability))
+
+
+def hypotheses(experiment: Experiment, effects: Sequence[Effect], there: Sequence[Placed] = ()) -> list[Hypothesis]:
+    """Everything that can be looked for.
+
+    An effect's probability is spread evenly over its places: with n of them each has 1 - (1 - p)^(1/n), so that the
+    effect is somewhere with the probability p.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        With what it expects of effects.
+    effects : sequence of Effect
+    there : sequence of Placed, optional
+        Already in the model.
+
+    Raises
+    ------
+    InputError
+        Where the experiment expects something of an effect that there is not.
+    """
+    known = {effect.name for effect in (*catalogue(), *effects)}
+    for each in experiment.expected:
+        checks.choice(each.name, sorted(known), "effect: name")
+    taken = {(placed.effect.name, placed.place) for placed in there}
+    return [
+        item
+        for effect in effects
+        if not effect.lacks(experiment)
+        for item in _of(effect, experiment)
+        if (effect.name, item.placed.place) not in taken
+    ]
+
+
+def _of(effect: Effect, experiment: Experiment) -> list[Hypothesis]:
+    """One effect at its places, but where it is excluded."""
+    said = {place: _said(experiment, effect.name, place) for place in effect.places(experiment)}
+    places = [place for place, known in said.items() if not any(each.exclude for each in known)]
+    usual = _spread(effect.probability, max(len(places), 1))
+    return [
+        Hypothesis(
+            Placed(effect, place),
+            _last(
+                [
+                    _spread(each.probability, sum(each in said[other] for other in places))
+                    for each in said[place]
+                    if each.probability is not None
+                ],
+                usual,
+            ),
+            _last([each.size for each in said[place] if each.size is not None], None),
+        )
+        for place in places
+    ]
+
+
+def _said(experiment: Experiment, name: str, place: Place) -> list[ExpectedEffect]:
+    """What the experiment expects of an effect at a place, the most general first."""
+    said = [each for each in experiment.expected if each.concerns(name, place.floor, place.story, place.state)]
+    return sorted(said, key=lambda each: sum(part is not None for part in (each.floor, each.story, each.state)))
+
+
+def _spread(probability: float, places: int) -> float:
+    return float(-np.expm1(np.log1p(-probability) / places))
+
+
+def _last(values: Sequence[T], default: T) -> T:
+    return values[-1] if values else default
+
+
+def chosen(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...]:
+    """The effects to look for: names or objects, the whole catalogue where none are given.
+
+    Raises
+    ------
+    InputError
+        Where there is none of a name.
+    """
+    if effects is None:
+        return catalogue()
+    known = {effect.name: effect for effect in catalogue()}
+    return tuple(
+        each if isinstance(each, Effect) else known[checks.choice(each, list(known), "effect")] for each in effects
+    )
+
+
+def assumed(experiment: Experiment, assume: Sequence[str | Placed]) -> tuple[Placed, ...]:
+    """The effects that are declared from the start; one named alone must have only one place to sit.
+
+    Raises
+    ------
+    InputError
+        Where an effect is not known, the experiment does not declare what it needs, or its place is not said.
+    """
+    result = []
+    for each in assume:
+        if isinstance(each, Placed):
+            result.append(each)
+            continue
+        (effect,) = chosen([each])
+        if effect.lacks(experiment):
+            raise InputError(
+                f"effect {each} cannot be assumed: the experiment does not declare {effect.lacks(experiment)}"
+            )
+        places = effect.places(experiment)
+        if len(places) > 1:
+            raise InputError(f"effect {each} can sit at {len(places)} places; assume it as Placed(effect, Place(...))")
+        result.append(Placed(effect, places[0]))
+    return tuple(result)

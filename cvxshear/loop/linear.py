@@ -1,0 +1,163 @@
+"""The linearised model at a fit: what every effect that might be added would do to its evidence.
+
+All that is looked for share a fit, and with it the factorization of its derivatives: at their null values the effects
+leave each other alone, so one evaluation with all of them gives every column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cvxshear.effects import Placed
+from cvxshear.effects.composition import slices
+from cvxshear.identification.efficient import Estimate
+from cvxshear.identification.expectation import Expectation
+from cvxshear.identification.misfit import Misfit
+from cvxshear.loop.evidence import log_constants, log_interval
+from cvxshear.typing import Floats
+
+
+class Linearised:
+    """The derivatives at a fit by its own parameters and by those of effects that it lacks.
+
+    Parameters
+    ----------
+    base : Estimate
+    lacking : sequence of Placed
+    expectation : Expectation
+    """
+
+    def __init__(self, base: Estimate, lacking: Sequence[Placed], expectation: Expectation) -> None:
+        self.base = base
+        self.lacking = list(lacking)
+        self.expectation = expectation
+        self._free = base.free_directions
+        self._reached = base.fit.at.J @ self._free
+        self._columns = self._sensitivities()
+        self._own = self._columns - self._reached @ (self._reached.T @ self._columns)
+        self._slope = self._own.T @ base.fit.at.r
+        self._at = {placed: own for placed, own in slices(self.lacking, 0)}
+
+    def _sensitivities(self) -> Floats:
+        """Derivatives of the residuals by the parameters that are lacking, at their null values, shape (d, p)."""
+        base = self.base
+        misfit = base.misfit
+        nulls = np.array([item.null for placed in self.lacking for item in placed.effect.parameters])
+        P = len(base.theta)
+        whole = Misfit(base.experiment, (*base.effects, *self.lacking), misfit.leave_out, misfit.noise)
+        found = whole.evaluate(np.concatenate([base.theta, nulls]), by=slice(P, None)).J
+        columns = np.zeros((len(base.fit.at.r), found.shape[1]))
+        columns[: base.fit.at.measured] = found[: base.fit.at.measured]
+        for placed, own in slices(self.lacking, 0):
+            if placed.effect.releases:
+                columns[:, own] += base.fit.at.J[:, : 2 * base.experiment.stories] @ self._shift(placed)
+        return columns
+
+    def _shift(self, placed: Placed) -> Floats:
+        """The least change of the frame, in typical units, that goes with the parameters of an effect's equalities."""
+        scale = self.expectation.scale
+        assert scale is not None
+        n2 = 2 * self.base.experiment.stories
+        unit = np.repeat([scale.floor_mass, scale.story_stiffness], n2 // 2)
+        A = placed.effect.limits(self.base.experiment, placed.place).A
+        assert A is not None
+        shift: Floats = -unit[:, None] * (np.linalg.pinv(A[:, :n2] * unit) @ A[:, n2:])
+        return shift
+
+    def gain(self, placed: Placed) -> float:
+        """By how much the logarithm of the evidence grows with an effect, as the linearised model has it."""
+        own = self._at[placed]
+        b, h = -self._slope[own], self._own[:, own].T @ self._own[:, own]
+        constants = log_constants([placed], self.expectation)
+        stds = self.expectation.of(placed)
+        h = h + np.diag(1.0 / stds**2)
+        (item, *more) = placed.effect.parameters
+        if more:
+            sign, log_det = np.linalg.slogdet(h)
+            return constants + 0.5 * float(b @ np.linalg.solve(h, b) - log_det) if sign > 0 else -np.inf
+        if h[0, 0] <= 0:
+            # Nothing depends on it; what is even between its bounds stays so.
+            return constants + float(np.log(item.upper - item.lower) - 0.5 * np.log(2 * np.pi))
+        std = float(1.0 / np.sqrt(h[0, 0]))
+        between = log_interval(item.lower - item.null, item.upper - item.null, -float(b[0]), std)
+        return constants + between + float(np.log(std))
+
+    def pair_gains(self) -> Floats:
+        """The same for each pair of effects of one parameter, shape (n, n); -inf where it keeps no bound, or is none."""
+        single = [placed for placed in self.lacking if len(placed.effect.parameters) == 1]
+        at = [self._at[placed].start for placed in single]
+        n = len(self.lacking)
+        result = np.full((n, n), -np.inf)
+        if len(single) < 2:
+            return result
+        own, b = self._own[:, at], -self._slope[at]
+        gram = own.T @ own
+        precision = np.array([1.0 / self.expectation.of(placed)[0] ** 2 for placed in single])
+        a = np.diag(gram) + precision
+        determinant = np.outer(a, a) - gram**2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            first = (a[None, :] * b[:, None] - gram * b[None, :]) / determinant
+            second = first.T
+            value = 0.5 * (first * b[:, None] + second * b[None, :]) - 0.5 * np.log(determinant)
+        limits = [(p.effect.parameters[0].lower, p.effect.parameters[0].upper) for p in single]
+        nulls = np.array([p.effect.parameters[0].null for p in single])
+        lower, upper = np.array([low for low, _ in limits]) - nulls, np.array([high for _, high in limits]) - nulls
+        inside = (first >= lower[:, None]) & (first <= upper[:, None])
+        constants = np.array([log_constants([placed], self.expectation) for placed in single])
+        value = np.where(inside & inside.T & (determinant > 1e-9 * np.outer(a, a)), value, -np.inf)
+        value = value + constants[:, None] + constants[None, :]
+        np.fill_diagonal(value, -np.inf)
+        places = [self.lacking.index(placed) for placed in single]
+        result[np.ix_(places, places)] = value
+        return result
+
+    def predicted(self, placed: Sequence[Placed]) -> Floats:
+        """Where the linearised model has its minimum with these effects, each kept within its bounds.
+
+        Returns
+        -------
+        ndarray, shape (P + p,)
+            The parameters of the fit, then the effects'.
+        """
+        columns = np.concatenate([np.arange(self._at[each].start, self._at[each].stop) for each in placed])
+        items = [item for each in placed for item in each.effect.parameters]
+        precision = np.concatenate([1.0 / self.expectation.of(each) ** 2 for each in placed])
+        null = np.array([item.null for item in items])
+        h = self._own[:, columns].T @ self._own[:, columns] + np.diag(precision)
+        change = -np.linalg.lstsq(h, self._slope[columns], rcond=None)[0]
+        values = np.clip(null + change, [item.lower for item in items], [item.upper for item in items])
+        g = self._columns[:, columns] @ (values - null)
+        theta = self.base.theta - self._free @ (self._reached.T @ (self.base.fit.at.r + g))
+        for each in placed:
+            if each.effect.releases:
+                own = slice(self._at[each].start, self._at[each].stop)
+                at = [int(np.flatnonzero(columns == i)[0]) for i in range(own.start, own.stop)]
+                theta[: 2 * self.base.experiment.stories] += self._shift(each) @ (values - null)[at]
+        return np.concatenate([theta, values])
+
+    def decrease(self, placed: Placed) -> float:
+        """By how much chi-square falls with an effect kept within its bounds, nothing being expected of it."""
+        own = self._at[placed]
+        h, slope = self._own[:, own].T @ self._own[:, own], self._slope[own]
+        items = placed.effect.parameters
+        lower, upper = np.array([[item.lower - item.null, item.upper - item.null] for item in items]).T
+        change = np.clip(-np.linalg.lstsq(h, slope, rcond=None)[0], lower, upper)
+        return float(-(2.0 * slope @ change + change @ h @ change))
+
+    def confounders(self, placed: Placed, names: Sequence[str], share: float = 0.1) -> tuple[str, ...]:
+        """The parameters of the fit whose change does what an effect does; largest part first."""
+        g = self._columns[:, self._at[placed]].sum(axis=1)
+        part = np.abs(self._free @ (self._reached.T @ g)) * np.linalg.norm(self.base.fit.at.J, axis=0)
+        order = np.argsort(-part, kind="stable")
+        return tuple(names[i] for i in order if part[i] > share * part[order[0]])
+
+    def told(self, placed: Placed) -> float:
+        """How much more surely its first parameter is known with the data than without, as a ratio of precisions."""
+        own = self._at[placed]
+        first = self._own[:, own.start]
+        std = self.expectation.of(placed)[0]
+        item = placed.effect.parameters[0]
+        usual = std if np.isfinite(std) else (item.upper - item.lower) / np.sqrt(12)
+        return float(1.0 + (first @ first) * usual**2)

@@ -1,0 +1,173 @@
+"""What the visited sets say together: probabilities of sets and effects, rivals, twins, and the averaged frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cvxshear.effects import Placed
+from cvxshear.identification.results import IdentifiedFrame
+from cvxshear.loop.hypotheses import Hypothesis
+from cvxshear.loop.model_class import ModelClass
+from cvxshear.typing import Floats
+
+ADDED = 0.5
+"""Probability from which on an effect is added: the median model predicts best (Barbieri and Berger 2004)."""
+
+RAISED = 3.0
+"""Factor by which the data must have raised the odds of what is added; what they cannot tell keeps its prior odds."""
+
+RIVAL = 0.05
+"""Probability, relative to that of the best set, of a set whose effects count as rivals."""
+
+TWIN = 1e-3
+"""Difference of chi-square, and of its derivatives' logarithm, below which no datum tells two effects apart."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """What may be there in place of an effect.
+
+    Parameters
+    ----------
+    placed : Placed
+    probability : float
+        That it is there in its place.
+    twin : bool
+        Whether no datum tells the two apart.
+    """
+
+    placed: Placed
+    probability: float
+    twin: bool
+
+
+class Posterior:
+    """The probabilities of the sets that were visited.
+
+    Parameters
+    ----------
+    models : iterable of ModelClass
+    hypotheses : sequence of Hypothesis
+    """
+
+    def __init__(self, models: Iterable[ModelClass], hypotheses: Sequence[Hypothesis]) -> None:
+        fitted = [model for model in models if model.estimate is not None and np.isfinite(model.score)]
+        self.models = sorted(fitted, key=lambda model: -model.score)
+        scores = np.array([model.score for model in self.models])
+        weights = np.exp(scores - scores[0])
+        self.probabilities: Floats = weights / weights.sum()
+        self._prior = {item.placed: item.probability for item in hypotheses}
+        self._known = {model.effects: at for at, model in enumerate(self.models)}
+
+    @property
+    def best(self) -> ModelClass:
+        """The most probable set."""
+        return self.models[0]
+
+    @cached_property
+    def of_effects(self) -> dict[Placed, float]:
+        """The probability of each effect: the sum over the sets that hold it."""
+        result = dict.fromkeys(self._prior, 0.0)
+        for model, probability in zip(self.models, self.probabilities, strict=True):
+            for placed in model.effects:
+                result[placed] += float(probability)
+        return result
+
+    def of(self, effects: frozenset[Placed]) -> float:
+        """The probability of a set; zero where it was not visited."""
+        return float(self.probabilities[self._known[effects]]) if effects in self._known else 0.0
+
+    def verdict_set(self) -> frozenset[Placed]:
+        """What is added: each effect of the best set that is there, or a twin of it, with probability enough.
+
+        And each effect beyond that set which is more probable than not.
+        """
+        best = self.best.effects
+        held = [placed for placed in best if self._enough([placed, *(r.placed for r in self.rivals(placed) if r.twin)])]
+        more = [placed for placed in self.of_effects if placed not in best and self._enough([placed])]
+        return frozenset((*held, *more))
+
+    def _enough(self, family: Sequence[Placed]) -> bool:
+        """Whether one of these effects is there with at least even odds, which the data have raised."""
+        probability = self._any(family)
+        prior = 1.0 - float(np.prod([1.0 - self._prior[placed] for placed in family]))
+        odds = probability / max(1.0 - probability, 1e-300)
+        return probability >= ADDED and odds >= RAISED * prior / (1.0 - prior)
+
+    def _any(self, family: Sequence[Placed]) -> float:
+        """The probability that one of these effects is there."""
+        held = [not model.effects.isdisjoint(family) for model in self.models]
+        return float(self.probabilities[held].sum())
+
+    def untold(self) -> list[Placed]:
+        """Effects whose odds the data left as they were, though they were even or better."""
+        return [
+            placed
+            for placed, probability in self.of_effects.items()
+            if probability >= ADDED and not self._enough([placed])
+        ]
+
+    def rivals(self, placed: Placed) -> list[Rival]:
+        """What replaces an effect in sets that are a twentieth as probable as the best, or more; most probable first."""
+        best = self.best
+        found: dict[Placed, float] = {}
+        twins: set[Placed] = set()
+        for model, probability in zip(self.models, self.probabilities, strict=True):
+            if probability < RIVAL * self.probabilities[0]:
+                break
+            if placed in model.effects or placed not in best.effects:
+                continue
+            other = replacement(placed, best.effects - model.effects, model.effects - best.effects)
+            if other is not None:
+                found[other] = found.get(other, 0.0) + float(probability)
+                if len(model.effects) == len(best.effects) and _alike(model, best):
+                    twins.add(other)
+        order = sorted(found, key=lambda each: -found[each])
+        return [Rival(each, found[each], each in twins) for each in order]
+
+    def averaged(self) -> IdentifiedFrame:
+        """Masses and stiffnesses averaged over the sets, with the scatter within and between them."""
+        frames = [model.estimate.frame for model in self.models if model.estimate is not None]
+        mass = self._mixture([frame.floor_mass for frame in frames], [frame.floor_mass_std for frame in frames])
+        stiffness = self._mixture(
+            [frame.story_stiffness for frame in frames], [frame.story_stiffness_std for frame in frames]
+        )
+        return IdentifiedFrame(mass[0], stiffness[0], mass[1], stiffness[1])
+
+    def _mixture(self, values: Sequence[Floats], stds: Sequence[Floats | None]) -> tuple[Floats, Floats]:
+        x = np.array(values)
+        s = np.array([np.zeros_like(value) if std is None else std for value, std in zip(values, stds, strict=True)])
+        weights = self.probabilities[:, None]
+        mean = np.sum(weights * x, axis=0)
+        return mean, np.sqrt(np.sum(weights * (s**2 + (x - mean) ** 2), axis=0))
+
+
+def replacement(placed: Placed, gone: frozenset[Placed], come: frozenset[Placed]) -> Placed | None:
+    """Which of the effects that have come stands for one that has gone: of the same state, the same kind, or the only.
+
+    None where nothing has come, or it stands for another.
+    """
+    if not come:
+        return None
+
+    def likeness(a: Placed, b: Placed) -> int:
+        return 2 * (a.place.state == b.place.state) + (a.effect.name == b.effect.name)
+
+    pairs = sorted(((likeness(a, b), a, b) for a in gone for b in come), key=lambda item: -item[0])
+    taken: dict[Placed, Placed] = {}
+    for _, a, b in pairs:
+        if a not in taken and b not in taken.values():
+            taken[a] = b
+    return taken.get(placed)
+
+
+def _alike(a: ModelClass, b: ModelClass) -> bool:
+    """Whether two sets fit the same data alike, so that none tells them apart."""
+    assert a.estimate is not None
+    assert b.estimate is not None
+    scale = max(1.0, b.estimate.chi2)
+    return abs(a.estimate.chi2 - b.estimate.chi2) <= TWIN * scale and a.estimate.dof == b.estimate.dof

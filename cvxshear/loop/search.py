@@ -1,0 +1,157 @@
+"""The search among sets of effects: forward from the shear model, then exchange and removal, none visited twice.
+
+A set is expanded by what the linearised model at its fit promises of each further effect, and of each pair. The best
+sets visited, a beam of them, are expanded until all of them have been; then the same from each of them with one effect
+taken out, which exchanges that effect for another, until the beam stays as it is. As there are finitely many sets and
+none is fitted or expanded twice, it ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from cvxshear.effects import Placed
+from cvxshear.identification.efficient import Estimate
+from cvxshear.identification.gauss_newton import CONVERGED_STEP
+from cvxshear.loop.fitter import Fitter
+from cvxshear.loop.linear import Linearised
+from cvxshear.loop.model_class import ModelClass
+
+BEAM = 6
+"""Sets that are expanded: the best of those visited."""
+
+WITHIN = 7.0
+"""Logarithm of a probability ratio: what is a thousandth as probable as the best is not followed up."""
+
+MOST = 10
+LEAST = 3
+PAIRS = 2
+"""Most and least further effects, and most pairs of them, that are fitted when a set is expanded."""
+
+Set = frozenset[Placed]
+
+
+class Search:
+    """Sets of effects that were visited, and the way to more of them.
+
+    Parameters
+    ----------
+    fitter : Fitter
+    base : Estimate
+        Of the set without any.
+    """
+
+    def __init__(self, fitter: Fitter, base: Estimate) -> None:
+        self.fitter = fitter
+        start = fitter.model_of(base)
+        self.visited: dict[Set, ModelClass] = {start.effects: start}
+        self.expanded: set[Set] = set()
+        self.thinned: set[Set] = set()
+        self.base = start
+
+    @property
+    def best(self) -> ModelClass:
+        """The most probable set so far."""
+        return max(self.visited.values(), key=lambda model: model.score)
+
+    @property
+    def beam(self) -> list[ModelClass]:
+        """The most probable sets so far."""
+        fitted = [model for model in self.visited.values() if model.estimate is not None]
+        return sorted(fitted, key=lambda model: -model.score)[:BEAM]
+
+    def run(self) -> None:
+        """Visit sets until the beam has nothing left to expand."""
+        self._grow()
+        while (model := self._next(self.thinned, within=True)) is not None:
+            self._thin(model)
+            self._grow()
+
+    def _grow(self) -> None:
+        """Expand the beam until all of it has been."""
+        while (model := self._next(self.expanded)) is not None:
+            self._expand(model)
+
+    def refine(self) -> None:
+        """Fit the sets that count to full accuracy."""
+        floor = self.best.score - WITHIN
+        self._record([self.fitter.refined(model) for model in self.visited.values() if model.score >= floor])
+
+    def fit_of(self, effects: Set) -> Estimate:
+        """The fit of a set, made where it was not visited."""
+        model = self.visited.get(effects)
+        if model is not None and model.estimate is not None:
+            return model.estimate
+        near = self.best.estimate
+        assert near is not None, "the shear model was fitted"
+        order = [*self.fitter.assumed, *(item.placed for item in self.fitter.hypotheses if item.placed in effects)]
+        (found,) = self.fitter.models([self.fitter.proposal(near, order)], CONVERGED_STEP)
+        self._record([found])
+        if found.estimate is None:
+            assert found.failure is not None
+            raise found.failure
+        return found.estimate
+
+    def _next(self, done: set[Set], *, within: bool = False) -> ModelClass | None:
+        """The best set of the beam that was not dealt with yet."""
+        floor = self.best.score - WITHIN if within else -np.inf
+        return next((model for model in self.beam if model.effects not in done and model.score >= floor), None)
+
+    def _lacking(self, model: ModelClass) -> list[Placed]:
+        return [item.placed for item in self.fitter.hypotheses if item.placed not in model.effects]
+
+    def _expand(self, model: ModelClass) -> None:
+        """Visit the most promising sets with one more effect, or two."""
+        self.expanded.add(model.effects)
+        lacking = self._lacking(model)
+        if not lacking or model.estimate is None:
+            return
+        linear = Linearised(model.estimate, lacking, self.fitter.expectation)
+        self._visit(model.estimate, linear, self._promising(model, linear))
+
+    def _promising(self, model: ModelClass, linear: Linearised) -> list[Set]:
+        """Sets with one more effect, or two, by what the linearised model promises."""
+        single = {
+            model.effects | {placed}: linear.gain(placed) + self.fitter.log_prior([placed]) for placed in linear.lacking
+        }
+        order = sorted(single, key=lambda each: -single[each])
+        floor = max(single[order[0]], 0.0) - WITHIN
+        new = [each for at, each in enumerate(order[:MOST]) if at < LEAST or single[each] > floor]
+        return [each for each in (*new, *self._pairs(model, linear, single)) if each not in self.visited]
+
+    def _pairs(self, model: ModelClass, linear: Linearised, single: dict[Set, float]) -> Iterable[Set]:
+        """Pairs that promise more together than either does by itself, and than nothing."""
+        odds = np.array([self.fitter.log_prior([placed]) for placed in linear.lacking])
+        alone = np.array([single[model.effects | {placed}] for placed in linear.lacking])
+        together = np.triu(linear.pair_gains() + odds[:, None] + odds[None, :], 1)
+        threshold = max(float(alone.max()), 0.0)
+        better = together - np.maximum(np.maximum(alone[:, None], alone[None, :]), 0.0)
+        candidates = np.argwhere((np.triu(np.ones_like(together), 1) > 0) & (better > 0) & (together > threshold - WITHIN))
+        ranked = sorted(candidates.tolist(), key=lambda pair: -together[pair[0], pair[1]])
+        return [model.effects | {linear.lacking[i], linear.lacking[j]} for i, j in ranked[:PAIRS]]
+
+    def _visit(self, of: Estimate, linear: Linearised, sets: list[Set]) -> None:
+        """Fit these sets, each with the effects of a fit and some that it lacks."""
+        proposals = []
+        for effects in dict.fromkeys(sets):
+            new = [placed for placed in linear.lacking if placed in effects]
+            proposals.append(self.fitter.proposal(of, (*of.effects, *new), [linear.predicted(new)]))
+        self._record(self.fitter.models(proposals))
+
+    def _record(self, models: Iterable[ModelClass]) -> None:
+        for model in models:
+            self.visited[model.effects] = model
+
+    def _thin(self, model: ModelClass) -> None:
+        """Visit the sets with one effect less, and expand those: what is added takes its place."""
+        self.thinned.add(model.effects)
+        assert model.estimate is not None
+        fewer = [model.effects - {placed} for placed in model.effects]
+        new = [each for each in fewer if each not in self.visited]
+        kept = [[placed for placed in model.estimate.effects if placed in each or placed in self.fitter.assumed] for each in new]
+        self._record(self.fitter.models([self.fitter.proposal(model.estimate, effects) for effects in kept]))
+        for each in fewer:
+            if each not in self.expanded:
+                self._expand(self.visited[each])
