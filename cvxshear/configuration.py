@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -265,17 +266,17 @@ class Configuration:
         """Whether both standard deviations were given."""
         return self.frequency_std is not None and self.mode_shape_std is not None
 
-    @property
+    @cached_property
     def measured(self) -> Bools:
         """Which entries of `mode_shapes` hold a number, shape (m, n)."""
         return np.isfinite(self.mode_shapes)
 
-    @property
+    @cached_property
     def known_shapes(self) -> Floats:
         """`mode_shapes` with zero where nothing was measured, shape (m, n)."""
         return np.where(self.measured, self.mode_shapes, 0.0)
 
-    @property
+    @cached_property
     def entry_weights(self) -> Floats:
         """One over the standard deviation of each shape entry, zero where nothing was measured, shape (m, n)."""
         known = self.measured
@@ -288,14 +289,14 @@ class Configuration:
         stories = len(self.added_mass)
         return self.mode_shapes.shape == (stories, stories) and bool(self.measured.all())
 
-    @property
+    @cached_property
     def log_frequency_std(self) -> Floats:
         """Standard deviation of the logarithm of each frequency, shape (m,); the default where none is declared."""
         if self.frequency_std is None:
             return np.full(len(self.frequencies), DEFAULT_FREQUENCY_STD)
         return self.frequency_std
 
-    @property
+    @cached_property
     def entry_std(self) -> Floats:
         """Standard deviation of each shape entry in the units of the entry, shape (m, n).
 

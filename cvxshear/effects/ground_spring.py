@@ -15,7 +15,7 @@ class GroundSpring(Effect):
     """K + s e e' at one floor above the first, where it would be story 1's own stiffness.
 
     Expected size: a tenth of the mean story stiffness. Cables, rods of shakers and neighbours that touch are far
-    softer than a story; a brace that is not would have been seen.
+    softer than a story; a brace that is not would have been seen, which leaves 5 %.
     """
 
     name = "ground_spring"
@@ -26,6 +26,7 @@ class GroundSpring(Effect):
     source = "linear spring from floor j to the ground"
     stage = "spring"
     parameters = (Parameter("s", "N/m", lower=0.0),)
+    probability = 0.05
     sits_at = ("floor",)
     lowest_floor = 2
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
-from scipy import linalg
 
 from cvxshear.effects.base import Effect, Parameter, Place, Scale, State
 from cvxshear.quantities import with_std
@@ -49,22 +49,32 @@ class JointRotation(Effect):
         k, h = state.story_stiffness, state.heights
         stories = len(k)
         beam = float(np.mean(state.frame_stiffness * h**2))
-        units = [_story(i, h[i], stories) for i in range(stories)]
-        Kuu, Kut, Ktt = (np.einsum("i,iab->ab", k, np.array([unit[part] for unit in units])) for part in range(3))
+        uu, ut, tt = _stories(tuple(h.tolist()))
+        Kuu, Kut, Ktt = (np.einsum("i,iab->ab", k, unit) for unit in (uu, ut, tt))
         # With S = eta / beam the inverse of Ktt + I / S is S (1 + Ktt S)^-1, which stays finite for rigid beams.
         S = eta / beam
-        turn = S * linalg.solve(np.eye(stories) + S * Ktt, np.eye(stories))
+        inverse = np.linalg.inv(np.eye(stories) + S * Ktt)
+        turn = S * inverse
         K = Kuu - Kut @ turn @ Kut.T
         # Condensation is a congruence with [1; -turn Kut'], so a derivative of the full matrix passes through it.
         down = -turn @ Kut.T
-        each = np.array([uu + ut @ down + down.T @ ut.T + down.T @ tt @ down for uu, ut, tt in units])
+        bent = ut @ down
+        each = uu + bent + bent.transpose(0, 2, 1) + down.T @ tt @ down
         dK = np.einsum("pi,iab->pab", state.d_story_stiffness, each)
         # d turn / dS = (1 + S Ktt)^-1 (1 + S Ktt)^-1, with which S itself depends on eta and on the stiffnesses.
-        inner = linalg.solve(np.eye(stories) + S * Ktt, Kut.T)
+        inner = inverse @ Kut.T
         by_S = -inner.T @ inner
         dK[own] += by_S / beam
         dK[stories : 2 * stories] += by_S * (-S / beam) * (h**2 / stories)[:, None, None]
         return state.with_stiffness(K, dK)
+
+
+@lru_cache(maxsize=16)
+def _stories(heights: tuple[float, ...]) -> tuple[Floats, Floats, Floats]:
+    """The blocks of every story of unit stiffness, each of shape (N, N, N); they depend on nothing but the heights."""
+    blocks = zip(*(_story(i, h, len(heights)) for i, h in enumerate(heights)), strict=True)
+    uu, ut, tt = (np.array(block) for block in blocks)
+    return uu, ut, tt
 
 
 def _story(i: int, h: float, stories: int) -> tuple[Floats, Floats, Floats]:

@@ -19,7 +19,8 @@ class TotalMass(Effect):
     Looked for where the total is declared exact and something else tells how heavy the frame is: added masses that
     differ, scaled shapes, a static test, or a prior that fixes the scale.
 
-    Expected size 10 %: what was weighed or taken off drawings misses bolts, cladding or live load.
+    Expected size 10 %: what was weighed or taken off drawings misses bolts, cladding or live load. Who declares a total
+    as exact has weighed it: one in fifty is wrong by so much.
     """
 
     name = "total_mass"
@@ -28,6 +29,7 @@ class TotalMass(Effect):
     source = "error of the declared total mass"
     stage = "mass"
     parameters = (Parameter("e", "", lower=-0.9, upper=9.0),)
+    probability = 0.02
     releases = ("total_mass",)
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import stats
 
 from cvxshear.backends import Backend
+from cvxshear.data import NOISES
 from cvxshear.effects import Placed, Scale
 from cvxshear.effects.base import heights_of
 from cvxshear.effects.composition import slices
@@ -17,8 +19,8 @@ from cvxshear.errors import CvxshearError, NoModesError, NoSolutionError
 from cvxshear.experiment import Experiment
 from cvxshear.identification.domain import domain_of, refuse_contradicting
 from cvxshear.identification.gauss_newton import CONVERGED_STEP, Domain, Fit, gauss_newton
-from cvxshear.identification.misfit import Misfit
-from cvxshear.identification.noise import NoiseEstimate, estimated_noise
+from cvxshear.identification.misfit import Evaluation, Misfit
+from cvxshear.identification.noise import LARGEST_NOISE, NoiseEstimate, estimated_noise
 from cvxshear.identification.quality import Quality, quality
 from cvxshear.identification.results import IdentifiedFrame, Part, Prediction, predictions
 from cvxshear.identification.smooth import smooth_start
@@ -30,7 +32,7 @@ FAR_OFF = 100.0
 """Chi-square a datum beyond which a starting point is not near the data: errors of ten standard deviations."""
 
 MOST_NOISES = 4
-SAME_NOISE = 0.02
+SAME_NOISE = 0.05
 """Estimates of an undeclared noise, and the relative change of its factors that counts as none."""
 
 
@@ -93,8 +95,17 @@ class Estimate:
 
     @property
     def p_value(self) -> float | None:
-        """Probability of a residual as large, or, with undeclared noise, of instruments with noise as large."""
-        return self.quality.p_value if self.noise.p_value is None else self.noise.p_value
+        """Probability of a residual as large under the noise, declared or estimated; None without degrees of freedom.
+
+        An estimated noise counts up to the largest that instruments have (`noise.LARGEST_NOISE`).
+        """
+        if self.dof <= 0:
+            return None
+        at, noise = self.fit.at, self.misfit.noise
+        squares = at.r[: at.measured] ** 2
+        for kind, factor in noise.factors:
+            squares[at.noises[: at.measured] == NOISES.index(kind)] *= max(1.0, factor / LARGEST_NOISE[kind]) ** 2
+        return float(stats.chi2.sf(squares.sum(), self.dof))
 
     @cached_property
     def quality(self) -> Quality:
@@ -157,7 +168,13 @@ def parameter_names(experiment: Experiment, effects: Sequence[Placed]) -> tuple[
     )
 
 
-def fitted(misfit: Misfit, theta: Floats, backend: Backend, tolerance: float = CONVERGED_STEP) -> Estimate:
+def fitted(
+    misfit: Misfit,
+    theta: Floats,
+    backend: Backend,
+    tolerance: float = CONVERGED_STEP,
+    start: Evaluation | None = None,
+) -> Estimate:
     """The estimate that Gauss-Newton reaches from a starting point, with the noise that it speaks for.
 
     Parameters
@@ -168,8 +185,10 @@ def fitted(misfit: Misfit, theta: Floats, backend: Backend, tolerance: float = C
     backend : Backend
     tolerance : float, optional
         Of `gauss_newton`.
+    start : Evaluation, optional
+        At theta, where it was made already.
     """
-    estimate = fitted_with(misfit, theta, backend, tolerance)
+    estimate = fitted_with(misfit, theta, backend, tolerance, start)
     for _ in range(MOST_NOISES if misfit.open_noises else 0):
         noise = estimated_noise(estimate.misfit, estimate.fit.at, estimate.free_directions)
         before = estimate.misfit.noise
@@ -181,7 +200,13 @@ def fitted(misfit: Misfit, theta: Floats, backend: Backend, tolerance: float = C
     return estimate
 
 
-def fitted_with(misfit: Misfit, theta: Floats, backend: Backend, tolerance: float = CONVERGED_STEP) -> Estimate:
+def fitted_with(
+    misfit: Misfit,
+    theta: Floats,
+    backend: Backend,
+    tolerance: float = CONVERGED_STEP,
+    start: Evaluation | None = None,
+) -> Estimate:
     """The estimate that Gauss-Newton reaches from a starting point, the noise held as it is.
 
     Parameters
@@ -191,9 +216,11 @@ def fitted_with(misfit: Misfit, theta: Floats, backend: Backend, tolerance: floa
     backend : Backend
     tolerance : float, optional
         Of `gauss_newton`.
+    start : Evaluation, optional
+        At theta, where it was made already.
     """
     domain = domain_of(misfit.experiment, misfit.effects, theta)
-    fit = gauss_newton(misfit, theta, domain, backend, tolerance)
+    fit = gauss_newton(misfit, theta, domain, backend, tolerance, start)
     names = parameter_names(misfit.experiment, misfit.effects)
     return Estimate(misfit, domain, fit, uncertainty(fit.at.known_triangle, fit.theta, domain, names))
 

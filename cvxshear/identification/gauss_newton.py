@@ -41,6 +41,9 @@ MOST_DAMPING = 1e6
 """Weights at which a step is damped for the first time, below which it is a plain one again, and beyond which there is
 no step left to try."""
 
+ROUNDING = 1e-13
+"""Relative violation of a constraint that counts as none."""
+
 FLAT = 0.1
 FLAT_STEPS = 3
 """Decrease of chi-square, where its mean a datum is one, that this many damped steps in a row must bring to go on."""
@@ -133,7 +136,12 @@ def step_program(at: Evaluation, theta: Floats, domain: Domain, damping: float =
 
 
 def gauss_newton(
-    misfit: Misfit, theta: Floats, domain: Domain, backend: Backend, tolerance: float = CONVERGED_STEP
+    misfit: Misfit,
+    theta: Floats,
+    domain: Domain,
+    backend: Backend,
+    tolerance: float = CONVERGED_STEP,
+    start: Evaluation | None = None,
 ) -> Fit:
     """Minimize the sum of squared standardized residuals.
 
@@ -146,6 +154,8 @@ def gauss_newton(
     backend : Backend
     tolerance : float, optional
         Largest change of a residual, see `CONVERGED_STEP`, of a step that counts as none.
+    start : Evaluation, optional
+        At theta, where it was made already.
 
     Returns
     -------
@@ -157,8 +167,9 @@ def gauss_newton(
     NoSolutionError, UnsuitableError
         From the backend, where it cannot solve a step.
     """
-    theta = _made_feasible(theta, domain, backend)
-    at = misfit.evaluate(theta)
+    feasible = _made_feasible(theta, domain, backend)
+    at = start if start is not None and feasible is theta else misfit.evaluate(feasible)
+    theta = feasible
     damping, flat = _Damping(), 0
     solution: Solution | None = None
     for step in range(1, MOST_STEPS + 1):
@@ -213,7 +224,18 @@ def _halved(
 def _made_feasible(theta: Floats, domain: Domain, backend: Backend) -> Floats:
     """The nearest point, in relative change, that keeps the exact statements."""
     nearest = LeastSquares(R=np.diag(1.0 / domain.scale), s=np.zeros(len(theta)))
-    return theta + backend.solve(constrained(nearest, domain.statements, theta)).x
+    program = constrained(nearest, domain.statements, theta)
+    return theta if _kept(program, domain.scale) else theta + backend.solve(program).x
+
+
+def _kept(program: LeastSquares, scale: Floats) -> bool:
+    """Whether the constraints of a program hold for an unknown of zero, within rounding."""
+    G, h = program.inequalities
+    A, b = program.equalities
+    return bool(
+        np.all(h >= -ROUNDING * np.linalg.norm(G * scale, axis=1))
+        and np.all(np.abs(b) <= ROUNDING * np.linalg.norm(A * scale, axis=1))
+    )
 
 
 def embedded(said: Constraints, at: slice | Ints, size: int) -> Constraints:

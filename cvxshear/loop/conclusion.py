@@ -105,12 +105,12 @@ def _steps(final: Estimate, posterior: Posterior, fitter: Fitter) -> tuple[Step,
     before = _in_noise_of(final, [], fitter) if order else final
     held = held_out_frequency_errors(before, final, fitter)
     if not order:
-        return (Step(final, what, _final_p(final), held[1]),)
-    steps = [Step(before, what, _p_value(before), held[0])]
+        return (Step(final, what, final.p_value, held[1]),)
+    steps = [Step(before, what, before.p_value, held[0])]
     for count, placed in enumerate(order[:-1], 1):
         estimate = _in_noise_of(final, order[:count], fitter)
-        steps.append(Step(estimate, f"with {placed.label}", _p_value(estimate)))
-    return (*steps, Step(final, f"with {order[-1].label}", _final_p(final), held[1]))
+        steps.append(Step(estimate, f"with {placed.label}", estimate.p_value))
+    return (*steps, Step(final, f"with {order[-1].label}", final.p_value, held[1]))
 
 
 def _in_noise_of(final: Estimate, effects: Sequence[Placed], fitter: Fitter) -> Estimate:
@@ -119,19 +119,6 @@ def _in_noise_of(final: Estimate, effects: Sequence[Placed], fitter: Fitter) -> 
     fitter.fits += 1
     found, _ = with_stand_in(fitter.backend, lambda by: fitted_with(proposal.misfit, proposal.starts[0], by))
     return found
-
-
-def _p_value(estimate: Estimate) -> float | None:
-    """Of the residual in the noise of the fit; None where no degree of freedom is left."""
-    return float(stats.chi2.sf(estimate.chi2, estimate.dof)) if estimate.dof > 0 else None
-
-
-def _final_p(final: Estimate) -> float | None:
-    """The smaller of the residual's in its noise, and of that noise where nobody declared it."""
-    if final.dof <= 0:
-        return None
-    values = [value for value in (_p_value(final), final.noise.p_value) if value is not None]
-    return min(values)
 
 
 def _added(posterior: Posterior, final: Estimate, placed: Placed) -> AddedEffect:

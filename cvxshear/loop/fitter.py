@@ -16,7 +16,7 @@ from cvxshear.experiment import Experiment
 from cvxshear.identification.efficient import Estimate, fitted
 from cvxshear.identification.expectation import Expectation
 from cvxshear.identification.gauss_newton import CONVERGED_STEP
-from cvxshear.identification.misfit import Misfit
+from cvxshear.identification.misfit import Evaluation, Misfit
 from cvxshear.loop.evidence import log_evidence
 from cvxshear.loop.hypotheses import Hypothesis
 from cvxshear.loop.model_class import ModelClass
@@ -36,14 +36,17 @@ class Proposal:
     effects : tuple of Placed
         In the order of their parameters, those assumed included.
     starts : tuple of ndarray, shape (P,)
-        Starting points; the one that fits best is taken.
+        Starting points: the first that fits better than the last does is taken.
     misfit : Misfit
         Whose data and noise the fit has.
+    objective : float
+        Of the fit that it started from.
     """
 
     effects: tuple[Placed, ...]
     starts: tuple[Floats, ...]
     misfit: Misfit
+    objective: float
 
 
 @dataclass(eq=False)
@@ -90,7 +93,7 @@ class Fitter:
         values = {placed: of.theta[own] for placed, own in slices(of.effects, n2)}
         own = [values.get(placed, np.array(placed.start)) for placed in effects]
         plain = np.concatenate([of.theta[:n2], *own])
-        return Proposal(tuple(effects), (*more, plain), of.misfit.replaced(effects))
+        return Proposal(tuple(effects), (*more, plain), of.misfit.replaced(effects), of.fit.at.objective)
 
     def fit(self, misfit: Misfit, start: Floats) -> Estimate:
         """The fit of a model from a starting point."""
@@ -159,7 +162,8 @@ def _own(found: Estimate | CvxshearError, proposal: Proposal) -> Estimate | Cvxs
 def _fitted(proposal: Proposal, backend: Backend, tolerance: float) -> tuple[Estimate | CvxshearError, bool]:
     """The fit of a set, or why there is none; and whether another backend had to make it."""
     try:
-        return with_stand_in(backend, lambda by: fitted(proposal.misfit, _nearest(proposal), by, tolerance))
+        start = _start(proposal)
+        return with_stand_in(backend, lambda by: fitted(proposal.misfit, start[0], by, tolerance, start[1]))
     except CvxshearError as error:
         return error, False
 
@@ -174,13 +178,14 @@ def with_stand_in(backend: Backend, fit: Callable[[Backend], Estimate]) -> tuple
         return fit(backends.get("auto")), True
 
 
-def _nearest(proposal: Proposal) -> Floats:
-    """The starting point that fits best."""
-
-    def objective(theta: Floats) -> float:
+def _start(proposal: Proposal) -> tuple[Floats, Evaluation | None]:
+    """The starting point, and the residuals there where they had to be looked at."""
+    *guesses, plain = proposal.starts
+    for guess in guesses:
         try:
-            return proposal.misfit.evaluate(theta, derivatives=False).objective
+            at = proposal.misfit.evaluate(guess)
         except NoModesError:
-            return float("inf")
-
-    return min(proposal.starts, key=objective) if len(proposal.starts) > 1 else proposal.starts[0]
+            continue
+        if at.objective <= proposal.objective:
+            return guess, at
+    return plain, None

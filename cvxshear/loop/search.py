@@ -20,13 +20,14 @@ from cvxshear.loop.linear import Linearised
 from cvxshear.loop.model_class import ModelClass
 
 BEAM = 6
-"""Sets that are expanded: the best of those visited."""
+REACH = 20.0
+"""Sets that are expanded: the best of those visited, so many at most and none further behind in log probability."""
 
 WITHIN = 7.0
 """Logarithm of a probability ratio: what is a thousandth as probable as the best is not followed up."""
 
 MOST = 10
-LEAST = 3
+LEAST = 2
 PAIRS = 2
 """Most and least further effects, and most pairs of them, that are fitted when a set is expanded."""
 
@@ -65,13 +66,13 @@ class Search:
     def run(self) -> None:
         """Visit sets until the beam has nothing left to expand."""
         self._grow()
-        while (model := self._next(self.thinned, within=True)) is not None:
+        while (model := self._next(self.thinned, WITHIN)) is not None:
             self._thin(model)
             self._grow()
 
     def _grow(self) -> None:
         """Expand the beam until all of it has been."""
-        while (model := self._next(self.expanded)) is not None:
+        while (model := self._next(self.expanded, REACH)) is not None:
             self._expand(model)
 
     def refine(self) -> None:
@@ -94,9 +95,9 @@ class Search:
             raise found.failure
         return found.estimate
 
-    def _next(self, done: set[Set], *, within: bool = False) -> ModelClass | None:
+    def _next(self, done: set[Set], within: float) -> ModelClass | None:
         """The best set of the beam that was not dealt with yet."""
-        floor = self.best.score - WITHIN if within else -np.inf
+        floor = self.best.score - within
         return next((model for model in self.beam if model.effects not in done and model.score >= floor), None)
 
     def _lacking(self, model: ModelClass) -> list[Placed]:
@@ -117,7 +118,8 @@ class Search:
             model.effects | {placed}: linear.gain(placed) + self.fitter.log_prior([placed]) for placed in linear.lacking
         }
         order = sorted(single, key=lambda each: -single[each])
-        floor = max(single[order[0]], 0.0) - WITHIN
+        # A set with an effect taken out is far behind: what is put in must catch up with the best.
+        floor = max(single[order[0]], 0.0, self.best.score - model.score) - WITHIN
         new = [each for at, each in enumerate(order[:MOST]) if at < LEAST or single[each] > floor]
         return [each for each in (*new, *self._pairs(model, linear, single)) if each not in self.visited]
 

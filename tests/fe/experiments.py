@@ -70,18 +70,14 @@ def simulated(
         one entry a configuration of `frequencies` and `mode_shapes` (all modes, all floors, no noise; as the
         sensors would show them).
     """
-    floor_mass = rng.uniform(9.0, 13.0, stories)
-    story_stiffness = np.sort(rng.uniform(20e3, 28e3, stories))[::-1]
-    frame = Building(np.full(stories, HEIGHT), story_stiffness, floor_mass)
+    frame = _drawn(stories, rng)
+    floor_mass = frame.floor_mass
     added = _default_added(stories, configurations) if added_mass is None else np.asarray(added_mass, dtype=float)
     place = _placed(effect, stories, configurations, rng, floor=floor, story=story, configuration=configuration)
     if effect is not None and size is None:
         size = practical_size(effect, frame)
-    seen = []
-    for number, extra in enumerate(added, 1):
-        tested = dataclasses.replace(frame, floor_mass=floor_mass + extra)
-        here = effect is not None and place["configuration"] in (None, number)
-        seen.append(_tested(tested, effect if here else None, size, place))
+    there = [] if effect is None else [(effect, size, place)]
+    seen = _all_tested(frame, added, there)
     declared: dict[str, Any] = {"stories": stories, "gravity": GRAVITY}
     if declare_heights:
         declared["story_heights"] = [HEIGHT] * stories
@@ -99,12 +95,85 @@ def simulated(
         **place,
         "configuration": None if place["configuration"] is None else _name(place["configuration"]),
         "size": size,
+        "effects": [_put(name, where) for name, _, where in there],
         "floor_mass": floor_mass,
-        "story_stiffness": story_stiffness,
+        "story_stiffness": frame.story_stiffness,
         "frequencies": [each.frequencies for each in seen],
         "mode_shapes": [each.shapes.T for each in seen],
     }
     return experiment, truth
+
+
+def simulated_pair(
+    effects: Sequence[str],
+    *,
+    stories: int,
+    configurations: int,
+    rng: np.random.Generator,
+    added_mass: Sequence[Sequence[float]] | None = None,
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Test a frame that has several effects of practical size, at places drawn one after the other.
+
+    Parameters and results are those of `simulated`; of the truth only what does not speak of one effect alone.
+    """
+    frame = _drawn(stories, rng)
+    added = _default_added(stories, configurations) if added_mass is None else np.asarray(added_mass, dtype=float)
+    there = [
+        (
+            name,
+            practical_size(name, frame),
+            _placed(name, stories, configurations, rng, floor=None, story=None, configuration=None),
+        )
+        for name in effects
+    ]
+    seen = _all_tested(frame, added, there)
+    declared = {
+        "stories": stories,
+        "gravity": GRAVITY,
+        "story_heights": [HEIGHT] * stories,
+        "total_mass": float(frame.floor_mass.sum()),
+    }
+    experiment = {
+        "frame": declared,
+        "configuration": [
+            measured(each, rng, name=_name(number), added=extra)
+            for number, (each, extra) in enumerate(zip(seen, added, strict=True), 1)
+        ],
+    }
+    truth = {
+        "effects": [_put(name, where) for name, _, where in there],
+        "floor_mass": frame.floor_mass,
+        "story_stiffness": frame.story_stiffness,
+        "frequencies": [each.frequencies for each in seen],
+        "mode_shapes": [each.shapes.T for each in seen],
+    }
+    return experiment, truth
+
+
+def _drawn(stories: int, rng: np.random.Generator) -> Building:
+    """A laboratory frame: masses drawn first, then stiffnesses that fall with the height."""
+    floor_mass = rng.uniform(9.0, 13.0, stories)
+    return Building(np.full(stories, HEIGHT), np.sort(rng.uniform(20e3, 28e3, stories))[::-1], floor_mass)
+
+
+Put = tuple[str, float | None, dict[str, int | None]]
+
+
+def _all_tested(frame: Building, added: Floats, there: Sequence[Put]) -> list[SwayModes]:
+    """What the sensors show of each configuration, with the effects that are in it."""
+    return [
+        _tested(
+            dataclasses.replace(frame, floor_mass=frame.floor_mass + extra),
+            [item for item in there if item[2]["configuration"] in (None, number)],
+        )
+        for number, extra in enumerate(added, 1)
+    ]
+
+
+def _put(name: str, where: dict[str, int | None]) -> tuple[str, int | None, int | None, str | None]:
+    """An effect and its place, the configuration by name."""
+    number = where["configuration"]
+    return name, where["floor"], where["story"], None if number is None else _name(number)
 
 
 def measured(
@@ -176,14 +245,11 @@ def with_long_columns(frame: Building, inverse_EI: float, at: int | None = None)
 
     The floors stay rigid and tilt. The story between two of them is then a beam whose bending stiffness is the
     columns' axial one, EA b^2 / 2, and their own two EI; and whose sway stiffness at equal tilts is that of the
-    columns alone, k_c. A beam of stiffness EI in series with a shear spring k has 1 / (1 / k + h^3 / 12 EI)
-    there. So the columns are made the softer by just this, for the story stiffness to be k; and their EA is
-    what makes EI the same in every story.
+    columns alone. Their EA is what makes EI the same in every story.
     """
-    column_stiffness = 1.0 / (1.0 / frame.story_stiffness + frame.heights**3 * inverse_EI / 12)
-    columns = column_stiffness * frame.heights**3 / 12
+    columns = frame.story_stiffness * frame.heights**3 / 12
     axial = 2.0 * (1.0 / inverse_EI - columns) / bay(frame) ** 2
-    return dataclasses.replace(frame, story_stiffness=column_stiffness, column_axial=axial)
+    return dataclasses.replace(frame, column_axial=axial)
 
 
 def with_rocking_base(frame: Building, inverse_k_theta: float, at: int | None = None) -> Building:
@@ -220,15 +286,16 @@ CHANGES: dict[str, Callable[..., Building]] = {
 """What each effect makes of the frame; a sensor's gain changes the reading, not the frame."""
 
 
-def _tested(frame: Building, effect: str | None, size: float | None, place: dict[str, int | None]) -> SwayModes:
+def _tested(frame: Building, there: Sequence[Put]) -> SwayModes:
     """What the sensors show of one configuration."""
-    if effect is None:
-        return sway_modes(frame)
-    if effect == "sensor_gain":
-        modes = sway_modes(frame)
-        gain = 1.0 + size * (np.arange(1, frame.stories + 1) == place["floor"])
-        return SwayModes(modes.frequencies, gain[:, None] * modes.shapes)
-    return sway_modes(CHANGES[effect](frame, size, place["floor"] or place["story"]))
+    gain = np.ones(frame.stories)
+    for name, size, place in there:
+        if name == "sensor_gain":
+            gain = gain * (1.0 + size * (np.arange(1, frame.stories + 1) == place["floor"]))
+        else:
+            frame = CHANGES[name](frame, size, place["floor"] or place["story"])
+    modes = sway_modes(frame)
+    return SwayModes(modes.frequencies, gain[:, None] * modes.shapes)
 
 
 def _placed(

@@ -1,0 +1,281 @@
+"""How often the loop is right and how honest its odds are, on random frames of the independent finite-element model.
+
+python -m tests.calibration prints every table of docs/calibration.md: the right set by effect and number of
+configurations, pairs of effects among them; false additions for declared noise and four undeclared ones; reliability
+of the probabilities; coverage of the averaged masses and stiffnesses.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from cvxshear import Experiment, close_loop
+from tests.fe.experiments import simulated, simulated_pair
+
+EFFECTS = (
+    None, "gravity", "joint_rotation", "axial_columns", "base_rocking", "ground_spring", "added_mass",
+    "mass_coupling", "sensor_gain", "story_change",
+)  # fmt: skip
+
+HIDDEN = ("gravity", "added_mass", "story_change")
+"""Effects that one configuration alone cannot tell from the masses and stiffnesses themselves."""
+
+PAIRS = (
+    ("gravity", "joint_rotation"), ("gravity", "sensor_gain"), ("joint_rotation", "added_mass"),
+    ("base_rocking", "sensor_gain"), ("ground_spring", "story_change"), ("sensor_gain", "added_mass"),
+)  # fmt: skip
+
+HEAVIEST = 6.0
+"""kg, the heaviest counterweight on a floor in the second and third test; floors weigh about 10 kg."""
+
+NOISES = {
+    "declared": None,
+    "0.2 % and 1 %": (0.002, 0.01),
+    "1 % and 1 %": (0.01, 0.01),
+    "0.2 % and 0.2 %": (0.002, 0.002),
+    "0.05 % and 2 %": (0.0005, 0.02),
+}
+"""True noise of frequencies and of shapes where nobody declared it."""
+
+BINS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One random frame: what is in it, how many configurations are tested, and its noise where nobody declared it."""
+
+    effects: tuple[str, ...]
+    configurations: int
+    seed: int
+    noise: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the loop made of one frame."""
+
+    trial: Trial
+    verdict: str
+    wanted: frozenset[tuple]
+    found: frozenset[tuple]
+    rivals: frozenset[tuple]
+    odds: tuple[tuple[float, bool], ...]
+    covered: tuple[bool, ...]
+
+    @property
+    def word(self) -> str:
+        """exact, extra (more than is there), missed (less), rival (the right one among the rivals), or wrong."""
+        if self.found == self.wanted:
+            return "exact"
+        if self.found > self.wanted:
+            return "extra"
+        if self.wanted <= self.found | self.rivals:
+            return "rival"
+        return "missed" if self.found < self.wanted else "wrong"
+
+
+WORDS = ("exact", "extra", "rival", "missed", "wrong")
+
+
+def visible(effects, configurations):
+    """What these tests can show of what is there."""
+    return tuple(name for name in effects if not (configurations == 1 and name in HIDDEN))
+
+
+def experiment_of(trial):
+    """The measurement and the truth."""
+    rng = np.random.default_rng(trial.seed)
+    stories = int(rng.integers(3, 9))
+    added = np.round(rng.uniform(0.0, HEAVIEST, (trial.configurations, stories)) * 2) / 2
+    added[0] = 0.0
+    simulate = simulated if len(trial.effects) < 2 else simulated_pair
+    what = (trial.effects or (None,))[0] if len(trial.effects) < 2 else trial.effects
+    declared, truth = simulate(
+        what, stories=stories, configurations=trial.configurations, rng=rng, added_mass=added.tolist()
+    )
+    if trial.noise is not None:
+        _renoised(declared, truth, trial.noise, rng)
+    return declared, truth
+
+
+def _renoised(declared, truth, noise, rng):
+    """Exact values with another noise, which nobody declares."""
+    for each, frequencies, shapes in zip(
+        declared["configuration"], truth["frequencies"], truth["mode_shapes"], strict=True
+    ):
+        shapes = shapes / np.max(np.abs(shapes), axis=1, keepdims=True)
+        each["frequencies"] = (frequencies * np.exp(noise[0] * rng.standard_normal(len(frequencies)))).tolist()
+        each["mode_shapes"] = (shapes + noise[1] * rng.standard_normal(shapes.shape)).tolist()
+        del each["frequency_std"], each["mode_shape_std"]
+
+
+def place(item):
+    return item["name"], item["floor"], item["story"], item["configuration"]
+
+
+def outcome(trial):
+    """What the loop makes of a frame."""
+    declared, truth = experiment_of(trial)
+    result = close_loop(Experiment.from_dict(declared)).to_dict()
+    shown = visible(trial.effects, trial.configurations)
+    wanted = frozenset(item for item in truth["effects"] if item[0] in shown)
+    found = frozenset(place(item) for item in result["effects"])
+    rivals = frozenset(place(rival) for item in result["effects"] for rival in item["rivals"])
+    there = frozenset(truth["effects"])
+    odds = tuple(
+        (item["probability"], place(item) in there)
+        for item in result["candidates"]
+        if item["probability"] >= BINS[0] and item["probability"] > 2.0 * item["prior_probability"]
+    )
+    averaged = result["averaged"]
+    values = np.array(averaged["floor_mass"] + averaged["story_stiffness"], dtype=float)
+    std = np.array(averaged["floor_mass_std"] + averaged["story_stiffness_std"], dtype=float)
+    exact = np.concatenate([truth["floor_mass"], truth["story_stiffness"]])
+    covered = tuple(bool(x) for x in np.abs(values - exact) <= stats.norm.isf(0.025) * std)
+    return Outcome(trial, result["verdict"], wanted, found, rivals, odds, covered)
+
+
+def trials(frames, seed, *, effects=EFFECTS, configurations=(1, 3)):
+    """So many frames for each effect and number of configurations, each with a seed of its own."""
+    return [
+        Trial((effect,) if effect else (), count, _seed(seed, EFFECTS.index(effect), count, i))
+        for count in configurations
+        for effect in effects
+        for i in range(frames)
+    ]
+
+
+def pairs(frames, seed):
+    """So many frames for each pair of effects, in three configurations."""
+    return [Trial(pair, 3, _seed(seed, 20 + at, 3, i)) for at, pair in enumerate(PAIRS) for i in range(frames)]
+
+
+def nothing(frames, seed, *, names=tuple(NOISES), configurations=3):
+    """Pure shear frames for each noise, declared or not."""
+    return [
+        Trial((), configurations, _seed(seed, 40 + list(NOISES).index(name), configurations, i), NOISES[name])
+        for name in names
+        for i in range(frames)
+    ]
+
+
+def _seed(seed, kind, configurations, i):
+    return seed * 10_000_000 + 100_000 * kind + 10_000 * configurations + i
+
+
+def run(wanted, jobs):
+    """The outcomes of many trials, over processes."""
+    if jobs == 1:
+        return [outcome(trial) for trial in wanted]
+    with ProcessPoolExecutor(jobs) as pool:
+        return list(pool.map(outcome, wanted, chunksize=2))
+
+
+def by_kind(results):
+    """Outcomes by configurations and effects."""
+    kinds = dict.fromkeys((item.trial.configurations, item.trial.effects) for item in results)
+    return {kind: [r for r in results if (r.trial.configurations, r.trial.effects) == kind] for kind in kinds}
+
+
+def print_right(results):
+    print(f"| configurations | effects | frames | {' | '.join(WORDS)} | explained or adequate |")
+    print("|" + "---|" * (4 + len(WORDS)))
+    for (count, effects), mine in by_kind(results).items():
+        words = Counter(item.word for item in mine)
+        sure = sum(item.verdict in ("explained", "adequate") for item in mine)
+        label = " and ".join(effects) or "none"
+        print(f"| {count} | {label} | {len(mine)} | {' | '.join(str(words[word]) for word in WORDS)} | {sure} |")
+
+
+def shares(results):
+    """The right set among frames of several configurations; the right one first or among rivals with one."""
+    several = [r for r in results if r.trial.configurations > 1 and r.wanted]
+    one = [r for r in results if r.trial.configurations == 1 and r.wanted]
+    return {
+        "three configurations, exactly the right set": (sum(r.word == "exact" for r in several), len(several)),
+        "one configuration, the right effect first or among the rivals": (
+            sum(r.wanted <= r.found | r.rivals for r in one), len(one),
+        ),
+    }  # fmt: skip
+
+
+def reliability(results):
+    """For each bin of probabilities: how many effects, how many of them there, and their mean probability."""
+    odds = [item for r in results for item in r.odds]
+    rows = []
+    for low, high in zip(BINS[:-1], BINS[1:], strict=True):
+        mine = [(p, there) for p, there in odds if low <= p < high or (high == 1.0 and p >= low)]
+        if mine:
+            rows.append((low, high, len(mine), sum(there for _, there in mine), float(np.mean([p for p, _ in mine]))))
+    return rows
+
+
+def limits(count, probability, level=0.95):
+    """Least and greatest number that chance leaves within so many, of so many."""
+    tail = (1.0 - level) / 2
+    return int(stats.binom.ppf(tail, count, probability)), int(stats.binom.isf(tail, count, probability))
+
+
+def print_reliability(results):
+    print("\n| named with a probability of | effects | of them there | expected | within chance |")
+    print("|---|---|---|---|---|")
+    for low, high, count, there, mean in reliability(results):
+        least, most = limits(count, mean)
+        print(f"| {100 * low:g} to {100 * high:g} % | {count} | {there} | {least} to {most} | {least <= there <= most} |")
+
+
+def coverage(results):
+    """Share of averaged masses and stiffnesses whose 95 % interval holds the truth."""
+    covered = [item for r in results for item in r.covered]
+    return sum(covered), len(covered)
+
+
+def false_additions(results):
+    """Frames with nothing to be found in which something was added, by noise."""
+    rows = {}
+    for name, noise in NOISES.items():
+        mine = [r for r in results if not r.trial.effects and r.trial.noise == noise]
+        if mine:
+            rows[name] = (sum(bool(r.found) for r in mine), len(mine))
+    return rows
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=20, help="for each effect and number of configurations")
+    parser.add_argument("--pairs", type=int, default=15, help="frames for each pair of effects")
+    parser.add_argument("--nothing", type=int, default=200, help="pure shear frames for each noise")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--failures", action="store_true", help="list every frame that was not exactly right")
+    options = parser.parse_args()
+    jobs = options.jobs
+    results = run([*trials(options.frames, options.seed), *pairs(options.pairs, options.seed)], jobs)
+    print_right(results)
+    for title, (count, of) in shares(results).items():
+        print(f"\n{title}: {count} of {of}, {100 * count / max(of, 1):.1f} %")
+    empty = run(nothing(options.nothing, options.seed), jobs)
+    print("\n| noise of frequencies and shapes | frames with nothing to find | something added |\n|---|---|---|")
+    for name, (count, of) in false_additions(empty).items():
+        shown = name if NOISES[name] is None else f"undeclared, {name}"
+        print(f"| {shown} | {of} | {count} ({100 * count / of:.1f} %) |")
+    print_reliability([*results, *empty])
+    held = [r for r in (*results, *empty) if r.trial.configurations > 1]
+    count, of = coverage(held)
+    print(f"\naveraged masses and stiffnesses within 1.96 standard deviations: {count} of {of}, {100 * count / of:.1f} %")
+    if options.failures:
+        for r in (*results, *empty):
+            if r.word != "exact":
+                print(r.word, r.trial, r.verdict, sorted(r.found, key=str), sorted(r.rivals, key=str), file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()
