@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from cvxshear import checks
+from cvxshear import checks, findings
 from cvxshear.checks import MOST_STORIES
 from cvxshear.configuration import Configuration
 from cvxshear.errors import InputError
@@ -23,6 +23,9 @@ from cvxshear.typing import Floats, Json
 __all__ = ["MOST_STORIES", "Configuration", "Experiment", "Frame", "Prior"]
 
 T = TypeVar("T")
+
+UNSAID = (("stories", 0), ("accept", ()))
+"""Keys of a frame, with the values that stand for "not given"."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +44,8 @@ class Frame:
         kg, known, without added mass.
     gravity : float, optional
         m/s2.
+    accept : sequence of str, optional
+        Findings of `check` that are known and right, by their names in `cvxshear.findings.NAMES`.
 
     Raises
     ------
@@ -53,6 +58,7 @@ class Frame:
     total_mass: float | None = None
     floor_masses: Floats | None = None
     gravity: float = 9.81
+    accept: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -71,6 +77,13 @@ class Frame:
                     f"{self.total_mass:g} kg; give one of the two, or values that agree"
                 )
         put(self, "gravity", checks.number(self.gravity, "frame: gravity", above=0.0))
+        put(self, "accept", self._checked_accept(self.accept))
+
+    @staticmethod
+    def _checked_accept(accept: object) -> tuple[str, ...]:
+        if not isinstance(accept, list | tuple):
+            raise InputError(f"frame: accept must be a list of names, not {checks.shown(accept)}")
+        return tuple(checks.choice(name, findings.NAMES, "frame: accept") for name in accept)
 
     def _checked_heights(self, heights: object) -> Floats:
         """One height a story; a single number, for all stories, stays one until their number is known."""
@@ -102,8 +115,11 @@ class Frame:
     def to_dict(self) -> Json:
         """The table that declares this frame in a measurement file."""
         values = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
-        given = {key: value for key, value in values.items() if value is not None and (key, value) != ("stories", 0)}
-        return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in given.items()}
+        given = {key: value for key, value in values.items() if value is not None and (key, value) not in UNSAID}
+        return {
+            key: value.tolist() if isinstance(value, np.ndarray) else list(value) if isinstance(value, tuple) else value
+            for key, value in given.items()
+        }
 
     @property
     def elevations(self) -> Floats | None:

@@ -1,0 +1,85 @@
+"""Everything that looks wrong in an experiment, before anything is fitted to it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cvxshear.errors import InputError
+from cvxshear.experiment import Configuration, Experiment
+from cvxshear.screening.finding import Finding
+from cvxshear.screening.mistakes import TALLEST, Verdict, judge
+from cvxshear.screening.reading import Reading
+from cvxshear.screening.signs import violations
+from cvxshear.screening.units import unit_findings
+
+
+def screen(experiment: Experiment) -> tuple[Finding, ...]:
+    """What looks wrong in an experiment.
+
+    Parameters
+    ----------
+    experiment : Experiment
+
+    Returns
+    -------
+    tuple of Finding
+        Mistakes first, then warnings; without those that `[frame] accept` lists.
+    """
+    found = [item for each in experiment.configurations for item in mistakes(each)]
+    found += unit_findings(experiment)
+    return tuple(item for item in found if not item.accepted(experiment.frame.accept))
+
+
+def refuse_mistakes(experiment: Experiment) -> tuple[Finding, ...]:
+    """The warnings of `screen`, where nothing refuses.
+
+    Raises
+    ------
+    InputError
+        Naming the first mistake found, what to change and how to accept it.
+    """
+    found = screen(experiment)
+    for item in found:
+        if item.refuses:
+            where = f'configuration "{item.configuration}": ' if item.configuration else ""
+            raise InputError(f"{where}{item.found}. {item.change} (or, if it is right, [frame] accept = [\"{item.name}\"])")
+    return found
+
+
+def mistakes(configuration: Configuration) -> list[Finding]:
+    """The mistake in one configuration's modes, if there is one."""
+    if not configuration.measured.any() or len(configuration.added_mass) > TALLEST:
+        return []
+    reading = Reading.of(configuration)
+    verdict = judge(reading)
+    broken = violations(reading)
+    if verdict.told:
+        return [_told(configuration.name, verdict, broken)]
+    if not broken:
+        return []
+    return [
+        Finding(
+            "signs",
+            configuration.name,
+            "; ".join(broken),
+            "Look for more than one mistake in mode_shapes and modes: no single change mends it.",
+            refuses=True,
+        )
+    ]
+
+
+def _told(name: str, verdict: Verdict, broken: list[str]) -> Finding:
+    """The finding of a mistake that one change mends, or one of several."""
+    told = verdict.told
+    names = list(dict.fromkeys(item.repair.name for item in told))
+    evidence = broken[0] if broken else "no shear frame has these modes"
+    before, after = (float(np.sqrt(cost)) for cost in (verdict.given.cost, told[0].cost))
+    return Finding(
+        names[0],
+        name,
+        f"{' or '.join(item.repair.found for item in told)}: {evidence} (the nearest frame is {before:.0f} standard "
+        f"deviations away, with the change {after:.0f})",
+        f"{'One of: ' if len(told) > 1 else ''}{'; or '.join(item.repair.change for item in told)}".strip(),
+        refuses=True,
+        rivals=tuple(names[1:]),
+    )
