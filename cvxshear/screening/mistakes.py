@@ -15,7 +15,7 @@ import numpy as np
 from cvxshear.frame import Modes
 from cvxshear.screening.reading import Reading
 from cvxshear.screening.repairs import KINDS, Repair
-from cvxshear.screening.shear_fit import Fit, fit, misfit, modes_at, robust_fit, starts
+from cvxshear.screening.shear_fit import Fit, distance, misfit, modes_at, robust_fit, starts
 
 TOLD = 25.0
 """Gain in squared standard deviations from which on a mistake is told; 2 log of the number of choices comes on top."""
@@ -69,8 +69,8 @@ class Verdict:
 
 def judge(reading: Reading) -> Verdict:
     """Compare a reading with shear frames, as given and after single repairs."""
-    begin = starts(reading)
-    given = fit(reading, begin)
+    begin = starts(reading.stories)
+    given = distance(reading, begin)
     if given.cost < TOLD:
         return Verdict(given, ())
     robust = robust_fit(reading, given.theta)
@@ -78,7 +78,7 @@ def judge(reading: Reading) -> Verdict:
     frames = [modes_at(theta) for theta in references]
     candidates = [repair for kind in KINDS for repair in kind(reading, frames)]
     judged = [
-        Judged(repair, fit(repair.reading, [robust.theta, begin[0]]).cost + 2 * np.log(repair.choices))
+        Judged(repair, distance(repair.reading, [robust.theta, begin[0]]).cost + 2 * np.log(repair.choices))
         for repair in _nearest(candidates, frames)
     ]
     return Verdict(given, tuple(sorted(judged, key=lambda item: item.cost)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,9 @@ SHAPE_TOLERANCE = 0.03
 
 FREQUENCY_TOLERANCE = 0.02
 """Relative: so far its frequencies do."""
+
+CLOSER = 0.3
+"""The part of both tolerances that suffices for a frame which is nearly a shear frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,19 +30,22 @@ class Reading:
         Zero-based.
     floors : ndarray of int, shape (n,)
         Zero-based.
-    log_frequencies, frequency_std : ndarray, shape (m,)
-        Standard deviations of the logarithms, `FREQUENCY_TOLERANCE` included.
-    shapes, std : ndarray, shape (m, n)
-        nan where not measured; standard deviations in the unit of the entry, without `SHAPE_TOLERANCE`.
+    log_frequencies, frequency_noise : ndarray, shape (m,)
+        Standard deviations of the logarithms.
+    shapes, noise : ndarray, shape (m, n)
+        nan where not measured; standard deviations in the unit of the entry.
+    part : float, optional
+        Of the tolerances, which comes on top of the noise.
     """
 
     stories: int
     modes: Ints
     floors: Ints
     log_frequencies: Floats
-    frequency_std: Floats
+    frequency_noise: Floats
     shapes: Floats
-    std: Floats
+    noise: Floats
+    part: float = 1.0
 
     @staticmethod
     def of(configuration: Configuration) -> Reading:
@@ -49,9 +55,9 @@ class Reading:
             modes=configuration.modes - 1,
             floors=configuration.measured_floors - 1,
             log_frequencies=np.log(configuration.frequencies),
-            frequency_std=np.hypot(configuration.log_frequency_std, FREQUENCY_TOLERANCE),
+            frequency_noise=configuration.log_frequency_std,
             shapes=configuration.mode_shapes,
-            std=configuration.entry_std,
+            noise=configuration.entry_std,
         )
 
     @property
@@ -71,7 +77,23 @@ class Reading:
         return np.where(self.known, self.shapes, 0.0) / self.largest
 
     @property
+    def frequency_std(self) -> Floats:
+        """Noise and tolerance of the logarithms of the frequencies, shape (m,)."""
+        return np.hypot(self.frequency_noise, self.part * FREQUENCY_TOLERANCE)
+
+    @property
     def weights(self) -> Floats:
-        """1 / standard deviation of the scaled entries, `SHAPE_TOLERANCE` included; zero where not measured."""
-        std = np.hypot(np.where(self.known, self.std, 1.0) / self.largest, SHAPE_TOLERANCE)
+        """1 / (noise and tolerance) of the scaled entries, shape (m, n); zero where not measured."""
+        std = np.hypot(np.where(self.known, self.noise, 1.0) / self.largest, self.part * SHAPE_TOLERANCE)
         return np.where(self.known, 1.0 / std, 0.0)
+
+    @property
+    def closer(self) -> Reading:
+        """The same reading with the smaller tolerances."""
+        return replace(self, part=CLOSER)
+
+    def certainty_lost(self) -> float:
+        """Twice the logarithm of all standard deviations together, over that with the smaller tolerances."""
+        near, known = self.closer, self.known
+        shapes = np.log(near.weights[known] / self.weights[known])
+        return 2 * float(np.sum(shapes) + np.sum(np.log(self.frequency_std / near.frequency_std)))

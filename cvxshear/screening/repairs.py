@@ -71,7 +71,7 @@ def exchanged_sensors(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
             "swapped_sensors",
             f"the sensors of {names} stand in each other's place",
             f"exchange the entries of {names} in every mode",
-            replace(reading, shapes=reading.shapes[:, order], std=reading.std[:, order]),
+            replace(reading, shapes=reading.shapes[:, order], noise=reading.noise[:, order]),
             comb(width, 2),
         )
 
@@ -83,7 +83,7 @@ def floors_from_top(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
             "floors_from_top",
             "the floors are listed from the top",
             "list each mode's entries from the lowest floor up (and added_mass and what else is given a floor)",
-            replace(reading, shapes=reading.shapes[:, ::-1], std=reading.std[:, ::-1]),
+            replace(reading, shapes=reading.shapes[:, ::-1], noise=reading.noise[:, ::-1]),
             1,
         )
 
@@ -95,7 +95,7 @@ def transposed(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
             "transposed",
             "mode_shapes has one row a floor",
             "transpose mode_shapes: one row a mode, one entry a floor",
-            replace(reading, shapes=reading.shapes.T, std=reading.std.T),
+            replace(reading, shapes=reading.shapes.T, noise=reading.noise.T),
             1,
         )
 
@@ -113,7 +113,7 @@ def other_orders(reading: Reading, frames: Sequence[Modes]) -> Iterator[Repair]:
             "mode_order",
             f"rows {rows} of mode_shapes stand in another order than the frequencies",
             f"put rows {', '.join(str(order[place] + 1) for place in places)} of mode_shapes in the places of {rows}",
-            replace(reading, shapes=reading.shapes[list(order)], std=reading.std[list(order)]),
+            replace(reading, shapes=reading.shapes[list(order)], noise=reading.noise[list(order)]),
             comb(count, 2) * 2 ** (len(places) - 2),
         )
 

@@ -37,6 +37,9 @@ EVALUATIONS = 60
 OUTLIER = 2.0
 """Standard deviations from which on a robust fit pays less and less heed to an entry."""
 
+ABOUT = 0.1
+"""Standard deviation of the logarithm of a frequency under a frame of about the right proportions."""
+
 ROUNDS = 4
 """Of weighting anew, in a robust fit."""
 
@@ -68,16 +71,15 @@ def modes_at(theta: Floats) -> Modes:
     return modes(mass_matrix(mass), stiffness_matrix(stiffness))
 
 
-def starts(reading: Reading) -> list[Floats]:
-    """Frames of equal floors whose stories are equal, or weaker with height, at the right mean frequency."""
-    N = reading.stories
-    found = []
-    for top in (1.0, 0.4):
-        theta = np.concatenate([np.zeros(N), np.log(np.linspace(1.0, top, N))])
-        ratios = reading.log_frequencies - np.log(modes_at(theta).frequencies[reading.modes])
-        theta[N:] += 2 * np.mean(ratios)
-        found.append(theta)
-    return found
+def starts(stories: int) -> list[Floats]:
+    """Frames of equal floors whose stories are equal, or weaker with height."""
+    return [np.log(np.concatenate([np.ones(stories), np.linspace(1.0, top, stories)])) for top in (1.0, 0.4)]
+
+
+def _tuned(reading: Reading, theta: Floats) -> Floats:
+    """The frame with its stiffnesses scaled to the right mean frequency."""
+    off = np.mean(reading.log_frequencies - np.log(modes_at(theta).frequencies[reading.modes]))
+    return theta + np.repeat([0.0, 2 * off], reading.stories)
 
 
 def fit(reading: Reading, at: Iterable[Floats], *, weights: Floats | None = None) -> Fit:
@@ -90,7 +92,18 @@ def fit(reading: Reading, at: Iterable[Floats], *, weights: Floats | None = None
     weights : ndarray, shape (m, n), optional
         In place of the reading's own.
     """
-    return min((_fitted(reading, theta, weights) for theta in at), key=lambda item: item.cost)
+    return min((_fitted(reading, _tuned(reading, theta), weights) for theta in at), key=lambda item: item.cost)
+
+
+def distance(reading: Reading, at: Iterable[Floats]) -> Fit:
+    """The best fit with either tolerance, its cost that of the likelihood: a wide tolerance must pay for itself.
+
+    Minus twice the logarithm of the likelihood, but for a constant that is the same for every change of the reading.
+    """
+    wide = fit(reading, at)
+    near = fit(reading.closer, [wide.theta])
+    wide = Fit(wide.theta, wide.cost + reading.certainty_lost())
+    return min(wide, near, key=lambda item: item.cost)
 
 
 def robust_fit(reading: Reading, at: Floats) -> Fit:
@@ -117,9 +130,10 @@ def _share(psi: Floats, read: Floats) -> Floats:
 
 
 def misfit(reading: Reading, of: Modes) -> float:
-    """The first two sums above, for a frame with these modes."""
-    frequency = (np.log(of.frequencies[reading.modes]) - reading.log_frequencies) / reading.frequency_std
-    return float(np.sum(frequency**2) + np.sum(shape_residual(reading, of, reading.weights) ** 2))
+    """The first two sums above for a frame that is only of about the right proportions, its scale free."""
+    off = np.log(of.frequencies[reading.modes]) - reading.log_frequencies
+    shapes = shape_residual(reading, of, reading.weights)
+    return float(np.sum(((off - off.mean()) / ABOUT) ** 2) + np.sum(shapes**2))
 
 
 def _fitted(reading: Reading, start: Floats, weights: Floats | None) -> Fit:
