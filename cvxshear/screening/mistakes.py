@@ -15,7 +15,7 @@ import numpy as np
 from cvxshear.frame import Modes
 from cvxshear.screening.reading import Reading
 from cvxshear.screening.repairs import KINDS, Repair
-from cvxshear.screening.shear_fit import Fit, distance, misfit, modes_at, robust_fit, starts
+from cvxshear.screening.shear_fit import Fit, distance, farthest, misfit, modes_at, robust_fit, starts
 
 TOLD = 25.0
 """Gain in squared standard deviations from which on a mistake is told; 2 log of the number of choices comes on top."""
@@ -26,8 +26,11 @@ ALIKE = 9.0
 FITTED = 6
 """Repairs of the least misfit to each reference frame that are fitted."""
 
-TALLEST = 60
-"""Stories up to which shapes are screened: pairs and entries to try grow with their square."""
+TALLEST = 24
+"""Stories up to which repairs are tried: there are as many as the square of their number, each a fit."""
+
+FAR = 3.5
+"""Standard deviations, the smaller tolerance included: a reading none of whose data are farther off is let pass."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +74,7 @@ def judge(reading: Reading) -> Verdict:
     """Compare a reading with shear frames, as given and after single repairs."""
     begin = starts(reading.stories)
     given = distance(reading, begin)
-    if given.cost < TOLD:
+    if given.cost < TOLD or farthest(reading.closer, given.modes) < FAR:
         return Verdict(given, ())
     robust = robust_fit(reading, given.theta)
     references = [*begin, robust.theta]

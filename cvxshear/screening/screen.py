@@ -48,12 +48,12 @@ def refuse_mistakes(experiment: Experiment) -> tuple[Finding, ...]:
 
 def mistakes(configuration: Configuration) -> list[Finding]:
     """The mistake in one configuration's modes, if there is one."""
-    if not configuration.measured.any() or len(configuration.added_mass) > TALLEST:
+    if not configuration.measured.any():
         return []
     reading = Reading.of(configuration)
-    verdict = judge(reading)
     broken = violations(reading)
-    if verdict.told:
+    verdict = judge(reading) if reading.stories <= TALLEST else None
+    if verdict is not None and verdict.told:
         return [_told(configuration.name, verdict, broken)]
     if not broken:
         return []

@@ -136,6 +136,13 @@ def misfit(reading: Reading, of: Modes) -> float:
     return float(np.sum(((off - off.mean()) / ABOUT) ** 2) + np.sum(shapes**2))
 
 
+def farthest(reading: Reading, of: Modes) -> float:
+    """The largest difference of a frequency or an entry from a frame with these modes, in standard deviations."""
+    frequency = (np.log(of.frequencies[reading.modes]) - reading.log_frequencies) / reading.frequency_std
+    shapes = shape_residual(reading, of, reading.weights)
+    return float(max(np.max(np.abs(frequency)), np.max(np.abs(shapes))))
+
+
 def _fitted(reading: Reading, start: Floats, weights: Floats | None) -> Fit:
     problem = _Problem(reading, start, reading.weights if weights is None else weights)
     found = least_squares(

@@ -11,7 +11,7 @@ import numpy as np
 from cvxshear.screening.reading import Reading
 from cvxshear.typing import Floats
 
-CERTAIN = 4.0
+CERTAIN = 5.0
 """Standard deviations from zero, `SHAPE_TOLERANCE` included, from which on an entry's sign is taken as it is."""
 
 
@@ -28,15 +28,16 @@ def fewest_changes(signs: Floats) -> int:
 
 
 def most_changes(signs: Floats) -> int:
-    """Changes of sign where each uncertain entry (0) has the sign that makes the most of them."""
-    best = {sign: 0 for sign in (1.0, -1.0) if signs[0] in (0.0, sign)}
-    for entry in signs[1:]:
-        best = {
-            sign: max(changes + (sign != before) for before, changes in best.items())
-            for sign in (1.0, -1.0)
-            if entry in (0.0, sign)
-        }
-    return max(best.values())
+    """Changes of sign where the uncertain entries (0) have the signs that make the most of them.
+
+    Over a distance of d floors there are d changes at most, and an odd number of them just where the signs differ.
+    """
+    places = np.flatnonzero(signs)
+    if not len(places):
+        return len(signs) - 1
+    distance, differ = np.diff(places), np.diff(signs[places]) != 0
+    within = np.sum(distance - (distance % 2 != differ))
+    return int(within + places[0] + len(signs) - 1 - places[-1])
 
 
 def violations(reading: Reading) -> list[str]:
