@@ -54,7 +54,7 @@ def outcome(trial):
     """What the screening says: right (alone, or with others), wrong, or silent; of a frame without one, flagged."""
     declared, rng = tested(trial)
     if trial.mistake is None:
-        found = [item for item in screen(Experiment.from_dict(declared))]
+        found = list(screen(Experiment.from_dict(declared)))
         return ("flagged" if any(item.refuses for item in found) else "warned" if found else "silent"), found
     declared, where, word = with_mistake(trial.mistake, declared, rng)
     found = [item for item in screen(Experiment.from_dict(declared)) if item.refuses]
@@ -70,15 +70,17 @@ def outcome(trial):
     return ("among" if all(among) else "wrong"), found
 
 
-def trials(frames, seed, *, incomplete):
-    """So many frames with each mistake, and `CLEAN` times as many without, effects taking turns."""
+def trials(frames, seed):
+    """So many frames with each mistake, and `CLEAN` times as many without.
+
+    Effects take turns, and so do files with all floors and modes and files that lack some.
+    """
     found = []
     for place, mistake in enumerate((None, *MISTAKES)):
         for i in range(frames * (CLEAN if mistake is None else 1)):
             effect = EFFECTS[i % len(EFFECTS)]
-            missing = i // len(EFFECTS) % 2 == 1 if mistake is None else incomplete
-            if mistake == "transposed" or mistake == "mode_number":
-                missing = False
+            # What is transposed must be square, and modes are missing wherever a number can be wrong.
+            missing = i // len(EFFECTS) % 2 == 1 and mistake not in ("transposed", "mode_number")
             found.append(Trial(mistake, effect, missing, seed * 1_000_000 + 10_000 * place + i))
     return found
 
@@ -88,10 +90,9 @@ def main():
     parser.add_argument("--frames", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
-    parser.add_argument("--incomplete", action="store_true", help="mistakes in files that lack floors and modes, too")
     parser.add_argument("--failures", action="store_true", help="list every frame that was judged wrongly")
     options = parser.parse_args()
-    planned = trials(options.frames, options.seed, incomplete=options.incomplete)
+    planned = trials(options.frames, options.seed)
     with ProcessPoolExecutor(options.jobs) as pool:
         results = list(zip(planned, pool.map(outcome, planned, chunksize=8), strict=True))
     print("| mistake | frames | named alone | named among others | another named | silent | named rightly |")
@@ -104,8 +105,8 @@ def main():
         print(f"| {mistake} | {total} | {cells} | {100 * right / total:.1f} % |")
     clean = Counter(word for trial, (word, _) in results if trial.mistake is None)
     total = sum(clean.values())
-    print(f"\nwithout a mistake: {total} frames, refused {clean['flagged']} ({100 * clean['flagged'] / total:.1f} %), ", end="")
-    print(f"warned of {clean['warned']} ({100 * clean['warned'] / total:.1f} %)")
+    refused, warned = (f"{clean[word]} ({100 * clean[word] / total:.1f} %)" for word in ("flagged", "warned"))
+    print(f"\n{total} frames without a mistake: {refused} refused, {warned} warned of")
     if options.failures:
         for trial, (word, found) in results:
             if word in ("wrong", "flagged", "warned") or (word == "silent" and trial.mistake):

@@ -39,6 +39,11 @@ class Finding:
         """Whether it is among these names."""
         return any(name in names for name in (self.name, *self.rivals))
 
+    @property
+    def how_to_accept(self) -> str:
+        """The line of the measurement file that lets it pass."""
+        return f'[frame] accept = ["{self.name}"]'
+
     def to_dict(self) -> Json:
         """The finding as plain values."""
         return {

@@ -10,7 +10,14 @@ from cvxshear.screening.finding import Finding
 from cvxshear.screening.mistakes import TALLEST, Verdict, judge
 from cvxshear.screening.reading import Reading
 from cvxshear.screening.signs import violations
-from cvxshear.screening.units import unit_findings
+from cvxshear.screening.total_mass import total_mass
+from cvxshear.screening.units import angular_frequency, gravity, heights, masses
+
+DOUBTS = (angular_frequency, heights, masses, gravity)
+"""What is looked for in the declaration, whatever the shapes are like."""
+
+SHOWN = 3
+"""Modes of impossible signs that a finding lists."""
 
 
 def screen(experiment: Experiment) -> tuple[Finding, ...]:
@@ -26,7 +33,10 @@ def screen(experiment: Experiment) -> tuple[Finding, ...]:
         Mistakes first, then warnings; without those that `[frame] accept` lists.
     """
     found = [item for each in experiment.configurations for item in mistakes(each)]
-    found += unit_findings(experiment)
+    # Shapes that are wrong tell no mass.
+    for doubt in DOUBTS if found else (total_mass, *DOUBTS):
+        said = {item.name for item in found}
+        found += [item for item in doubt(experiment) if item.name not in said]
     return tuple(item for item in found if not item.accepted(experiment.frame.accept))
 
 
@@ -42,7 +52,7 @@ def refuse_mistakes(experiment: Experiment) -> tuple[Finding, ...]:
     for item in found:
         if item.refuses:
             where = f'configuration "{item.configuration}": ' if item.configuration else ""
-            raise InputError(f"{where}{item.found}. {item.change} (or, if it is right, [frame] accept = [\"{item.name}\"])")
+            raise InputError(f"{where}{item.found}. {item.change}; or, if it is right as it is, {item.how_to_accept}")
     return found
 
 
@@ -57,15 +67,9 @@ def mistakes(configuration: Configuration) -> list[Finding]:
         return [_told(configuration.name, verdict, broken)]
     if not broken:
         return []
-    return [
-        Finding(
-            "signs",
-            configuration.name,
-            "; ".join(broken),
-            "Look for more than one mistake in mode_shapes and modes: no single change mends it.",
-            refuses=True,
-        )
-    ]
+    change = "no single change mends it: look for more than one mistake" if verdict else "look for a mistake"
+    found = "; ".join(broken[:SHOWN]) + ("; and so on" if len(broken) > SHOWN else "")
+    return [Finding("signs", configuration.name, found, f"{change} in mode_shapes and modes", refuses=True)]
 
 
 def _told(name: str, verdict: Verdict, broken: list[str]) -> Finding:

@@ -79,7 +79,8 @@ def starts(stories: int) -> list[Floats]:
 def _tuned(reading: Reading, theta: Floats) -> Floats:
     """The frame with its stiffnesses scaled to the right mean frequency."""
     off = np.mean(reading.log_frequencies - np.log(modes_at(theta).frequencies[reading.modes]))
-    return theta + np.repeat([0.0, 2 * off], reading.stories)
+    tuned: Floats = theta + np.repeat([0.0, 2 * off], reading.stories)
+    return tuned
 
 
 def fit(reading: Reading, at: Iterable[Floats], *, weights: Floats | None = None) -> Fit:
@@ -120,7 +121,8 @@ def shape_residual(reading: Reading, of: Modes, weights: Floats) -> Floats:
     """Shapes of a frame less those read, each scaled to it by least squares, in standard deviations, shape (m, n)."""
     psi = weights * of.shapes[np.ix_(reading.floors, reading.modes)].T
     read = weights * reading.scaled
-    return _share(psi, read) * psi - read
+    residual: Floats = _share(psi, read) * psi - read
+    return residual
 
 
 def _share(psi: Floats, read: Floats) -> Floats:
@@ -185,7 +187,7 @@ class _Problem:
         system = shear_system(mass, stiffness)
         found = modes(system.M, system.K)
         dlam, dphi = mode_derivatives(found, system, reading.modes)
-        off = (0.5 * np.log(found.eigenvalues[reading.modes]) - np.log(2 * np.pi) - reading.log_frequencies)
+        off = 0.5 * np.log(found.eigenvalues[reading.modes]) - np.log(2 * np.pi) - reading.log_frequencies
         frequency = off / reading.frequency_std
         d_frequency = 0.5 * dlam / found.eigenvalues[reading.modes] / reading.frequency_std
         psi = self.weights * found.shapes[np.ix_(reading.floors, reading.modes)].T

@@ -65,5 +65,3 @@ def _violation(number: int, signs: Floats, *, whole: bool) -> str:
 
 def _times(count: int) -> str:
     return {0: "not at all", 1: "once", 2: "twice"}.get(count, f"{count} times")
-
-
