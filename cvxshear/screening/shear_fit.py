@@ -128,7 +128,8 @@ def shape_residual(reading: Reading, of: Modes, weights: Floats) -> Floats:
 def _share(psi: Floats, read: Floats) -> Floats:
     """The factor on each row of psi that brings it nearest to the row read, shape (m, 1)."""
     length = np.sum(psi**2, axis=1, keepdims=True)
-    return np.sum(psi * read, axis=1, keepdims=True) / np.where(length > 0, length, 1.0)
+    share: Floats = np.sum(psi * read, axis=1, keepdims=True) / np.where(length > 0, length, 1.0)
+    return share
 
 
 def misfit(reading: Reading, of: Modes) -> float:
