@@ -52,7 +52,9 @@ def refuse_mistakes(experiment: Experiment) -> tuple[Finding, ...]:
     for item in found:
         if item.refuses:
             where = f'configuration "{item.configuration}": ' if item.configuration else ""
-            raise InputError(f"{where}{item.found}. {item.change}; or, if it is right as it is, {item.how_to_accept}")
+            raise InputError(
+                f"{where}{item.found}. To mend it: {item.change}; or, if it is right as it is: {item.how_to_accept}"
+            )
     return found
 
 

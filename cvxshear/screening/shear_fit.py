@@ -28,8 +28,8 @@ MASS_SPREAD = 0.6
 STIFFNESS_SPREAD = 0.8
 """Standard deviation of the logarithm of a story's stiffness about the mean."""
 
-WIDEST = 6.0
-"""Logarithm: masses and stiffnesses farther than this from where the fit starts are not looked at."""
+WIDEST = 3.0
+"""Logarithm: masses and stiffnesses start no farther than this from their mean, and go no farther from there."""
 
 EVALUATIONS = 60
 """At most, in one fit."""
@@ -77,7 +77,10 @@ def starts(stories: int) -> list[Floats]:
 
 
 def _tuned(reading: Reading, theta: Floats) -> Floats:
-    """The frame with its stiffnesses scaled to the right mean frequency."""
+    """The frame with its stiffnesses scaled to the right mean frequency, and nothing far from the mean."""
+    by_quantity = theta.reshape(2, -1)
+    mean = by_quantity.mean(axis=1, keepdims=True)
+    theta = (mean + np.clip(by_quantity - mean, -WIDEST, WIDEST)).ravel()
     off = np.mean(reading.log_frequencies - np.log(modes_at(theta).frequencies[reading.modes]))
     tuned: Floats = theta + np.repeat([0.0, 2 * off], reading.stories)
     return tuned
