@@ -7,15 +7,14 @@ that do as well as the best within `ALIKE` are named with it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.frame import Modes
 from cvxshear.screening.reading import Reading
 from cvxshear.screening.repairs import KINDS, Repair
-from cvxshear.screening.shear_fit import Fit, distance, farthest, misfit, modes_at, robust_fit, starts
+from cvxshear.screening.shear_fit import Fit, distance, farthest, fit, misfit, modes_at, robust_fit, starts
+from cvxshear.typing import Floats
 
 TOLD = 25.0
 """Gain in squared standard deviations from which on a mistake is told; 2 log of the number of choices comes on top."""
@@ -23,8 +22,20 @@ TOLD = 25.0
 ALIKE = 9.0
 """Repairs whose cost is so near to the best one's are named with it."""
 
+PLAUSIBLE = 4.0
+"""A datum: where no more than this is left, a repair explains the reading."""
+
+UNEXPLAINED = 0.25
+"""Of the cost as given: nor need less than this be left."""
+
 FITTED = 6
 """Repairs of the least misfit to each reference frame that are fitted."""
+
+ROUGHLY = 10
+"""Evaluations of a fit that only ranks."""
+
+KEPT = 6
+"""Of these, the best, which are fitted with either tolerance."""
 
 TALLEST = 24
 """Stories up to which repairs are tried: there are as many as the square of their number, each a fit."""
@@ -65,9 +76,13 @@ class Verdict:
     @property
     def told(self) -> tuple[Judged, ...]:
         """The repairs that explain the reading, one of which is needed; none where it may stand as given."""
-        if not self.judged or self.given.cost - self.judged[0].cost < TOLD:
+        if not self.judged:
             return ()
-        return tuple(item for item in self.judged if item.cost - self.judged[0].cost < ALIKE)
+        best = self.judged[0]
+        left = max(TOLD + PLAUSIBLE * best.repair.reading.count, UNEXPLAINED * self.given.cost)
+        if self.given.cost - best.cost < TOLD or best.cost > left:
+            return ()
+        return tuple(item for item in self.judged if item.cost - best.cost < ALIKE)
 
 
 def judge(reading: Reading) -> Verdict:
@@ -80,17 +95,16 @@ def judge(reading: Reading) -> Verdict:
     references = [*begin, robust.theta]
     frames = [modes_at(theta) for theta in references]
     candidates = [repair for kind in KINDS for repair in kind(reading, frames)]
-    judged = [
-        Judged(repair, distance(repair.reading, [robust.theta, begin[0]]).cost + 2 * np.log(repair.choices))
-        for repair in _nearest(candidates, frames)
-    ]
+    misfits = np.array([[misfit(repair.reading, frame) for frame in frames] for repair in candidates])
+    nearest = np.unique(np.argsort(misfits, axis=0, kind="stable")[:FITTED])
+    first = {
+        place: fit(candidates[place].reading, [references[int(np.argmin(misfits[place]))]], evaluations=ROUGHLY)
+        for place in nearest.tolist()
+    }
+    order = sorted(first, key=lambda place: first[place].cost)[:KEPT]
+    judged = [_judged(candidates[place], first[place].theta) for place in order]
     return Verdict(given, tuple(sorted(judged, key=lambda item: item.cost)))
 
 
-def _nearest(candidates: Sequence[Repair], frames: Sequence[Modes]) -> list[Repair]:
-    """The candidates of the least misfit to one of the frames, each reading once, in their order."""
-    chosen: set[int] = set()
-    for frame in frames:
-        misfits = [misfit(repair.reading, frame) for repair in candidates]
-        chosen |= set(np.argsort(misfits, kind="stable")[:FITTED].tolist())
-    return [candidates[place] for place in sorted(chosen)]
+def _judged(repair: Repair, at: Floats) -> Judged:
+    return Judged(repair, distance(repair.reading, [at]).cost + 2 * float(np.log(repair.choices)))

@@ -66,6 +66,11 @@ class Reading:
         return np.isfinite(self.shapes)
 
     @property
+    def count(self) -> int:
+        """Number of frequencies and entries."""
+        return len(self.modes) + int(self.known.sum())
+
+    @property
     def largest(self) -> Floats:
         """The size of each row's largest entry, shape (m, 1); 1 where nothing was measured."""
         size = np.max(np.abs(np.where(self.known, self.shapes, 0.0)), axis=1, keepdims=True)

@@ -34,6 +34,9 @@ WIDEST = 3.0
 EVALUATIONS = 60
 """At most, in one fit."""
 
+CONVERGED = 1e-4
+"""Relative change of the cost."""
+
 OUTLIER = 2.0
 """Standard deviations from which on a robust fit pays less and less heed to an entry."""
 
@@ -86,7 +89,9 @@ def _tuned(reading: Reading, theta: Floats) -> Floats:
     return tuned
 
 
-def fit(reading: Reading, at: Iterable[Floats], *, weights: Floats | None = None) -> Fit:
+def fit(
+    reading: Reading, at: Iterable[Floats], *, weights: Floats | None = None, evaluations: int = EVALUATIONS
+) -> Fit:
     """The best of the fits that begin at these frames.
 
     Parameters
@@ -95,8 +100,11 @@ def fit(reading: Reading, at: Iterable[Floats], *, weights: Floats | None = None
     at : iterable of ndarray, shape (2N,)
     weights : ndarray, shape (m, n), optional
         In place of the reading's own.
+    evaluations : int, optional
+        At most, in each.
     """
-    return min((_fitted(reading, _tuned(reading, theta), weights) for theta in at), key=lambda item: item.cost)
+    found = (_fitted(reading, _tuned(reading, theta), weights, evaluations) for theta in at)
+    return min(found, key=lambda item: item.cost)
 
 
 def distance(reading: Reading, at: Iterable[Floats]) -> Fit:
@@ -149,11 +157,11 @@ def farthest(reading: Reading, of: Modes) -> float:
     return float(max(np.max(np.abs(frequency)), np.max(np.abs(shapes))))
 
 
-def _fitted(reading: Reading, start: Floats, weights: Floats | None) -> Fit:
+def _fitted(reading: Reading, start: Floats, weights: Floats | None, evaluations: int) -> Fit:
     problem = _Problem(reading, start, reading.weights if weights is None else weights)
     found = least_squares(
-        problem.residual, np.zeros(len(start)), jac=problem.jacobian, method="lm", max_nfev=EVALUATIONS,
-        ftol=1e-6, xtol=1e-6, gtol=1e-6,
+        problem.residual, np.zeros(len(start)), jac=problem.jacobian, method="lm", max_nfev=evaluations,
+        ftol=CONVERGED, xtol=CONVERGED, gtol=CONVERGED,
     )  # fmt: skip
     return Fit(problem.theta(found.x), 2 * float(found.cost))
 
@@ -163,6 +171,8 @@ class _Problem:
 
     def __init__(self, reading: Reading, start: Floats, weights: Floats) -> None:
         self.reading, self.start, self.weights = reading, start, weights
+        self.read = weights * reading.scaled
+        self.frequency_std = reading.frequency_std
         N = reading.stories
         centred = np.eye(N) - np.full((N, N), 1 / N)
         self.prior = np.zeros((2 * N, 2 * N))
@@ -192,15 +202,14 @@ class _Problem:
         found = modes(system.M, system.K)
         dlam, dphi = mode_derivatives(found, system, reading.modes)
         off = 0.5 * np.log(found.eigenvalues[reading.modes]) - np.log(2 * np.pi) - reading.log_frequencies
-        frequency = off / reading.frequency_std
-        d_frequency = 0.5 * dlam / found.eigenvalues[reading.modes] / reading.frequency_std
+        frequency = off / self.frequency_std
+        d_frequency = 0.5 * dlam / found.eigenvalues[reading.modes] / self.frequency_std
         psi = self.weights * found.shapes[np.ix_(reading.floors, reading.modes)].T
-        read = self.weights * reading.scaled
-        share = _share(psi, read)
+        share = _share(psi, self.read)
         d_shape = share * self.weights * dphi[:, reading.floors].transpose(0, 2, 1)
         length = np.linalg.norm(psi, axis=1, keepdims=True)
         unit = psi / np.where(length > 0, length, 1.0)
         d_shape -= unit * np.sum(unit * d_shape, axis=2, keepdims=True)
         measured = np.concatenate([d_frequency, d_shape.reshape(len(value), -1)], axis=1) * value[:, None]
-        r = np.concatenate([frequency, (share * psi - read).ravel(), self.prior @ theta])
+        r = np.concatenate([frequency, (share * psi - self.read).ravel(), self.prior @ theta])
         return r, np.concatenate([measured.T, self.prior])
