@@ -85,7 +85,7 @@ def _told(name: str, verdict: Verdict, broken: list[str]) -> Finding:
         name,
         f"{' or '.join(item.repair.found for item in told)}: {evidence} (the nearest frame is {before:.0f} standard "
         f"deviations away, with the change {after:.0f})",
-        f"{'One of: ' if len(told) > 1 else ''}{'; or '.join(item.repair.change for item in told)}".strip(),
+        f"{'One of: ' if len(told) > 1 else ''}{'; or '.join(item.repair.change for item in told)}",
         refuses=True,
         rivals=tuple(names[1:]),
     )
