@@ -56,10 +56,12 @@ def identify(
     # The solvers load slowly, and help needs none of them.
     from cvxshear import identify as run
     from cvxshear import load
-    from cvxshear.report import terminal
+    from cvxshear.report import screening_terminal, terminal
+    from cvxshear.screening import refuse_mistakes
 
     drawing = figures_for(figure)
     experiment, start = load(file), _numbers(initial_mass)
+    doubts = refuse_mistakes(experiment)
     named = method or ("efficient" if start is None else "two-stage")
     result = run(
         experiment, method=named, backend=backend, initial_mass=start, tolerance=tolerance, accelerate=accelerate
@@ -70,7 +72,8 @@ def identify(
             beside = run(experiment, method="two-stage", backend=backend)
     if drawing is not None:
         drawing.save(drawing.frame(result), figure)
-    deliver(result.to_dict(), out, lambda: terminal.identification(result, beside))
+    said = {**result.to_dict(), "warnings": [item.to_dict() for item in doubts]}
+    deliver(said, out, lambda: [*screening_terminal.warnings(doubts), *terminal.identification(result, beside)])
 
 
 def _numbers(text: str | None) -> list[float] | None:
@@ -107,23 +110,31 @@ def loop(
     Example: cvxshear loop paper
     """
     from cvxshear import close_loop
-    from cvxshear.report import loop_terminal
+    from cvxshear.report import loop_terminal, screening_terminal
+    from cvxshear.screening import refuse_mistakes
 
     drawing = figures_for(figure)
     if report is not None:
         from cvxshear.report.html import write_report
     with progress("closing the loop", quiet):
-        experiment, found = _measured(file)
+        experiment, found = measured(file)
+        doubts = refuse_mistakes(experiment)
         result = close_loop(experiment, effects=names(effects), assume=names(assume) or (), backend=backend, jobs=jobs)
-    said = result.to_dict() if found is None else {**result.to_dict(), "modes": found.to_dict()}
+    said = {**result.to_dict(), "warnings": [item.to_dict() for item in doubts]}
+    if found is not None:
+        said["modes"] = found.to_dict()
     if report is not None:
         write_report(result, report, shlex.join(["cvxshear", *typed]))
     if drawing is not None:
         drawing.save(drawing.residual(result), figure)
-    deliver(said, out, lambda: [*_modes_of(found), *loop_terminal.closure(result)])
+    deliver(
+        said,
+        out,
+        lambda: [*_modes_of(found), *screening_terminal.warnings(doubts), *loop_terminal.closure(result)],
+    )
 
 
-def _measured(file: str) -> tuple[Experiment, ModalResult | None]:
+def measured(file: str, *, accept_swapped: bool = False) -> tuple[Experiment, ModalResult | None]:
     """The experiment of a measurement file, or of the record that a record file names, with its modes."""
     from cvxshear import Experiment, load
     from cvxshear.formats.toml import is_record_file
@@ -131,7 +142,7 @@ def _measured(file: str) -> tuple[Experiment, ModalResult | None]:
 
     if not is_record_file(file):
         return load(file), None
-    found, declared = run(file)
+    found, declared = run(file, accept_swapped=accept_swapped)
     return Experiment.from_dict(declared, name=Path(file).stem), found
 
 

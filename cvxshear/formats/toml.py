@@ -46,6 +46,11 @@ def load(path: str | Path) -> Experiment:
         )
     path = Path(path)
     declared = parse(read_text(path), path)
+    if "record" in declared:
+        raise InputError(
+            f"{path} is a record file (it has a table [record]), not a measurement file: "
+            f"'cvxshear modes {path} -o test.toml' makes one of it, and 'cvxshear loop {path}' takes it as it is"
+        )
     try:
         return Experiment.from_dict(declared, name=path.stem)
     except InputError as error:

@@ -76,8 +76,26 @@ def declared(experiment: Experiment) -> Text:
     return Text("\n".join(lines))
 
 
+RULED_OUT = 1e-3
+"""Probability of a chi-square so large below which the model is said to be ruled out."""
+
+
+def _ruled_out(result: Identification) -> Iterator[RenderableType]:
+    """A word of warning above a fit that its own declared noise rules out."""
+    fit = result.parts[0].fit
+    if result.joint and fit.p_value is not None and fit.p_value < RULED_OUT:
+        yield Text(
+            f"RULED OUT: with the declared noise a shear frame would hardly give these data (chi-square "
+            f"{significant(fit.chi2)} on {fit.dof} degrees of freedom, p = {probability(fit.p_value)}): the masses and "
+            "stiffnesses below are those of a wrong model, and their standard deviations too small. "
+            "'cvxshear loop' on the same file looks for what the model lacks.\n",
+            style="bold red",
+        )
+
+
 def identification(result: Identification, beside: Identification | None = None) -> Iterator[RenderableType]:
     """The tables of an identification, and of another one for comparison."""
+    yield from _ruled_out(result)
     yield declared(result.experiment)
     yield Text(f"\nmethod {result.method}, backend {result.backend}\n")
     for part in result.parts:
