@@ -1,0 +1,132 @@
+"""From shares to a choice: rounding, and exchanges of one candidate for another while they improve it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from math import comb
+
+import numpy as np
+
+from cvxshear.planning.candidates import Candidates
+from cvxshear.planning.criteria import Criterion
+from cvxshear.planning.relaxation import relaxed
+from cvxshear.typing import Floats, Ints
+
+IMPROVES = 1e-9
+"""Relative gain from which on an exchange is made; less is rounding."""
+
+AT_ONCE = 2_000_000
+"""Numbers in the information matrices that are formed at a time."""
+
+FEW = 20_000
+"""Choices of which every one is looked at, where the information has `TYPICAL` rows: eighteen floors choose six."""
+
+TYPICAL = 45
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """Candidates that are chosen, and how far from the best they can be.
+
+    Parameters
+    ----------
+    chosen : ndarray of int, shape (N,)
+        Ascending, zero-based.
+    value : float
+        The criterion's standard deviation.
+    bound : float
+        What no choice of as many can beat.
+    relaxed : float
+        The relaxed program's bound; `bound` is better where every choice was looked at.
+    shares : ndarray, shape (n,)
+        Of the relaxed program.
+    """
+
+    chosen: Ints
+    value: float
+    bound: float
+    relaxed: float
+    shares: Floats
+
+    @property
+    def gap(self) -> float:
+        """How far the choice is above the bound, relative."""
+        return self.value / self.bound - 1.0 if self.bound > 0 else float("inf")
+
+
+def choose(
+    of: Candidates, number: int, by: Criterion, solver: str = "clarabel", enumerate_up_to: int = FEW
+) -> Choice:
+    """The best choice: of all, where there are few, else the best that rounding and exchange find.
+
+    Parameters
+    ----------
+    of : Candidates
+    number : int
+        How many.
+    by : Criterion
+    solver : str, optional
+    enumerate_up_to : int, optional
+        Where there are no more choices than this, each is looked at.
+    """
+    found = relaxed(of, number, by, solver)
+    if comb(of.count, number) * len(of.base) ** 3 <= enumerate_up_to * TYPICAL**3:
+        value, chosen = exhaustive(of, number, by)
+        return Choice(np.array(chosen), value, value, min(found.bound, value), found.shares)
+    rounded = np.argsort(-found.shares, kind="stable")[:number].tolist()
+    spaced = np.unique(np.linspace(0, of.count - 1, number + 1)[1:].round().astype(int)).tolist()
+    value, chosen = min(exchanged(of, start, by) for start in (rounded, spaced))
+    bound = min(found.bound, value)
+    return Choice(np.array(chosen), value, bound, bound, found.shares)
+
+
+def exchanged(of: Candidates, start: Sequence[int], by: Criterion) -> tuple[float, list[int]]:
+    """Exchange one candidate for another, the best exchange each time, while that improves the choice.
+
+    Returns
+    -------
+    value : float
+    chosen : list of int
+        Ascending.
+    """
+    chosen = sorted(start)
+    value = float(by.value(of, of.subset(chosen)))
+    while True:
+        others = [j for j in range(of.count) if j not in chosen]
+        neighbours = [sorted([*(i for i in chosen if i != out), into]) for out in chosen for into in others]
+        if not neighbours:
+            return value, chosen
+        values = values_of(of, neighbours, by)
+        best = int(np.argmin(values))
+        if values[best] >= value * (1 - IMPROVES):
+            return value, chosen
+        value, chosen = float(values[best]), neighbours[best]
+
+
+def values_of(of: Candidates, choices: Sequence[Sequence[int]], by: Criterion) -> Floats:
+    """The criterion of each of many choices, shape (len(choices),)."""
+    step = max(1, AT_ONCE // of.base.size)
+    parts = []
+    for first in range(0, len(choices), step):
+        some = choices[first : first + step]
+        shares = np.zeros((len(some), of.count))
+        np.put_along_axis(shares, np.array(some), 1.0, axis=1)
+        parts.append(by.value(of, of.information(shares)))
+    return np.concatenate(parts)
+
+
+def exhaustive(of: Candidates, number: int, by: Criterion) -> tuple[float, list[int]]:
+    """The best of all choices of so many candidates, each of them looked at.
+
+    Returns
+    -------
+    value : float
+    chosen : list of int
+        Ascending.
+    """
+    every = list(combinations(range(of.count), number))
+    values = values_of(of, every, by)
+    best = int(np.argmin(values))
+    return float(values[best]), list(every[best])
