@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from cvxshear.cli import frames, studies
+from cvxshear.cli import plan as planning
 from cvxshear.cli.output import typed
 from cvxshear.errors import CvxshearError, NoSolutionError
 
@@ -24,6 +25,7 @@ for command in (
     frames.loop,
     frames.modes,
     frames.backends,
+    planning.plan,
     studies.reproduce,
 ):
     app.command()(command)

@@ -6,7 +6,8 @@ cov(e) = G. The evidence of "effect g alone", with its value expected to be mu +
 
     (1 + tau^2 G_gg)^(-1/2) exp((y_g + mu / tau^2)^2 / (2 (G_gg + 1 / tau^2)) - mu^2 / (2 tau^2)),
 
-and from even odds follows a probability of each. The verdict is right where what is there has 95 %.
+and from even odds follows a probability of each. The verdict is right where the effect that is there has 95 %; where
+there is none, where none has a half, from which on one would be added.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ from cvxshear.typing import Floats, Json
 
 SURE = 0.95
 """Probability from which on a verdict is given."""
+
+ADDED = 0.5
+"""Probability from which on an effect is added to the model."""
 
 DRAWS = 20_000
 SEED = 2014
@@ -124,5 +128,7 @@ def _right(targets: Sequence[Target], G: Floats) -> list[float]:
         y = noise if truth == 0 else noise + G[:, truth - 1]
         evidence = log_evidence(targets, G, y)
         likely = np.exp(evidence - evidence.max(axis=1, keepdims=True))
-        result.append(float(np.mean(likely[:, truth] >= SURE * likely.sum(axis=1))))
+        likely /= likely.sum(axis=1, keepdims=True)
+        right = likely[:, truth] >= SURE if truth else likely[:, 1:].max(axis=1) < ADDED
+        result.append(float(np.mean(right)))
     return result
