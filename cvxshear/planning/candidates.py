@@ -11,6 +11,7 @@ each shape; it is a parameter of its own here, and what is asked is always a cov
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -33,20 +34,25 @@ class Candidates:
     ----------
     base : ndarray, shape (p, p)
         Information without any candidate.
-    atoms : ndarray, shape (n, p, p)
-        Information that each candidate adds.
+    rows : ndarray, shape (n, d, p)
+        J_j of each candidate.
     asked : ndarray, shape (s, a)
         F.
     """
 
     base: Floats
-    atoms: Floats
+    rows: Floats
     asked: Floats
+
+    @cached_property
+    def atoms(self) -> Floats:
+        """Information that each candidate adds, G_j, shape (n, p, p)."""
+        return self.rows.transpose(0, 2, 1) @ self.rows
 
     @property
     def count(self) -> int:
         """How many candidates there are."""
-        return len(self.atoms)
+        return len(self.rows)
 
     def information(self, shares: Floats) -> Floats:
         """M(w), shape (..., p, p), for shares w of shape (..., n)."""
@@ -63,9 +69,23 @@ class Candidates:
         a = self.asked.shape[1]
         return np.linalg.inv(information)[..., :a, :a]
 
-    def covariance(self, information: Floats) -> Floats:
-        """Covariance of the parameters asked for, shape (..., s, s)."""
-        result: Floats = self.asked @ self.own(information) @ self.asked.T
+    def own_with_each(self, chosen: Ints | list[int], others: Ints | list[int]) -> Floats:
+        """Covariance of z_a with the chosen candidates and one of the others, for each of these; shape (k, a, a).
+
+        C - C J' (1 + J C J')^-1 J C: one inverse for all of them.
+        """
+        a = self.asked.shape[1]
+        covariance = np.linalg.inv(self.subset(chosen))
+        J = self.rows[others]
+        seen = J @ covariance
+        inner = np.eye(J.shape[1]) + seen @ J.transpose(0, 2, 1)
+        columns = seen[:, :, :a]
+        result: Floats = covariance[:a, :a] - columns.transpose(0, 2, 1) @ np.linalg.solve(inner, columns)
+        return result
+
+    def covariance(self, own: Floats) -> Floats:
+        """Covariance of the parameters asked for, shape (..., s, s), from that of z_a."""
+        result: Floats = self.asked @ own @ self.asked.T
         return result
 
     def slopes(self, information: Floats, weight: Floats) -> Floats:
@@ -115,7 +135,7 @@ def candidates(known: Floats, fixed: Floats, rows: Floats, question: Floats, sha
     scale = _lower(whole)
     known, rows = known @ scale, rows @ scale
     asked = left[:, :rank] * sizes[:rank] @ scale[:rank, :rank]
-    return Candidates(known.T @ known, np.einsum("jdp,jdq->jpq", rows, rows), asked)
+    return Candidates(known.T @ known, rows, asked)
 
 
 def _lower(whole: Floats) -> Floats:

@@ -95,14 +95,18 @@ def exchanged(of: Candidates, start: Sequence[int], by: Criterion) -> tuple[floa
     value = float(by.value(of, of.subset(chosen)))
     while True:
         others = [j for j in range(of.count) if j not in chosen]
-        neighbours = [sorted([*(i for i in chosen if i != out), into]) for out in chosen for into in others]
-        if not neighbours:
+        if not others:
             return value, chosen
-        values = values_of(of, neighbours, by)
-        best = int(np.argmin(values))
-        if values[best] >= value * (1 - IMPROVES):
+        ends = []
+        for out in chosen:
+            kept = [i for i in chosen if i != out]
+            values = by.value_of(of, of.own_with_each(kept, others))
+            best = int(np.argmin(values))
+            ends.append((float(values[best]), sorted([*kept, others[best]])))
+        least, nearest = min(ends)
+        if least >= value * (1 - IMPROVES):
             return value, chosen
-        value, chosen = float(values[best]), neighbours[best]
+        value, chosen = least, nearest
 
 
 def values_of(of: Candidates, choices: Sequence[Sequence[int]], by: Criterion) -> Floats:

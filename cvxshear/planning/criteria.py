@@ -35,9 +35,13 @@ class Criterion(ABC):
     name: ClassVar[str]
     summary: ClassVar[str]
 
-    @abstractmethod
     def value(self, of: Candidates, information: Floats) -> Floats:
         """The standard deviation that an information stands for, shape (...), for information (..., p, p)."""
+        return self.value_of(of, of.own(information))
+
+    @abstractmethod
+    def value_of(self, of: Candidates, own: Floats) -> Floats:
+        """The same, shape (...), for covariances of z_a, shape (..., a, a)."""
 
     @abstractmethod
     def smooth(self, of: Candidates, shares: Floats) -> tuple[float, Floats]:
@@ -66,8 +70,8 @@ class Determinant(Criterion):
     name = "D"
     summary = "geometric mean standard deviation"
 
-    def value(self, of: Candidates, information: Floats) -> Floats:
-        whole = self._constant(of) + np.linalg.slogdet(of.own(information))[1]
+    def value_of(self, of: Candidates, own: Floats) -> Floats:
+        whole = self._constant(of) + np.linalg.slogdet(own)[1]
         result: Floats = np.exp(whole / (2 * of.asked.shape[1]))
         return result
 
@@ -91,7 +95,7 @@ class _Mixture(Criterion):
 
     def smooth(self, of: Candidates, shares: Floats) -> tuple[float, Floats]:
         information = of.information(shares)
-        covariance = of.covariance(information)
+        covariance = of.covariance(of.own(information))
         weight, least = self.hardest(covariance)
         slopes = of.slopes(information, of.asked.T @ weight @ of.asked)
         # Of the logarithm, whose size is the same for every frame.
@@ -99,7 +103,7 @@ class _Mixture(Criterion):
 
     def bound(self, of: Candidates, shares: Floats, number: int, weight: Floats | None = None) -> float:
         information = of.information(shares)
-        covariance = of.covariance(information)
+        covariance = of.covariance(of.own(information))
         weight = self.hardest(covariance)[0] if weight is None else weight
         slopes = of.slopes(information, of.asked.T @ weight @ of.asked)
         least = float(np.sum(weight * covariance)) + _least(slopes, shares, number)
@@ -116,8 +120,8 @@ class Trace(_Mixture):
     name = "A"
     summary = "root mean square standard deviation"
 
-    def value(self, of: Candidates, information: Floats) -> Floats:
-        result: Floats = np.sqrt(np.trace(of.covariance(information), axis1=-2, axis2=-1) / len(of.asked))
+    def value_of(self, of: Candidates, own: Floats) -> Floats:
+        result: Floats = np.sqrt(np.sum(own * (of.asked.T @ of.asked), axis=(-2, -1)) / len(of.asked))
         return result
 
     def hardest(self, covariance: Floats) -> tuple[Floats, float]:
@@ -131,8 +135,8 @@ class Eigenvalue(_Mixture):
     name = "E"
     summary = "standard deviation of the worst combination"
 
-    def value(self, of: Candidates, information: Floats) -> Floats:
-        result: Floats = np.sqrt(np.linalg.eigvalsh(of.covariance(information))[..., -1])
+    def value_of(self, of: Candidates, own: Floats) -> Floats:
+        result: Floats = np.sqrt(np.linalg.eigvalsh(of.covariance(own))[..., -1])
         return result
 
     def hardest(self, covariance: Floats) -> tuple[Floats, float]:
@@ -147,8 +151,8 @@ class Worst(_Mixture):
     name = "worst"
     summary = "worst coefficient of variation"
 
-    def value(self, of: Candidates, information: Floats) -> Floats:
-        variances = np.diagonal(of.covariance(information), axis1=-2, axis2=-1)
+    def value_of(self, of: Candidates, own: Floats) -> Floats:
+        variances = np.sum((of.asked @ own) * of.asked, axis=-1)
         result: Floats = np.sqrt(np.max(variances, axis=-1))
         return result
 

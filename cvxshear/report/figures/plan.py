@@ -63,7 +63,7 @@ def _frames(axes: Axes, result: Plan, shown: int) -> None:
         axes.plot([place - 0.4, place + 0.4], [0, 0], color="black", lw=1.2)
     axes.plot([], [], "o", color=AFTER, label="sensor")
     axes.add_patch(Rectangle((0, 0), 0, 0, fc=BEFORE, ec="black", hatch="//", label=f"mass, at most {heaviest:.3g} kg"))
-    axes.set_xticks(range(shown), [letters(name, 9).removeprefix("planned ") for name in result.names[:shown]])
+    axes.set_xticks(range(shown), [letters(name.removeprefix("planned "), 11) for name in result.names[:shown]])
     step = 1 if n <= 20 else 5
     axes.set_yticks([1, *range(step, n + 1, step)] if step > 1 else range(1, n + 1))
     axes.set_ylabel("floor")
@@ -80,12 +80,12 @@ def _frames(axes: Axes, result: Plan, shown: int) -> None:
 def _curve(axes: Axes, result: Plan) -> None:
     curve = accuracy_curve(result)
     counts = [count for count, _, _ in curve]
-    axes.plot(counts, [100 * value for _, value, _ in curve], "o-", color=AFTER, label="the choice")
-    axes.plot(counts, [100 * bound for _, _, bound in curve], "--", color=QUIET, label="no choice is below")
-    axes.plot(len(result.sensors), 100 * result.objective, "s", color=BEFORE, ms=7, label="the plan", zorder=4)
+    axes.plot(counts, [100 * value for _, value, _ in curve], "o-", color=AFTER, label="best found")
+    axes.plot(counts, [100 * bound for _, _, bound in curve], "--", color=QUIET, label="none is below")
+    axes.plot(len(result.sensors), 100 * result.objective, "s", color=BEFORE, ms=7, label="plan", zorder=4)
     axes.set_xlabel("number of sensors")
     axes.set_ylabel(f"{result.measure}, %")
-    axes.set_ylim(bottom=0)
+    axes.set_ylim(0, 115 * max(value for _, value, _ in curve))
     axes.xaxis.get_major_locator().set_params(integer=True)
     axes.grid(visible=True)
     axes.legend()
