@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -12,12 +13,14 @@ from cvxshear.errors import InputError
 if TYPE_CHECKING:
     from cvxshear.planning import Noise
 
+T = TypeVar("T")
+
 
 def plan(
     file: Annotated[
         str,
         typer.Argument(
-            help="Design values (TOML: [frame] and nominal priors), a measurement file, the JSON of a result, or 'paper'.",
+            help="Design values ([frame] and nominal priors in TOML), a measurement file, a result's JSON, or 'paper'.",
             metavar="FILE",
         ),
     ],
@@ -106,7 +109,9 @@ def _noise(
     from cvxshear.planning import Declared, Recorded
 
     given = {
-        name: value for name, value in zip(("frequency_std", "mode_shape_std"), declared, strict=True) if value is not None
+        name: value
+        for name, value in zip(("frequency_std", "mode_shape_std"), declared, strict=True)
+        if value is not None
     }
     of_record = {
         name: value for name, value in zip(("kind", "damping", "noise"), record, strict=True) if value is not None
@@ -140,7 +145,7 @@ def _masses(text: str | None) -> float | list[float] | None:
     return found[0] if "," not in text else found
 
 
-def _numbers(text: str, option: str, kind: type, right: str) -> list:
+def _numbers(text: str, option: str, kind: Callable[[str], T], right: str) -> list[T]:
     try:
         return [kind(part) for part in text.split(",")]
     except ValueError:

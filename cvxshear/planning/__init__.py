@@ -3,7 +3,7 @@
 from cvxshear.planning.design import Design
 from cvxshear.planning.masses import Limits
 from cvxshear.planning.noise import Declared, Noise, Recorded
-from cvxshear.planning.make import plan
+from cvxshear.planning.planner import plan
 from cvxshear.planning.results import Outlook, Plan
 from cvxshear.planning.rivals import Proposal, best_test
 from cvxshear.planning.source import read_design

@@ -84,7 +84,7 @@ def apart(targets: Sequence[Target], covariance: Floats) -> tuple[Apart, ...]:
     covariance : ndarray, shape (e, e)
         Of their values in units of their sizes, all free, the frame marginalised.
     """
-    G = np.linalg.inv(covariance)
+    G = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
     right = _right(targets, G)
     result = [Apart(NONE, None, None, *_nearest_to_none(targets, G), right[0])]
     for i, each in enumerate(targets):

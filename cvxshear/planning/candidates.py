@@ -67,7 +67,8 @@ class Candidates:
     def own(self, information: Floats) -> Floats:
         """Covariance of z_a with all others marginalised, shape (..., a, a)."""
         a = self.asked.shape[1]
-        return np.linalg.inv(information)[..., :a, :a]
+        result: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)[..., :a, :a]
+        return result
 
     def own_with_each(self, chosen: Ints | list[int], others: Ints | list[int]) -> Floats:
         """Covariance of z_a with the chosen candidates and one of the others, for each of these; shape (k, a, a).
@@ -89,7 +90,7 @@ class Candidates:
         return result
 
     def slopes(self, information: Floats, weight: Floats) -> Floats:
-        """Derivatives of tr(weight C_a) by the shares, C_a the covariance of z_a: -tr(weight C_a. G_j C_.a), shape (n,).
+        """Derivatives of tr(weight C_aa) by the shares, C the whole covariance: -tr(weight C_a. G_j C_.a), shape (n,).
 
         Parameters
         ----------
@@ -141,9 +142,7 @@ def candidates(known: Floats, fixed: Floats, rows: Floats, question: Floats, sha
 def _lower(whole: Floats) -> Floats:
     """The lower triangular L with (whole L)'(whole L) = 1: the first coordinates depend on the first of z alone."""
     # QR of the columns in reverse order gives whole' whole = U U' with U upper triangular; L is U^-T.
-    triangle = np.linalg.qr(whole[:, ::-1], mode="r")
+    triangle = np.asarray(np.linalg.qr(whole[:, ::-1], mode="r"))
     upper = triangle.T[::-1, ::-1]
     result: Floats = linalg.solve_triangular(upper, np.eye(len(upper))).T
     return result
-
-

@@ -56,9 +56,7 @@ class Choice:
         return self.value / self.bound - 1.0 if self.bound > 0 else float("inf")
 
 
-def choose(
-    of: Candidates, number: int, by: Criterion, solver: str = "clarabel", enumerate_up_to: int = FEW
-) -> Choice:
+def choose(of: Candidates, number: int, by: Criterion, solver: str = "clarabel", enumerate_up_to: int = FEW) -> Choice:
     """The best choice: of all, where there are few, else the best that rounding and exchange find.
 
     Parameters

@@ -15,7 +15,6 @@ from cvxshear import checks
 from cvxshear.planning.candidates import Candidates
 from cvxshear.typing import Floats
 
-
 POWER = 24
 """The largest of the variances is taken for the power mean (sum of v^24)^(1/24) where a derivative is needed: above it
 by a factor of s^(1/24) at most for s parameters."""
@@ -79,7 +78,8 @@ class Determinant(Criterion):
         information = of.information(shares)
         own = of.own(information)
         volume = self._constant(of) + float(np.linalg.slogdet(own)[1])
-        return volume, of.slopes(information, np.linalg.inv(own))
+        weight = np.asarray(np.linalg.inv(own), dtype=np.float64)
+        return volume, of.slopes(information, weight)
 
     def bound(self, of: Candidates, shares: Floats, number: int, weight: Floats | None = None) -> float:
         volume, slopes = self.smooth(of, shares)

@@ -88,8 +88,9 @@ class Design:
         n, size = self.stories, self.sizes
         if self.measured is not None:
             theta = np.concatenate([size, values])
-            J = Misfit(self.measured, effects).evaluate(theta).J
-            return J * np.concatenate([size, np.ones(len(values))])
+            measured: Floats = Misfit(self.measured, effects).evaluate(theta).J
+            result: Floats = measured * np.concatenate([size, np.ones(len(values))])
+            return result
         rows = [np.zeros((0, 2 * n + len(values)))]
         for prior in self.priors:
             at = _place(prior, n)
@@ -181,8 +182,8 @@ class Design:
         keys = [f"{quantity}{part}" for quantity in QUANTITIES for part in ("", "_std")]
         if not isinstance(frame, Mapping) or any(not isinstance(frame.get(key), list) for key in keys):
             raise InputError(
-                f"{name} holds no frame with standard deviations; it must be the JSON of identify (method efficient) or "
-                "loop"
+                f"{name} holds no frame with standard deviations; it must be the JSON of loop, or of identify by the "
+                "efficient method"
             )
         mass, stiffness = (checks.vector(frame[key], f"frame: {key}", above=0.0) for key in QUANTITIES)
         priors = tuple(

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import LinearConstraint
 
 from cvxshear import checks
 from cvxshear.errors import InputError
 from cvxshear.planning.criteria import Criterion
+from cvxshear.planning.descent import descended
 from cvxshear.planning.model import Expected, Model
 from cvxshear.typing import Floats, Ints
 
@@ -130,15 +131,8 @@ def refined(model: Model, tests: Sequence[Floats], floors: Ints, by: Criterion, 
 
     start = np.concatenate([test[free] / scale for test in tests])
     heavy = np.kron(np.eye(count), scale)
-    found = minimize(
-        both,
-        start,
-        jac=True,
-        method="SLSQP",
-        bounds=[(0.0, 1.0)] * len(start),
-        constraints={"type": "ineq", "fun": lambda x: limits.total - heavy @ x, "jac": lambda _: -heavy},
-        options={"maxiter": ROUNDS, "ftol": 1e-4},
-    )
-    better = [limits.practical(test) for test in masses(found.x)]
+    within = LinearConstraint(heavy, -np.inf, limits.total)
+    found = descended(both, start, within, ROUNDS, tolerance=1e-4)
+    better = [limits.practical(test) for test in masses(found)]
     before, after = ([model.expected(test) for test in some] for some in (tests, better))
     return better if value(after) < value(before) else list(tests)

@@ -17,15 +17,17 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import LinearConstraint
 
 from cvxshear import checks
 from cvxshear.errors import NoSolutionError
 from cvxshear.planning.candidates import Candidates
 from cvxshear.planning.criteria import Criterion
+from cvxshear.planning.descent import descended
 from cvxshear.typing import Floats
 
 SOLVERS = ("clarabel", "scs")
@@ -125,8 +127,10 @@ def relaxed(of: Candidates, number: int, by: Criterion, solver: str = "clarabel"
     if number >= of.count:
         shares = np.ones(of.count)
         return Relaxed(shares, float(by.value(of, of.information(shares))), solver)
-    import cvxpy as cp  # noqa: PLC0415 - takes a second
+    import cvxpy  # noqa: PLC0415 - takes a second
 
+    # Most of its functions have no types.
+    cp: Any = cvxpy
     reduced = _Reduced.of(of, number / of.count)
     w = cp.Variable(of.count)
     flat = reduced.atoms.reshape(of.count, -1)
@@ -147,26 +151,11 @@ def relaxed(of: Candidates, number: int, by: Criterion, solver: str = "clarabel"
     weight = None if hardest is None else _as_weight(hardest())
     found = [(by.bound(of, shares, number, weight), shares)]
     if not reduced.whole:
-        improved = _improved(of, number, by, shares)
+        total = LinearConstraint(np.ones((1, of.count)), number, number)
+        improved = descended(partial(by.smooth, of), shares, total, rounds=100, tolerance=1e-8)
         found.append((by.bound(of, improved, number), improved))
     bound, shares = max(found, key=lambda pair: pair[0])
     return Relaxed(shares, bound, solver)
-
-
-def _improved(of: Candidates, number: int, by: Criterion, shares: Floats) -> Floats:
-    """Shares at which the criterion, with every direction, is least, from those of the program."""
-    ones = np.ones((1, of.count))
-    found = minimize(
-        lambda w: by.smooth(of, w),
-        shares,
-        jac=True,
-        method="SLSQP",
-        bounds=[(0.0, 1.0)] * of.count,
-        constraints={"type": "eq", "fun": lambda w: w.sum() - number, "jac": lambda _: ones},
-        options={"maxiter": 100, "ftol": 1e-8},
-    )
-    result: Floats = np.clip(found.x, 0.0, 1.0)
-    return result
 
 
 Form = tuple[Any, list[Any], Callable[[], Floats] | None]
@@ -182,7 +171,7 @@ def _determinant(cp: Any, of: _Reduced, information: Any) -> Form:
 
 def _trace(cp: Any, of: _Reduced, information: Any) -> Form:
     # tr(F C F') depends on F'F alone: a square factor of it stands for F.
-    factor = np.linalg.qr(of.asked, mode="r")
+    factor = np.asarray(np.linalg.qr(of.asked, mode="r"))
     T, above = _above(cp, factor, information)
     return cp.Minimize(cp.trace(T)), [above], None
 

@@ -31,8 +31,8 @@ class Scatter:
     Parameters
     ----------
     observed, expected : ndarray, shape (2N,)
-        Standard deviations of floor masses and story stiffnesses, kg and N/m, seen and as planned; nan where a parameter
-        is known exactly or stays open.
+        Standard deviations of floor masses and story stiffnesses, kg and N/m, seen and as planned; nan where a
+        parameter is known exactly or stays open.
     samples : int
     """
 

@@ -1,6 +1,6 @@
 """Plans held against exhaustive search, other ways of placing sensors, and simulated tests.
 
-`python -m cvxshear.planning.study` prints the figures in docs/theory/planning.md; a part's name after it prints that part.
+`python -m cvxshear.planning.study` prints the figures in docs/theory/planning.md; with the name of a part, that part.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from cvxshear.planning.candidates import Candidates
 from cvxshear.planning.choice import choose, exhaustive, values_of
 from cvxshear.planning.criteria import CRITERIA
 from cvxshear.planning.design import Design
-from cvxshear.planning.make import GOALS, plan
 from cvxshear.planning.model import Model
 from cvxshear.planning.noise import Declared
 from cvxshear.planning.others import effective_independence, equally_spaced, qr_pivots
+from cvxshear.planning.planner import GOALS, plan
 from cvxshear.planning.simulation import right_verdicts, scatter
 from cvxshear.typing import Floats
 
@@ -31,7 +31,9 @@ WORSE = 1e-9
 OTHERS = ("QR pivoting (PySensors)", "effective independence", "equally spaced")
 
 
-def random_frame(rng: np.random.Generator, stories: int, *, mass_std: float = 0.02, stiffness_std: float = 0.1) -> Design:
+def random_frame(
+    rng: np.random.Generator, stories: int, *, mass_std: float = 0.02, stiffness_std: float = 0.1
+) -> Design:
     """A frame whose stories soften upwards by half, its values scattered by a quarter.
 
     Parameters
@@ -138,9 +140,7 @@ def _simulate() -> None:
             f"500 simulated tests ({tests} each): observed over planned standard deviations {seen.ratio:.3f} (rms), "
             f"{np.nanmin(ratio):.3f} to {np.nanmax(ratio):.3f}"
         )
-    told = plan(
-        _three_stories(), goal="joint_rotation=0.02,ground_spring@3=60", modes=3, noise=Declared(0.001, 0.005)
-    )
+    told = plan(_three_stories(), goal="joint_rotation=0.02,ground_spring@3=60", modes=3, noise=Declared(0.001, 0.005))
     seen_right = right_verdicts(told, 200, seed=1)
     for each in told.apart[1:]:
         print(f"right verdict for {each.label}: planned {each.probability:.2f}, of 200 {seen_right[each.label]:.2f}")

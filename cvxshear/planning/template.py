@@ -55,7 +55,7 @@ def _configuration(plan: Plan, name: str, masses: Floats, test: Expected, floors
 
 
 def relative_std(test: Expected, floors: Ints) -> Floats:
-    """The entries' standard deviations as a file has them, shape (m, n): relative to a mode's largest measured entry."""
+    """The entries' standard deviations, shape (m, n), as a file has them: of a mode's largest measured entry."""
     largest = np.max(np.abs(test.shapes[:, floors]), axis=1, keepdims=True)
     result: Floats = test.shape_std[:, floors] / largest
     return result

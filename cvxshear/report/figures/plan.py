@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
 
 from cvxshear.planning.curve import accuracy_curve
 from cvxshear.planning.results import Plan
@@ -46,7 +47,7 @@ MOST_SHOWN = 6
 
 def _frames(axes: Axes, result: Plan, shown: int) -> None:
     n = result.model.design.stories
-    heaviest = max(max(float(test.max()) for test in result.tests), 1e-300)
+    heaviest = max(*(float(test.max()) for test in result.tests), 1e-300)
     for place, test in enumerate(result.tests[:shown]):
         for floor in range(1, n + 1):
             for side in (place - 0.3, place + 0.3):
@@ -56,7 +57,9 @@ def _frames(axes: Axes, result: Plan, shown: int) -> None:
             if mass > 0:
                 tall = 0.5 * mass / heaviest
                 axes.add_patch(
-                    Rectangle((place - 0.16, floor + 0.06), 0.32, tall, fc=BEFORE, ec="black", lw=0.6, hatch="//", zorder=3)
+                    Rectangle(
+                        (place - 0.16, floor + 0.06), 0.32, tall, fc=BEFORE, ec="black", lw=0.6, hatch="//", zorder=3
+                    )
                 )
             if floor in result.sensors:
                 axes.plot(place + 0.24, floor + 0.16, "o", color=AFTER, ms=4.5, zorder=4)
@@ -70,8 +73,7 @@ def _frames(axes: Axes, result: Plan, shown: int) -> None:
     axes.set_xlim(-0.6, shown - 0.4)
     axes.set_ylim(-0.1, n + 0.8)
     axes.tick_params(axis="x", length=0)
-    for side in ("bottom", "left"):
-        axes.spines[side].set_visible(False)
+    axes.spines[["bottom", "left"]].set_visible(False)
     handles, names = axes.get_legend_handles_labels()
     kept = len(handles) if heaviest > 1e-300 else 1
     axes.legend(handles[:kept], names[:kept], loc="upper center", bbox_to_anchor=(0.5, -0.06), ncols=2)
@@ -86,6 +88,6 @@ def _curve(axes: Axes, result: Plan) -> None:
     axes.set_xlabel("number of sensors")
     axes.set_ylabel(f"{result.measure}, %")
     axes.set_ylim(0, 115 * max(value for _, value, _ in curve))
-    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(visible=True)
     axes.legend()

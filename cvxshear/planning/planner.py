@@ -117,12 +117,11 @@ def plan(
 
 def _model(design: Design, goal: str, modes: int | Sequence[int] | None, noise: Noise) -> Model:
     """The model of the tests, for this goal."""
+    which = _which(modes, design)
     if goal in GOALS:
-        targets, quantities = (), GOALS[goal]
-    else:
-        names = [part.strip() for part in checks.text(goal, "what the plan is for").split(",") if part.strip()]
-        targets, quantities = tuple(target(name, design.frame) for name in names), ()
-    return Model(design, targets, quantities, _which(modes, design), noise)
+        return Model(design, (), GOALS[goal], which, noise)
+    names = [part.strip() for part in checks.text(goal, "what the plan is for").split(",") if part.strip()]
+    return Model(design, tuple(target(name, design.frame) for name in names), (), which, noise)
 
 
 def _which(modes: int | Sequence[int] | None, design: Design) -> Ints:
