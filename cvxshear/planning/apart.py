@@ -4,8 +4,9 @@ Where the model is linear and the noise Gaussian, all that the data say of the e
 units of their expected size, G the information about them with the frame's masses and stiffnesses marginalised, and
 cov(e) = G. The evidence of "effect g alone", with its value expected to be mu +- tau, over that of "none" is then
 
-    (1 + tau^2 G_gg)^(-1/2) exp((y_g + mu / tau^2)^2 / (2 (G_gg + 1 / tau^2)) - mu^2 / (2 tau^2)),
+    (1 + tau^2 G_gg)^(-1/2) exp(m^2 / (2 v) - mu^2 / (2 tau^2)),   v = 1 / (G_gg + 1 / tau^2),  m = v (y_g + mu / tau^2),
 
+times 2 Phi(m / sqrt(v)) where physics lets the value be on one side of none alone;
 and from even odds follows a probability of each. The verdict is right where the effect that is there has 95 %; where
 there is none, where none has a half, from which on one would be added.
 """
@@ -16,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import log_ndtr
 
 from cvxshear.planning.targets import Target
 from cvxshear.typing import Floats, Json
@@ -91,11 +93,18 @@ def apart(targets: Sequence[Target], covariance: Floats) -> tuple[Apart, ...]:
         pairs = [(float(np.sqrt(G[i, i])), NONE)]
         for j, other in enumerate(targets):
             if j != i:
-                left = max(G[i, i] - G[i, j] ** 2 / G[j, j], 0.0)
-                pairs.append((float(np.sqrt(left)), other.placed.label))
+                pairs.append((_distance(G, i, j, other), other.placed.label))
         least, nearest = min(pairs)
         result.append(Apart(each.placed.label, each.size, float(np.sqrt(G[i, i])), nearest, least, right[i + 1]))
     return tuple(result)
+
+
+def _distance(G: Floats, i: int, j: int, other: Target) -> float:
+    """Standard deviations of effect i from the value of effect j that does most like it, within what physics lets."""
+    value = G[i, j] / G[j, j]
+    if value * other.side < 0:
+        return float(np.sqrt(G[i, i]))
+    return float(np.sqrt(max(G[i, i] - value * G[i, j], 0.0)))
 
 
 def _nearest_to_none(targets: Sequence[Target], G: Floats) -> tuple[str, float]:
@@ -112,10 +121,25 @@ def log_evidence(targets: Sequence[Target], G: Floats, y: Floats) -> Floats:
     G : ndarray, shape (e, e)
     y : ndarray, shape (..., e)
     """
-    mu, tau2 = np.array([each.mean for each in targets]), np.array([each.spread for each in targets]) ** 2
-    own = np.diag(G)
-    found = (y + mu / tau2) ** 2 / (2 * (own + 1 / tau2)) - mu**2 / (2 * tau2) - np.log1p(tau2 * own) / 2
-    return np.concatenate([np.zeros((*y.shape[:-1], 1)), found], axis=-1)
+    found = [evidence_of(each, float(G[i, i]), y[..., i]) for i, each in enumerate(targets)]
+    return np.stack([np.zeros(y.shape[:-1]), *found], axis=-1)
+
+
+def evidence_of(target: Target, own: float, y: Floats) -> Floats:
+    """Logarithm of the evidence of an effect alone over that of none.
+
+    Parameters
+    ----------
+    target : Target
+    own : float
+        Information about its value, the frame marginalised.
+    y : ndarray
+    """
+    mu, tau2 = target.mean, target.spread**2
+    v = 1 / (own + 1 / tau2)
+    m = v * (y + mu / tau2)
+    found: Floats = m**2 / (2 * v) - mu**2 / (2 * tau2) - np.log1p(tau2 * own) / 2
+    return found if target.side == 0 else found + np.log(2) + log_ndtr(target.side * m / np.sqrt(v))
 
 
 def _right(targets: Sequence[Target], G: Floats) -> list[float]:

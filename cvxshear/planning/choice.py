@@ -11,6 +11,7 @@ import numpy as np
 
 from cvxshear.planning.candidates import Candidates
 from cvxshear.planning.criteria import Criterion
+from cvxshear.planning.others import equally_spaced
 from cvxshear.planning.relaxation import relaxed
 from cvxshear.typing import Floats, Ints
 
@@ -24,6 +25,12 @@ FEW = 20_000
 """Choices of which every one is looked at, where the information has `TYPICAL` rows: eighteen floors choose six."""
 
 TYPICAL = 45
+
+SEED = 2009
+DRAWS, FEWER_DRAWS = 8, 1
+"""Choices drawn with the shares as odds; fewer where there are more than `MANY` candidates, and each takes long."""
+
+MANY = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +80,20 @@ def choose(of: Candidates, number: int, by: Criterion, solver: str = "clarabel",
     if comb(of.count, number) * len(of.base) ** 3 <= enumerate_up_to * TYPICAL**3:
         value, chosen = exhaustive(of, number, by)
         return Choice(np.array(chosen), value, value, min(found.bound, value), found.shares)
-    rounded = np.argsort(-found.shares, kind="stable")[:number].tolist()
-    spaced = np.unique(np.linspace(0, of.count - 1, number + 1)[1:].round().astype(int)).tolist()
-    value, chosen = min(exchanged(of, start, by) for start in (rounded, spaced))
+    value, chosen = min(exchanged(of, start, by) for start in _roundings(found.shares, number))
     bound = min(found.bound, value)
     return Choice(np.array(chosen), value, bound, bound, found.shares)
+
+
+def _roundings(shares: Floats, number: int) -> list[list[int]]:
+    """Choices to exchange from: the largest shares, equal distances, and a few drawn with the shares as odds."""
+    rng = np.random.default_rng(SEED)
+    count = len(shares)
+    # The largest of log(share) + Gumbel noise are a draw without replacement with the shares as odds.
+    odds = np.log(np.maximum(shares, 1e-6))
+    drawn = [odds + rng.gumbel(size=count) for _ in range(DRAWS if count <= MANY else FEWER_DRAWS)]
+    largest = [np.argsort(-each, kind="stable")[:number].tolist() for each in (shares, *drawn)]
+    return [*largest, equally_spaced(count, number)]
 
 
 def exchanged(of: Candidates, start: Sequence[int], by: Criterion) -> tuple[float, list[int]]:

@@ -15,7 +15,7 @@ from cvxshear.experiment import Configuration, Experiment, Prior
 from cvxshear.frame import modes
 from cvxshear.identification.efficient import Estimate, fitted
 from cvxshear.identification.misfit import Misfit
-from cvxshear.planning.apart import SURE
+from cvxshear.planning.apart import SURE, evidence_of
 from cvxshear.planning.results import Plan
 from cvxshear.planning.targets import Target
 from cvxshear.planning.template import predicted
@@ -114,9 +114,10 @@ def _log_evidence(test: Experiment, target: Target | None, std: float, plan: Pla
     if target is None:
         return -_fit(test, (), sizes, solver).chi2 / 2
     found = _fit(test, (target.placed,), np.append(sizes, target.null + target.size), solver)
-    value = (found.theta[-1] - target.null) / target.size
-    variance = target.spread**2 + std**2
-    return float(-found.chi2 / 2 + np.log(std) - np.log(variance) / 2 - (value - target.mean) ** 2 / (2 * variance))
+    # The evidence of the linear model at the value found, its chi-square put in place of the linear one.
+    own = 1.0 / std**2
+    y = own * (found.theta[-1] - target.null) / target.size
+    return -found.chi2 / 2 - y**2 / (2 * own) + float(evidence_of(target, own, np.array(y)))
 
 
 def _drawn(exact: Experiment, plan: Plan, rng: np.random.Generator) -> Experiment:

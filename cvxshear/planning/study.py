@@ -81,12 +81,19 @@ def choices_of_others(shapes: Floats, number: int, count: int = MODES) -> list[l
     ]
 
 
-def beside_others(frames: int = 100, seed: int = 16) -> dict[str, Floats]:
-    """For each criterion, what the others' choices give over what the plan's gives, shape (frames, 3)."""
+def beside_others(frames: int = 100, seed: int = 16, tallest: int = 20) -> dict[str, Floats]:
+    """For each criterion, what the others' choices give over what the plan's gives, shape (frames, 3).
+
+    Parameters
+    ----------
+    frames, seed : int, optional
+    tallest : int, optional
+        Stories at most; six at least.
+    """
     rng = np.random.default_rng(seed)
     ratios: dict[str, list[Floats]] = {name: [] for name in CRITERIA}
     for _ in range(frames):
-        stories = int(rng.integers(6, 21))
+        stories = int(rng.integers(6, tallest + 1))
         number = int(rng.integers(3, max(4, stories // 2) + 1))
         of, shapes = floors_of(random_frame(rng, stories), number)
         theirs = choices_of_others(shapes, number)
@@ -150,7 +157,11 @@ def _three_stories() -> Design:
     """The paper's frame of section 5, its design values good to 2 and 5 %."""
     mass, stiffness = np.array([10.0, 7.5, 5.0]), np.array([1800.0, 1200.0, 600.0])
     return Design.of_file(
-        {"prior": [_nominal("floor_mass", mass, 0.02), _nominal("story_stiffness", stiffness, 0.05)]}, "three stories"
+        {
+            "frame": {"story_heights": 1.0},
+            "prior": [_nominal("floor_mass", mass, 0.02), _nominal("story_stiffness", stiffness, 0.05)],
+        },
+        "three stories",
     )
 
 

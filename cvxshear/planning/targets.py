@@ -43,6 +43,12 @@ class Target:
         return (item.upper - item.lower) / np.sqrt(12) / self.size if self._confined else 1.0
 
     @property
+    def side(self) -> int:
+        """1 or -1 where physics lets the value be on that side of none alone, from none on; else 0."""
+        item = self.placed.effect.parameters[0]
+        return 0 if self._confined else int(item.lower == item.null) - int(item.upper == item.null)
+
+    @property
     def _confined(self) -> bool:
         item = self.placed.effect.parameters[0]
         return bool(np.isfinite(item.upper - item.lower)) and not item.lower <= item.null <= item.upper

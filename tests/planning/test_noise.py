@@ -1,0 +1,64 @@
+"""The noise that follows from a record: Au's factors from the spectrum itself, and simulated records."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from cvxshear.errors import InputError
+from cvxshear.frame import mass_matrix, modes, stiffness_matrix
+from cvxshear.modal.simulate import PAPER_FRAME
+from cvxshear.modal.study import scatter
+from cvxshear.planning.noise import BAND, Recorded, band_factors
+
+WHICH = np.arange(3)
+
+
+def paper_modes():
+    return modes(mass_matrix(PAPER_FRAME.masses), stiffness_matrix(PAPER_FRAME.stiffnesses))
+
+
+def test_the_band_factors_are_fisher_information_of_a_resonance():
+    """Of the logarithm of a spectrum S / (1 + u^2), u in half-widths of the resonance: what a Whittle likelihood has."""
+    for kappa in (1.0, 4.0, 10.0):
+        frequency = quad(lambda u: (2 * u / (1 + u**2)) ** 2, -kappa, kappa)[0]
+        slope = quad(lambda u: 2 / (1 + u**2), -kappa, kappa)[0]
+        damping = quad(lambda u: (2 / (1 + u**2)) ** 2, -kappa, kappa)[0] - slope**2 / (2 * kappa)
+        expected = (frequency / (2 * np.pi), damping / (2 * np.pi), slope / 4)
+        np.testing.assert_allclose(band_factors(kappa), expected, rtol=1e-8)
+
+
+def test_ambient_frequencies_follow_aus_law():
+    found = paper_modes()
+    std, _ = Recorded("ambient", 1200.0, damping=0.01).of(found, PAPER_FRAME.masses, WHICH)
+    wide = np.sqrt(0.01 / (2 * np.pi * 1200.0 * found.frequencies))
+    np.testing.assert_allclose(std, wide / np.sqrt(band_factors(BAND)[0]))
+    assert Recorded("ambient", 1200.0).damping_std(1.0) == pytest.approx(
+        1 / np.sqrt(2 * np.pi * 0.01 * 1200.0 * band_factors(BAND)[1])
+    )
+
+
+def test_four_times_the_record_halves_every_standard_deviation():
+    short, long = (Recorded("ambient", T).of(paper_modes(), PAPER_FRAME.masses, WHICH) for T in (600.0, 2400.0))
+    for once, again in zip(short, long, strict=True):
+        np.testing.assert_allclose(once, 2 * again)
+
+
+@pytest.mark.parametrize(("kind", "maker", "duration"), [("shaker", "base", 200.0), ("hammer", "hammer", 180.0)])
+def test_simulated_records_scatter_as_expected(kind, maker, duration):
+    """Three seeds leave a factor of 1.5 of chance; the laws hold within 2.5."""
+    options = {"duration": duration} if kind == "shaker" else {"hits": 1}
+    seen = scatter(maker, noise=0.05, seeds=3, **options)
+    frequency, shape = Recorded(kind, duration, damping=0.01, noise=0.05).of(paper_modes(), PAPER_FRAME.masses, WHICH)
+    for expected, errors in (
+        (frequency, np.sqrt(np.mean(seen.frequency_errors**2, axis=0))),
+        (shape, np.sqrt(np.mean(seen.shape_errors**2, axis=(0, 2)))),
+    ):
+        ratio = errors / expected
+        assert np.all((ratio > 0.4) & (ratio < 2.5)), ratio
+
+
+def test_a_record_that_is_too_short_is_refused():
+    with pytest.raises(InputError, match="periods of the lowest mode in the record"):
+        Recorded("ambient", 5.0).of(paper_modes(), PAPER_FRAME.masses, WHICH)
+    with pytest.raises(InputError, match="excitation must be one of ambient, shaker, hammer"):
+        Recorded("wind", 5.0)
