@@ -44,18 +44,12 @@ class Choice:
     value : float
         The criterion's standard deviation.
     bound : float
-        What no choice of as many can beat.
-    relaxed : float
-        The relaxed program's bound; `bound` is better where every choice was looked at.
-    shares : ndarray, shape (n,)
-        Of the relaxed program.
+        What no choice of as many can beat: the convex program's, or the value itself where all were looked at.
     """
 
     chosen: Ints
     value: float
     bound: float
-    relaxed: float
-    shares: Floats
 
     @property
     def gap(self) -> float:
@@ -76,13 +70,12 @@ def choose(of: Candidates, number: int, by: Criterion, solver: str = "clarabel",
     enumerate_up_to : int, optional
         Where there are no more choices than this, each is looked at.
     """
-    found = relaxed(of, number, by, solver)
     if comb(of.count, number) * len(of.base) ** 3 <= enumerate_up_to * TYPICAL**3:
         value, chosen = exhaustive(of, number, by)
-        return Choice(np.array(chosen), value, value, min(found.bound, value), found.shares)
+        return Choice(np.array(chosen), value, value)
+    found = relaxed(of, number, by, solver)
     value, chosen = min(exchanged(of, start, by) for start in _roundings(found.shares, number))
-    bound = min(found.bound, value)
-    return Choice(np.array(chosen), value, bound, bound, found.shares)
+    return Choice(np.array(chosen), value, min(found.bound, value))
 
 
 def _roundings(shares: Floats, number: int) -> list[list[int]]:

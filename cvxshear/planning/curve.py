@@ -24,6 +24,6 @@ def accuracy_curve(plan: Plan) -> list[tuple[int, float, float]]:
     spread = np.unique(np.linspace(1, n, min(n, MOST_POINTS)).round().astype(int))
     points = []
     for count in sorted({*spread.tolist(), len(plan.sensors)}):
-        found = choose(model.sensors(tests, count), count, by, plan.solver, enumerate_up_to=0)
+        found = choose(model.sensors(tests, count), count, by, plan.solver)
         points.append((count, found.value, found.bound))
     return points

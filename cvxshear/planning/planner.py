@@ -198,7 +198,6 @@ def _finished(
         tests=tuple(masses),
         names=tuple(names),
         chosen=seen[number],
-        relaxed=found[number].relaxed,
         fewer=seen.get(number - 1),
         more=seen.get(number + 1),
         everywhere=seen[n],

@@ -67,8 +67,6 @@ class Plan:
         Of the tests.
     chosen : Outlook
         With the sensors of the plan.
-    relaxed : float
-        Bound of the convex program; that of `chosen` is better where every choice was looked at.
     fewer, more : Outlook or None
         With the best choice of one sensor less, and one more.
     everywhere : Outlook
@@ -85,7 +83,6 @@ class Plan:
     tests: tuple[Floats, ...]
     names: tuple[str, ...]
     chosen: Outlook
-    relaxed: float
     fewer: Outlook | None
     more: Outlook | None
     everywhere: Outlook
@@ -141,7 +138,6 @@ class Plan:
             "objective": self.objective,
             "bound": self.bound,
             "gap": self.gap if np.isfinite(self.gap) else None,
-            "relaxed_bound": self.relaxed,
             "tests_bound": self.tests_bound,
             "frame": {
                 "floor_mass": design.floor_mass.tolist(),

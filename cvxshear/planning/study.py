@@ -147,7 +147,7 @@ def _simulate() -> None:
             f"500 simulated tests ({tests} each): observed over planned standard deviations {seen.ratio:.3f} (rms), "
             f"{np.nanmin(ratio):.3f} to {np.nanmax(ratio):.3f}"
         )
-    told = plan(_three_stories(), goal="joint_rotation=0.02,ground_spring@3=60", modes=3, noise=Declared(0.001, 0.005))
+    told = plan(_three_stories(), goal="joint_rotation=0.05,ground_spring@3=10", modes=3, noise=Declared(0.001, 0.005))
     seen_right = right_verdicts(told, 200, seed=1)
     for each in told.apart[1:]:
         print(f"right verdict for {each.label}: planned {each.probability:.2f}, of 200 {seen_right[each.label]:.2f}")
