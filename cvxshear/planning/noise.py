@@ -62,6 +62,10 @@ class Noise(ABC):
             Of an entry, the mode's largest entry over all floors being 1.
         """
 
+    def damping_std(self, frequencies: Floats) -> Floats | None:
+        """Coefficients of variation of the damping ratios of modes at these frequencies (Hz), where the noise tells."""
+        return None
+
     @abstractmethod
     def describe(self) -> str:
         """In words."""
@@ -126,7 +130,8 @@ class Recorded(Noise):
         checks.number(float(periods.min()), "periods of the lowest mode in the record", least=self.least_periods)
         frequency_std = self._unrecorded * np.sqrt(self.damping / (2 * np.pi * periods * band_factors(BAND)[0]))
         force = self._modal_force(found, mass)
-        shape_std = [self._entry_std(found, force, int(mode)) for mode in which]
+        band = SAMPLES_A_PERIOD * float(found.frequencies[which].max()) / 2
+        shape_std = [self._entry_std(found, force, int(mode), band) for mode in which]
         return frequency_std, np.array(shape_std)
 
     @property
@@ -141,12 +146,14 @@ class Recorded(Noise):
             return np.outer(participation, participation)
         return found.shapes.T @ found.shapes
 
-    def _entry_std(self, found: Modes, force: Floats, mode: int) -> float:
-        """Root mean square over the floors of the entries' standard deviations, the largest entry being 1."""
+    def _entry_std(self, found: Modes, force: Floats, mode: int, band: float) -> float:
+        """Root mean square over the floors of the entries' standard deviations, the largest entry being 1.
+
+        The sensors' noise is spread over the band, Hz.
+        """
         phi, f = found.shapes, found.frequencies
         own = np.diag(force)
         variance = phi**2 @ (own * np.pi * f / (4 * self.damping))
-        band = SAMPLES_A_PERIOD * f[mode] / 2
         spread = np.diag(self.noise**2 * variance / band)
         if self.kind == "ambient":
             ratio = f[mode] / np.delete(f, mode)
@@ -169,15 +176,9 @@ class Recorded(Noise):
             f"{100 * self.noise:g} %"
         )
 
-    def damping_std(self, frequency: float) -> float:
-        """Coefficient of variation of a damping ratio from an ambient record.
-
-        Parameters
-        ----------
-        frequency : float
-            Hz.
-        """
-        return float(1.0 / np.sqrt(2 * np.pi * self.damping * self.duration * frequency * band_factors(BAND)[1]))
+    def damping_std(self, frequencies: Floats) -> Floats:
+        periods = self.duration * frequencies
+        return self._unrecorded / np.sqrt(2 * np.pi * self.damping * periods * band_factors(BAND)[1])
 
 
 def band_factors(kappa: float) -> tuple[float, float, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -50,6 +50,33 @@ class Outlook:
             "objective": self.objective,
             "std": {"floor_mass": plain(self.floor_mass_std), "story_stiffness": plain(self.story_stiffness_std)},
         }
+
+
+@dataclass(frozen=True)
+class ExpectedMode:
+    """A mode before it is measured.
+
+    Parameters
+    ----------
+    mode : int
+        1 the lowest.
+    frequency : float
+        Hz.
+    frequency_std, mode_shape_std : float
+        Relative; of an entry, the mode's largest being 1.
+    damping_std : float or None
+        Relative, of the damping ratio, where the noise follows from a record.
+    """
+
+    mode: int
+    frequency: float
+    frequency_std: float
+    mode_shape_std: float
+    damping_std: float | None
+
+    def to_dict(self) -> Json:
+        """The fields by name."""
+        return asdict(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,10 +137,28 @@ class Plan:
         return self.chosen.gap
 
     @property
+    def expected_modes(self) -> tuple[ExpectedMode, ...]:
+        """The modes of the first test, and how well they will be known."""
+        which, noise = self.model.which, self.model.noise
+        first = self.model.expected(self.tests[0])
+        frequencies = first.found.frequencies[which]
+        damping_std = noise.damping_std(frequencies)
+        return tuple(
+            ExpectedMode(
+                int(mode) + 1,
+                float(frequencies[i]),
+                float(first.frequency_std[i]),
+                float(first.shape_std[i, 0]),
+                None if damping_std is None else float(damping_std[i]),
+            )
+            for i, mode in enumerate(which)
+        )
+
+    @property
     def goal(self) -> str:
         """What the plan is for, in words."""
         if self.model.targets:
-            return "telling apart " + ", ".join([*(each.placed.label for each in self.model.targets), "none of them"])
+            return f"telling apart {', '.join(each.placed.label for each in self.model.targets)} and none of them"
         words = {"floor_mass": "floor masses", "story_stiffness": "story stiffnesses"}
         return " and ".join(words[each] for each in self.model.quantities)
 
@@ -132,6 +177,7 @@ class Plan:
             ],
             "modes": (self.model.which + 1).tolist(),
             "noise": self.model.noise.describe(),
+            "expected_modes": [each.to_dict() for each in self.expected_modes],
             "for": self.goal,
             "criterion": self.criterion,
             "solver": self.solver,

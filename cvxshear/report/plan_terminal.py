@@ -24,10 +24,9 @@ def plan(result: Plan) -> Iterator[RenderableType]:
     n = result.model.design.stories
     yield Text(headline(result), style="bold")
     yield Text(f"{sure(result)}\n")
-    yield Text(
-        f"{result.model.design.name}: {n} stories; modes {', '.join(str(mode + 1) for mode in result.model.which)}, "
-        f"{result.model.noise.describe()}\n"
-    )
+    yield Text(f"{result.model.design.name}: {n} stories; expected noise: {result.model.noise.describe()}\n")
+    yield modes(result)
+    yield Text("")
     yield masses(result)
     yield Text("")
     if result.apart:
@@ -57,6 +56,21 @@ def sure(result: Plan) -> str:
     if not np.isfinite(result.gap):
         return f"{said}; the convex program gives no bound"
     return f"{said}; no choice of as many floors is below {percent(result.bound)} (gap {percent(result.gap, 1)})"
+
+
+def modes(result: Plan) -> Table:
+    """The modes of the first test, and how well they will be known."""
+    title = f"expected modes ({result.names[0]})"
+    table = plain_table(title, "mode", "frequency, Hz", "std", "std of a shape's entry", "std of damping")
+    for each in result.expected_modes:
+        table.add_row(
+            str(each.mode),
+            significant(each.frequency),
+            percent(each.frequency_std, 4),
+            percent(each.mode_shape_std, 3),
+            percent(each.damping_std, 1),
+        )
+    return table
 
 
 def masses(result: Plan) -> Table:
