@@ -89,7 +89,7 @@ def plan(
             added_mass=_masses(added_mass),
             added_mass_total=added_mass_total,
             goal=goal,
-            criterion_name=criterion,
+            criterion=criterion,
             fresh=fresh,
             solver=solver,
         )

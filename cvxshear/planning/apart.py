@@ -4,7 +4,8 @@ Where the model is linear and the noise Gaussian, all that the data say of the e
 units of their expected size, G the information about them with the frame's masses and stiffnesses marginalised, and
 cov(e) = G. The evidence of "effect g alone", with its value expected to be mu +- tau, over that of "none" is then
 
-    (1 + tau^2 G_gg)^(-1/2) exp(m^2 / (2 v) - mu^2 / (2 tau^2)),   v = 1 / (G_gg + 1 / tau^2),  m = v (y_g + mu / tau^2),
+    (1 + tau^2 G_gg)^(-1/2) exp(m^2 / (2 v) - mu^2 / (2 tau^2)),
+    v = 1 / (G_gg + 1 / tau^2),  m = v (y_g + mu / tau^2),
 
 times 2 Phi(m / sqrt(v)) where physics lets the value be on one side of none alone;
 and from even odds follows a probability of each. The verdict is right where the effect that is there has 95 %; where

@@ -164,7 +164,7 @@ class Worst(_Mixture):
 CRITERIA: dict[str, Criterion] = {each.name: each for each in (Determinant(), Trace(), Eigenvalue(), Worst())}
 
 
-def criterion(name: str) -> Criterion:
+def criterion_named(name: str) -> Criterion:
     """The criterion of this name.
 
     Raises

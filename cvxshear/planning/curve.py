@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.planning.choice import choose
-from cvxshear.planning.criteria import criterion
+from cvxshear.planning.criteria import criterion_named
 from cvxshear.planning.results import Plan
 
 MOST_POINTS = 10
@@ -18,7 +18,7 @@ def accuracy_curve(plan: Plan) -> list[tuple[int, float, float]]:
     ----------
     plan : Plan
     """
-    model, by = plan.model, criterion(plan.criterion)
+    model, by = plan.model, criterion_named(plan.criterion)
     n = model.design.stories
     tests = [model.expected(masses) for masses in plan.tests]
     spread = np.unique(np.linspace(1, n, min(n, MOST_POINTS)).round().astype(int))

@@ -13,7 +13,7 @@ from cvxshear.errors import InputError
 from cvxshear.experiment import Experiment
 from cvxshear.planning.apart import apart
 from cvxshear.planning.choice import Choice, choose
-from cvxshear.planning.criteria import Criterion, criterion
+from cvxshear.planning.criteria import Criterion, criterion_named
 from cvxshear.planning.design import Design
 from cvxshear.planning.masses import Limits, refined
 from cvxshear.planning.model import Expected, Model
@@ -51,7 +51,7 @@ def plan(
     added_mass: float | Sequence[float] | Floats | None = None,
     added_mass_total: float | None = None,
     goal: str = "all",
-    criterion_name: str | None = None,
+    criterion: str | None = None,
     fresh: bool = False,
     solver: str = "clarabel",
 ) -> Plan:
@@ -77,7 +77,7 @@ def plan(
     goal : str, optional
         "masses", "stiffnesses", "all", or effects to tell from one another and from none, commas between, each as
         "NAME", "NAME@PLACE" and with "=SIZE" where it has no usual one.
-    criterion_name : str, optional
+    criterion : str, optional
         "D", "A", "E" or "worst"; D for the frame and worst for effects where not given.
     fresh : bool, optional
         Count nothing of what the source measured as known.
@@ -105,7 +105,7 @@ def plan(
     n = design.stories
     number = n if sensors is None else checks.whole(sensors, "sensors", least=1, most=n)
     model = _model(design, goal, modes, noise or Declared())
-    by = criterion(criterion_name or ("worst" if model.targets else "D"))
+    by = criterion_named(criterion or ("worst" if model.targets else "D"))
     limits = Limits.of(added_mass, added_mass_total, n)
     if declared:
         masses, names, tests_bound = _declared(design), [each.name for each in design.declared], None

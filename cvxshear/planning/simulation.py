@@ -117,7 +117,7 @@ def _log_evidence(test: Experiment, target: Target | None, std: float, plan: Pla
     # The evidence of the linear model at the value found, its chi-square put in place of the linear one.
     own = 1.0 / std**2
     y = own * (found.theta[-1] - target.null) / target.size
-    return -found.chi2 / 2 - y**2 / (2 * own) + float(evidence_of(target, own, np.array(y)))
+    return float(evidence_of(target, own, np.array(y)) - found.chi2 / 2 - y**2 / (2 * own))
 
 
 def _drawn(exact: Experiment, plan: Plan, rng: np.random.Generator) -> Experiment:

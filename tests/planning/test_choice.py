@@ -8,7 +8,7 @@ from scipy.optimize import check_grad
 
 from cvxshear.errors import InputError
 from cvxshear.planning.choice import choose, exchanged, exhaustive, values_of
-from cvxshear.planning.criteria import CRITERIA, criterion
+from cvxshear.planning.criteria import CRITERIA, criterion_named
 from cvxshear.planning.relaxation import relaxed
 from cvxshear.planning.study import OTHERS, beside_others, floors_of, random_frame
 from tests.planning.common import frame_model, tapered
@@ -82,18 +82,18 @@ def test_the_solvers_agree():
 
 def test_every_floor_needs_no_program():
     of = floors(5, 5)
-    found = choose(of, 5, criterion("D"))
+    found = choose(of, 5, criterion_named("D"))
     assert found.gap == 0.0
     assert list(found.chosen) == [0, 1, 2, 3, 4]
 
 
 def test_a_tall_frames_gap_is_small():
     of, _ = floors_of(random_frame(np.random.default_rng(40), 40), 10)
-    assert choose(of, 10, criterion("D")).gap < 0.05
+    assert choose(of, 10, criterion_named("D")).gap < 0.05
 
 
 def test_an_exchange_takes_the_best_neighbour():
-    of, by = floors(7, 3), criterion("A")
+    of, by = floors(7, 3), criterion_named("A")
     value, chosen = exchanged(of, [0, 1, 2], by)
     neighbours = [sorted({*chosen} - {out} | {into}) for out in chosen for into in range(7) if into not in chosen]
     assert value <= values_of(of, neighbours, by).min() * (1 + 1e-9)
@@ -109,6 +109,6 @@ def test_the_choice_is_never_worse_than_the_others():
 
 def test_an_unknown_criterion_or_solver_is_refused():
     with pytest.raises(InputError, match="criterion must be one of D, A, E, worst"):
-        criterion("G")
+        criterion_named("G")
     with pytest.raises(InputError, match="solver must be one of clarabel, scs"):
-        relaxed(floors(4, 2), 2, criterion("D"), "osqp")
+        relaxed(floors(4, 2), 2, criterion_named("D"), "osqp")

@@ -36,7 +36,9 @@ def test_one_test_more_can_be_a_candidate_as_well():
     model = frame_model(tapered(4))
     tests = [model.expected(np.zeros(4)), model.expected(np.array([0, 0, 0, 8e3]))]
     of = model.choices(tests, FLOORS[:2], 1)
-    np.testing.assert_allclose(of.covariance(of.own(of.subset([1]))), model.covariance(tests[1:], FLOORS[:2]), rtol=1e-8)
+    np.testing.assert_allclose(
+        of.covariance(of.own(of.subset([1]))), model.covariance(tests[1:], FLOORS[:2]), rtol=1e-8
+    )
 
 
 def test_equal_shares_of_all_candidates_are_the_unit_of_information():

@@ -17,7 +17,7 @@ def paper_modes():
 
 
 def test_the_band_factors_are_fisher_information_of_a_resonance():
-    """Of the logarithm of a spectrum S / (1 + u^2), u in half-widths of the resonance: what a Whittle likelihood has."""
+    """Of log(S / (1 + u^2)), u in half-widths of the resonance: the information of a Whittle likelihood."""
     for kappa in (1.0, 4.0, 10.0):
         frequency = quad(lambda u: (2 * u / (1 + u**2)) ** 2, -kappa, kappa)[0]
         slope = quad(lambda u: 2 / (1 + u**2), -kappa, kappa)[0]
