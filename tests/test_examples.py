@@ -16,6 +16,7 @@ SHOWN = {
     "own_backend": r"slsqp +m = (.*) kg\nclarabel +m = \1 kg",
     "close_the_loop": r"verdict: explained\nthe shear model lacks gravity: .*\n.*1\.84 % before, 0\.34 % after",
     "modes_from_hammer": r"mode 1: 1\.0336 Hz .*[\s\S]*masses: \['10\.00 kg', '7\.50 kg', '5\.00 kg'\]",
+    "plan_a_test": r"floors \[1, 4, 6, 7\][\s\S]*1 test: .* 0\.00\n.*2 tests: .*\[10\.0, 10\.0\].* 0\.9",
     "own_effect": r"brace: b = 39\d ± \d N/m",
 }
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from cvxshear.cli import check, frames, studies
+from cvxshear.cli import plan as planning
 from cvxshear.cli.output import typed
 from cvxshear.errors import CvxshearError, NoSolutionError
 
@@ -25,6 +26,7 @@ for command in (
     frames.modes,
     check.check,
     frames.backends,
+    planning.plan,
     studies.reproduce,
 ):
     app.command()(command)

@@ -9,6 +9,7 @@ from cvxshear.report.figures.frame import frame
 from cvxshear.report.figures.mac import mac
 from cvxshear.report.figures.noise import noise_boxes, noise_variation
 from cvxshear.report.figures.output import save
+from cvxshear.report.figures.plan import plan
 from cvxshear.report.figures.ranking import ranking
 from cvxshear.report.figures.residual import residual
 from cvxshear.report.figures.shapes import shapes
@@ -20,6 +21,7 @@ __all__ = [
     "mac",
     "noise_boxes",
     "noise_variation",
+    "plan",
     "ranking",
     "residual",
     "save",
