@@ -2,7 +2,8 @@
 
 from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
+from cvxshear.backends.certificate import Certificate
 from cvxshear.backends.registry import available, get, register
-from cvxshear.backends.solution import Certificate, Solution
+from cvxshear.backends.solution import Solution
 
 __all__ = ["Answer", "Backend", "Canonical", "Certificate", "Solution", "available", "get", "register"]

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from abc import ABC, abstractmethod
 
 import numpy as np
 
 from cvxshear.backends import working_set
+from cvxshear.backends.active_set import UndeterminedError, UnsettledError, minimizer
 from cvxshear.backends.canonical import Answer, Canonical, canonical
-from cvxshear.backends.solution import Certificate, Solution
+from cvxshear.backends.certificate import Assembled, Certificate, Point, certify, largest_relative
+from cvxshear.backends.solution import Solution
 from cvxshear.errors import NoSolutionError
 from cvxshear.programs import LeastSquares
 
 ACCEPTED = 1e-6
 """Largest residual of a certificate with which a solution is let through."""
+
+ACCURATE = 1e-6
+"""Error of an unknown, relative to its size, above which the exact minimizer takes the answer's place."""
 
 
 class Backend(ABC):
@@ -39,7 +45,7 @@ class Backend(ABC):
             With the solver's reason, where it did not solve it.
         """
 
-    def whole_answer(self, problem: Canonical, start: Solution | None = None) -> Answer:
+    def answer_all(self, problem: Canonical, start: Solution | None = None) -> Answer:
         """Solve the scaled program, `answer` seeing the inequalities that matter alone (`working_set`)."""
         return working_set.answered(self.answer, problem.starting_at(start))
 
@@ -56,6 +62,8 @@ class Backend(ABC):
         Returns
         -------
         Solution
+            Of an error bound of at most `ACCURATE`, or of what 64 bits allow: an answer that is farther off is
+            replaced by the minimizer on the inequalities that hold it.
 
         Raises
         ------
@@ -66,14 +74,30 @@ class Backend(ABC):
         UnsuitableError
             Where the backend cannot take such a program.
         NoSolutionError
-            Where the solver failed, or the certificate's worst residual exceeds `ACCEPTED`.
+            Where the solver failed, the certificate's worst residual exceeds `ACCEPTED`, or the inequalities that hold
+            the answer cannot be told.
         """
         began = time.perf_counter()
         problem = canonical(program)
         if start is not None:
             problem.refuse_start(start)
-        answer = self.whole_answer(problem, start)
-        certificate = certify(problem, answer)
+        found = self.certified(Assembled(program), problem, start)
+        return dataclasses.replace(found, seconds=time.perf_counter() - began)
+
+    def certified(self, of: Assembled, problem: Canonical, start: Solution | None = None) -> Solution:
+        """Solve a program that is scaled already; as `solve`, the time not taken.
+
+        Parameters
+        ----------
+        of : Assembled
+            The program as it was handed in, by which the answer is judged.
+        problem : Canonical
+            The same, scaled.
+        start : Solution, optional
+        """
+        answer = self.answer_all(problem, start)
+        point = Point(problem.to_x(answer.z), *problem.multipliers(answer.y, answer.w))
+        certificate = certify(of, point)
         if not certificate.worst <= ACCEPTED:
             raise NoSolutionError(
                 self.name,
@@ -81,25 +105,39 @@ class Backend(ABC):
                 f"{certificate.primal_residual:.1e}, dual residual {certificate.dual_residual:.1e}, gap "
                 f"{certificate.duality_gap:.1e}, accepted {ACCEPTED:.0e}",
             )
-        y, w = problem.multipliers(answer.y, answer.w)
-        return Solution(
-            problem.to_x(answer.z), y, w, certificate, self.name, answer.status, answer.iterations,
-            time.perf_counter() - began,
-        )  # fmt: skip
+        try:
+            point, certificate = accurate(of, point, certificate)
+        except UnsettledError:
+            raise NoSolutionError(
+                self.name,
+                f"inaccurate solution (its own status: {answer.status}): which inequalities hold it cannot be told, "
+                "and so not how far off it is",
+            ) from None
+        return Solution(point.x, point.y, point.w, certificate, self.name, answer.status, answer.iterations)
 
 
-def certify(problem: Canonical, answer: Answer) -> Certificate:
-    """The residuals of the optimality conditions of a scaled program at an answer."""
-    z, y, w = answer.z, answer.y, answer.w
-    error = problem.C @ z - problem.q
-    gradient = problem.C.T @ error + problem.E.T @ y + problem.F.T @ w
-    equality = problem.E @ z - problem.e
-    slack = problem.f - problem.F @ z
-    # At a point where the Lagrangian's gradient vanishes the dual objective is the Lagrangian itself, so the
-    # gap is what the constraints contribute to it.
-    gap = abs(float(w @ slack) - float(y @ equality))
-    return Certificate(
-        primal_residual=float(max(np.max(np.abs(equality), initial=0.0), np.max(-slack, initial=0.0))),
-        dual_residual=float(max(np.max(np.abs(gradient), initial=0.0), np.max(-w, initial=0.0))),
-        duality_gap=gap,
-    )
+def accurate(of: Assembled, point: Point, certificate: Certificate) -> tuple[Point, Certificate]:
+    """The answer with a bound on its error, or the exact minimizer where that is too large.
+
+    Parameters
+    ----------
+    of : Assembled
+    point : Point
+        Of residuals that are accepted.
+    certificate : Certificate
+        These residuals.
+
+    Raises
+    ------
+    UnsettledError
+    """
+    try:
+        exact = minimizer(of, point)
+    except UndeterminedError:
+        return point, certificate
+    error, size = np.abs(exact.point.x - point.x) + exact.rounding, of.size(exact.point.x)
+    if np.any(error > ACCURATE * size + 2.0 * exact.rounding):
+        point, error, certificate = exact.point, exact.rounding, certify(of, exact.point)
+        if not certificate.worst <= ACCEPTED:
+            raise UnsettledError
+    return point, dataclasses.replace(certificate, error_bound=largest_relative(error, size))
