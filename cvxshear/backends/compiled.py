@@ -177,6 +177,6 @@ def _places(data: Mapping[str, Any], count: int) -> Iterator[tuple[str, _Filled]
         yield key, _Filled(array, at, number[at], np.sign(values[at]))
     if not np.all(seen):
         raise UnsuitableError(
-            f"cvxpy {version("cvxpy")} does not hand the parameters of a problem to its solver as they are; choose a "
+            f"cvxpy {version('cvxpy')} does not hand the parameters of a problem to its solver as they are; choose a "
             "backend that is not cvxpy's, clarabel for one"
         )
