@@ -11,6 +11,7 @@ import pytest
 from cvxshear import NoSolutionError, backends
 from cvxshear.backends import active_set, canonical
 from cvxshear.backends.active_set import minimizer
+from cvxshear.backends.base import accurate
 from cvxshear.backends.certificate import Assembled, Point, certify
 from cvxshear.programs import LeastSquares
 
@@ -196,7 +197,7 @@ def test_an_answer_beyond_its_accuracy_is_replaced_and_one_within_it_is_left():
     weak = np.linalg.svd(R)[2][-1]
     for off, left in ((1e-8, True), (1e-4, False)):
         near = Point(np.array([1.0, 2.0]) + off * weak, np.zeros(0), np.zeros(0))
-        point, certificate = backends.base.accurate(of, near, certify(of, near))
+        point, certificate = accurate(of, near)
         assert (point is near) == left
         np.testing.assert_allclose(point.x, [1.0, 2.0], atol=1e-6)
         assert certificate.error_bound < 1e-6

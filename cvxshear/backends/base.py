@@ -35,6 +35,15 @@ class Backend(ABC):
 
     name: str
 
+    @property
+    def tolerance(self) -> float | None:
+        """The loosest accuracy that the solver is told to reach; None where it takes none."""
+        return None
+
+    def with_tolerance(self, tolerance: float) -> Backend:
+        """The same backend, told to reach this accuracy; itself where it takes none."""
+        return self
+
     @abstractmethod
     def answer(self, problem: Canonical) -> Answer:
         """Solve the scaled program.
@@ -74,8 +83,7 @@ class Backend(ABC):
         UnsuitableError
             Where the backend cannot take such a program.
         NoSolutionError
-            Where the solver failed, the certificate's worst residual exceeds `ACCEPTED`, or the inequalities that hold
-            the answer cannot be told.
+            Where the solver failed, or its answer's certificate is not good enough (see `accurate`).
         """
         began = time.perf_counter()
         problem = canonical(program)
@@ -97,47 +105,58 @@ class Backend(ABC):
         """
         answer = self.answer_all(problem, start)
         point = Point(problem.to_x(answer.z), *problem.multipliers(answer.y, answer.w))
-        certificate = certify(of, point)
-        if not certificate.worst <= ACCEPTED:
-            raise NoSolutionError(
-                self.name,
-                f"inaccurate solution (its own status: {answer.status}): primal residual "
-                f"{certificate.primal_residual:.1e}, dual residual {certificate.dual_residual:.1e}, gap "
-                f"{certificate.duality_gap:.1e}, accepted {ACCEPTED:.0e}",
-            )
         try:
-            point, certificate = accurate(of, point, certificate)
-        except UnsettledError:
+            point, certificate = accurate(of, point)
+        except InaccurateError as error:
             raise NoSolutionError(
-                self.name,
-                f"inaccurate solution (its own status: {answer.status}): which inequalities hold it cannot be told, "
-                "and so not how far off it is",
+                self.name, f"inaccurate solution (its own status: {answer.status}): {error}"
             ) from None
         return Solution(point.x, point.y, point.w, certificate, self.name, answer.status, answer.iterations)
 
 
-def accurate(of: Assembled, point: Point, certificate: Certificate) -> tuple[Point, Certificate]:
-    """The answer with a bound on its error, or the exact minimizer where that is too large.
+class InaccurateError(Exception):
+    """An answer whose certificate is not good enough; the message says which figure is not."""
+
+
+def accurate(of: Assembled, point: Point) -> tuple[Point, Certificate]:
+    """An answer with its certificate, or the exact minimizer beside it where it is not accurate enough.
+
+    The minimizer takes an answer's place that is wrong in ways that the data do not see, not one that is plainly wrong:
+    its gradient and its gap must be good, and where it violates a constraint the rows must hardly tell the two apart.
 
     Parameters
     ----------
     of : Assembled
     point : Point
-        Of residuals that are accepted.
-    certificate : Certificate
-        These residuals.
 
     Raises
     ------
-    UnsettledError
+    InaccurateError
     """
+    certificate = certify(of, point)
+    if not max(certificate.dual_residual, certificate.duality_gap) <= ACCEPTED:
+        raise _inaccurate(certificate)
+    kept = certificate.primal_residual <= ACCEPTED
     try:
         exact = minimizer(of, point)
     except UndeterminedError:
+        if not kept:
+            raise _inaccurate(certificate) from None
         return point, certificate
+    except UnsettledError:
+        raise InaccurateError("which inequalities hold it cannot be told, and so not how far off it is") from None
     error, size = np.abs(exact.point.x - point.x) + exact.rounding, of.size(exact.point.x)
-    if np.any(error > ACCURATE * size + 2.0 * exact.rounding):
+    if not kept and not of.distance(point.x, exact.point.x) <= ACCEPTED:
+        raise _inaccurate(certificate)
+    if not kept or np.any(error > ACCURATE * size + 2.0 * exact.rounding):
         point, error, certificate = exact.point, exact.rounding, certify(of, exact.point)
         if not certificate.worst <= ACCEPTED:
-            raise UnsettledError
+            raise _inaccurate(certificate)
     return point, dataclasses.replace(certificate, error_bound=largest_relative(error, size))
+
+
+def _inaccurate(certificate: Certificate) -> InaccurateError:
+    return InaccurateError(
+        f"primal residual {certificate.primal_residual:.1e}, dual residual {certificate.dual_residual:.1e}, gap "
+        f"{certificate.duality_gap:.1e}, accepted {ACCEPTED:.0e}"
+    )

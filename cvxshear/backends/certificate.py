@@ -147,6 +147,13 @@ class Assembled:
         """The sizes of what is added up to R x - s: the columns times the unknowns, and s."""
         return float(self.lengths @ np.abs(x) + np.linalg.norm(self.s))
 
+    def distance(self, x: Floats, other: Floats) -> float:
+        """How far apart two points are for the rows, relative to what these are made of."""
+        return largest_relative(
+            np.array(np.linalg.norm(self.R @ (x - other))),
+            np.array(np.linalg.norm(self.R @ other) + np.linalg.norm(self.s)),
+        )
+
 
 def certify(of: Assembled, point: Point) -> Certificate:
     """The residuals of a program's optimality conditions at a point; no bound on its error yet.

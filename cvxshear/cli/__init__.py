@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cvxshear.cli import frames, studies
+from cvxshear.cli import backends, frames, studies
 from cvxshear.cli.output import typed
 from cvxshear.errors import CvxshearError, NoSolutionError
 
@@ -23,7 +23,7 @@ for command in (
     frames.identify,
     frames.loop,
     frames.modes,
-    frames.backends,
+    backends.backends,
     studies.reproduce,
 ):
     app.command()(command)

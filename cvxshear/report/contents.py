@@ -11,6 +11,7 @@ from importlib import metadata
 import numpy as np
 
 import cvxshear
+from cvxshear.backends import Comparison
 from cvxshear.experiment import Configuration
 from cvxshear.loop import VERDICTS, Closure
 from cvxshear.loop.residual import by_mode
@@ -18,7 +19,6 @@ from cvxshear.loop.results import Found
 from cvxshear.report import effect_size, motion
 from cvxshear.report.loop_terminal import headline
 from cvxshear.report.numbers import percent, probability, scaled, significant, with_std
-from cvxshear.studies.backends import Comparison
 from cvxshear.typing import Json
 
 PACKAGES = (

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from cvxshear.backends import Comparison
 from cvxshear.report.figures.style import COLOURS, MARKERS, PAGE_WIDTH, assorted, logarithmic, new_figure, styled
-from cvxshear.studies.backends import Comparison
 
 SAME = 1e-17
 """Where an answer without any difference is drawn: below what a number of 64 bits can tell."""
