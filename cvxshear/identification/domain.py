@@ -11,7 +11,7 @@ from cvxshear.effects.composition import slices
 from cvxshear.experiment import Experiment
 from cvxshear.identification.gauss_newton import Domain, embedded
 from cvxshear.priors import Constraints
-from cvxshear.programs.feasibility import Statement, refuse_contradictions
+from cvxshear.programs.feasibility import NamedConstraints, refuse_contradictions
 from cvxshear.programs.rows import statements
 from cvxshear.typing import Floats
 
@@ -19,11 +19,13 @@ SMALLEST = 1e-3
 """Of the mean at the start: a smaller mass or stiffness does not count as positive."""
 
 
-def spread(heavy: Sequence[Statement], stiff: Sequence[Statement], n: int, size: int) -> list[Statement]:
+def spread(
+    on_mass: Sequence[NamedConstraints], on_stiffness: Sequence[NamedConstraints], n: int, size: int
+) -> list[NamedConstraints]:
     """Statements about the masses and about the stiffnesses as statements about all parameters."""
     return [
-        Statement(part.name, embedded(part.constraints, at, size))
-        for parts, at in ((heavy, slice(0, n)), (stiff, slice(n, 2 * n)))
+        NamedConstraints(part.name, embedded(part.constraints, at, size))
+        for parts, at in ((on_mass, slice(0, n)), (on_stiffness, slice(n, 2 * n)))
         for part in parts
     ]
 
@@ -45,19 +47,19 @@ def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) 
     """The domain of the parameters of a fit with these effects."""
     n, size = experiment.stories, len(theta)
     mass, stiffness = SMALLEST * theta[:n].mean(), SMALLEST * theta[n : 2 * n].mean()
-    heavy = statements(experiment.priors, "floor_mass", n, experiment.frame, least=mass)
-    stiff = statements(experiment.priors, "story_stiffness", n, least=stiffness)
-    parts = spread(heavy, stiff, n, size)
+    on_mass = statements(experiment.priors, "floor_mass", n, experiment.frame, least=mass)
+    on_stiffness = statements(experiment.priors, "story_stiffness", n, least=stiffness)
+    parts = spread(on_mass, on_stiffness, n, size)
     interval_std = np.full(size, np.inf)
     for placed, own in slices(effects, 2 * n):
         parameters = placed.effect.parameters
         if placed.fixed:
             held = Constraints(A=np.eye(len(parameters)), b=np.array(placed.fixed))
-            parts.append(Statement(f"{placed.label} as assumed", embedded(held, own, size)))
+            parts.append(NamedConstraints(f"{placed.label} as assumed", embedded(held, own, size)))
             continue
         bounds = Constraints(
             lower=np.array([item.lower for item in parameters]), upper=np.array([item.upper for item in parameters])
         )
         interval_std[own] = [(item.upper - item.lower) / np.sqrt(12) for item in parameters]
-        parts.append(Statement(f"bounds of {placed.label}", embedded(bounds, own, size)))
+        parts.append(NamedConstraints(f"bounds of {placed.label}", embedded(bounds, own, size)))
     return Domain(parts, np.where(theta == 0, 1.0, np.abs(theta)), interval_std)

@@ -18,7 +18,7 @@ from cvxshear.errors import InputError, NoSolutionError
 from cvxshear.identification.misfit import Evaluation, Misfit
 from cvxshear.priors import Constraints
 from cvxshear.programs import LeastSquares
-from cvxshear.programs.feasibility import Statement
+from cvxshear.programs.feasibility import NamedConstraints
 from cvxshear.programs.rows import constrained
 from cvxshear.typing import Floats
 
@@ -78,7 +78,7 @@ class Domain:
 
     Parameters
     ----------
-    statements : sequence of Statement
+    statements : sequence of NamedConstraints
         Exact statements about theta.
     scale : ndarray, shape (P,)
         Size of each parameter at the start, to which a change is compared.
@@ -86,7 +86,7 @@ class Domain:
         Standard deviation that a parameter's interval of physical values stands for; infinite where it has none.
     """
 
-    statements: Sequence[Statement]
+    statements: Sequence[NamedConstraints]
     scale: Floats
     interval_std: Floats
 
