@@ -1,5 +1,6 @@
 """Comparing backends: what is said of the programs, times and tolerances, files for others, and limits on time."""
 
+import csv
 import json
 import os
 import subprocess
@@ -249,7 +250,8 @@ def test_exported_for_qpbenchmark_they_have_the_same_answer_and_the_scaled_ones_
         x = backends.get("quadprog" if each.kind[0] != "s" else "clarabel").solve(each.program).x
         value = 0.5 * x @ stated.P @ x + stated.q @ x
         s = each.program.weighted[1]
-        assert 2 * value + s @ s == pytest.approx(each.program.value(x), abs=1e-12 * (x @ stated.P @ x + s @ s))
+        terms = np.abs(x) @ np.abs(stated.P) @ np.abs(x) + s @ s
+        assert 2 * value + s @ s == pytest.approx(each.program.value(x), abs=1e-12 * terms)
         assert np.all((stated.lb is None) | (x >= stated.lb - 1e-6 * np.abs(x).max()))
         scaled = qpsolvers.Problem.load(str(path).replace(".npz", "-scaled.npz"))
         if each.kind != "singular stiffness":
@@ -275,17 +277,14 @@ def test_a_folder_that_cannot_be_made_is_refused(programs, tmp_path):
 
 def test_qpbenchmark_reads_and_runs_the_export(programs, tmp_path):
     pytest.importorskip("qpbenchmark")
-    folder = tmp_path / "programs"
-    export([each for each in programs if each.kind == "bounded mass"], folder)
-    code = (
-        "import sys; sys.path.insert(0, sys.argv[1])\n"
-        "from cvxshear_programs import CvxshearPrograms\n"
-        "import qpbenchmark, numpy as np\n"
-        "names = [problem.name for problem in CvxshearPrograms()]\n"
-        "print(sorted(names), qpbenchmark.__name__)\n"
-    )
-    found = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", code, str(folder / "qpbenchmark")], capture_output=True, text=True,
-        check=True,
+    export([each for each in programs if each.kind == "bounded mass"], tmp_path / "programs")
+    main = "import sys; sys.argv[0] = 'qpbenchmark'; from qpbenchmark.benchmark import main; main()"
+    options = ["--results-path", "results.csv", "cvxshear_programs.py", "run", "--solver", "clarabel", "--author", "me"]
+    subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", main, *options], cwd=tmp_path / "programs" / "qpbenchmark",
+        env={**os.environ, "PYTHONPATH": "."}, capture_output=True, check=True,
     )  # fmt: skip
-    assert "['bounded-mass-1', 'bounded-mass-1-scaled'] qpbenchmark" in found.stdout
+    with (tmp_path / "programs" / "qpbenchmark" / "results.csv").open() as file:
+        found = list(csv.DictReader(file))
+    assert {row["problem"] for row in found} == {"bounded-mass-1", "bounded-mass-1-scaled"}
+    assert all(row["found"] == "True" for row in found if row["settings"] == "default")
