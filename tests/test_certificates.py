@@ -203,6 +203,14 @@ def test_an_answer_beyond_its_accuracy_is_replaced_and_one_within_it_is_left():
         assert certificate.error_bound < 1e-6
 
 
+@pytest.mark.parametrize("name", BOUNDED)
+def test_the_last_step_of_an_iteration_is_rounding_and_no_violation(name):
+    """The data leave a residual that no step takes away, and a bound stands where rounding has put it."""
+    R, s = np.array([[1.0, 0.0], [0.0, 2.0], [0.0, 0.0]]), np.array([0.0, 0.0, 1.0])
+    program = LeastSquares(R, s, lower=np.array([3e-17, -np.inf]), A=np.array([[1.0, 1.0]]), b=np.array([0.0]))
+    np.testing.assert_allclose(backends.get(name).solve(program).x, [0.0, 0.0], atol=1e-9)
+
+
 def test_a_direction_that_nothing_determines_has_no_bound():
     program = LeastSquares(np.array([[1.0, 1.0]]), np.array([1.0]), lower=np.array([-5.0, -5.0]))
     found = backends.get("clarabel").solve(program)

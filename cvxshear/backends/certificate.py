@@ -18,6 +18,10 @@ NEAR_ZERO = 1e-3
 """Part of what an unknown could be, were the whole answer its own, that is added to its size: a bound at zero is kept
 to an accuracy relative to something."""
 
+NEAR_NOTHING = 1e-7
+"""Part of what the right side could make of an unknown that is added too: a step of an iteration that has converged is
+nothing but rounding, a violation of it as well."""
+
 
 @dataclass(frozen=True)
 class Certificate:
@@ -40,7 +44,7 @@ class Certificate:
     All four are of the program as it was handed in, and none changes with the units of unknowns, rows or weights. With
     R and s the weighted rows, the size of an unknown is
 
-    .. math:: X_j = |x_j| + 10^{-3} \sqrt{\textstyle\sum_k |R_k|^2 x_k^2} / |R_j|,
+    .. math:: X_j = |x_j| + (10^{-3} \sqrt{\textstyle\sum_k |R_k|^2 x_k^2} + 10^{-7} |s|) / |R_j|,
 
     and what is set in relation is
 
@@ -141,7 +145,8 @@ class Assembled:
 
     def size(self, x: Floats) -> Floats:
         """Size of each unknown, see `Certificate`."""
-        return np.asarray(np.abs(x) + NEAR_ZERO * np.linalg.norm(self.lengths * x) / self.lengths)
+        reach = NEAR_ZERO * np.linalg.norm(self.lengths * x) + NEAR_NOTHING * np.linalg.norm(self.s)
+        return np.asarray(np.abs(x) + reach / self.lengths)
 
     def magnitude(self, x: Floats) -> float:
         """The sizes of what is added up to R x - s: the columns times the unknowns, and s."""
