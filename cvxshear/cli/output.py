@@ -31,7 +31,7 @@ FigureOut = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")]
 BackendName = Annotated[
-    str, typer.Option("--backend", help="Which solver; 'cvxshear backends FILE' lists them.", metavar="NAME")
+    str, typer.Option("--backend", help="Which solver; 'cvxshear backends' lists them.", metavar="NAME")
 ]
 
 typed: list[str] = []
