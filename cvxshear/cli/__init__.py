@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cvxshear.cli import check, frames, studies
+from cvxshear.cli import backends, check, frames, studies
 from cvxshear.cli import plan as planning
 from cvxshear.cli.output import typed
 from cvxshear.errors import CvxshearError, NoSolutionError
@@ -25,7 +25,7 @@ for command in (
     frames.loop,
     frames.modes,
     check.check,
-    frames.backends,
+    backends.backends,
     planning.plan,
     studies.reproduce,
 ):

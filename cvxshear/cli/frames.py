@@ -1,4 +1,4 @@
-"""The commands for one test of a frame: its modes, its masses and stiffnesses, what the model lacks, the backends."""
+"""The commands for one test of a frame: its modes, its masses and stiffnesses, what the model lacks."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import RenderableType
 
 from cvxshear.cli.output import (
     BackendName,
@@ -26,6 +25,8 @@ from cvxshear.cli.output import (
 from cvxshear.errors import InputError, UnsuitableError
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
+
     from cvxshear import Experiment
     from cvxshear.modal import ModalResult
 
@@ -185,19 +186,3 @@ def modes(
             uff=uff,
         )
     deliver(result.to_dict(), out, lambda: modal_terminal.modes(result))
-
-
-def backends(file: File, figure: FigureOut = None, quiet: Quiet = False, out: JsonOut = None) -> None:
-    """Solve the same programs with every installed backend, and compare them to the closed form.
-
-    Example: cvxshear backends paper
-    """
-    from cvxshear import compare_backends, load
-    from cvxshear.report import terminal
-
-    drawing = figures_for(figure)
-    with progress("comparing backends", quiet):
-        result = compare_backends(load(file))
-    if drawing is not None:
-        drawing.save(drawing.backend_differences(result), figure)
-    deliver(result.to_dict(), out, lambda: terminal.comparison(result))

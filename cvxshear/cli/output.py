@@ -7,14 +7,17 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from types import ModuleType
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console, RenderableType
 
 from cvxshear.errors import InputError
 from cvxshear.report.files import write_whole
-from cvxshear.typing import Json
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from cvxshear.typing import Json
 
 File = Annotated[
     str, typer.Argument(help="A measurement file (TOML), or 'paper' for the built-in example.", metavar="FILE")
@@ -28,7 +31,7 @@ FigureOut = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")]
 BackendName = Annotated[
-    str, typer.Option("--backend", help="Which solver; 'cvxshear backends FILE' lists them.", metavar="NAME")
+    str, typer.Option("--backend", help="Which solver; 'cvxshear backends' lists them.", metavar="NAME")
 ]
 
 typed: list[str] = []
@@ -37,6 +40,8 @@ typed: list[str] = []
 
 def show(parts: Iterable[RenderableType]) -> None:
     """Print tables; plain and unwrapped where the output is not a terminal."""
+    from rich.console import Console
+
     console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=200, no_color=True)
     for part in parts:
         console.print(part)
@@ -78,6 +83,7 @@ def progress(title: str, quiet: bool) -> Iterator[Callable[[int, int], None] | N
     if quiet or not sys.stderr.isatty():
         yield None
         return
+    from rich.console import Console
     from rich.progress import Progress
 
     with Progress(console=Console(stderr=True), transient=True) as bars:

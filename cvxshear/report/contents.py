@@ -11,14 +11,14 @@ from importlib import metadata
 import numpy as np
 
 import cvxshear
+from cvxshear.backends import Comparison
 from cvxshear.experiment import Configuration
 from cvxshear.loop import VERDICTS, Closure
 from cvxshear.loop.residual import by_mode
 from cvxshear.loop.results import Found
 from cvxshear.report import effect_size, motion
 from cvxshear.report.loop_terminal import headline
-from cvxshear.quantities import percent, probability, scaled, significant, with_std
-from cvxshear.studies.backends import Comparison
+from cvxshear.report.numbers import percent, probability, scaled, significant, with_std
 from cvxshear.typing import Json
 
 PACKAGES = (

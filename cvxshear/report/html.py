@@ -5,10 +5,11 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
+from cvxshear.backends import Comparison
 from cvxshear.errors import CvxshearError
+from cvxshear.identification import compare_backends
 from cvxshear.loop import Closure
 from cvxshear.report.files import write_whole
-from cvxshear.studies.backends import Comparison, compare_backends
 
 try:
     from jinja2 import Environment, PackageLoader, StrictUndefined

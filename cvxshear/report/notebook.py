@@ -5,10 +5,10 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING
 
+from cvxshear.backends import Comparison
 from cvxshear.identification import Identification, IdentifiedFrame
 from cvxshear.loop import Closure
-from cvxshear.quantities import percent, scaled, significant, with_std
-from cvxshear.studies.backends import Comparison
+from cvxshear.report.numbers import percent, scaled, significant, with_std
 from cvxshear.typing import Json
 
 if TYPE_CHECKING:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.table import Table
 from rich.text import Text
 
+from cvxshear.backends import Comparison, ListedBackend, ProgramKind
 from cvxshear.experiment import Experiment
 from cvxshear.identification import Identification, IdentifiedFrame, Part
-from cvxshear.quantities import percent, probability, scaled, significant, with_std
-from cvxshear.studies.backends import Comparison
+from cvxshear.report.numbers import percent, probability, scaled, significant, with_std
 
 
 class HouseTable(Table):
@@ -76,26 +76,8 @@ def declared(experiment: Experiment) -> Text:
     return Text("\n".join(lines))
 
 
-RULED_OUT = 1e-3
-"""Probability of a chi-square so large below which the model is said to be ruled out."""
-
-
-def _ruled_out(result: Identification) -> Iterator[RenderableType]:
-    """A word of warning above a fit that its own declared noise rules out."""
-    fit = result.parts[0].fit
-    if result.joint and fit.p_value is not None and fit.p_value < RULED_OUT:
-        yield Text(
-            f"RULED OUT: with the declared noise a shear frame would hardly give these data (chi-square "
-            f"{significant(fit.chi2)} on {fit.dof} degrees of freedom, p = {probability(fit.p_value)}): the masses and "
-            "stiffnesses below are those of a wrong model, and their standard deviations too small. "
-            "'cvxshear loop' on the same file looks for what the model lacks.\n",
-            style="bold red",
-        )
-
-
 def identification(result: Identification, beside: Identification | None = None) -> Iterator[RenderableType]:
     """The tables of an identification, and of another one for comparison."""
-    yield from _ruled_out(result)
     yield declared(result.experiment)
     yield Text(f"\nmethod {result.method}, backend {result.backend}\n")
     for part in result.parts:
@@ -130,29 +112,64 @@ def comparison(result: Comparison) -> Iterator[RenderableType]:
     """The table of a comparison, one block a kind of program."""
     if result.left_out:
         yield Text(f"Without the paper's programs: {result.left_out}\n")
-    for kind in dict.fromkeys(row.kind for row in result.rows):
-        rows = [row for row in result.rows if row.kind == kind]
-        count = f"{rows[0].programs} program{'s' if rows[0].programs > 1 else ''}"
+    for kind in result.kinds:
+        rows = [row for row in result.rows if row.kind == kind.kind]
         table = plain_table(
-            f"{kind} ({count}, against the {rows[0].reference})",
-            "backend", "difference", "primal", "dual", "gap", "iterations", "time / kkt",
+            f"{_programs(kind)}, against the {rows[0].reference}",
+            "backend", "difference", "primal", "dual", "gap", "error", "iterations", "told", "time", "time / kkt",
         )  # fmt: skip
         for row in rows:
             if row.failure:
                 table.add_row(row.backend, Text(_short(row.failure), style="yellow"))
                 continue
+            figures = (row.difference, row.primal_residual, row.dual_residual, row.duality_gap, row.error_bound)
             table.add_row(
                 row.backend,
-                *(
-                    f"{value:.1e}"
-                    for value in (row.difference, row.primal_residual, row.dual_residual, row.duality_gap)
-                    if value is not None
-                ),
+                *("–" if value is None else f"{value:.1e}" for value in figures),
                 "–" if row.iterations is None else str(row.iterations),
+                "–" if row.tolerance is None else f"{row.tolerance:.0e}",
+                "–" if row.seconds is None else f"{significant(1e3 * row.seconds, 3)} ms",
                 significant(row.relative_time, 2),
             )
         yield table
         yield Text("")
+
+
+def _programs(kind: ProgramKind) -> str:
+    """A kind of program and its size in words."""
+    sizes = [
+        counted(number, unit)
+        for number, unit in (
+            (kind.unknowns, "unknown"), (kind.rows, "row"), (kind.equalities, "equality"),
+            (kind.inequalities, "inequality"),
+        )
+    ]  # fmt: skip
+    condition = "singular" if kind.condition is None else f"condition {significant(kind.condition, 2)}"
+    return f"{kind.kind}: {counted(kind.programs, 'program')}, {', '.join(sizes)}, {condition}"
+
+
+def counted(number: int, unit: str) -> str:
+    """A number of things."""
+    plural = f"{unit.removesuffix('y')}ies" if unit.endswith("y") else f"{unit}s"
+    return f"{number} {unit if number == 1 else plural}"
+
+
+def backends(listed: Iterable[ListedBackend]) -> Iterator[RenderableType]:
+    """Which backends are installed, with the version of their solver, and how to get the others."""
+    everything = list(listed)
+    there = plain_table("installed", "backend", "solver", "version", "called by")
+    for each in everything:
+        if each.installed:
+            there.add_row(each.name, each.solver or "this library", each.version or "–", each.through or "–")
+    yield there
+    missing = [each for each in everything if not each.installed]
+    if missing:
+        yield Text("")
+        absent = plain_table("not installed", "backend", "how to get it")
+        absent.columns[1].justify = "left"
+        for each in missing:
+            absent.add_row(each.name, each.how_to_get)
+        yield absent
 
 
 def _short(failure: str) -> str:
