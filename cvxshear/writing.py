@@ -76,8 +76,10 @@ def check_output(path: PathLike, *, endings: Iterable[str] = (), keep: Iterable[
         _check_place(Path(path))
     except OSError as error:
         raise InputError(f"{path} cannot be written: {error.strerror}") from None
+    except InputError:
+        raise
     except ValueError as error:
-        raise InputError(f"{path} cannot be the name of a file: {error}") from None
+        raise InputError(f"{path!r} cannot be the name of a file: {error}") from None
     wanted = tuple(endings)
     if wanted and Path(path).suffix.lower() not in wanted:
         raise InputError(f"{path} must end in {' or '.join(wanted)}")

@@ -42,27 +42,28 @@ def _among_files(*endings: str) -> Callable[[typer.Context, typer.CallbackParam,
                 raise InputError(f"{path} has the ending of another kind of file; JSON is written to a .json")
         except InputError as error:
             raise InputError(f"{name}: {error}") from None
-        written, read = context.meta.setdefault(WRITTEN, {}), context.meta.setdefault(READ, ())
+        written = context.meta.setdefault(WRITTEN, {})
         for other, place in written.items():
             if same_file(path, place):
                 raise InputError(f"{name} and {other} name the same file, {path}")
         written[name] = path
-        _refuse_overlap(written, read)
+        _refuse_overlap(written, context.meta.get(READ, ()))
         return path
 
     return check
 
 
-def _among_inputs(context: typer.Context, file: str) -> str:
-    """Note what a command reads, and refuse to write over it."""
+def _among_inputs(context: typer.Context, files: Any) -> Any:
+    """Note what a command reads, one file or several, and refuse to write over it."""
     if context.resilient_parsing:
-        return file
+        return files
     from cvxshear.formats.toml import files_of
 
-    # What a pipe holds can be read once; a file that is not there is for the command to complain of.
-    context.meta[READ] = files_of(file) if Path(file).is_file() else ()
-    _refuse_overlap(context.meta.setdefault(WRITTEN, {}), context.meta[READ])
-    return file
+    for file in [files] if isinstance(files, str) else files:
+        # What a pipe holds can be read once; a file that is not there is for the command to complain of.
+        context.meta[READ] = (*context.meta.get(READ, ()), *(files_of(file) if Path(file).is_file() else ()))
+    _refuse_overlap(context.meta.get(WRITTEN, {}), context.meta[READ])
+    return files
 
 
 def _refuse_overlap(written: dict[str, str], read: Iterable[Path]) -> None:
@@ -222,7 +223,7 @@ def sound_streams() -> Iterator[None]:
         # Python flushes once more at its end, and would complain there.
         if isinstance(sys.stdout, io.TextIOWrapper):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise OutputError(error) from error
+        raise OutputError(error.strerror) from error
 
 
 def _spelled(error: UnicodeError) -> tuple[str, int]:
