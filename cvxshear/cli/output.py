@@ -28,56 +28,31 @@ File = Annotated[
     ),
 ]
 RecordIn = Annotated[str, typer.Argument(help="A record file (TOML).", metavar="RECORD", callback=input_files)]
+
+
+def _writes(*names: str, what: str, metavar: str = "OUT", endings: Iterable[str] = ()) -> Any:
+    """An option that names a file to write."""
+    return typer.Option(*names, help=what, metavar=metavar, callback=output_file(*endings))
+
+
+FIGURES = (".svg", ".png", ".pdf")
+
 JsonOut = Annotated[
-    str | None,
-    typer.Option(
-        "--json",
-        help="Write the result as JSON to this file, '-' for standard output.",
-        metavar="OUT",
-        callback=output_file(),
-    ),
+    str | None, _writes("--json", what="Write the result as JSON to this file, '-' for standard output.")
 ]
-FigureOut = Annotated[
-    str | None,
-    typer.Option(
-        "--figure",
-        help="Draw into this file: .svg, .png or .pdf.",
-        metavar="OUT",
-        callback=output_file(".svg", ".png", ".pdf"),
-    ),
-]
-BoxesOut = Annotated[
-    str | None,
-    typer.Option(
-        "--boxes",
-        help="Draw box plots (Fig. 5) into this file.",
-        metavar="OUT",
-        callback=output_file(".svg", ".png", ".pdf"),
-    ),
-]
+FigureOut = Annotated[str | None, _writes("--figure", what="Draw into this file: .svg, .png or .pdf.", endings=FIGURES)]
+BoxesOut = Annotated[str | None, _writes("--boxes", what="Draw box plots (Fig. 5) into this file.", endings=FIGURES)]
 ReportOut = Annotated[
     str | None,
-    typer.Option(
-        "--report",
-        help="Write a report, one HTML file.",
-        metavar="OUT.html",
-        callback=output_file(".html", ".htm"),
-    ),
+    _writes("--report", what="Write a report, one HTML file.", metavar="OUT.html", endings=(".html", ".htm")),
 ]
 MeasurementOut = Annotated[
     str | None,
-    typer.Option(
-        "--output", "-o", help="Write a measurement file here.", metavar="TOML", callback=output_file(".toml")
-    ),
+    _writes("--output", "-o", what="Write a measurement file here.", metavar="TOML", endings=(".toml",)),
 ]
 UniversalOut = Annotated[
     str | None,
-    typer.Option(
-        "--uff",
-        help="Write the modes as a universal file here.",
-        metavar="UFF",
-        callback=output_file(".uff", ".unv", ".u55"),
-    ),
+    _writes("--uff", what="Write the modes as a universal file here.", metavar="UFF", endings=(".uff", ".unv", ".u55")),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")]
 BackendName = Annotated[
