@@ -169,6 +169,13 @@ def test_modes_to_a_universal_file_and_back(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["modes.uff"]
 
 
+def test_a_name_does_not_end_a_data_set(tmp_path):
+    pytest.importorskip("pyuff")
+    given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]], name="a\n    -1\n    -1\n    58\nb\x00ä" * 9)
+    write_uff(tmp_path / "modes.uff", given)
+    np.testing.assert_allclose(read_modes(tmp_path / "modes.uff")[0], [3.0, 9.0], rtol=1e-5)
+
+
 def test_what_is_no_universal_file(tmp_path):
     pytest.importorskip("pyuff")
     (tmp_path / "a.uff").write_text("nothing\n")
