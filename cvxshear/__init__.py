@@ -9,7 +9,15 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from cvxshear.errors import CvxshearError, InfeasibleError, InputError, NoSolutionError, UnsuitableError
+from cvxshear.errors import (
+    CvxshearError,
+    InfeasibleError,
+    InputError,
+    LostProcessError,
+    NoModesError,
+    NoSolutionError,
+    UnsuitableError,
+)
 
 if TYPE_CHECKING:
     from cvxshear import backends, effects, priors
@@ -33,6 +41,9 @@ __all__ = [
     "Identification",
     "InfeasibleError",
     "InputError",
+    "LostProcessError",
+    "NoModesError",
+    "LostProcessError",
     "NoSolutionError",
     "Prior",
     "UnsuitableError",

@@ -68,6 +68,14 @@ def test_a_name_that_does_not_exist_is_an_attribute_error():
         cvxshear.identfy  # noqa: B018
 
 
+def test_every_public_name_is_there_when_asked_for():
+    for name in cvxshear.__all__:
+        assert getattr(cvxshear, name) is not None
+    assert set(cvxshear.__all__) <= set(dir(cvxshear))
+    with pytest.raises(AttributeError, match="no attribute 'identfy'"):
+        _ = cvxshear.identfy
+
+
 def test_importing_cvxshear_changes_no_numpy_setting():
     modules = subprocess.run(
         [sys.executable, "-c", "import numpy; a = numpy.geterr(); import cvxshear; print(a == numpy.geterr())"],

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -15,7 +14,11 @@ from cvxshear.cli.output import (
     FigureOut,
     File,
     JsonOut,
+    MeasurementOut,
     Quiet,
+    RecordIn,
+    ReportOut,
+    UniversalOut,
     deliver,
     figures_for,
     names,
@@ -71,10 +74,11 @@ def identify(
     if method is None and named == "efficient" and out != "-":
         with suppress(UnsuitableError):
             beside = run(experiment, method="two-stage", backend=backend)
-    if drawing is not None:
-        drawing.save(drawing.frame(result), figure)
     said = {**result.to_dict(), "warnings": [item.to_dict() for item in doubts]}
-    deliver(said, out, lambda: [*screening_terminal.warnings(doubts), *terminal.identification(result, beside)])
+    files = [] if drawing is None else [lambda: drawing.save(drawing.frame(result), figure)]
+    deliver(
+        said, out, lambda: [*screening_terminal.warnings(doubts), *terminal.identification(result, beside)], *files
+    )
 
 
 def _numbers(text: str | None) -> list[float] | None:
@@ -99,9 +103,7 @@ def loop(
     ] = None,
     backend: BackendName = "auto",
     jobs: Annotated[int, typer.Option(help="Processes that fit candidates; -1 takes every core.")] = 1,
-    report: Annotated[
-        str | None, typer.Option("--report", help="Write a report, one HTML file.", metavar="OUT.html")
-    ] = None,
+    report: ReportOut = None,
     figure: FigureOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
@@ -124,27 +126,30 @@ def loop(
     said = {**result.to_dict(), "warnings": [item.to_dict() for item in doubts]}
     if found is not None:
         said["modes"] = found.to_dict()
+    files: list[Callable[[], None]] = []
     if report is not None:
-        write_report(result, report, shlex.join(["cvxshear", *typed]))
+        files.append(lambda: write_report(result, report, shlex.join(["cvxshear", *typed])))
     if drawing is not None:
-        drawing.save(drawing.residual(result), figure)
+        files.append(lambda: drawing.save(drawing.residual(result), figure))
     deliver(
         said,
         out,
         lambda: [*_modes_of(found), *screening_terminal.warnings(doubts), *loop_terminal.closure(result)],
+        *files,
     )
 
 
 def measured(file: str, *, accept_swapped: bool = False) -> tuple[Experiment, ModalResult | None]:
     """The experiment of a measurement file, or of the record that a record file names, with its modes."""
     from cvxshear import Experiment, load
+    from cvxshear.formats.modes import modes_from_file
+    from cvxshear.formats.reading import named_after
     from cvxshear.formats.toml import is_record_file
-    from cvxshear.modal import run
 
     if not is_record_file(file):
         return load(file), None
-    found, declared = run(file, accept_swapped=accept_swapped)
-    return Experiment.from_dict(declared, name=Path(file).stem), found
+    found, declared = modes_from_file(file, accept_swapped=accept_swapped)
+    return Experiment.from_dict(declared, name=named_after(file)), found
 
 
 def _modes_of(found: ModalResult | None) -> Iterable[RenderableType]:
@@ -154,11 +159,9 @@ def _modes_of(found: ModalResult | None) -> Iterable[RenderableType]:
 
 
 def modes(
-    record: Annotated[str, typer.Argument(help="A record file (TOML).", metavar="RECORD")],
-    output: Annotated[
-        str | None, typer.Option("--output", "-o", help="Write a measurement file here.", metavar="TOML")
-    ] = None,
-    uff: Annotated[str | None, typer.Option(help="Write the modes as a universal file here.", metavar="UFF")] = None,
+    record: RecordIn,
+    output: MeasurementOut = None,
+    uff: UniversalOut = None,
     method: Annotated[
         str | None, typer.Option(help="era, okid, subspace or ssi; what suits the record where none is named.")
     ] = None,
@@ -172,17 +175,19 @@ def modes(
 
     Example: cvxshear modes record.toml -o test.toml
     """
-    from cvxshear.modal import run
+    from cvxshear.formats.modes import modes_from_file, write_modes
+    from cvxshear.formats.uff import write_uff
     from cvxshear.report import modal_terminal
 
     with progress("identifying modes", quiet):
-        result, _ = run(
-            record,
-            method=method,
-            count=count,
-            correct_clocks=correct_clocks,
-            accept_swapped=accept_swapped,
-            output=output,
-            uff=uff,
+        result, declared = modes_from_file(
+            record, method=method, count=count, correct_clocks=correct_clocks, accept_swapped=accept_swapped
         )
-    deliver(result.to_dict(), out, lambda: modal_terminal.modes(result))
+    files: list[Callable[[], None]] = []
+    if output is not None:
+        frame, priors, (state,) = declared["frame"], declared.get("prior", ()), declared["configuration"]
+        files.append(lambda: write_modes(output, result, frame, priors=priors, added_mass=state.get("added_mass")))
+    if uff is not None:
+        files.append(lambda: write_uff(uff, result))
+    deliver(result.to_dict(), out, lambda: modal_terminal.modes(result), *files)
+

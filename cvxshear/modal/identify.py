@@ -102,6 +102,15 @@ def identify_modes(
         Where no mode of the frame was found.
     """
     options = Options(method, estimator, blocks, criteria or Criteria(), count, rule, accept_swapped, seed)
+    try:
+        return _with_clocks(record, options, correct_clocks=correct_clocks)
+    except np.linalg.LinAlgError as error:
+        # Records that no frame made, a channel twice or a constant, have no decomposition somewhere.
+        reason = f"the record determines no model ({error}); is one channel a copy of another, or constant?"
+        raise NoSolutionError(options.method or default_method(record), reason) from error
+
+
+def _with_clocks(record: Record, options: Options, *, correct_clocks: bool) -> ModalResult:
     result = _identified(record, options)
     if not correct_clocks or not any(finding.kind == "clock offset" for finding in result.findings):
         return result

@@ -18,7 +18,7 @@ from cvxshear.loop.residual import by_mode
 from cvxshear.loop.results import Found
 from cvxshear.report import effect_size, motion
 from cvxshear.report.loop_terminal import headline
-from cvxshear.report.numbers import percent, probability, scaled, significant, with_std
+from cvxshear.quantities import percent, probability, scaled, significant, with_std
 from cvxshear.typing import Json
 
 PACKAGES = (

@@ -9,7 +9,7 @@ from cvxshear.backends import Comparison
 from cvxshear.errors import CvxshearError
 from cvxshear.identification import compare_backends
 from cvxshear.loop import Closure
-from cvxshear.report.files import write_whole
+from cvxshear.writing import write_file
 
 try:
     from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -43,7 +43,7 @@ def write_report(result: Closure, path: str | Path, command: str, comparison: Co
     InputError
         Where the file cannot be written.
     """
-    write_whole(path, render(result, command, comparison))
+    write_file(path, render(result, command, comparison))
 
 
 def render(result: Closure, command: str, comparison: Comparison | None = None) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from cvxshear.backends import Comparison
 from cvxshear.identification import Identification, IdentifiedFrame
 from cvxshear.loop import Closure
-from cvxshear.report.numbers import percent, scaled, significant, with_std
+from cvxshear.quantities import percent, scaled, significant, with_std
 from cvxshear.typing import Json
 
 if TYPE_CHECKING:

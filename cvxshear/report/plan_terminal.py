@@ -11,7 +11,7 @@ from rich.text import Text
 
 from cvxshear.planning.apart import SUFFICES
 from cvxshear.planning.results import Outlook, Plan
-from cvxshear.report.numbers import percent, scaled, significant
+from cvxshear.quantities import percent, scaled, significant
 from cvxshear.report.terminal import plain_table
 from cvxshear.typing import Floats
 
