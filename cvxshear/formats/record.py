@@ -44,7 +44,7 @@ RECORD_KEYS = (
 )
 CHANNEL_KEYS = ("column", "floor", "axis", "sign", "calibration", "quantity")
 RUN_KEYS = ("file", "name", "input_floor")
-PASSED_ON = ("frame", "prior", "added_mass")
+PASSED_ON = ("frame", "prior", "added_mass", "state")
 TIME_NAMES = ("time", "time_s", "t", "t_s", "Time", "TIME", "seconds")
 FREQUENCY_NAMES = ("frequency", "frequency_hz", "freq", "f", "f_hz", "Frequency", "hz")
 
@@ -274,7 +274,7 @@ def _rate(declared: Mapping[str, Any], columns: Columns) -> float:
                 f"record: give sampling_rate, in Hz, or time, the name of the time column of {columns.source}"
             )
         return said
-    rate = sampling_rate_of(columns.column(name, "record: time"), columns, name)
+    rate = sampling_rate_of(columns.column(name, "record: time"), columns, name, said)
     if said is not None:
         if abs(rate - said) > 0.01 * said:
             raise InputError(
