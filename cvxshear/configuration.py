@@ -67,6 +67,8 @@ class Configuration:
         "additive": std times the mode's largest entry; "multiplicative": std times the entry itself.
     damping_ratios : float or array_like, shape (m,), optional
         Fraction of critical; reported, not fitted.
+    state : str, optional
+        The state that was tested; the name where empty.
 
     Raises
     ------
@@ -85,9 +87,11 @@ class Configuration:
     mode_shape_std: Floats | None = None
     mode_shape_noise: str = "additive"
     damping_ratios: Floats | None = None
+    state: str = ""
 
     def __post_init__(self) -> None:
         checks.text(self.name, "configuration: name")
+        self._put("state", checks.text(self.state, self._at("state")) if self.state != "" else self.name)
         self._check_modes()
         self._check_shapes()
         self._check_noise()

@@ -41,6 +41,8 @@ class Frame:
         kg, known, without added mass.
     gravity : float, optional
         m/s2.
+    reference : str, optional
+        The state that is the frame itself.
 
     Raises
     ------
@@ -53,6 +55,7 @@ class Frame:
     total_mass: float | None = None
     floor_masses: Floats | None = None
     gravity: float = 9.81
+    reference: str | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -71,6 +74,8 @@ class Frame:
                     f"{self.total_mass:g} kg; give one of the two, or values that agree"
                 )
         put(self, "gravity", checks.number(self.gravity, "frame: gravity", above=0.0))
+        if self.reference is not None:
+            checks.text(self.reference, "frame: reference")
 
     def _checked_heights(self, heights: object) -> Floats:
         """One height a story; a single number, for all stories, stays one until their number is known."""
