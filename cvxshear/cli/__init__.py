@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cvxshear.cli import frames, studies
+from cvxshear.cli import frames, records, studies
 from cvxshear.cli.output import typed
 from cvxshear.errors import CvxshearError, NoSolutionError
 
@@ -22,7 +22,7 @@ study = typer.Typer(help="Many identifications at once.", no_args_is_help=True)
 for command in (
     frames.identify,
     frames.loop,
-    frames.modes,
+    records.modes,
     frames.backends,
     studies.reproduce,
 ):

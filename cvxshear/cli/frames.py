@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable
 from contextlib import suppress
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
-from rich.console import RenderableType
 
 from cvxshear.cli.output import (
     BackendName,
@@ -20,14 +17,12 @@ from cvxshear.cli.output import (
     deliver,
     figures_for,
     names,
+    numbers,
     progress,
     typed,
 )
-from cvxshear.errors import InputError, UnsuitableError
-
-if TYPE_CHECKING:
-    from cvxshear import Experiment
-    from cvxshear.modal import ModalResult
+from cvxshear.cli.records import measured, records_in_json, tables_of
+from cvxshear.errors import UnsuitableError
 
 
 def identify(
@@ -59,7 +54,7 @@ def identify(
     from cvxshear.report import terminal
 
     drawing = figures_for(figure)
-    experiment, start = load(file), _numbers(initial_mass)
+    experiment, start = load(file), numbers(initial_mass, "--initial-mass")
     named = method or ("efficient" if start is None else "two-stage")
     result = run(
         experiment, method=named, backend=backend, initial_mass=start, tolerance=tolerance, accelerate=accelerate
@@ -73,20 +68,15 @@ def identify(
     deliver(result.to_dict(), out, lambda: terminal.identification(result, beside))
 
 
-def _numbers(text: str | None) -> list[float] | None:
-    """The numbers of a comma-separated option."""
-    if text is None:
-        return None
-    try:
-        return [float(part) for part in text.split(",")]
-    except ValueError:
-        raise InputError(
-            f"--initial-mass must be numbers with commas between, such as 9.5,7.5,5.5, not {text!r}"
-        ) from None
-
-
 def loop(
-    file: File,
+    files: Annotated[
+        list[str],
+        typer.Argument(
+            help="A measurement file (TOML), 'paper' for the built-in example, or record files, patterns such as "
+            "'*.toml' among them.",
+            metavar="FILE...",
+        ),
+    ],
     effects: Annotated[
         str | None, typer.Option(help="Which effects to look for, commas between; all where not given.")
     ] = None,
@@ -113,67 +103,14 @@ def loop(
     if report is not None:
         from cvxshear.report.html import write_report
     with progress("closing the loop", quiet):
-        experiment, found = _measured(file)
+        experiment, found = measured(files, jobs=jobs)
         result = close_loop(experiment, effects=names(effects), assume=names(assume) or (), backend=backend, jobs=jobs)
-    said = result.to_dict() if found is None else {**result.to_dict(), "modes": found.to_dict()}
+    said = {**result.to_dict(), **records_in_json(found)}
     if report is not None:
         write_report(result, report, shlex.join(["cvxshear", *typed]))
     if drawing is not None:
         drawing.save(drawing.residual(result), figure)
-    deliver(said, out, lambda: [*_modes_of(found), *loop_terminal.closure(result)])
-
-
-def _measured(file: str) -> tuple[Experiment, ModalResult | None]:
-    """The experiment of a measurement file, or of the record that a record file names, with its modes."""
-    from cvxshear import Experiment, load
-    from cvxshear.formats.toml import is_record_file
-    from cvxshear.modal import run
-
-    if not is_record_file(file):
-        return load(file), None
-    found, declared = run(file)
-    return Experiment.from_dict(declared, name=Path(file).stem), found
-
-
-def _modes_of(found: ModalResult | None) -> Iterable[RenderableType]:
-    from cvxshear.report import modal_terminal
-
-    return () if found is None else (*modal_terminal.modes(found), "")
-
-
-def modes(
-    record: Annotated[str, typer.Argument(help="A record file (TOML).", metavar="RECORD")],
-    output: Annotated[
-        str | None, typer.Option("--output", "-o", help="Write a measurement file here.", metavar="TOML")
-    ] = None,
-    uff: Annotated[str | None, typer.Option(help="Write the modes as a universal file here.", metavar="UFF")] = None,
-    method: Annotated[
-        str | None, typer.Option(help="era, okid, subspace or ssi; what suits the record where none is named.")
-    ] = None,
-    count: Annotated[int | None, typer.Option(help="How many modes; as many as stories where not given.")] = None,
-    correct_clocks: Annotated[bool, typer.Option(help="Take clock offsets between the channels out.")] = False,
-    accept_swapped: Annotated[bool, typer.Option(help="Go on where two channels look swapped.")] = False,
-    quiet: Quiet = False,
-    out: JsonOut = None,
-) -> None:
-    """Identify natural frequencies, damping and mode shapes from a record.
-
-    Example: cvxshear modes record.toml -o test.toml
-    """
-    from cvxshear.modal import run
-    from cvxshear.report import modal_terminal
-
-    with progress("identifying modes", quiet):
-        result, _ = run(
-            record,
-            method=method,
-            count=count,
-            correct_clocks=correct_clocks,
-            accept_swapped=accept_swapped,
-            output=output,
-            uff=uff,
-        )
-    deliver(result.to_dict(), out, lambda: modal_terminal.modes(result))
+    deliver(said, out, lambda: [*tables_of(found), *loop_terminal.closure(result)])
 
 
 def backends(file: File, figure: FigureOut = None, quiet: Quiet = False, out: JsonOut = None) -> None:

@@ -88,3 +88,13 @@ def progress(title: str, quiet: bool) -> Iterator[Callable[[int, int], None] | N
 def names(text: str | None) -> list[str] | None:
     """The names of a comma-separated option."""
     return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
+
+
+def numbers(text: str | None, option: str) -> list[float] | None:
+    """The numbers of a comma-separated option."""
+    if text is None:
+        return None
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise InputError(f"{option} must be numbers with commas between, such as 9.5,7.5,5.5, not {text!r}") from None

@@ -100,20 +100,21 @@ def sampling_rate_of(time: Floats, columns: Columns, name: str, declared: float 
     if step > 0 and not odd.size:
         return float((len(time) - 1) / (time[-1] - time[0]))
     rounded = rate_within_rounding(time, declared)
-    if rounded is not None:
-        return rounded
-    if step <= 0 or odd.size > COARSE * len(steps):
-        _refuse_coarse(time, step, columns, name)
-    _refuse_uneven(steps, step, odd, columns, name)
+    if rounded is None:
+        if step <= 0 or odd.size > COARSE * len(steps):
+            _refuse_coarse(time, step, columns, name)
+        _refuse_uneven(steps, step, odd, columns, name)
+    return rounded
 
 
 def _refuse_coarse(time: Floats, step: float, columns: Columns, name: str) -> None:
     """Refuse stamps that repeat because they are rounded to more than a sample, where they do."""
     rounding = rounding_of(time)
-    if bool(np.any(np.isclose(step, (0.0, rounding), atol=1e-9))) and time[-1] > time[0] and np.all(np.diff(time) >= 0):
+    repeats = bool(np.any(np.isclose(step, (0.0, rounding), atol=1e-9))) and bool(np.all(np.diff(time) >= 0))
+    if repeats and time[-1] > time[0]:
         raise InputError(
-            f'{columns.source}: column "{name}" is rounded to {rounding:g} s, more than a sample, so that stamps repeat; '
-            "give record: sampling_rate, in Hz"
+            f'{columns.source}: column "{name}" is rounded to {rounding:g} s, more than a sample, so that stamps '
+            "repeat; give record: sampling_rate, in Hz"
         )
     if step <= 0:
         raise InputError(f'{columns.source}: column "{name}" must ascend; its median step is {step:g} s')

@@ -41,6 +41,7 @@ RECORD_KEYS = (
     "band",
     "exponential_window",
     "truncated",
+    "pick",
 )
 CHANNEL_KEYS = ("column", "floor", "axis", "sign", "calibration", "quantity")
 RUN_KEYS = ("file", "name", "input_floor")
@@ -74,12 +75,18 @@ class RecordFile:
         The tables `[[prior]]`, for the measurement file.
     added_mass : list of float, optional
         kg on each floor during the record.
+    state : str, optional
+        The state of the frame that was tested; records of one state share it.
+    pick : list of float, optional
+        Hz; frequencies of the modes, chosen by hand.
     """
 
     record: Record
     frame: Mapping[str, object] = field(default_factory=dict)
     priors: Sequence[Mapping[str, object]] = ()
     added_mass: Sequence[float] | None = None
+    state: str | None = None
+    pick: Sequence[float] | None = None
 
 
 def read_record(path: str | Path) -> RecordFile:
@@ -114,7 +121,15 @@ def read_record(path: str | Path) -> RecordFile:
     added = table.get("added_mass")
     if added is not None:
         added = checks.vector(added, f"{path}: added_mass", least=0.0).tolist()
-    return RecordFile(record, frame, priors, added)
+    state, picked = table.get("state"), table["record"].get("pick")
+    return RecordFile(
+        record,
+        frame,
+        priors,
+        added,
+        None if state is None else checks.text(state, f"{path}: state"),
+        None if picked is None else checks.vector(picked, f"{path}: record: pick", above=0.0).tolist(),
+    )
 
 
 def _record(table: Mapping[str, Any], path: Path, lines: list[int]) -> Record:

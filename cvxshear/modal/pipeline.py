@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,7 @@ def run(
     rule: str = "magnitude",
     correct_clocks: bool = False,
     accept_swapped: bool = False,
+    pick: Sequence[float] | None = None,
     output: str | Path | None = None,
     uff: str | Path | None = None,
 ) -> tuple[ModalResult, Json]:
@@ -36,6 +38,8 @@ def run(
         The record file (TOML).
     method, estimator, blocks, count, rule, correct_clocks, accept_swapped
         As for `identify_modes`.
+    pick : sequence of float, optional
+        The same, in place of the record file's own list.
     output : str or Path, optional
         Where to write the measurement file.
     uff : str or Path, optional
@@ -68,11 +72,13 @@ def run(
         rule=rule,
         correct_clocks=correct_clocks,
         accept_swapped=accept_swapped,
+        pick=source.pick if pick is None else pick,
     )
     result = _with_scale_finding(result, source)
-    declared = result.to_experiment(source.frame, priors=source.priors, added_mass=source.added_mass)
+    frame, priors, added_mass, state = source.frame, source.priors, source.added_mass, source.state
+    declared = result.to_experiment(frame, priors=priors, added_mass=added_mass, state=state)
     if output is not None:
-        result.write(output, source.frame, priors=source.priors, added_mass=source.added_mass)
+        result.write(output, frame, priors=priors, added_mass=added_mass, state=state)
     if uff is not None:
         write_uff(uff, result)
     return result, declared

@@ -12,6 +12,7 @@ from scipy.optimize import nnls
 from cvxshear.experiment import Experiment
 from cvxshear.formats.measurement import write_measurement
 from cvxshear.modal.findings import Finding
+from cvxshear.modal.functions import Functions
 from cvxshear.modal.picking import Sweep
 from cvxshear.modal.record import Complexes
 from cvxshear.typing import Floats, Ints, Json
@@ -68,6 +69,8 @@ class ModalResult:
     findings : tuple of Finding
     sweep : Sweep, optional
         For the stabilization diagram.
+    functions : Functions, optional
+        What the record shows over frequency, for the figures.
     """
 
     name: str
@@ -91,6 +94,7 @@ class ModalResult:
     uncertainty: str
     findings: tuple[Finding, ...] = ()
     sweep: Sweep | None = None
+    functions: Functions | None = None
 
     def to_dict(self) -> Json:
         """The result as plain values."""
@@ -117,9 +121,11 @@ class ModalResult:
             "findings": [finding.to_dict() for finding in self.findings],
         }
 
-    def configuration(self, *, added_mass: Sequence[float] | None = None) -> Json:
+    def configuration(self, *, added_mass: Sequence[float] | None = None, state: str | None = None) -> Json:
         """The table `[[configuration]]` of a measurement file that these modes make."""
         result: Json = {"name": self.name}
+        if state is not None:
+            result["state"] = state
         if added_mass is not None:
             result["added_mass"] = [float(mass) for mass in added_mass]
         result |= {
@@ -141,6 +147,7 @@ class ModalResult:
         *,
         priors: Sequence[Mapping[str, object]] = (),
         added_mass: Sequence[float] | None = None,
+        state: str | None = None,
     ) -> Json:
         """A dict of the measurement file's shape, for `Experiment.from_dict`.
 
@@ -152,6 +159,8 @@ class ModalResult:
             The tables `[[prior]]`.
         added_mass : sequence of float, shape (N,), optional
             kg on each floor during the record.
+        state : str, optional
+            The state of the frame that was tested.
 
         Returns
         -------
@@ -169,7 +178,7 @@ class ModalResult:
         result: Json = {"frame": table}
         if priors:
             result["prior"] = [dict(prior) for prior in priors]
-        result["configuration"] = [self.configuration(added_mass=added_mass)]
+        result["configuration"] = [self.configuration(added_mass=added_mass, state=state)]
         return result
 
     def needs_mass(self, frame: Mapping[str, object], priors: Sequence[Mapping[str, object]]) -> bool:
@@ -187,13 +196,14 @@ class ModalResult:
         *,
         priors: Sequence[Mapping[str, object]] = (),
         added_mass: Sequence[float] | None = None,
+        state: str | None = None,
     ) -> None:
         """Write the measurement file, the findings as comments at its head.
 
         Parameters
         ----------
         path : str or Path
-        frame, priors, added_mass
+        frame, priors, added_mass, state
             As for `to_experiment`.
 
         Raises
@@ -201,7 +211,7 @@ class ModalResult:
         InputError
             Where the modes do not make a measurement that `cvxshear.load` would take; nothing is written.
         """
-        declared = self.to_experiment(frame, priors=priors, added_mass=added_mass)
+        declared = self.to_experiment(frame, priors=priors, added_mass=added_mass, state=state)
         Experiment.from_dict(declared, name=self.name)
         comments = [f"Modes of {self.name} by {self.method}; standard deviations: {self.uncertainty}"]
         if self.needs_mass(frame or {}, priors) and not any(finding.kind == "scale" for finding in self.findings):

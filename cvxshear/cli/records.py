@@ -1,0 +1,162 @@
+"""The command that turns records into modes, and what other commands need where records are handed to them."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import RenderableType
+
+from cvxshear.cli.output import JsonOut, Quiet, deliver, numbers, progress
+from cvxshear.errors import CvxshearError, InputError
+from cvxshear.typing import Json
+
+if TYPE_CHECKING:
+    from cvxshear import Experiment
+    from cvxshear.campaign import Tested
+
+
+def modes(
+    records: Annotated[
+        list[str], typer.Argument(help="Record files (TOML), or patterns such as 'day-1/*.toml'.", metavar="RECORD...")
+    ],
+    output: Annotated[
+        str | None,
+        typer.Option("--output", "-o", help="Write a measurement file here, a configuration each.", metavar="TOML"),
+    ] = None,
+    uff: Annotated[str | None, typer.Option(help="Write the modes as a universal file here.", metavar="UFF")] = None,
+    method: Annotated[
+        str | None, typer.Option(help="era, okid, subspace or ssi; what suits the record where none is named.")
+    ] = None,
+    count: Annotated[int | None, typer.Option(help="How many modes; as many as stories where not given.")] = None,
+    pick: Annotated[
+        str | None,
+        typer.Option(help="Take the stable poles nearest to these frequencies, Hz.", metavar="3.68,11.1,..."),
+    ] = None,
+    correct_clocks: Annotated[bool, typer.Option(help="Take clock offsets between the channels out.")] = False,
+    accept_swapped: Annotated[bool, typer.Option(help="Go on where two channels look swapped.")] = False,
+    jobs: Annotated[int, typer.Option(help="Processes that identify records; -1 takes every core.")] = 1,
+    quiet: Quiet = False,
+    out: JsonOut = None,
+) -> None:
+    """Identify natural frequencies, damping and mode shapes from records.
+
+    Of several records, one that fails does not keep the others from being written.
+
+    Example: cvxshear modes bare.toml loaded.toml -o test.toml
+    """
+    from cvxshear.campaign import identify_modes_many, write_merged
+
+    files = _files(records, [output])
+    options = {
+        "method": method,
+        "count": count,
+        "correct_clocks": correct_clocks,
+        "accept_swapped": accept_swapped,
+        "pick": numbers(pick, "--pick"),
+    }
+    with progress("identifying modes", quiet) as advance:
+        found = identify_modes_many(files, jobs=jobs, progress=advance, **options)
+    tests = _kept(found)
+    errors = [error for error in found if isinstance(error, CvxshearError)]
+    for error in errors:
+        sys.stderr.write(f"cvxshear: {error}\n")
+    if output is not None and tests:
+        write_merged(output, tests)
+    if uff is not None and tests:
+        _write_uff(uff, tests)
+    if tests:
+        deliver(_said(files, found), out, lambda: tables_of(tests))
+    if errors:
+        raise typer.Exit(2 if any(isinstance(error, InputError) for error in errors) else 1)
+
+
+def measured(names: Sequence[str], *, jobs: int = 1) -> tuple[Experiment, list[Tested]]:
+    """The experiment of a measurement file, or that of record files with the modes found in each.
+
+    Raises
+    ------
+    InputError
+        Where several files are named and one is a measurement, or a record cannot be used.
+    NoSolutionError
+        Where no mode was found in a record.
+    """
+    from cvxshear import Experiment, load
+    from cvxshear.campaign import identify_modes_many, merged
+    from cvxshear.formats.toml import is_record_file
+
+    files = ["paper"] if list(names) == ["paper"] else _files(names, [])
+    if len(files) == 1 and not is_record_file(files[0]):
+        return load(files[0]), []
+    for file in files:
+        if not is_record_file(file):
+            raise InputError(f"{file} is no record file; hand in either records or one measurement file")
+    tests = []
+    for test in identify_modes_many(files, jobs=jobs):
+        if isinstance(test, CvxshearError):
+            raise test
+        tests.append(test)
+    return Experiment.from_dict(merged(tests), name=Path(files[0]).stem), tests
+
+
+def tables_of(tests: Sequence[Tested]) -> Iterable[RenderableType]:
+    """The modes of each record."""
+    from cvxshear.campaign.merge import UNKNOWN_SCALE, scale_unknown
+    from cvxshear.report import modal_terminal
+
+    for test in tests:
+        yield from modal_terminal.modes(test.modes)
+        yield ""
+    if tests and scale_unknown(tests):
+        yield f"scale: {UNKNOWN_SCALE}"
+
+
+def records_in_json(tests: Sequence[Tested]) -> Json:
+    """What the modes of the records add to a result's JSON."""
+    if not tests:
+        return {}
+    return {"modes": tests[0].modes.to_dict()} if len(tests) == 1 else {"records": [_record(test) for test in tests]}
+
+
+def _files(names: Sequence[str], written: Sequence[str | None]) -> list[str]:
+    from cvxshear.campaign import record_files
+
+    files, left_out = record_files(names)
+    for unread in left_out:
+        sys.stderr.write(f"cvxshear: {unread} is left out: it has no table [record]\n")
+    for path in written:
+        if path is not None and Path(path) in files:
+            raise InputError(f"{path} is to be read and to be written; name another file to write")
+    return [str(file) for file in files]
+
+
+def _kept(found: Sequence[Tested | CvxshearError]) -> list[Tested]:
+    return [test for test in found if not isinstance(test, CvxshearError)]
+
+
+def _record(test: Tested) -> Json:
+    return {"file": test.file, **test.modes.to_dict()}
+
+
+def _said(files: Sequence[str], found: Sequence[Tested | CvxshearError]) -> Json:
+    """One record's result by itself; several in a list, with what failed."""
+    tests = _kept(found)
+    if len(files) == 1:
+        return tests[0].modes.to_dict()
+    failed = [
+        {"file": file, "reason": str(error)}
+        for file, error in zip(files, found, strict=True)
+        if isinstance(error, CvxshearError)
+    ]
+    return {"records": [_record(test) for test in tests], "failed": failed}
+
+
+def _write_uff(path: str, tests: Sequence[Tested]) -> None:
+    from cvxshear.formats.uff import write_uff
+
+    if len(tests) > 1:
+        raise InputError("--uff holds the modes of one record; identify the records one by one for it")
+    write_uff(path, tests[0].modes)
