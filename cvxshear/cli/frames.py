@@ -21,6 +21,7 @@ from cvxshear.cli.output import (
     progress,
     typed,
 )
+from cvxshear.cli.pictures import FiguresOut, Pictures
 from cvxshear.cli.records import measured, records_in_json, tables_of
 from cvxshear.errors import UnsuitableError
 
@@ -39,7 +40,7 @@ def identify(
     accelerate: Annotated[
         bool, typer.Option("--accelerate", help="Reach the end of the mass iteration in a few steps (two-stage).")
     ] = False,
-    figure: FigureOut = None,
+    figure: FiguresOut = None,
     out: JsonOut = None,
 ) -> None:
     """Identify floor masses and story stiffnesses.
@@ -53,7 +54,7 @@ def identify(
     from cvxshear import load
     from cvxshear.report import terminal
 
-    drawing = figures_for(figure)
+    pictures = Pictures(figure, "identification")
     experiment, start = load(file), numbers(initial_mass, "--initial-mass")
     named = method or ("efficient" if start is None else "two-stage")
     result = run(
@@ -63,8 +64,7 @@ def identify(
     if method is None and named == "efficient" and out != "-":
         with suppress(UnsuitableError):
             beside = run(experiment, method="two-stage", backend=backend)
-    if drawing is not None:
-        drawing.save(drawing.frame(result), figure)
+    pictures.draw(result)
     deliver(result.to_dict(), out, lambda: terminal.identification(result, beside))
 
 
@@ -88,7 +88,7 @@ def loop(
     report: Annotated[
         str | None, typer.Option("--report", help="Write a report, one HTML file.", metavar="OUT.html")
     ] = None,
-    figure: FigureOut = None,
+    figure: FiguresOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
 ) -> None:
@@ -99,7 +99,7 @@ def loop(
     from cvxshear import close_loop
     from cvxshear.report import loop_terminal
 
-    drawing = figures_for(figure)
+    pictures = Pictures(figure, "closure")
     if report is not None:
         from cvxshear.report.html import write_report
     with progress("closing the loop", quiet):
@@ -108,8 +108,7 @@ def loop(
     said = {**result.to_dict(), **records_in_json(found)}
     if report is not None:
         write_report(result, report, shlex.join(["cvxshear", *typed]))
-    if drawing is not None:
-        drawing.save(drawing.residual(result), figure)
+    pictures.draw(result)
     deliver(said, out, lambda: [*tables_of(found), *loop_terminal.closure(result)])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -10,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import RenderableType
 
-from cvxshear.cli.output import JsonOut, Quiet, deliver, numbers, progress
+from cvxshear.cli.output import JsonOut, Quiet, deliver, numbers, progress, typed
+from cvxshear.cli.pictures import FiguresOut, Pictures
 from cvxshear.errors import CvxshearError, InputError
 from cvxshear.typing import Json
 
@@ -39,6 +41,10 @@ def modes(
     correct_clocks: Annotated[bool, typer.Option(help="Take clock offsets between the channels out.")] = False,
     accept_swapped: Annotated[bool, typer.Option(help="Go on where two channels look swapped.")] = False,
     jobs: Annotated[int, typer.Option(help="Processes that identify records; -1 takes every core.")] = 1,
+    report: Annotated[
+        str | None, typer.Option("--report", help="Write a report, one HTML file.", metavar="OUT.html")
+    ] = None,
+    figure: FiguresOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
 ) -> None:
@@ -51,7 +57,11 @@ def modes(
     from cvxshear.campaign import identify_modes_many, write_merged
 
     files = _files(records, [output])
+    pictures = Pictures(figure, "records")
+    if report is not None:
+        from cvxshear.report.modal_html import write_modal_report
     options = {
+        "functions": bool(pictures) or report is not None,
         "method": method,
         "count": count,
         "correct_clocks": correct_clocks,
@@ -68,6 +78,11 @@ def modes(
         write_merged(output, tests)
     if uff is not None and tests:
         _write_uff(uff, tests)
+    if tests:
+        pictures.draw(*(test.modes for test in tests))
+    if tests and report is not None:
+        command = shlex.join(["cvxshear", *typed])
+        write_modal_report([test.modes for test in tests], report, command, [str(error) for error in errors])
     if tests:
         deliver(_said(files, found), out, lambda: tables_of(tests))
     if errors:

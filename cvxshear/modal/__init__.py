@@ -1,7 +1,6 @@
 """Records to modes: what was recorded, how modes are identified from it, and what it got wrong."""
 
 from cvxshear.modal.adapters import from_arrays, from_pyoma
-from cvxshear.modal.diagram import stabilization_diagram
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.identify import identify_modes
 from cvxshear.modal.pipeline import run
@@ -23,5 +22,4 @@ __all__ = [
     "from_pyoma",
     "identify_modes",
     "run",
-    "stabilization_diagram",
 ]
