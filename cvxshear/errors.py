@@ -7,9 +7,14 @@ and a solver did not deliver.
 
 from __future__ import annotations
 
+from cvxshear.text import printable
+
 
 class CvxshearError(Exception):
-    """Base of every exception raised by cvxshear."""
+    """Base of every exception raised by cvxshear; names of a file stand in its message as `printable` shows them."""
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(printable(message))
 
 
 class InputError(CvxshearError, ValueError):
@@ -22,6 +27,10 @@ class InfeasibleError(InputError):
 
 class UnsuitableError(InputError):
     """The chosen method or backend cannot use these data; the message names one that can."""
+
+
+class LostProcessError(CvxshearError, RuntimeError):
+    """A process that worked for this one was ended from outside; the same call may well succeed again."""
 
 
 class NoSolutionError(CvxshearError, RuntimeError):

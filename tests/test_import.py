@@ -1,7 +1,11 @@
-"""Importing the library loads neither plotting nor the command line."""
+"""Importing the library loads neither solvers, plotting nor the command line."""
 
 import subprocess
 import sys
+
+import pytest
+
+import cvxshear
 
 
 def loaded_by(statement):
@@ -11,9 +15,17 @@ def loaded_by(statement):
 
 def test_importing_cvxshear_loads_neither_matplotlib_nor_the_command_line():
     modules = loaded_by("import cvxshear")
-    assert "cvxshear.identify" in modules
-    for unwanted in ("matplotlib", "typer", "rich", "cvxshear.cli", "pytest"):
+    assert "cvxshear" in modules
+    for unwanted in ("matplotlib", "typer", "rich", "cvxshear.cli", "pytest", "cvxpy", "qpsolvers", "joblib"):
         assert unwanted not in modules
+
+
+def test_every_public_name_is_there_when_asked_for():
+    for name in cvxshear.__all__:
+        assert getattr(cvxshear, name) is not None
+    assert set(cvxshear.__all__) <= set(dir(cvxshear))
+    with pytest.raises(AttributeError, match="no attribute 'identfy'"):
+        _ = cvxshear.identfy
 
 
 def test_importing_cvxshear_changes_no_numpy_setting():

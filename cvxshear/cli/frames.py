@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Annotated
 
@@ -12,8 +13,10 @@ from cvxshear.cli.output import (
     BackendName,
     FigureOut,
     File,
+    Files,
     JsonOut,
     Quiet,
+    ReportOut,
     deliver,
     figures_for,
     names,
@@ -64,19 +67,11 @@ def identify(
     if method is None and named == "efficient" and out != "-":
         with suppress(UnsuitableError):
             beside = run(experiment, method="two-stage", backend=backend)
-    pictures.draw(result)
-    deliver(result.to_dict(), out, lambda: terminal.identification(result, beside))
+    deliver(result.to_dict(), out, lambda: terminal.identification(result, beside), *pictures.of(result))
 
 
 def loop(
-    files: Annotated[
-        list[str],
-        typer.Argument(
-            help="A measurement file (TOML), 'paper' for the built-in example, or record files, patterns such as "
-            "'*.toml' among them.",
-            metavar="FILE...",
-        ),
-    ],
+    sources: Files,
     effects: Annotated[
         str | None, typer.Option(help="Which effects to look for, commas between; all where not given.")
     ] = None,
@@ -85,9 +80,7 @@ def loop(
     ] = None,
     backend: BackendName = "auto",
     jobs: Annotated[int, typer.Option(help="Processes that fit candidates; -1 takes every core.")] = 1,
-    report: Annotated[
-        str | None, typer.Option("--report", help="Write a report, one HTML file.", metavar="OUT.html")
-    ] = None,
+    report: ReportOut = None,
     figure: FiguresOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
@@ -103,13 +96,13 @@ def loop(
     if report is not None:
         from cvxshear.report.html import write_report
     with progress("closing the loop", quiet):
-        experiment, found = measured(files, jobs=jobs)
+        experiment, found = measured(sources, jobs=jobs)
         result = close_loop(experiment, effects=names(effects), assume=names(assume) or (), backend=backend, jobs=jobs)
     said = {**result.to_dict(), **records_in_json(found)}
+    files: list[Callable[[], None]] = []
     if report is not None:
-        write_report(result, report, shlex.join(["cvxshear", *typed]))
-    pictures.draw(result)
-    deliver(said, out, lambda: [*tables_of(found), *loop_terminal.closure(result)])
+        files.append(lambda: write_report(result, report, shlex.join(["cvxshear", *typed])))
+    deliver(said, out, lambda: [*tables_of(found), *loop_terminal.closure(result)], *files, *pictures.of(result))
 
 
 def backends(file: File, figure: FigureOut = None, quiet: Quiet = False, out: JsonOut = None) -> None:
@@ -123,6 +116,5 @@ def backends(file: File, figure: FigureOut = None, quiet: Quiet = False, out: Js
     drawing = figures_for(figure)
     with progress("comparing backends", quiet):
         result = compare_backends(load(file))
-    if drawing is not None:
-        drawing.save(drawing.backend_differences(result), figure)
-    deliver(result.to_dict(), out, lambda: terminal.comparison(result))
+    files = [] if drawing is None else [lambda: drawing.save(drawing.backend_differences(result), figure)]
+    deliver(result.to_dict(), out, lambda: terminal.comparison(result), *files)

@@ -11,10 +11,22 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import RenderableType
 
-from cvxshear.cli.output import JsonOut, Quiet, deliver, numbers, progress, typed
+from cvxshear.cli.output import (
+    JsonOut,
+    MeasurementOut,
+    Quiet,
+    Records,
+    ReportOut,
+    UniversalOut,
+    deliver,
+    numbers,
+    progress,
+    typed,
+)
 from cvxshear.cli.pictures import FiguresOut, Pictures
 from cvxshear.errors import CvxshearError, InputError
 from cvxshear.typing import Json
+from cvxshear.writing import check_output
 
 if TYPE_CHECKING:
     from cvxshear import Experiment
@@ -22,14 +34,9 @@ if TYPE_CHECKING:
 
 
 def modes(
-    records: Annotated[
-        list[str], typer.Argument(help="Record files (TOML), or patterns such as 'day-1/*.toml'.", metavar="RECORD...")
-    ],
-    output: Annotated[
-        str | None,
-        typer.Option("--output", "-o", help="Write a measurement file here, a configuration each.", metavar="TOML"),
-    ] = None,
-    uff: Annotated[str | None, typer.Option(help="Write the modes as a universal file here.", metavar="UFF")] = None,
+    records: Records,
+    output: MeasurementOut = None,
+    uff: UniversalOut = None,
     method: Annotated[
         str | None, typer.Option(help="era, okid, subspace or ssi; what suits the record where none is named.")
     ] = None,
@@ -41,9 +48,7 @@ def modes(
     correct_clocks: Annotated[bool, typer.Option(help="Take clock offsets between the channels out.")] = False,
     accept_swapped: Annotated[bool, typer.Option(help="Go on where two channels look swapped.")] = False,
     jobs: Annotated[int, typer.Option(help="Processes that identify records; -1 takes every core.")] = 1,
-    report: Annotated[
-        str | None, typer.Option("--report", help="Write a report, one HTML file.", metavar="OUT.html")
-    ] = None,
+    report: ReportOut = None,
     figure: FiguresOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
@@ -55,8 +60,9 @@ def modes(
     Example: cvxshear modes bare.toml loaded.toml -o test.toml
     """
     from cvxshear.campaign import identify_modes_many, write_merged
+    from cvxshear.formats.uff import write_uff
 
-    files = _files(records, [output])
+    sources = _files(records, output)
     pictures = Pictures(figure, "records")
     if report is not None:
         from cvxshear.report.modal_html import write_modal_report
@@ -68,23 +74,25 @@ def modes(
         "accept_swapped": accept_swapped,
         "pick": numbers(pick, "--pick"),
     }
+    if uff is not None and len(sources) > 1:
+        raise InputError("--uff holds the modes of one record; identify the records one by one for it")
     with progress("identifying modes", quiet) as advance:
-        found = identify_modes_many(files, jobs=jobs, progress=advance, **options)
-    tests = _kept(found)
+        found = identify_modes_many(sources, jobs=jobs, progress=advance, **options)
     errors = [error for error in found if isinstance(error, CvxshearError)]
     for error in errors:
         sys.stderr.write(f"cvxshear: {error}\n")
-    if output is not None and tests:
-        write_merged(output, tests)
-    if uff is not None and tests:
-        _write_uff(uff, tests)
+    tests = _kept(found)
     if tests:
-        pictures.draw(*(test.modes for test in tests))
-    if tests and report is not None:
-        command = shlex.join(["cvxshear", *typed])
-        write_modal_report([test.modes for test in tests], report, command, [str(error) for error in errors])
-    if tests:
-        deliver(_said(files, found), out, lambda: tables_of(tests))
+        results = [test.modes for test in tests]
+        files = pictures.of(*results)
+        if output is not None:
+            files.append(lambda: write_merged(output, tests))
+        if uff is not None:
+            files.append(lambda: write_uff(uff, results[0]))
+        if report is not None:
+            command, failed = shlex.join(["cvxshear", *typed]), [str(error) for error in errors]
+            files.append(lambda: write_modal_report(results, report, command, failed))
+        deliver(_said(sources, found), out, lambda: tables_of(tests), *files)
     if errors:
         raise typer.Exit(2 if any(isinstance(error, InputError) for error in errors) else 1)
 
@@ -103,7 +111,7 @@ def measured(names: Sequence[str], *, jobs: int = 1) -> tuple[Experiment, list[T
     from cvxshear.campaign import identify_modes_many, merged
     from cvxshear.formats.toml import is_record_file
 
-    files = ["paper"] if list(names) == ["paper"] else _files(names, [])
+    files = ["paper"] if list(names) == ["paper"] else _files(names)
     if len(files) == 1 and not is_record_file(files[0]):
         return load(files[0]), []
     for file in files:
@@ -136,15 +144,15 @@ def records_in_json(tests: Sequence[Tested]) -> Json:
     return {"modes": tests[0].modes.to_dict()} if len(tests) == 1 else {"records": [_record(test) for test in tests]}
 
 
-def _files(names: Sequence[str], written: Sequence[str | None]) -> list[str]:
+def _files(names: Sequence[str], written: str | None = None) -> list[str]:
+    """The record files of names and patterns; what a pattern matches is not to be written over either."""
     from cvxshear.campaign import record_files
 
     files, left_out = record_files(names)
-    for unread in left_out:
-        sys.stderr.write(f"cvxshear: {unread} is left out: it has no table [record]\n")
-    for path in written:
-        if path is not None and Path(path) in files:
-            raise InputError(f"{path} is to be read and to be written; name another file to write")
+    for path in left_out:
+        sys.stderr.write(f"cvxshear: {path} is left out: it has no table [record]\n")
+    if written is not None:
+        check_output(written, keep=files)
     return [str(file) for file in files]
 
 
@@ -167,11 +175,3 @@ def _said(files: Sequence[str], found: Sequence[Tested | CvxshearError]) -> Json
         if isinstance(error, CvxshearError)
     ]
     return {"records": [_record(test) for test in tests], "failed": failed}
-
-
-def _write_uff(path: str, tests: Sequence[Tested]) -> None:
-    from cvxshear.formats.uff import write_uff
-
-    if len(tests) > 1:
-        raise InputError("--uff holds the modes of one record; identify the records one by one for it")
-    write_uff(path, tests[0].modes)

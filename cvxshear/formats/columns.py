@@ -13,6 +13,9 @@ from cvxshear.formats.stamps import rate_within_rounding, rounding_of
 from cvxshear.typing import Floats, Ints
 
 FEWEST_ROWS = 32
+LIMIT = 100_000_000
+"""Bytes that a file of a record, and the numbers in it, may have where nothing else is said."""
+TOO_LARGE = "cut it into runs, or raise the limit by size_limit, in MB, in the table [record]"
 UNEVEN = 0.25
 """Of the median step: a step further off than that is a gap, a repetition or another rate."""
 
@@ -42,9 +45,11 @@ class Columns:
     def __post_init__(self) -> None:
         if len(self.values) < FEWEST_ROWS:
             raise InputError(f"{self.source} holds {len(self.values)} samples; at least {FEWEST_ROWS} are needed")
-        for place, name in enumerate(self.names):
-            if name in self.names[:place]:
+        seen: set[str] = set()
+        for name in self.names:
+            if name in seen:
                 raise InputError(f'{self.source} has two columns named "{name}"')
+            seen.add(name)
 
     def at(self, row: int) -> str:
         """The place of a row as a person would name it."""
@@ -62,14 +67,14 @@ class Columns:
             Who asks for it, for messages.
         """
         if name not in self.names:
-            shown = ", ".join(self.names[:12]) + (", ..." if len(self.names) > 12 else "")
-            raise InputError(f'{asked}: {self.source} has no column "{name}"; it has {shown}')
+            shown = ", ".join(each[:60] for each in self.names[:12]) + (", ..." if len(self.names) > 12 else "")
+            raise InputError(f'{asked}: {self.source} has no column "{name[:60]}"; it has {shown}')
         values = self.values[:, self.names.index(name)]
-        bad = np.flatnonzero(~np.isfinite(values))
+        bad = np.flatnonzero(~(np.abs(values) <= checks.LARGEST))
         if bad.size:
             raise InputError(
-                f'{self.at(int(bad[0]))}: channel "{name}" holds {values[bad[0]]} ({bad.size} such values in all); '
-                "mend the record or cut it before that line"
+                f'{self.at(int(bad[0]))}: channel "{name}" holds {values[bad[0]]} ({bad.size} such values in '
+                "all); mend the record or cut it before that line"
             )
         return checks.frozen(values.copy())
 

@@ -3,7 +3,6 @@
 from cvxshear.modal.adapters import from_arrays, from_pyoma
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.identify import identify_modes
-from cvxshear.modal.pipeline import run
 from cvxshear.modal.record import Channel, FrfRecord, FrfRun, Record, Run, TimeRecord
 from cvxshear.modal.result import ModalResult
 from cvxshear.modal.stabilization import Criteria
@@ -21,5 +20,4 @@ __all__ = [
     "from_arrays",
     "from_pyoma",
     "identify_modes",
-    "run",
 ]

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from scipy.optimize import nnls
 
-from cvxshear.experiment import Experiment
-from cvxshear.formats.measurement import write_measurement
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.picking import Sweep
@@ -169,8 +166,8 @@ class ModalResult:
         Notes
         -----
         Where neither the shapes nor the frame nor a prior say how heavy the frame is, the total mass is set
-        to 1 kg: masses and stiffnesses then come out per kilogram of the frame. A comment in the file that
-        `write` makes, and a finding of the result, say so.
+        to 1 kg: masses and stiffnesses then come out per kilogram of the frame. The measurement file that is
+        written of the result says so in a comment at its head.
         """
         table = {"stories": self.stories, **(frame or {})}
         if self.needs_mass(table, priors):
@@ -188,36 +185,6 @@ class ModalResult:
             for prior in priors
         )
         return not (self.mass_normalized or "total_mass" in frame or "floor_masses" in frame or fixed)
-
-    def write(
-        self,
-        path: str | Path,
-        frame: Mapping[str, object] | None = None,
-        *,
-        priors: Sequence[Mapping[str, object]] = (),
-        added_mass: Sequence[float] | None = None,
-        state: str | None = None,
-    ) -> None:
-        """Write the measurement file, the findings as comments at its head.
-
-        Parameters
-        ----------
-        path : str or Path
-        frame, priors, added_mass, state
-            As for `to_experiment`.
-
-        Raises
-        ------
-        InputError
-            Where the modes do not make a measurement that `cvxshear.load` would take; nothing is written.
-        """
-        declared = self.to_experiment(frame, priors=priors, added_mass=added_mass, state=state)
-        Experiment.from_dict(declared, name=self.name)
-        comments = [f"Modes of {self.name} by {self.method}; standard deviations: {self.uncertainty}"]
-        if self.needs_mass(frame or {}, priors) and not any(finding.kind == "scale" for finding in self.findings):
-            comments.append("scale: total_mass = 1 stands for a mass nobody gave; masses and stiffnesses are relative")
-        comments.extend(f"{finding.kind}: {finding.message}" for finding in self.findings)
-        write_measurement(path, declared, comments)
 
 
 def independent_std(covariance: Floats, shape: Floats) -> Floats:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from cvxshear.errors import CvxshearError
 from cvxshear.loop import Closure
-from cvxshear.report.files import write_whole
 from cvxshear.studies.backends import Comparison, compare_backends
+from cvxshear.writing import write_file
 
 try:
     from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -42,7 +42,7 @@ def write_report(result: Closure, path: str | Path, command: str, comparison: Co
     InputError
         Where the file cannot be written.
     """
-    write_whole(path, render(result, command, comparison))
+    write_file(path, render(result, command, comparison))
 
 
 def render(result: Closure, command: str, comparison: Comparison | None = None) -> str:

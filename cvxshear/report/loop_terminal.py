@@ -14,14 +14,15 @@ from cvxshear.loop.results import Found
 from cvxshear.report.effect_size import summary
 from cvxshear.report.numbers import percent, probability, significant
 from cvxshear.report.terminal import declared, frame_table, plain_table
+from cvxshear.text import printable
 
 SHOWN_CANDIDATES = 8
 
 
 def closure(result: Closure) -> Iterator[RenderableType]:
     """What was measured, the residual, the steps, before and after, the frame, what remains."""
-    yield Text(f"{result.verdict.upper()}: {headline(result)}", style="bold")
-    yield Text(f"The verdict rests on {result.rests_on}.\n")
+    yield Text(f"{result.verdict.upper()}: {printable(headline(result))}", style="bold")
+    yield Text(f"The verdict rests on {printable(result.rests_on)}.\n")
     yield declared(result.experiment)
     yield Text("")
     yield residuals(result)
@@ -36,7 +37,7 @@ def closure(result: Closure) -> Iterator[RenderableType]:
     yield before_after(result)
     yield Text("")
     yield frame_table(result.frame, "the frame (masses without added mass)")
-    yield Text("\n".join(_remarks(result)))
+    yield Text("\n" + "\n".join(map(printable, _remarks(result))))
 
 
 def headline(result: Closure) -> str:
@@ -76,7 +77,7 @@ def residuals(result: Closure) -> Table:
                 percent(item.shape_error, 1),
                 "–" if item.shape_deviation is None else f"{item.shape_deviation:.1f}",
             ]
-        table.add_row(before.configuration, str(before.mode), *cells)
+        table.add_row(printable(before.configuration), str(before.mode), *cells)
     return table
 
 
@@ -86,7 +87,7 @@ def steps(result: Closure) -> Table:
     for step in result.steps:
         quality = step.estimate.quality
         table.add_row(
-            step.action,
+            printable(step.action),
             str(step.tried) if step.tried else "–",
             significant(quality.chi2),
             str(quality.dof),
@@ -103,7 +104,8 @@ def effect(found: Found) -> str:
     sizes = ", ".join(f"{name} = {value}" for name, value in summary(found.placed, found.parameters, found.std))
     rivals = ", ".join(rival.placed.label for rival in found.rivals)
     return "\n".join(
-        [
+        printable(line)
+        for line in [
             f"{found.placed.label}: {kind.summary}",
             f"  {kind.formula}",
             f"  {sizes}; a gain like this by chance: {probability(_exp(found.log_p))}",
@@ -123,7 +125,10 @@ def ranking(result: Closure) -> Table:
     for item in admissible[:SHOWN_CANDIDATES]:
         assert item.estimate is not None
         table.add_row(
-            item.placed.label, significant(item.estimate.chi2), str(item.estimate.dof), probability(_exp(item.log_p))
+            printable(item.placed.label),
+            significant(item.estimate.chi2),
+            str(item.estimate.dof),
+            probability(_exp(item.log_p)),
         )
     if len(admissible) > SHOWN_CANDIDATES:
         table.add_row(f"and {len(admissible) - SHOWN_CANDIDATES} more")
@@ -152,7 +157,7 @@ def before_after(result: Closure) -> Table:
 def _remarks(result: Closure) -> Iterator[str]:
     """What remains, what is not determined, what was not looked for, what to test next."""
     if result.remains:
-        yield "\nthe residual sits in:"
+        yield "the residual sits in:"
         yield from (f"  {place}" for place in result.remains)
     for names in result.estimate.uncertainty.null_directions:
         yield f"not determined by these data: {' and '.join(names)}"

@@ -10,11 +10,14 @@ from rich.text import Text
 from cvxshear.modal import ModalResult
 from cvxshear.report.numbers import percent, significant
 from cvxshear.report.terminal import plain_table
+from cvxshear.text import printable
 
 
 def modes(result: ModalResult) -> Iterator[RenderableType]:
     """Frequencies, damping and shapes with their standard deviations, and what the record itself gets wrong."""
-    yield Text(f"{result.name}: {len(result.frequencies)} modes at floors {', '.join(map(str, result.floors))}")
+    yield Text(
+        f"{printable(result.name)}: {len(result.frequencies)} modes at floors {', '.join(map(str, result.floors))}"
+    )
     yield Text(f"method {result.method}; uncertainty by {result.uncertainty}\n")
     floors = [f"floor {floor}" for floor in result.floors]
     table = plain_table("modes", "mode", "frequency, Hz", "std", "damping", "std", *floors, "MPC", "lost phase")
@@ -36,4 +39,4 @@ def modes(result: ModalResult) -> Iterator[RenderableType]:
     scale = "1/sqrt(kg)" if result.mass_normalized else "the largest entry is 1"
     yield Text(f"shapes: {scale}; their deviations are relative to the mode's largest entry")
     for finding in result.findings:
-        yield Text(f"{finding.kind}: {finding.message}", style="yellow")
+        yield Text(f"{finding.kind}: {printable(finding.message)}", style="yellow")

@@ -13,6 +13,7 @@ from cvxshear.experiment import Experiment
 from cvxshear.identification import Identification, IdentifiedFrame, Part
 from cvxshear.report.numbers import percent, probability, scaled, significant, with_std
 from cvxshear.studies.backends import Comparison
+from cvxshear.text import printable
 
 
 class HouseTable(Table):
@@ -63,16 +64,16 @@ def declared(experiment: Experiment) -> Text:
     frame = experiment.frame
     total = "not declared" if frame.known_total is None else f"{frame.known_total:g} kg"
     lines = [
-        f"{experiment.name}: {experiment.stories} stories, {len(experiment.configurations)} "
+        f"{printable(experiment.name)}: {experiment.stories} stories, {len(experiment.configurations)} "
         f"configuration{'s' if len(experiment.configurations) > 1 else ''}, total mass {total}"
     ]
     for each in experiment.configurations:
         noise = "noise not declared (default weights)" if not each.noise_declared else "noise declared"
         lines.append(
-            f"  {each.name}: {len(each.frequencies)} modes at {len(each.measured_floors)} floors, "
+            f"  {printable(each.name)}: {len(each.frequencies)} modes at {len(each.measured_floors)} floors, "
             f"added mass {each.added_mass.sum():g} kg, {noise}"
         )
-    lines += [f"  prior: {prior.describe()}" for prior in experiment.priors]
+    lines += [f"  prior: {printable(prior.describe())}" for prior in experiment.priors]
     return Text("\n".join(lines))
 
 
@@ -83,7 +84,7 @@ def identification(result: Identification, beside: Identification | None = None)
     for part in result.parts:
         yield from _part(result, part)
     for names in result.undetermined:
-        yield Text(f"not determined by these data: {' and '.join(names)}", style="yellow")
+        yield Text(f"not determined by these data: {printable(' and '.join(names))}", style="yellow")
     if beside is not None:
         yield Text(f"for comparison: method {beside.method}, each configuration by itself\n")
         for part in beside.parts:
@@ -91,7 +92,7 @@ def identification(result: Identification, beside: Identification | None = None)
 
 
 def _part(result: Identification, part: Part) -> Iterator[RenderableType]:
-    title = "all configurations together" if result.joint else part.name
+    title = "all configurations together" if result.joint else printable(part.name)
     yield frame_table(part.frame, f"{title} (masses without added mass)")
     yield Text(f"{part.iterations} iterations, {part.reason}")
     if part.mass_matrix is not None:

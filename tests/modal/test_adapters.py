@@ -1,4 +1,4 @@
-"""Modes identified elsewhere, and the figure."""
+"""Modes identified elsewhere, and results as plain values."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 import cvxshear
 from cvxshear.errors import InputError
-from cvxshear.modal import from_arrays, from_pyoma, identify_modes, stabilization_diagram
+from cvxshear.modal import from_arrays, from_pyoma, identify_modes
 from cvxshear.modal.simulate import PAPER_FRAME, base_record
 
 SHAPES = [[1.0, -0.6], [0.5, 1.0]]
@@ -68,23 +68,6 @@ def test_pyoma_algorithm():
 @pytest.fixture(scope="module")
 def result():
     return identify_modes(base_record(PAPER_FRAME, 0, noise=0.01, duration=150.0))
-
-
-def test_stabilization_diagram(result, tmp_path):
-    pytest.importorskip("matplotlib")
-    figure = stabilization_diagram(result)
-    lines = {line.get_label(): line for line in figure.axes[0].get_lines()}
-    frequencies, orders = lines["of a mode"].get_data()
-    assert set(np.round(frequencies, 1)) == {1.0, 2.2, 3.3}
-    assert max(orders) == 30
-    assert len(lines["pole"].get_xdata()) > 20
-    figure.savefig(tmp_path / "a.png")
-    assert (tmp_path / "a.png").stat().st_size > 5000
-
-
-def test_no_diagram_without_a_sweep():
-    with pytest.raises(InputError, match="no order sweep"):
-        stabilization_diagram(from_arrays([3.0, 9.0], SHAPES))
 
 
 def test_result_as_plain_values(result):

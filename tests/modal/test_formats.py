@@ -13,6 +13,7 @@ from cvxshear.errors import InputError
 from cvxshear.formats.csv import read_csv
 from cvxshear.formats.mat import read_mat
 from cvxshear.formats.measurement import write_measurement
+from cvxshear.formats.modes import write_modes
 from cvxshear.formats.record import read_record
 from cvxshear.formats.uff import read_modes, read_uff, write_uff
 from cvxshear.modal import from_arrays
@@ -206,7 +207,7 @@ def test_frame_and_priors_pass_through(tmp_path, values):
     path.write_text("added_mass = [0.0, 1.5]\n" + path.read_text())
     found = read_record(path)
     given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]])
-    given.write(tmp_path / "out.toml", found.frame, priors=found.priors, added_mass=found.added_mass)
+    write_modes(tmp_path / "out.toml", given, found.frame, priors=found.priors, added_mass=found.added_mass)
     experiment = cvxshear.load(tmp_path / "out.toml")
     assert experiment.frame.total_mass == 20.0
     assert len(experiment.priors) == 1
@@ -216,12 +217,12 @@ def test_frame_and_priors_pass_through(tmp_path, values):
 def test_a_file_that_would_be_refused_is_not_written(tmp_path):
     given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]])
     with pytest.raises(InputError, match="floor_masses"):
-        given.write(tmp_path / "out.toml", {"floor_masses": [1.0, -2.0]})
+        write_modes(tmp_path / "out.toml", given, {"floor_masses": [1.0, -2.0]})
     assert not list(tmp_path.iterdir())
 
 
 def test_an_unknown_mass_is_said(tmp_path):
     given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]])
-    given.write(tmp_path / "out.toml")
+    write_modes(tmp_path / "out.toml", given)
     assert "total_mass = 1 stands for a mass nobody gave" in (tmp_path / "out.toml").read_text()
     assert cvxshear.load(tmp_path / "out.toml").frame.total_mass == 1.0

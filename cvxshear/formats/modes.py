@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from cvxshear.experiment import Experiment
+from cvxshear.formats.measurement import write_measurement
+from cvxshear.formats.record import RecordFile, read_record
+from cvxshear.formats.uff import write_uff
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.identify import identify_modes
 from cvxshear.modal.result import ModalResult
 from cvxshear.typing import Json
+from cvxshear.writing import check_output
 
-if TYPE_CHECKING:
-    from cvxshear.formats.record import RecordFile
+MEASUREMENT_ENDINGS = (".toml",)
+UNIVERSAL_ENDINGS = (".uff", ".unv", ".u55")
 
 
-def run(
+def modes_from_file(
     path: str | Path,
     *,
     method: str | None = None,
@@ -41,9 +45,9 @@ def run(
     pick : sequence of float, optional
         The same, in place of the record file's own list.
     output : str or Path, optional
-        Where to write the measurement file.
+        Where to write the measurement file, `.toml`.
     uff : str or Path, optional
-        Where to write a universal file of the modes.
+        Where to write a universal file of the modes, `.uff`, `.unv` or `.u55`.
 
     Returns
     -------
@@ -54,15 +58,15 @@ def run(
     Raises
     ------
     InputError
-        Where the record file or a file it names is wrong; nothing is written then.
+        Where the record file or a file it names is wrong, or a file to write would replace one of them; nothing is
+        written then.
     NoSolutionError
         Where no mode was found.
     """
-    # The readers make records of this package, so they are loaded after it.
-    from cvxshear.formats.record import read_record  # noqa: PLC0415
-    from cvxshear.formats.uff import write_uff  # noqa: PLC0415
-
     source = read_record(path)
+    for place, endings in ((output, MEASUREMENT_ENDINGS), (uff, UNIVERSAL_ENDINGS)):
+        if place is not None:
+            check_output(place, endings=endings, keep=source.files)
     result = identify_modes(
         source.record,
         method=method,
@@ -78,10 +82,42 @@ def run(
     frame, priors, added_mass, state = source.frame, source.priors, source.added_mass, source.state
     declared = result.to_experiment(frame, priors=priors, added_mass=added_mass, state=state)
     if output is not None:
-        result.write(output, frame, priors=priors, added_mass=added_mass, state=state)
+        write_modes(output, result, frame, priors=priors, added_mass=added_mass, state=state)
     if uff is not None:
         write_uff(uff, result)
     return result, declared
+
+
+def write_modes(
+    path: str | Path,
+    result: ModalResult,
+    frame: Mapping[str, object] | None = None,
+    *,
+    priors: Sequence[Mapping[str, object]] = (),
+    added_mass: Sequence[float] | None = None,
+    state: str | None = None,
+) -> None:
+    """Write the measurement file of identified modes, the findings as comments at its head.
+
+    Parameters
+    ----------
+    path : str or Path
+    result : ModalResult
+    frame, priors, added_mass, state
+        As for `ModalResult.to_experiment`.
+
+    Raises
+    ------
+    InputError
+        Where the modes do not make a measurement that `cvxshear.load` would take; nothing is written.
+    """
+    declared = result.to_experiment(frame, priors=priors, added_mass=added_mass, state=state)
+    Experiment.from_dict(declared, name=result.name)
+    comments = [f"Modes of {result.name} by {result.method}; standard deviations: {result.uncertainty}"]
+    if result.needs_mass(frame or {}, priors) and not any(finding.kind == "scale" for finding in result.findings):
+        comments.append("scale: total_mass = 1 stands for a mass nobody gave; masses and stiffnesses are relative")
+    comments.extend(f"{finding.kind}: {finding.message}" for finding in result.findings)
+    write_measurement(path, declared, comments)
 
 
 def _with_scale_finding(result: ModalResult, source: RecordFile) -> ModalResult:
