@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cvxshear.cli import frames, records, studies
+from cvxshear.cli import frames, new, records, studies
 from cvxshear.cli.output import OutputError, sound_streams, typed
 from cvxshear.errors import CvxshearError, LostProcessError, NoSolutionError
 
@@ -24,6 +24,7 @@ for command in (
     frames.identify,
     frames.loop,
     records.modes,
+    new.new,
     frames.backends,
     studies.reproduce,
 ):

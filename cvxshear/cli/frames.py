@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable
 from contextlib import suppress
 from typing import Annotated
 
@@ -26,6 +25,7 @@ from cvxshear.cli.output import (
 )
 from cvxshear.cli.pictures import FiguresOut, Pictures
 from cvxshear.cli.records import measured, records_in_json, tables_of
+from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
 from cvxshear.errors import UnsuitableError
 
 
@@ -44,6 +44,8 @@ def identify(
         bool, typer.Option("--accelerate", help="Reach the end of the mass iteration in a few steps (two-stage).")
     ] = False,
     figure: FiguresOut = None,
+    csv: CsvOut = None,
+    xlsx: XlsxOut = None,
     out: JsonOut = None,
 ) -> None:
     """Identify floor masses and story stiffnesses.
@@ -56,8 +58,9 @@ def identify(
     from cvxshear import identify as run
     from cvxshear import load
     from cvxshear.report import terminal
+    from cvxshear.report.sheets import sheets_of_identification
 
-    pictures = Pictures(figure, "identification")
+    pictures, tables = Pictures(figure, "identification"), Spreadsheets(csv, xlsx)
     experiment, start = load(file), numbers(initial_mass, "--initial-mass")
     named = method or ("efficient" if start is None else "two-stage")
     result = run(
@@ -67,7 +70,8 @@ def identify(
     if method is None and named == "efficient" and out != "-":
         with suppress(UnsuitableError):
             beside = run(experiment, method="two-stage", backend=backend)
-    deliver(result.to_dict(), out, lambda: terminal.identification(result, beside), *pictures.of(result))
+    files = [*pictures.of(result), *tables.of(lambda: sheets_of_identification(result))]
+    deliver(result.to_dict(), out, lambda: terminal.identification(result, beside), *files)
 
 
 def loop(
@@ -82,6 +86,8 @@ def loop(
     jobs: Annotated[int, typer.Option(help="Processes that fit candidates; -1 takes every core.")] = 1,
     report: ReportOut = None,
     figure: FiguresOut = None,
+    csv: CsvOut = None,
+    xlsx: XlsxOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
 ) -> None:
@@ -91,18 +97,19 @@ def loop(
     """
     from cvxshear import close_loop
     from cvxshear.report import loop_terminal
+    from cvxshear.report.sheets import sheets_of_closure
 
-    pictures = Pictures(figure, "closure")
+    pictures, tables = Pictures(figure, "closure"), Spreadsheets(csv, xlsx)
     if report is not None:
         from cvxshear.report.html import write_report
     with progress("closing the loop", quiet):
         experiment, found = measured(sources, jobs=jobs)
         result = close_loop(experiment, effects=names(effects), assume=names(assume) or (), backend=backend, jobs=jobs)
     said = {**result.to_dict(), **records_in_json(found)}
-    files: list[Callable[[], None]] = []
+    files = [*pictures.of(result), *tables.of(lambda: sheets_of_closure(result))]
     if report is not None:
         files.append(lambda: write_report(result, report, shlex.join(["cvxshear", *typed])))
-    deliver(said, out, lambda: [*tables_of(found), *loop_terminal.closure(result)], *files, *pictures.of(result))
+    deliver(said, out, lambda: [*tables_of(found), *loop_terminal.closure(result)], *files)
 
 
 def backends(file: File, figure: FigureOut = None, quiet: Quiet = False, out: JsonOut = None) -> None:

@@ -25,11 +25,11 @@ from cvxshear.writing import check_output, same_file, write_file
 
 FIGURES = (".svg", ".png", ".pdf")
 REPORT_ENDINGS = (".html", ".htm")
-OTHERS_ENDINGS = (".toml", ".csv", ".mat", ".uff", ".html", ".htm", ".svg", ".png", ".pdf")
+OTHERS_ENDINGS = (".toml", ".csv", ".xlsx", ".mat", ".uff", ".html", ".htm", ".svg", ".png", ".pdf")
 """What a file of JSON must not be called, lest a slip of the keyboard replace something else."""
 
 
-def _among_files(*endings: str) -> Callable[[typer.Context, typer.CallbackParam, str | None], str | None]:
+def among_files(*endings: str) -> Callable[[typer.Context, typer.CallbackParam, str | None], str | None]:
     """A check of an option that names a file to write, made before the command runs."""
 
     def check(context: typer.Context, option: typer.CallbackParam, path: str | None) -> str | None:
@@ -119,19 +119,19 @@ JsonOut = Annotated[
         "--json",
         help="Write the result as JSON to this file, '-' for standard output.",
         metavar="OUT",
-        callback=_among_files(),
+        callback=among_files(),
     ),
 ]
 FigureOut = Annotated[
     str | None,
     typer.Option(
-        "--figure", help="Draw into this file: .svg, .png or .pdf.", metavar="OUT", callback=_among_files(*FIGURES)
+        "--figure", help="Draw into this file: .svg, .png or .pdf.", metavar="OUT", callback=among_files(*FIGURES)
     ),
 ]
 BoxesOut = Annotated[
     str | None,
     typer.Option(
-        "--boxes", help="Draw box plots (Fig. 5) into this file.", metavar="OUT", callback=_among_files(*FIGURES)
+        "--boxes", help="Draw box plots (Fig. 5) into this file.", metavar="OUT", callback=among_files(*FIGURES)
     ),
 ]
 ReportOut = Annotated[
@@ -140,7 +140,7 @@ ReportOut = Annotated[
         "--report",
         help="Write a report, one HTML file.",
         metavar="OUT.html",
-        callback=_among_files(*REPORT_ENDINGS),
+        callback=among_files(*REPORT_ENDINGS),
     ),
 ]
 MeasurementOut = Annotated[
@@ -150,7 +150,7 @@ MeasurementOut = Annotated[
         "-o",
         help="Write a measurement file here, a configuration each.",
         metavar="TOML",
-        callback=_among_files(".toml"),
+        callback=among_files(".toml"),
     ),
 ]
 UniversalOut = Annotated[
@@ -159,7 +159,7 @@ UniversalOut = Annotated[
         "--uff",
         help="Write the modes as a universal file here.",
         metavar="UFF",
-        callback=_among_files(".uff", ".unv", ".u55"),
+        callback=among_files(".uff", ".unv", ".u55"),
     ),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")]

@@ -24,6 +24,7 @@ from cvxshear.cli.output import (
     typed,
 )
 from cvxshear.cli.pictures import FiguresOut, Pictures
+from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
 from cvxshear.errors import CvxshearError, InputError
 from cvxshear.typing import Json
 from cvxshear.writing import check_output
@@ -50,6 +51,8 @@ def modes(
     jobs: Annotated[int, typer.Option(help="Processes that identify records; -1 takes every core.")] = 1,
     report: ReportOut = None,
     figure: FiguresOut = None,
+    csv: CsvOut = None,
+    xlsx: XlsxOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
 ) -> None:
@@ -61,9 +64,10 @@ def modes(
     """
     from cvxshear.campaign import identify_modes_many, write_merged
     from cvxshear.formats.uff import write_uff
+    from cvxshear.report.sheets import sheets_of_modes
 
     sources = _files(records, output)
-    pictures = Pictures(figure, "records")
+    pictures, tables = Pictures(figure, "records"), Spreadsheets(csv, xlsx)
     if report is not None:
         from cvxshear.report.modal_html import write_modal_report
     options = {
@@ -84,7 +88,7 @@ def modes(
     tests = _kept(found)
     if tests:
         results = [test.modes for test in tests]
-        files = pictures.of(*results)
+        files = [*pictures.of(*results), *tables.of(lambda: sheets_of_modes(results))]
         if output is not None:
             files.append(lambda: write_merged(output, tests))
         if uff is not None:

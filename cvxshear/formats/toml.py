@@ -11,12 +11,13 @@ from pathlib import Path
 from cvxshear.checks import shown
 from cvxshear.errors import InputError
 from cvxshear.experiment import Experiment
+from cvxshear.formats.mode_tables import with_modes_read
 from cvxshear.formats.reading import named_after, read_bytes
 
 LARGEST_FILE = 5_000_000
 """Bytes; a larger file is taken for a mistake (a record in place of a measurement file, say)."""
 
-NAMING_KEYS = ("file", "csv", "uff")
+NAMING_KEYS = ("file", "csv", "xlsx", "uff")
 """Keys of tables whose values are names of other files."""
 
 LONGEST_KEY = 16
@@ -53,7 +54,7 @@ def load(path: str | Path) -> Experiment:
     path = Path(path)
     declared = parse(read_text(path), path)
     try:
-        return Experiment.from_dict(declared, name=named_after(path))
+        return Experiment.from_dict(with_modes_read(declared, path.parent), name=named_after(path))
     except InputError as error:
         raise type(error)(f"{path!s}: {error}") from error
 
