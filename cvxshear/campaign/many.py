@@ -17,7 +17,7 @@ from cvxshear.parallel import Progress, each
 
 
 @dataclass(frozen=True, eq=False)
-class Tested:
+class IdentifiedRecord:
     """One record with the modes found in it, and what its file says of the frame besides.
 
     Parameters
@@ -49,7 +49,7 @@ def identify_modes_many(
     jobs: int = 1,
     progress: Progress | None = None,
     **options: Any,
-) -> list[Tested | CvxshearError]:
+) -> list[IdentifiedRecord | CvxshearError]:
     """`identify_modes` for each of many record files; where one fails, its error stands in its place.
 
     Parameters
@@ -66,7 +66,7 @@ def identify_modes_many(
 
     Returns
     -------
-    list of Tested or CvxshearError
+    list of IdentifiedRecord or CvxshearError
         In the order of the files; an error's message begins with its file.
 
     Raises
@@ -77,14 +77,14 @@ def identify_modes_many(
     return each(partial(_tested, options=options), [str(file) for file in files], jobs=jobs, progress=progress)
 
 
-def _tested(file: str, *, options: Mapping[str, Any]) -> Tested | CvxshearError:
+def _tested(file: str, *, options: Mapping[str, Any]) -> IdentifiedRecord | CvxshearError:
     try:
         source = read_record(file)
         picked = options.get("pick")
         modes = identify_modes(source.record, **{**options, "pick": source.pick if picked is None else picked})
     except (CvxshearError, np.linalg.LinAlgError) as error:
         return _of_file(error, file)
-    return Tested(file, modes, source.frame, source.priors, source.added_mass, source.state)
+    return IdentifiedRecord(file, modes, source.frame, source.priors, source.added_mass, source.state)
 
 
 def _of_file(error: Exception, file: str) -> CvxshearError:

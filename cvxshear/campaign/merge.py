@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cvxshear.campaign.many import Tested
+from cvxshear.campaign.many import IdentifiedRecord
 from cvxshear.checks import shown
 from cvxshear.errors import InputError
 from cvxshear.experiment import Experiment
@@ -23,12 +23,12 @@ UNKNOWN_SCALE = (
 )
 
 
-def merged(tests: Sequence[Tested]) -> Json:
+def merged(tests: Sequence[IdentifiedRecord]) -> Json:
     """A dict of the measurement file's shape, for `Experiment.from_dict`.
 
     Parameters
     ----------
-    tests : sequence of Tested
+    tests : sequence of IdentifiedRecord
         Of one frame; at least one.
 
     Returns
@@ -57,13 +57,13 @@ def merged(tests: Sequence[Tested]) -> Json:
     return result
 
 
-def write_merged(path: str | Path, tests: Sequence[Tested]) -> None:
+def write_merged(path: str | Path, tests: Sequence[IdentifiedRecord]) -> None:
     """Write the measurement file of several records, what each got wrong as comments at its head.
 
     Parameters
     ----------
     path : str or Path
-    tests : sequence of Tested
+    tests : sequence of IdentifiedRecord
 
     Raises
     ------
@@ -80,7 +80,7 @@ def write_merged(path: str | Path, tests: Sequence[Tested]) -> None:
     write_measurement(path, declared, comments)
 
 
-def scale_unknown(tests: Sequence[Tested]) -> bool:
+def scale_unknown(tests: Sequence[IdentifiedRecord]) -> bool:
     """Whether nothing in any record file, nor a change of added mass between them, tells how heavy the frame is."""
     if not all(test.modes.needs_mass(test.frame, test.priors) for test in tests):
         return False
@@ -89,7 +89,7 @@ def scale_unknown(tests: Sequence[Tested]) -> bool:
     return all(np.array_equal(mass, added[0]) for mass in added)
 
 
-def _refuse_shared_names(tests: Sequence[Tested]) -> None:
+def _refuse_shared_names(tests: Sequence[IdentifiedRecord]) -> None:
     seen: dict[str, str] = {}
     for test in tests:
         name = test.modes.name
@@ -98,7 +98,7 @@ def _refuse_shared_names(tests: Sequence[Tested]) -> None:
         seen[name] = test.file
 
 
-def _frame(tests: Sequence[Tested]) -> dict[str, Any]:
+def _frame(tests: Sequence[IdentifiedRecord]) -> dict[str, Any]:
     """The table [frame], every key that any file gives."""
     frame: dict[str, Any] = {}
     said: dict[str, str] = {}
@@ -132,7 +132,7 @@ def _same(one: object, other: object) -> bool:
     return one == other
 
 
-def _priors(tests: Sequence[Tested]) -> list[dict[str, object]]:
+def _priors(tests: Sequence[IdentifiedRecord]) -> list[dict[str, object]]:
     """The tables [[prior]], each once."""
     kept: list[tuple[dict[str, object], str]] = []
     for test in tests:

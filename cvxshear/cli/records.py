@@ -31,7 +31,7 @@ from cvxshear.writing import check_output
 
 if TYPE_CHECKING:
     from cvxshear import Experiment
-    from cvxshear.campaign import Tested
+    from cvxshear.campaign import IdentifiedRecord
 
 
 def modes(
@@ -101,7 +101,7 @@ def modes(
         raise typer.Exit(2 if any(isinstance(error, InputError) for error in errors) else 1)
 
 
-def measured(names: Sequence[str], *, jobs: int = 1) -> tuple[Experiment, list[Tested]]:
+def measured(names: Sequence[str], *, jobs: int = 1) -> tuple[Experiment, list[IdentifiedRecord]]:
     """The experiment of a measurement file, or that of record files with the modes found in each.
 
     Raises
@@ -129,7 +129,7 @@ def measured(names: Sequence[str], *, jobs: int = 1) -> tuple[Experiment, list[T
     return Experiment.from_dict(merged(tests), name=Path(files[0]).stem), tests
 
 
-def tables_of(tests: Sequence[Tested]) -> Iterable[RenderableType]:
+def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
     """The modes of each record."""
     from cvxshear.campaign.merge import UNKNOWN_SCALE, scale_unknown
     from cvxshear.report import modal_terminal
@@ -141,7 +141,7 @@ def tables_of(tests: Sequence[Tested]) -> Iterable[RenderableType]:
         yield f"scale: {UNKNOWN_SCALE}"
 
 
-def records_in_json(tests: Sequence[Tested]) -> Json:
+def records_in_json(tests: Sequence[IdentifiedRecord]) -> Json:
     """What the modes of the records add to a result's JSON."""
     if not tests:
         return {}
@@ -160,15 +160,15 @@ def _files(names: Sequence[str], written: str | None = None) -> list[str]:
     return [str(file) for file in files]
 
 
-def _kept(found: Sequence[Tested | CvxshearError]) -> list[Tested]:
+def _kept(found: Sequence[IdentifiedRecord | CvxshearError]) -> list[IdentifiedRecord]:
     return [test for test in found if not isinstance(test, CvxshearError)]
 
 
-def _record(test: Tested) -> Json:
+def _record(test: IdentifiedRecord) -> Json:
     return {"file": test.file, **test.modes.to_dict()}
 
 
-def _said(files: Sequence[str], found: Sequence[Tested | CvxshearError]) -> Json:
+def _said(files: Sequence[str], found: Sequence[IdentifiedRecord | CvxshearError]) -> Json:
     """One record's result by itself; several in a list, with what failed."""
     tests = _kept(found)
     if len(files) == 1:

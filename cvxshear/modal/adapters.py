@@ -171,8 +171,8 @@ def from_sdypy(
     frequencies, constants = getattr(model, "nat_freq", None), getattr(model, "A", None)
     if frequencies is None or constants is None:
         raise InputError(
-            "the sdypy model holds no modes (nat_freq, A): select poles first, by select_closest_poles or select_poles, "
-            "then call get_constants"
+            "the sdypy model holds no modes (nat_freq, A): select poles first, by select_closest_poles, then call "
+            "get_constants"
         )
     values = np.atleast_1d(np.asarray(frequencies, dtype=np.float64))
     missing = np.flatnonzero(~(values > 0))

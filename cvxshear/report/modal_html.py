@@ -11,10 +11,10 @@ from cvxshear.modal import ModalResult
 from cvxshear.report.contents import readable_json, versions
 from cvxshear.report.figures import kinds
 from cvxshear.report.figures.output import inline_svg
-from cvxshear.report.files import write_whole
 from cvxshear.report.html import environment
 from cvxshear.report.numbers import percent, significant, with_std
 from cvxshear.typing import Json
+from cvxshear.writing import write_file
 
 SECTIONS = (
     ("stabilization", "stabilization", "Stabilization diagram"),
@@ -64,7 +64,7 @@ def write_modal_report(
         Where the file cannot be written.
     """
     page = environment().get_template("modal_report.html")
-    write_whole(path, page.render(**_contents(results, command, failed), figure=_figures(results)))
+    write_file(path, page.render(**_contents(results, command, failed), figure=_figures(results)))
 
 
 def _figures(results: Sequence[ModalResult]) -> dict[str, Markup]:
