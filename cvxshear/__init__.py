@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     )
     from cvxshear.experiment import Configuration, Experiment, Frame
     from cvxshear.formats.toml import load
-    from cvxshear.identification import Identification, identify
+    from cvxshear.identification import Identification
+    from cvxshear.identification.identify import identify
     from cvxshear.loop import Closure, close_loop
     from cvxshear.priors import Prior
     from cvxshear.studies.backends import Comparison, compare_backends

@@ -96,6 +96,8 @@ def same_file(one: PathLike, other: PathLike) -> bool:
 
 
 def _check_place(path: Path) -> None:
+    with suppress(FileNotFoundError, NotADirectoryError):
+        path.lstat()
     if path.is_dir():
         raise InputError(f"{path} is a folder; name a file in it")
     if path.is_file() and not path.is_symlink() and not path.stat().st_mode & 0o222:

@@ -8,9 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from cvxshear.errors import CvxshearError, InputError, NoSolutionError
+from cvxshear.errors import CvxshearError, NoSolutionError
 from cvxshear.formats.record import read_record
 from cvxshear.modal import ModalResult, identify_modes
 from cvxshear.parallel import Progress, each
@@ -82,16 +80,14 @@ def _tested(file: str, *, options: Mapping[str, Any]) -> IdentifiedRecord | Cvxs
         source = read_record(file)
         picked = options.get("pick")
         modes = identify_modes(source.record, **{**options, "pick": source.pick if picked is None else picked})
-    except (CvxshearError, np.linalg.LinAlgError) as error:
+    except CvxshearError as error:
         return _of_file(error, file)
     return IdentifiedRecord(file, modes, source.frame, source.priors, source.added_mass, source.state)
 
 
-def _of_file(error: Exception, file: str) -> CvxshearError:
+def _of_file(error: CvxshearError, file: str) -> CvxshearError:
     """The error with its file named."""
     message = str(error)
     if isinstance(error, NoSolutionError):
         return NoSolutionError(error.backend, f"{file}: {error.reason}")
-    if isinstance(error, InputError):
-        return type(error)(message if message.startswith(file) else f"{file}: {message}")
-    return NoSolutionError("modes", f"{file}: {message}")
+    return error if message.startswith(file) else type(error)(f"{file}: {message}")

@@ -248,7 +248,8 @@ def sound_streams() -> Iterator[None]:
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:
-            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 - open to the end
+            null = os.open(os.devnull, os.O_WRONLY)
+            setattr(sys, name, open(null, "w", encoding="utf-8", closefd=False))  # noqa: SIM115 - open to the end
         elif isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors=SPELLED)
     try:
@@ -280,13 +281,17 @@ class OutputError(Exception):
 
 
 def figures_for(*paths: str | None) -> ModuleType | None:
-    """The figures, where one is asked for; a missing package is told before anything runs."""
-    if not any(paths):
+    """The figures, where one is asked for; a wrong ending or a missing package is told before anything runs."""
+    asked = [path for path in paths if path is not None]
+    if not asked:
         return None
     try:
         from cvxshear.report import figures
+        from cvxshear.report.figures.output import kind_of
     except ImportError as error:
         raise InputError(f"--figure needs {error.name}: pip install 'cvxshear[plot]'") from error
+    for path in asked:
+        kind_of(path)
     return figures
 
 

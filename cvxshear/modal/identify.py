@@ -117,15 +117,27 @@ def identify_modes(
     """
     picked = () if pick is None else tuple(checks.vector(pick, "pick", above=0.0).tolist())
     options = Options(method, estimator, blocks, criteria or Criteria(), count, rule, accept_swapped, seed, picked)
-    # The matrices are small: with all cores, threads wait for each other longer than they compute.
-    with threadpool_limits(1):
-        result = _identified(record, options)
-        if correct_clocks and any(finding.kind == "clock offset" for finding in result.findings):
-            record = shifted(record, result.clock_offsets)
-            result = _with_first_findings(result, _identified(record, options))
-        if not functions:
-            return result
-        return dataclasses.replace(result, functions=measured_functions(record, SHOWN * result.frequencies[-1]))
+    try:
+        # The matrices are small: with all cores, threads wait for each other longer than they compute.
+        with threadpool_limits(1):
+            result, record = _with_clocks(record, options, correct_clocks=correct_clocks)
+            if not functions:
+                return result
+            alive = without_dead(record, list(result.findings))
+            return dataclasses.replace(result, functions=measured_functions(alive, SHOWN * result.frequencies[-1]))
+    except np.linalg.LinAlgError as error:
+        # Records that no frame made, a channel twice or a constant, have no decomposition somewhere.
+        reason = f"the record determines no model ({error}); is one channel a copy of another, or constant?"
+        raise NoSolutionError(options.method or default_method(record), reason) from error
+
+
+def _with_clocks(record: Record, options: Options, *, correct_clocks: bool) -> tuple[ModalResult, Record]:
+    """The result, and the record it is of: with its clocks set right where that was asked for and needed."""
+    result = _identified(record, options)
+    if not correct_clocks or not any(finding.kind == "clock offset" for finding in result.findings):
+        return result, record
+    record = shifted(record, result.clock_offsets)
+    return _with_first_findings(result, _identified(record, options)), record
 
 
 def _identified(record: Record, options: Options) -> ModalResult:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -226,3 +228,32 @@ def test_an_unknown_mass_is_said(tmp_path):
     write_modes(tmp_path / "out.toml", given)
     assert "total_mass = 1 stands for a mass nobody gave" in (tmp_path / "out.toml").read_text()
     assert cvxshear.load(tmp_path / "out.toml").frame.total_mass == 1.0
+
+
+def test_modes_are_identified_without_a_reader_or_a_writer():
+    """`formats` makes records of `modal`, so `modal` imports nothing of it, not even inside a function."""
+    for path in (Path(cvxshear.__file__).parent / "modal").glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            names += [each.name for each in node.names] if isinstance(node, ast.Import) else []
+            assert not any(name.startswith("cvxshear.formats") for name in names), path.name
+
+
+@pytest.mark.parametrize("direction", [100, -100])
+def test_a_direction_that_the_universal_file_does_not_know_has_its_number(tmp_path, values, direction):
+    universal(tmp_path / "a.uff", values[:, [2]], [(1, 1)])
+    text = (tmp_path / "a.uff").read_text()
+    assert text.count("         1   1NONE") == 1
+    (tmp_path / "a.uff").write_text(text.replace("         1   1NONE", f"         1{direction:4d}NONE"))
+    assert read_uff(tmp_path / "a.uff")[0].names == ("time", "1d100" if direction > 0 else "1d100-")
+
+
+def test_rows_of_a_shape_are_lines_of_the_file(tmp_path):
+    shapes = [[0.1234567891, float("nan")], [1.0, -2.5e-7]]
+    declared = {"configuration": [{"name": "a [\n1,\n] b", "frequencies": [3, 9.5], "mode_shapes": shapes}]}
+    write_measurement(tmp_path / "a.toml", declared, ["said\n of\x1b it"])
+    text = (tmp_path / "a.toml").read_text(encoding="utf-8")
+    assert text.startswith("# said of\\x1b it\n\n")
+    assert "frequencies = [3, 9.5]\n" in text
+    assert "    [0.12345679, nan],\n    [1.0, -2.5e-07],\n" in text
+    assert tomllib.loads(text)["configuration"][0]["name"] == "a [\n1,\n] b"
