@@ -11,7 +11,7 @@ import pytest
 
 import cvxshear
 from cvxshear.errors import InputError
-from cvxshear.modal import from_arrays, from_pyoma, identify_modes
+from cvxshear.modal import from_arrays, from_pyoma, from_sdypy, identify_modes
 from cvxshear.modal.simulate import PAPER_FRAME, base_record
 
 SHAPES = [[1.0, -0.6], [0.5, 1.0]]
@@ -63,6 +63,21 @@ def test_pyoma_algorithm():
         np.testing.assert_allclose(result.damping_ratios, [0.01, 0.02])
     with pytest.raises(InputError, match="choose modes first"):
         from_pyoma(SimpleNamespace(result=SimpleNamespace(Fn=None, Phi=None)))
+
+
+def test_sdypy_model():
+    """Modal constants of the force at floor 2: each shape times its own entry there, over 2i w."""
+    shapes = np.array([[0.5, 1.0], [1.0, -0.6]])
+    constants = shapes * shapes[:, [1]] / (2j * 2 * np.pi * np.array([[3.0], [9.0]]))
+    model = SimpleNamespace(nat_freq=[3.0, 9.0], nat_xi=[0.01, 0.02], A=constants.T)
+    result = from_sdypy(model)
+    ratios = result.mode_shapes[:, 0] / result.mode_shapes[:, 1]
+    np.testing.assert_allclose(ratios, [0.5, -1 / 0.6], rtol=1e-12)
+    np.testing.assert_allclose(result.damping_ratios, [0.01, 0.02])
+    with pytest.raises(InputError, match="then call get_constants"):
+        from_sdypy(SimpleNamespace(nat_freq=[3.0]))
+    with pytest.raises(InputError, match="found no pole for mode 2"):
+        from_sdypy(SimpleNamespace(nat_freq=[3.0, 0.0], nat_xi=[0.01, 0.0], A=constants.T))
 
 
 @pytest.fixture(scope="module")
