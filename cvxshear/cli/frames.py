@@ -102,8 +102,8 @@ def loop(
     pictures, tables = Pictures(figure, "closure"), Spreadsheets(csv, xlsx)
     if report is not None:
         from cvxshear.report.html import write_report
-    with progress("closing the loop", quiet):
-        experiment, found = measured(sources, jobs=jobs)
+    with progress("closing the loop", quiet) as advance:
+        experiment, found = measured(sources, jobs=jobs, progress=advance)
         result = close_loop(experiment, effects=names(effects), assume=names(assume) or (), backend=backend, jobs=jobs)
     said = {**result.to_dict(), **records_in_json(found)}
     files = [*pictures.of(result), *tables.of(lambda: sheets_of_closure(result))]

@@ -32,6 +32,7 @@ from cvxshear.writing import check_output
 if TYPE_CHECKING:
     from cvxshear import Experiment
     from cvxshear.campaign import IdentifiedRecord
+    from cvxshear.parallel import Progress
 
 
 def modes(
@@ -83,8 +84,7 @@ def modes(
     with progress("identifying modes", quiet) as advance:
         found = identify_modes_many(sources, jobs=jobs, progress=advance, **options)
     errors = [error for error in found if isinstance(error, CvxshearError)]
-    for error in errors:
-        sys.stderr.write(f"cvxshear: {error}\n")
+    _complain(errors)
     tests = _kept(found)
     if tests:
         results = [test.modes for test in tests]
@@ -101,7 +101,9 @@ def modes(
         raise typer.Exit(2 if any(isinstance(error, InputError) for error in errors) else 1)
 
 
-def measured(names: Sequence[str], *, jobs: int = 1) -> tuple[Experiment, list[IdentifiedRecord]]:
+def measured(
+    names: Sequence[str], *, jobs: int = 1, progress: Progress | None = None
+) -> tuple[Experiment, list[IdentifiedRecord]]:
     """The experiment of a measurement file, or that of record files with the modes found in each.
 
     Raises
@@ -121,11 +123,12 @@ def measured(names: Sequence[str], *, jobs: int = 1) -> tuple[Experiment, list[I
     for file in files:
         if not is_record_file(file):
             raise InputError(f"{file} is no record file; hand in either records or one measurement file")
-    tests = []
-    for test in identify_modes_many(files, jobs=jobs):
-        if isinstance(test, CvxshearError):
-            raise test
-        tests.append(test)
+    found = identify_modes_many(files, jobs=jobs, progress=progress)
+    errors = [error for error in found if isinstance(error, CvxshearError)]
+    _complain(errors[:-1])
+    if errors:
+        raise errors[-1]
+    tests = _kept(found)
     return Experiment.from_dict(merged(tests), name=Path(files[0]).stem), tests
 
 
@@ -179,3 +182,8 @@ def _said(files: Sequence[str], found: Sequence[IdentifiedRecord | CvxshearError
         if isinstance(error, CvxshearError)
     ]
     return {"records": [_record(test) for test in tests], "failed": failed}
+
+
+def _complain(errors: Sequence[CvxshearError]) -> None:
+    for error in errors:
+        sys.stderr.write(f"cvxshear: {error}\n")
