@@ -13,8 +13,8 @@ from cvxshear.text import printable
 class CvxshearError(Exception):
     """Base of every exception raised by cvxshear; names of a file stand in its message as `printable` shows them."""
 
-    def __init__(self, message: str = "") -> None:
-        super().__init__(printable(message))
+    def __init__(self, message: object = "") -> None:
+        super().__init__(printable(str(message)))
 
 
 class InputError(CvxshearError, ValueError):

@@ -1,6 +1,8 @@
-"""Options of the whole suite."""
+"""What the whole suite shares: its options, and the command line run in this process."""
 
 import pytest
+
+from cvxshear.cli import main
 
 
 def pytest_addoption(parser):
@@ -16,3 +18,16 @@ def pytest_addoption(parser):
 @pytest.fixture(scope="session")
 def fuzz_budget(request):
     return request.config.getoption("--fuzz-budget")
+
+
+@pytest.fixture
+def run(capsys):
+    """Status, standard output and standard error of a command."""
+
+    def call(*arguments):
+        with pytest.raises(SystemExit) as stopped:
+            main(list(arguments))
+        shown = capsys.readouterr()
+        return stopped.value.code, shown.out, shown.err
+
+    return call

@@ -7,21 +7,9 @@ import sys
 import pytest
 
 from cvxshear import __version__, backends
-from cvxshear.cli import main
 from tests.frames import EXAMPLES
 
 THREE = str(EXAMPLES / "three_story.toml")
-
-
-@pytest.fixture
-def run(capsys):
-    def call(*arguments):
-        with pytest.raises(SystemExit) as stopped:
-            main(list(arguments))
-        shown = capsys.readouterr()
-        return stopped.value.code, shown.out, shown.err
-
-    return call
 
 
 def test_identify_prints_the_papers_answer(run):

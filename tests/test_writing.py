@@ -15,7 +15,6 @@ from pathlib import Path
 import pytest
 
 import cvxshear
-from cvxshear.cli import main
 from cvxshear.errors import InputError
 from cvxshear.writing import check_output, same_file, write_file
 from tests.fuzz import files
@@ -210,7 +209,7 @@ def test_no_other_module_writes():
             if name in {"write_text", "write_bytes"}:
                 found.add((path.relative_to(PACKAGE).as_posix(), name))
     # A standard stream that was closed is given the null device.
-    assert found == {("writing.py", "fdopen"), ("writing.py", "replace"), ("cli/output.py", "open")}
+    assert found == {("writing.py", "fdopen"), ("writing.py", "replace"), ("cli/streams.py", "open")}
 
 
 KILLED = """
@@ -277,17 +276,6 @@ def test_killed_in_the_middle_of_every_writer(tmp_path):
 
 
 # The commands.
-
-
-@pytest.fixture
-def run(capsys):
-    def call(*arguments):
-        with pytest.raises(SystemExit) as stopped:
-            main(list(arguments))
-        shown = capsys.readouterr()
-        return stopped.value.code, shown.out, shown.err
-
-    return call
 
 
 REFUSED = {

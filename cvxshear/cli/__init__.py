@@ -9,7 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from cvxshear.cli import frames, new, records, studies
-from cvxshear.cli.output import OutputError, sound_streams, typed
+from cvxshear.cli.output import typed
+from cvxshear.cli.streams import OutputError, sound_streams
 from cvxshear.errors import CvxshearError, LostProcessError, NoSolutionError
 
 app = typer.Typer(

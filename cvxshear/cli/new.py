@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cvxshear.cli.output import among_files
+from cvxshear.cli.output import writes
 from cvxshear.errors import InputError
 from cvxshear.writing import write_file
 
@@ -15,13 +15,7 @@ from cvxshear.writing import write_file
 def new(
     output: Annotated[
         str | None,
-        typer.Option(
-            "--output",
-            "-o",
-            help="Write it here; printed where not given.",
-            metavar="TOML",
-            callback=among_files(".toml"),
-        ),
+        writes("--output", "-o", what="Write it here; printed where not given.", metavar="TOML", endings=(".toml",)),
     ] = None,
     stories: Annotated[int | None, typer.Option(help="How many stories the frame has; 3 where not given.")] = None,
     modes: Annotated[

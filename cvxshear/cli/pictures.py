@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cvxshear.cli.output import FIGURES, claim, figures_for
+from cvxshear.cli.checked import claim
+from cvxshear.cli.output import FIGURES, figures_for
 from cvxshear.errors import InputError
 
 if TYPE_CHECKING:

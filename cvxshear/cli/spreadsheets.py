@@ -6,23 +6,16 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from cvxshear.cli.output import among_files
+from cvxshear.cli.output import writes
 
 if TYPE_CHECKING:
     from cvxshear.report.sheets import Sheet
 
-CsvOut = Annotated[
-    str | None,
-    typer.Option("--csv", help="Write the result's main table here.", metavar="OUT", callback=among_files(".csv")),
-]
+CsvOut = Annotated[str | None, writes("--csv", what="Write the result's main table here.", endings=(".csv",))]
 XlsxOut = Annotated[
-    str | None,
-    typer.Option(
-        "--xlsx", help="Write the result's tables as a workbook here.", metavar="OUT", callback=among_files(".xlsx")
-    ),
+    str | None, writes("--xlsx", what="Write the result's tables as a workbook here.", endings=(".xlsx",))
 ]
+
 
 class Spreadsheets:
     """The tables that were asked for, checked before anything runs and written once there is a result.

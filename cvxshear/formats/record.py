@@ -173,7 +173,7 @@ def _channels(tables: object, declared: Mapping[str, Any], path: Path, lines: li
         if quantity != "force" and "floor" not in one:
             raise InputError(f"{where}: the key 'floor' is missing (0 for the ground)")
         sign = one.get("sign", 1)
-        if not isinstance(sign, int) or isinstance(sign, bool) or sign not in (1, -1):
+        if not isinstance(sign, int | float) or isinstance(sign, bool) or sign not in (1, -1):
             raise InputError(f"{where}: sign must be 1 or -1, not {checks.shown(sign)}")
         factor = sign * checks.number(one.get("calibration", 1.0), f"{where}: calibration", above=0.0)
         floor = checks.whole(one.get("floor", 0), f"{where}: floor", least=0, most=MOST_STORIES)

@@ -18,6 +18,7 @@ import numpy as np
 from cvxshear.errors import InputError
 from cvxshear.formats.columns import LIMIT, TOO_LARGE, Columns
 from cvxshear.formats.reading import read_bytes
+from cvxshear.text import printable
 from cvxshear.typing import Floats, Ints, Json
 from cvxshear.writing import write_file
 
@@ -188,7 +189,7 @@ def _step(axis: Floats) -> float:
 def _header(pyuff: Any, result: ModalResult) -> list[Json]:
     return [
         pyuff.prepare_151(
-            model_name=result.name[:80],
+            model_name=printable(result.name)[:80],
             description=f"Modes by {result.method}",
             db_app="cvxshear",
             program="cvxshear",
@@ -210,7 +211,7 @@ def _header(pyuff: Any, result: ModalResult) -> list[Json]:
 def _mode(pyuff: Any, result: ModalResult, place: int) -> Json:
     frequency = float(result.frequencies[place])
     mode: Json = pyuff.prepare_55(
-        id1=result.name[:80],
+        id1=printable(result.name)[:80],
         id2=result.uncertainty[:80],
         id3="1/sqrt(kg)" if result.mass_normalized else "largest entry 1",
         id4=f"mode {int(result.modes[place])}",

@@ -169,6 +169,13 @@ def test_modes_to_a_universal_file_and_back(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["modes.uff"]
 
 
+def test_a_name_does_not_end_a_data_set(tmp_path):
+    pytest.importorskip("pyuff")
+    given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]], name="a\n    -1\n    -1\n    58\nb\x00ä" * 9)
+    write_uff(tmp_path / "modes.uff", given)
+    np.testing.assert_allclose(read_modes(tmp_path / "modes.uff")[0], [3.0, 9.0], rtol=1e-5)
+
+
 def test_what_is_no_universal_file(tmp_path):
     pytest.importorskip("pyuff")
     (tmp_path / "a.uff").write_text("nothing\n")
@@ -243,8 +250,11 @@ def test_modes_are_identified_without_a_reader_or_a_writer():
 def test_a_direction_that_the_universal_file_does_not_know_has_its_number(tmp_path, values, direction):
     universal(tmp_path / "a.uff", values[:, [2]], [(1, 1)])
     text = (tmp_path / "a.uff").read_text()
-    assert text.count("         1   1NONE") == 1
-    (tmp_path / "a.uff").write_text(text.replace("         1   1NONE", f"         1{direction:4d}NONE"))
+    lines = text.splitlines()
+    head = lines[7]
+    assert head[41:55] == "         1   1"
+    lines[7] = f"{head[:51]}{direction:4d}{head[55:]}"
+    (tmp_path / "a.uff").write_text("\n".join(lines) + "\n")
     assert read_uff(tmp_path / "a.uff")[0].names == ("time", "1d100" if direction > 0 else "1d100-")
 
 
