@@ -102,7 +102,7 @@ def modes(
 
 
 def measured(
-    names: Sequence[str], *, jobs: int = 1, progress: Progress | None = None
+    names: Sequence[str], *, jobs: int = 1, progress: Progress | None = None, accept_swapped: bool = False
 ) -> tuple[Experiment, list[IdentifiedRecord]]:
     """The experiment of a measurement file, or that of record files with the modes found in each.
 
@@ -123,7 +123,7 @@ def measured(
     for file in files:
         if not is_record_file(file):
             raise InputError(f"{file} is no record file; hand in either records or one measurement file")
-    found = identify_modes_many(files, jobs=jobs, progress=progress)
+    found = identify_modes_many(files, jobs=jobs, progress=progress, accept_swapped=accept_swapped)
     errors = [error for error in found if isinstance(error, CvxshearError)]
     _complain(errors[:-1])
     if errors:
