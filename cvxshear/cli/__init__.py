@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cvxshear.cli import backends, check, frames, studies
+from cvxshear.cli import backends, check, frames, new, records, studies
 from cvxshear.cli import plan as planning
 from cvxshear.cli.output import typed
 from cvxshear.cli.streams import OutputError, sound_streams
@@ -25,7 +25,8 @@ study = typer.Typer(help="Many identifications at once.", no_args_is_help=True)
 for command in (
     frames.identify,
     frames.loop,
-    frames.modes,
+    records.modes,
+    new.new,
     check.check,
     backends.backends,
     planning.plan,

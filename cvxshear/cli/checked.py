@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import typer
 from cvxshear.errors import InputError
 from cvxshear.writing import check_output, same_file
 
-OTHERS_ENDINGS = (".toml", ".csv", ".mat", ".uff", ".html", ".htm", ".svg", ".png", ".pdf")
+OTHERS_ENDINGS = (".toml", ".csv", ".xlsx", ".mat", ".uff", ".html", ".htm", ".svg", ".png", ".pdf")
 """What a file of JSON must not be called, lest a slip of the keyboard replace something else."""
 
 
@@ -29,24 +29,42 @@ def output_file(*endings: str) -> Callable[[typer.Context, typer.CallbackParam, 
     """
 
     def check(context: typer.Context, option: typer.CallbackParam, path: str | None) -> str | None:
-        if path is None or path == "-" or context.resilient_parsing:
-            return path
-        name = option.opts[0]
-        try:
-            check_output(path, endings=endings)
-            if not endings and Path(path).suffix.lower() in OTHERS_ENDINGS:
-                raise InputError(f"{path} has the ending of another kind of file; JSON is written to a .json")
-        except InputError as error:
-            raise InputError(f"{name}: {error}") from None
-        written = context.meta.setdefault(WRITTEN, {})
-        for other, place in written.items():
-            if same_file(path, place):
-                raise InputError(f"{name} and {other} name the same file, {path}")
-        written[name] = path
-        _refuse_overlap(written, context.meta.get(READ, ()))
+        if path is not None and path != "-" and not context.resilient_parsing:
+            claim(context, option.opts[0], path, endings)
         return path
 
     return check
+
+
+def claim(context: typer.Context, name: str, path: str, endings: Sequence[str]) -> None:
+    """Note a file that a command is to write, once it can be, and refuse one that it reads or writes besides.
+
+    Parameters
+    ----------
+    context : typer.Context
+    name : str
+        The option that names it.
+    path : str
+    endings : sequence of str
+        As for `output_file`.
+
+    Raises
+    ------
+    InputError
+        Naming the option.
+    """
+    try:
+        check_output(path, endings=endings)
+        if not endings and Path(path).suffix.lower() in OTHERS_ENDINGS:
+            raise InputError(f"{path} has the ending of another kind of file; JSON is written to a .json")
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+    written = context.meta.setdefault(WRITTEN, {})
+    for other, place in written.items():
+        if same_file(path, place):
+            raise InputError(f"{name} and {other} name the same file, {path}")
+    written[name] = path
+    _refuse_overlap(written, context.meta.get(READ, ()))
 
 
 def input_files(context: typer.Context, files: Any) -> Any:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -13,25 +12,21 @@ from cvxshear.cli.output import (
     BackendName,
     FigureOut,
     File,
+    Files,
     JsonOut,
-    MeasurementOut,
     Quiet,
-    RecordIn,
     ReportOut,
-    UniversalOut,
     deliver,
     figures_for,
     names,
+    numbers,
     progress,
     typed,
 )
-from cvxshear.errors import InputError, UnsuitableError
-
-if TYPE_CHECKING:
-    from rich.console import RenderableType
-
-    from cvxshear import Experiment
-    from cvxshear.modal import ModalResult
+from cvxshear.cli.pictures import FiguresOut, Pictures
+from cvxshear.cli.records import measured, records_in_json, tables_of
+from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
+from cvxshear.errors import UnsuitableError
 
 
 def identify(
@@ -48,7 +43,9 @@ def identify(
     accelerate: Annotated[
         bool, typer.Option("--accelerate", help="Reach the end of the mass iteration in a few steps (two-stage).")
     ] = False,
-    figure: FigureOut = None,
+    figure: FiguresOut = None,
+    csv: CsvOut = None,
+    xlsx: XlsxOut = None,
     out: JsonOut = None,
 ) -> None:
     """Identify floor masses and story stiffnesses.
@@ -61,10 +58,11 @@ def identify(
     from cvxshear import identify as run
     from cvxshear import load
     from cvxshear.report import screening_terminal, terminal
+    from cvxshear.report.sheets import sheets_of_identification
     from cvxshear.screening import refuse_mistakes
 
-    drawing = figures_for(figure)
-    experiment, start = load(file), _numbers(initial_mass)
+    pictures, tables = Pictures(figure, "identification"), Spreadsheets(csv, xlsx)
+    experiment, start = load(file), numbers(initial_mass, "--initial-mass")
     doubts = refuse_mistakes(experiment)
     named = method or ("efficient" if start is None else "two-stage")
     result = run(
@@ -74,27 +72,15 @@ def identify(
     if method is None and named == "efficient" and out != "-":
         with suppress(UnsuitableError):
             beside = run(experiment, method="two-stage", backend=backend)
+    files = [*pictures.of(result), *tables.of(lambda: sheets_of_identification(result))]
     said = {**result.to_dict(), "warnings": [item.to_dict() for item in doubts]}
-    files = [] if drawing is None else [lambda: drawing.save(drawing.frame(result), figure)]
     deliver(
         said, out, lambda: [*screening_terminal.warnings(doubts), *terminal.identification(result, beside)], *files
     )
 
 
-def _numbers(text: str | None) -> list[float] | None:
-    """The numbers of a comma-separated option."""
-    if text is None:
-        return None
-    try:
-        return [float(part) for part in text.split(",")]
-    except ValueError:
-        raise InputError(
-            f"--initial-mass must be numbers with commas between, such as 9.5,7.5,5.5, not {text!r}"
-        ) from None
-
-
 def loop(
-    file: File,
+    sources: Files,
     effects: Annotated[
         str | None, typer.Option(help="Which effects to look for, commas between; all where not given.")
     ] = None,
@@ -104,7 +90,9 @@ def loop(
     backend: BackendName = "auto",
     jobs: Annotated[int, typer.Option(help="Processes that fit candidates; -1 takes every core.")] = 1,
     report: ReportOut = None,
-    figure: FigureOut = None,
+    figure: FiguresOut = None,
+    csv: CsvOut = None,
+    xlsx: XlsxOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
 ) -> None:
@@ -114,80 +102,24 @@ def loop(
     """
     from cvxshear import close_loop
     from cvxshear.report import loop_terminal, screening_terminal
+    from cvxshear.report.sheets import sheets_of_closure
     from cvxshear.screening import refuse_mistakes
 
-    drawing = figures_for(figure)
+    pictures, tables = Pictures(figure, "closure"), Spreadsheets(csv, xlsx)
     if report is not None:
         from cvxshear.report.html import write_report
-    with progress("closing the loop", quiet):
-        experiment, found = measured(file)
+    with progress("closing the loop", quiet) as advance:
+        experiment, found = measured(sources, jobs=jobs, progress=advance)
         doubts = refuse_mistakes(experiment)
         result = close_loop(experiment, effects=names(effects), assume=names(assume) or (), backend=backend, jobs=jobs)
-    said = {**result.to_dict(), "warnings": [item.to_dict() for item in doubts]}
-    if found is not None:
-        said["modes"] = found.to_dict()
-    files: list[Callable[[], None]] = []
+    said = {**result.to_dict(), "warnings": [item.to_dict() for item in doubts], **records_in_json(found)}
+    files = [*pictures.of(result), *tables.of(lambda: sheets_of_closure(result))]
     if report is not None:
         files.append(lambda: write_report(result, report, shlex.join(["cvxshear", *typed])))
-    if drawing is not None:
-        files.append(lambda: drawing.save(drawing.residual(result), figure))
     deliver(
         said,
         out,
-        lambda: [*_modes_of(found), *screening_terminal.warnings(doubts), *loop_terminal.closure(result)],
+        lambda: [*tables_of(found), *screening_terminal.warnings(doubts), *loop_terminal.closure(result)],
         *files,
     )
-
-
-def measured(file: str, *, accept_swapped: bool = False) -> tuple[Experiment, ModalResult | None]:
-    """The experiment of a measurement file, or of the record that a record file names, with its modes."""
-    from cvxshear import Experiment, load
-    from cvxshear.formats.modes import modes_from_file
-    from cvxshear.formats.reading import named_after
-    from cvxshear.formats.toml import is_record_file
-
-    if not is_record_file(file):
-        return load(file), None
-    found, declared = modes_from_file(file, accept_swapped=accept_swapped)
-    return Experiment.from_dict(declared, name=named_after(file)), found
-
-
-def _modes_of(found: ModalResult | None) -> Iterable[RenderableType]:
-    from cvxshear.report import modal_terminal
-
-    return () if found is None else (*modal_terminal.modes(found), "")
-
-
-def modes(
-    record: RecordIn,
-    output: MeasurementOut = None,
-    uff: UniversalOut = None,
-    method: Annotated[
-        str | None, typer.Option(help="era, okid, subspace or ssi; what suits the record where none is named.")
-    ] = None,
-    count: Annotated[int | None, typer.Option(help="How many modes; as many as stories where not given.")] = None,
-    correct_clocks: Annotated[bool, typer.Option(help="Take clock offsets between the channels out.")] = False,
-    accept_swapped: Annotated[bool, typer.Option(help="Go on where two channels look swapped.")] = False,
-    quiet: Quiet = False,
-    out: JsonOut = None,
-) -> None:
-    """Identify natural frequencies, damping and mode shapes from a record.
-
-    Example: cvxshear modes record.toml -o test.toml
-    """
-    from cvxshear.formats.modes import modes_from_file, write_modes
-    from cvxshear.formats.uff import write_uff
-    from cvxshear.report import modal_terminal
-
-    with progress("identifying modes", quiet):
-        result, declared = modes_from_file(
-            record, method=method, count=count, correct_clocks=correct_clocks, accept_swapped=accept_swapped
-        )
-    files: list[Callable[[], None]] = []
-    if output is not None:
-        frame, priors, (state,) = declared["frame"], declared.get("prior", ()), declared["configuration"]
-        files.append(lambda: write_modes(output, result, frame, priors=priors, added_mass=state.get("added_mass")))
-    if uff is not None:
-        files.append(lambda: write_uff(uff, result))
-    deliver(result.to_dict(), out, lambda: modal_terminal.modes(result), *files)
 

@@ -31,10 +31,23 @@ File = Annotated[
         help="A measurement file (TOML), or 'paper' for the built-in example.", metavar="FILE", callback=input_files
     ),
 ]
-RecordIn = Annotated[str, typer.Argument(help="A record file (TOML).", metavar="RECORD", callback=input_files)]
+Files = Annotated[
+    list[str],
+    typer.Argument(
+        help="A measurement file (TOML), 'paper' for the built-in example, or record files and patterns of them.",
+        metavar="FILE...",
+        callback=input_files,
+    ),
+]
+Records = Annotated[
+    list[str],
+    typer.Argument(
+        help="Record files (TOML), or patterns such as 'day-1/*.toml'.", metavar="RECORD...", callback=input_files
+    ),
+]
 
 
-def _writes(*names: str, what: str, metavar: str = "OUT", endings: Iterable[str] = ()) -> Any:
+def writes(*names: str, what: str, metavar: str = "OUT", endings: Iterable[str] = ()) -> Any:
     """An option that names a file to write."""
     return typer.Option(*names, help=what, metavar=metavar, callback=output_file(*endings))
 
@@ -42,21 +55,27 @@ def _writes(*names: str, what: str, metavar: str = "OUT", endings: Iterable[str]
 FIGURES = (".svg", ".png", ".pdf")
 
 JsonOut = Annotated[
-    str | None, _writes("--json", what="Write the result as JSON to this file, '-' for standard output.")
+    str | None, writes("--json", what="Write the result as JSON to this file, '-' for standard output.")
 ]
-FigureOut = Annotated[str | None, _writes("--figure", what="Draw into this file: .svg, .png or .pdf.", endings=FIGURES)]
-BoxesOut = Annotated[str | None, _writes("--boxes", what="Draw box plots (Fig. 5) into this file.", endings=FIGURES)]
+FigureOut = Annotated[str | None, writes("--figure", what="Draw into this file: .svg, .png or .pdf.", endings=FIGURES)]
+BoxesOut = Annotated[str | None, writes("--boxes", what="Draw box plots (Fig. 5) into this file.", endings=FIGURES)]
 ReportOut = Annotated[
     str | None,
-    _writes("--report", what="Write a report, one HTML file.", metavar="OUT.html", endings=(".html", ".htm")),
+    writes("--report", what="Write a report, one HTML file.", metavar="OUT.html", endings=(".html", ".htm")),
 ]
 MeasurementOut = Annotated[
     str | None,
-    _writes("--output", "-o", what="Write a measurement file here.", metavar="TOML", endings=(".toml",)),
+    writes(
+        "--output",
+        "-o",
+        what="Write a measurement file here, a configuration each.",
+        metavar="TOML",
+        endings=(".toml",),
+    ),
 ]
 UniversalOut = Annotated[
     str | None,
-    _writes("--uff", what="Write the modes as a universal file here.", metavar="UFF", endings=(".uff", ".unv", ".u55")),
+    writes("--uff", what="Write the modes as a universal file here.", metavar="UFF", endings=(".uff", ".unv", ".u55")),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")]
 BackendName = Annotated[
@@ -168,3 +187,13 @@ def progress(title: str, quiet: bool) -> Iterator[Callable[[int, int], None] | N
 def names(text: str | None) -> list[str] | None:
     """The names of a comma-separated option."""
     return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
+
+
+def numbers(text: str | None, option: str) -> list[float] | None:
+    """The numbers of a comma-separated option."""
+    if text is None:
+        return None
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise InputError(f"{option} must be numbers with commas between, such as 9.5,7.5,5.5, not {text!r}") from None

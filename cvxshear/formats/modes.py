@@ -30,6 +30,7 @@ def modes_from_file(
     rule: str = "magnitude",
     correct_clocks: bool = False,
     accept_swapped: bool = False,
+    pick: Sequence[float] | None = None,
     output: str | Path | None = None,
     uff: str | Path | None = None,
 ) -> tuple[ModalResult, Json]:
@@ -41,6 +42,8 @@ def modes_from_file(
         The record file (TOML).
     method, estimator, blocks, count, rule, correct_clocks, accept_swapped
         As for `identify_modes`.
+    pick : sequence of float, optional
+        The same, in place of the record file's own list.
     output : str or Path, optional
         Where to write the measurement file, `.toml`.
     uff : str or Path, optional
@@ -73,11 +76,13 @@ def modes_from_file(
         rule=rule,
         correct_clocks=correct_clocks,
         accept_swapped=accept_swapped,
+        pick=source.pick if pick is None else pick,
     )
     result = _with_scale_finding(result, source)
-    declared = result.to_experiment(source.frame, priors=source.priors, added_mass=source.added_mass)
+    frame, priors, added_mass, state = source.frame, source.priors, source.added_mass, source.state
+    declared = result.to_experiment(frame, priors=priors, added_mass=added_mass, state=state)
     if output is not None:
-        write_modes(output, result, source.frame, priors=source.priors, added_mass=source.added_mass)
+        write_modes(output, result, frame, priors=priors, added_mass=added_mass, state=state)
     if uff is not None:
         write_uff(uff, result)
     return result, declared
@@ -90,6 +95,7 @@ def write_modes(
     *,
     priors: Sequence[Mapping[str, object]] = (),
     added_mass: Sequence[float] | None = None,
+    state: str | None = None,
 ) -> None:
     """Write the measurement file of identified modes, the findings as comments at its head.
 
@@ -97,7 +103,7 @@ def write_modes(
     ----------
     path : str or Path
     result : ModalResult
-    frame, priors, added_mass
+    frame, priors, added_mass, state
         As for `ModalResult.to_experiment`.
 
     Raises
@@ -105,7 +111,7 @@ def write_modes(
     InputError
         Where the modes do not make a measurement that `cvxshear.load` would take; nothing is written.
     """
-    declared = result.to_experiment(frame, priors=priors, added_mass=added_mass)
+    declared = result.to_experiment(frame, priors=priors, added_mass=added_mass, state=state)
     Experiment.from_dict(declared, name=result.name)
     comments = [f"Modes of {result.name} by {result.method}; standard deviations: {result.uncertainty}"]
     if result.needs_mass(frame or {}, priors) and not any(finding.kind == "scale" for finding in result.findings):

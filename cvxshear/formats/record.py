@@ -42,11 +42,12 @@ RECORD_KEYS = (
     "band",
     "exponential_window",
     "truncated",
+    "pick",
     "size_limit",
 )
 CHANNEL_KEYS = ("column", "floor", "axis", "sign", "calibration", "quantity")
 RUN_KEYS = ("file", "name", "input_floor")
-PASSED_ON = ("frame", "prior", "added_mass")
+PASSED_ON = ("frame", "prior", "added_mass", "state")
 TIME_NAMES = ("time", "time_s", "t", "t_s", "Time", "TIME", "seconds")
 FREQUENCY_NAMES = ("frequency", "frequency_hz", "freq", "f", "f_hz", "Frequency", "hz")
 
@@ -76,6 +77,10 @@ class RecordFile:
         The tables `[[prior]]`, for the measurement file.
     added_mass : list of float, optional
         kg on each floor during the record.
+    state : str, optional
+        The state of the frame that was tested; records of one state share it.
+    pick : list of float, optional
+        Hz; frequencies of the modes, chosen by hand.
     files : tuple of Path
         The record file and those it names.
     """
@@ -84,6 +89,8 @@ class RecordFile:
     frame: Mapping[str, object] = field(default_factory=dict)
     priors: Sequence[Mapping[str, object]] = ()
     added_mass: Sequence[float] | None = None
+    state: str | None = None
+    pick: Sequence[float] | None = None
     files: tuple[Path, ...] = ()
 
 
@@ -121,6 +128,7 @@ def read_record(path: str | Path) -> RecordFile:
     added = table.get("added_mass")
     if added is not None:
         added = checks.vector(added, f"{where}: added_mass", least=0.0).tolist()
+    state = None if table.get("state") is None else checks.text(table["state"], f"{where}: state")
     try:
         record = _record(table, path, _lines_of(text, "channel"))
     except InputError as error:
@@ -128,7 +136,10 @@ def read_record(path: str | Path) -> RecordFile:
         # What the readers of other files say names those.
         raise type(error)(message if message.startswith(str(path.parent)) else f"{where}: {message}") from error
     files = (path, *(path.parent / run["file"] for run in _runs(table, table["record"])))
-    return RecordFile(record, frame, priors, added, files)
+    picked = table["record"].get("pick")
+    if picked is not None:
+        picked = checks.vector(picked, f"{where}: record: pick", above=0.0).tolist()
+    return RecordFile(record, frame, priors, added, state, picked, files)
 
 
 def _record(table: Mapping[str, Any], path: Path, lines: list[int]) -> Record:
@@ -304,7 +315,7 @@ def _rate(declared: Mapping[str, Any], columns: Columns) -> float:
                 f"record: give sampling_rate, in Hz, or time, the name of the time column of {columns.source}"
             )
         return said
-    rate = sampling_rate_of(columns.column(name, "record: time"), columns, name)
+    rate = sampling_rate_of(columns.column(name, "record: time"), columns, name, said)
     if said is not None:
         if abs(rate - said) > 0.01 * said:
             raise InputError(

@@ -11,6 +11,7 @@ from pathlib import Path
 from cvxshear.checks import shown
 from cvxshear.errors import InputError
 from cvxshear.experiment import Experiment
+from cvxshear.formats.mode_tables import with_modes_read
 from cvxshear.formats.reading import named_after, read_bytes
 
 LARGEST_FILE = 5_000_000
@@ -19,7 +20,7 @@ LARGEST_FILE = 5_000_000
 BUILT_IN = {"paper": ("paper", "paper.toml"), "los-alamos": ("builtin", "los-alamos.toml")}
 """Examples that travel with the package, and where they stand in it."""
 
-NAMING_KEYS = ("file", "csv", "uff")
+NAMING_KEYS = ("file", "csv", "xlsx", "uff")
 """Keys of tables whose values are names of other files."""
 
 LONGEST_KEY = 16
@@ -62,7 +63,7 @@ def load(path: str | Path) -> Experiment:
             f"'cvxshear modes {path} -o test.toml' makes one of it, and 'cvxshear loop {path}' takes it as it is"
         )
     try:
-        return Experiment.from_dict(declared, name=named_after(path))
+        return Experiment.from_dict(with_modes_read(declared, path.parent), name=named_after(path))
     except InputError as error:
         raise type(error)(f"{path!s}: {error}") from error
 

@@ -11,18 +11,20 @@ import importlib
 import tempfile
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cvxshear.errors import InputError
 from cvxshear.formats.columns import LIMIT, TOO_LARGE, Columns
 from cvxshear.formats.reading import read_bytes
-from cvxshear.modal.record import Complexes
-from cvxshear.modal.result import ModalResult
 from cvxshear.text import printable
-from cvxshear.typing import Floats, Json
+from cvxshear.typing import Floats, Ints, Json
 from cvxshear.writing import write_file
+
+if TYPE_CHECKING:
+    from cvxshear.modal.record import Complexes
+    from cvxshear.modal.result import ModalResult
 
 X_TRANSLATION = 1
 AXES = ("", "x", "y", "z", "rx", "ry", "rz")
@@ -105,14 +107,15 @@ def write_uff(path: str | Path, result: ModalResult) -> None:
         write_file(path, made.read_bytes())
 
 
-def read_modes(path: str | Path) -> tuple[Floats, Floats, Complexes]:
-    """Frequencies (Hz), viscous damping ratios and shapes of the modes (data set 55) of a universal file.
+def read_modes(path: str | Path) -> tuple[Floats, Floats, Complexes, Ints]:
+    """Frequencies (Hz), viscous damping ratios, shapes and nodes of the modes (data set 55) of a universal file.
 
     Returns
     -------
     frequencies, damping : array, shape (modes,)
     shapes : array of complex, shape (modes, nodes)
         In the x direction, in the order of the file's nodes.
+    nodes : array of int, shape (nodes,)
 
     Raises
     ------
@@ -124,11 +127,12 @@ def read_modes(path: str | Path) -> tuple[Floats, Floats, Complexes]:
     if not modes:
         raise InputError(f"{where} holds no mode (data set 55)")
     shapes = [np.atleast_1d(item["r1"]).astype(np.complex128) for item in modes]
-    if any("freq" not in item for item in modes) or len({shape.shape for shape in shapes}) > 1:
+    nodes = [np.atleast_1d(item["node_nums"]).astype(np.int64) for item in modes]
+    if any("freq" not in item for item in modes) or len({each.tobytes() for each in nodes}) > 1:
         raise InputError(f"{where}: the sets 55 are not normal modes at the same nodes")
     frequencies = np.array([float(np.real(item["freq"])) for item in modes])
     damping = np.array([float(item.get("modal_damp_vis", 0.0)) for item in modes])
-    return frequencies, damping, np.array(shapes)
+    return frequencies, damping, np.array(shapes), nodes[0]
 
 
 def _pyuff() -> Any:

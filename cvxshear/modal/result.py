@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from cvxshear.modal.findings import Finding
+from cvxshear.modal.functions import Functions
 from cvxshear.modal.picking import Sweep
 from cvxshear.modal.record import Complexes
 from cvxshear.typing import Floats, Ints, Json
@@ -65,6 +66,8 @@ class ModalResult:
     findings : tuple of Finding
     sweep : Sweep, optional
         For the stabilization diagram.
+    functions : Functions, optional
+        What the record shows over frequency, for the figures.
     """
 
     name: str
@@ -88,6 +91,7 @@ class ModalResult:
     uncertainty: str
     findings: tuple[Finding, ...] = ()
     sweep: Sweep | None = None
+    functions: Functions | None = None
 
     def to_dict(self) -> Json:
         """The result as plain values."""
@@ -114,9 +118,11 @@ class ModalResult:
             "findings": [finding.to_dict() for finding in self.findings],
         }
 
-    def configuration(self, *, added_mass: Sequence[float] | None = None) -> Json:
+    def configuration(self, *, added_mass: Sequence[float] | None = None, state: str | None = None) -> Json:
         """The table `[[configuration]]` of a measurement file that these modes make."""
         result: Json = {"name": self.name}
+        if state is not None:
+            result["state"] = state
         if added_mass is not None:
             result["added_mass"] = [float(mass) for mass in added_mass]
         result |= {
@@ -138,6 +144,7 @@ class ModalResult:
         *,
         priors: Sequence[Mapping[str, object]] = (),
         added_mass: Sequence[float] | None = None,
+        state: str | None = None,
     ) -> Json:
         """A dict of the measurement file's shape, for `Experiment.from_dict`.
 
@@ -149,6 +156,8 @@ class ModalResult:
             The tables `[[prior]]`.
         added_mass : sequence of float, shape (N,), optional
             kg on each floor during the record.
+        state : str, optional
+            The state of the frame that was tested.
 
         Returns
         -------
@@ -166,7 +175,7 @@ class ModalResult:
         result: Json = {"frame": table}
         if priors:
             result["prior"] = [dict(prior) for prior in priors]
-        result["configuration"] = [self.configuration(added_mass=added_mass)]
+        result["configuration"] = [self.configuration(added_mass=added_mass, state=state)]
         return result
 
     def needs_mass(self, frame: Mapping[str, object], priors: Sequence[Mapping[str, object]]) -> bool:

@@ -62,12 +62,13 @@ def render(result: Closure, command: str, comparison: Comparison | None = None) 
     """
     if comparison is None:
         comparison = compare_backends(result.experiment)
-    page = _environment().get_template("report.html")
+    page = environment().get_template("report.html")
     return page.render(**contents(result, comparison, command), figure=_figures(result, comparison))
 
 
 @cache
-def _environment() -> Environment:
+def environment() -> Environment:
+    """The templates of the reports."""
     # Escapes every text, whatever the template is called: names and priors come from files.
     return Environment(
         loader=PackageLoader("cvxshear.report", "templates"),

@@ -25,11 +25,11 @@ def modes(result: ModalResult) -> Iterator[RenderableType]:
         table.add_row(
             str(result.modes[j]),
             f"{result.frequencies[j]:.4f}",
-            percent(float(result.frequency_std[j]), 3),
-            percent(float(result.damping_ratios[j])),
-            percent(float(result.damping_std[j])),
+            f"{significant(100 * float(result.frequency_std[j]), 2)} %",
+            percent(float(result.damping_ratios[j]), 3),
+            percent(float(result.damping_std[j]), 3),
             *(
-                f"{value:.4f} ± {100 * std:.1f} %"
+                f"{value:.4f} ± {significant(100 * std, 2)} %"
                 for value, std in zip(result.mode_shapes[j], result.mode_shape_std[j], strict=True)
             ),
             significant(float(result.phase_collinearity[j])),

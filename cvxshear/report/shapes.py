@@ -48,6 +48,7 @@ class ModeShape:
 def mode_shapes(estimate: Estimate) -> list[ModeShape]:
     """Every measured mode of every configuration beside what the fit makes of it."""
     result = []
+    facing: dict[int, Floats] = {}
     scale = estimate.noise_scale if np.isfinite(estimate.noise_scale) and estimate.noise_scale > 0 else 1.0
     for target, match in zip(estimate.misfit.targets, estimate.fit.at.matches, strict=True):
         configuration = target.configuration
@@ -63,6 +64,8 @@ def mode_shapes(estimate: Estimate) -> list[ModeShape]:
                 factor = 1.0 / full[np.argmax(np.abs(full))]
             entries = target.shapes[j, known]
             unit = entries[np.argmax(np.abs(entries))] if known.any() else 1.0
+            # Which entry is largest may change with the configuration; the mode keeps its sign.
+            unit = -unit if facing.setdefault(int(mode), full * factor / unit) @ (full * factor / unit) < 0 else unit
             result.append(
                 ModeShape(
                     configuration.name,

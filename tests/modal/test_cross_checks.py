@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cvxshear.formats.modes import modes_from_file
-from cvxshear.modal import Channel, Run, TimeRecord, from_pyoma, identify_modes
+from cvxshear.modal import Channel, Run, TimeRecord, from_pyoma, from_sdypy, identify_modes
 from cvxshear.modal.shapes import mac
 from cvxshear.modal.simulate import PAPER_FRAME, ambient_record, base_record
 from tests.modal.shared import DATA, needs_southampton, southampton
@@ -83,3 +83,7 @@ def test_sdypy_ema(tmp_path):
     # poles of all orders lie within one line of the functions, 1/32 Hz.
     np.testing.assert_allclose(np.array(model.nat_freq)[found], ours.frequencies[found], rtol=0, atol=1 / 32)
     np.testing.assert_allclose(np.array(model.nat_xi)[found], ours.damping_ratios[found], rtol=0.15)
+    if found.all():
+        model.get_constants()
+        theirs = from_sdypy(model, floors=[1, 2, 3])
+        assert min(mac(a, b) for a, b in zip(theirs.mode_shapes, ours.mode_shapes, strict=True)) > 0.99

@@ -162,7 +162,7 @@ def test_modes_to_a_universal_file_and_back(tmp_path):
     given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]], damping_ratios=[0.01, 0.02], name="pair")
     write_uff(tmp_path / "modes.uff", given)
     write_uff(tmp_path / "modes.uff", given)
-    frequencies, damping, shapes = read_modes(tmp_path / "modes.uff")
+    frequencies, damping, shapes, _ = read_modes(tmp_path / "modes.uff")
     np.testing.assert_allclose(frequencies, [3.0, 9.0], rtol=1e-5)
     np.testing.assert_allclose(damping, [0.01, 0.02], rtol=1e-5)
     np.testing.assert_allclose(shapes, given.mode_shapes, rtol=1e-5)

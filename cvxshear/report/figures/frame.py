@@ -20,10 +20,10 @@ LINE = 0.17
 SLAB = 0.3
 """Thickness of the heaviest floor, of the lowest story height."""
 
-PANEL_WIDTH = 6.0
+PANEL_WIDTH = 6.8
 """inch; room for the widest label on either side."""
 
-LEFT, RIGHT, GAP = 0.43, 0.59, 0.07
+LEFT, RIGHT, GAP = 0.46, 0.57, 0.07
 """The columns, and the distance of the labels from them, as parts of a panel's width."""
 
 SMALLEST = 1e-300
@@ -93,8 +93,13 @@ def _draw(axes: Axes, experiment: Experiment, found: IdentifiedFrame, title: str
     axes.set_ylabel(label)
     axes.set_xticks([])
     axes.spines["bottom"].set_visible(False)
-    for x, text, align in ((LEFT - GAP, "story stiffness ± std", "right"), (RIGHT + GAP, "floor mass ± std", "left")):
-        axes.text(x, 1.02, text, ha=align, va="bottom", weight="bold", transform=axes.transAxes)
+    for x, text, std, align in (
+        (LEFT - GAP, "story stiffness", found.story_stiffness_std, "right"),
+        (RIGHT + GAP, "floor mass", found.floor_mass_std, "left"),
+    ):
+        # A value that a bound holds has no deviation of its own.
+        heading = f"{text} ± std" if any(_known(std, z)) else text
+        axes.text(x, 1.02, heading, ha=align, va="bottom", weight="bold", transform=axes.transAxes)
     if title:
         axes.set_title(title, pad=20)
 

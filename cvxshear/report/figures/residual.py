@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter
 
 from cvxshear.identification.efficient import Estimate
 from cvxshear.loop import Closure
@@ -22,6 +22,9 @@ LINEAR = 5.0
 """Standard deviations up to which the axis stays linear where the largest is beyond `COMPRESSED`."""
 
 COMPRESSED = 25.0
+
+MOST_DECADES = 2
+"""Labels on either side of zero."""
 
 
 @styled
@@ -94,9 +97,16 @@ def _dumbbells(axes: Axes, places: Floats, before: Sequence[float], after: Seque
     largest = float(np.nanmax(np.abs([*before, *after, 1.0])))
     if largest > COMPRESSED:
         axes.set_xscale("symlog", linthresh=LINEAR, linscale=1.0)
-        axes.xaxis.set_major_locator(SymmetricalLogLocator(linthresh=LINEAR, base=10))
+        axes.xaxis.set_major_locator(FixedLocator(_decades(largest)))
         axes.xaxis.set_major_formatter(FuncFormatter(power_of_ten))
         axes.xaxis.set_minor_formatter(FuncFormatter(lambda value, at: ""))
         axes.set_xlim(-2 * largest, 2 * largest)
     else:
         axes.set_xlim(-1.15 * max(largest, USUAL), 1.15 * max(largest, USUAL))
+
+
+def _decades(largest: float) -> list[float]:
+    """Zero and powers of ten beyond the linear part on both sides, so few that their labels stay apart."""
+    first, last = int(np.ceil(np.log10(LINEAR))), int(np.floor(np.log10(2 * largest)))
+    powers = [10.0**power for power in range(first, last + 1, -(-(last - first + 1) // MOST_DECADES))]
+    return [*(-power for power in reversed(powers)), 0.0, *powers]
