@@ -115,9 +115,9 @@ def measured(
     """
     from cvxshear import Experiment, load
     from cvxshear.campaign import identify_modes_many, merged
-    from cvxshear.formats.toml import is_record_file
+    from cvxshear.formats.toml import is_built_in, is_record_file
 
-    files = ["paper"] if list(names) == ["paper"] else _files(names)
+    files = list(names) if len(names) == 1 and is_built_in(names[0]) else _files(names)
     if len(files) == 1 and not is_record_file(files[0]):
         return load(files[0]), []
     for file in files:

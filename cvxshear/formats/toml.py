@@ -48,9 +48,9 @@ def load(path: str | Path) -> Experiment:
     InputError
         Naming the file, and the key, the value found and what would be right.
     """
-    if isinstance(path, str) and path in BUILT_IN:
-        text = resources.files("cvxshear").joinpath(*BUILT_IN[path]).read_text(encoding="utf-8")
-        return Experiment.from_dict(tomllib.loads(text), name=path)
+    if is_built_in(path):
+        text = resources.files("cvxshear").joinpath(*BUILT_IN[str(path)]).read_text(encoding="utf-8")
+        return Experiment.from_dict(tomllib.loads(text), name=str(path))
     if not isinstance(path, str | os.PathLike):
         raise InputError(
             f"load takes the name of a measurement file, not {shown(path)}; a dict goes to Experiment.from_dict"
@@ -68,10 +68,15 @@ def load(path: str | Path) -> Experiment:
         raise type(error)(f"{path!s}: {error}") from error
 
 
+def is_built_in(path: object) -> bool:
+    """Whether this is the name of an example that travels with the package."""
+    return isinstance(path, str) and path in BUILT_IN
+
+
 def read_text(path: Path) -> str:
     """The text of a file that a user named."""
     content = read_bytes(
-        path, LARGEST_FILE, "too many for a measurement file", absent="the built-in example is called 'paper'"
+        path, LARGEST_FILE, "too many for a measurement file", absent=f"the built-in examples are called {' and '.join(BUILT_IN)}"
     )
     try:
         return content.decode("utf-8-sig")
@@ -103,14 +108,14 @@ def is_record_file(path: str | Path) -> bool:
     Parameters
     ----------
     path : str or Path
-        "paper" is the built-in measurement file, as in `load`.
+        Or the name of a built-in example, as in `load`.
 
     Raises
     ------
     InputError
         Where the file cannot be read or is not TOML.
     """
-    if path == "paper":
+    if is_built_in(path):
         return False
     path = Path(path)
     return "record" in parse(read_text(path), path)
@@ -122,14 +127,14 @@ def files_of(path: str | Path) -> tuple[Path, ...]:
     Parameters
     ----------
     path : str or Path
-        "paper" is the built-in measurement file, made of none.
+        Or the name of a built-in example, made of none.
 
     Raises
     ------
     InputError
         Where the file cannot be read or is not TOML.
     """
-    if path == "paper":
+    if is_built_in(path):
         return ()
     path = Path(path)
     tables: list[object] = []

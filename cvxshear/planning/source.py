@@ -8,7 +8,7 @@ from pathlib import Path
 from cvxshear.checks import shown
 from cvxshear.errors import InputError
 from cvxshear.experiment import Experiment
-from cvxshear.formats.toml import load, parse, read_text
+from cvxshear.formats.toml import is_built_in, load, parse, read_text
 from cvxshear.planning.design import Design
 
 
@@ -29,7 +29,7 @@ def read_design(source: str | Path | Experiment, *, fresh: bool = False) -> Desi
     """
     if isinstance(source, Experiment):
         return Design.of_experiment(source, fresh=fresh)
-    if source == "paper":
+    if is_built_in(source):
         return Design.of_experiment(load(source), fresh=fresh)
     path = Path(source)
     try:
