@@ -22,6 +22,9 @@ PARTS_OF_A_FLOOR = (0.1, 0.25, 0.5, 1.0)
 HEAVIEST = 1000.0
 """kg on one floor: more is not carried up for a test."""
 
+MOST_RIVALS = 4
+"""Rival sets that a test is to tell from the accepted one, the most probable first."""
+
 WORTHWHILE = 1.0
 """Standard deviations below which no test is proposed."""
 
@@ -62,9 +65,10 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
         return None
     size = accepted.scale.floor_mass
     masses = sorted({min(part * size, HEAVIEST) for part in PARTS_OF_A_FLOOR})
+    rivals = rivals[:MOST_RIVALS]
     tests = [
         (first, floor, mass)
-        for first in {each.state: each for each in reversed(accepted.experiment.configurations)}.values()
+        for first in _first_of_states(accepted, rivals)
         for floor in range(1, accepted.experiment.stories + 1)
         for mass in masses
     ]
@@ -78,6 +82,15 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
         if best is None or apart > best.standard_deviations:
             best = NextTest(floor, mass, first.state, apart)
     return best if best is not None and best.standard_deviations >= WORTHWHILE else None
+
+
+def _first_of_states(accepted: Estimate, rivals: Sequence[Estimate]) -> list[Configuration]:
+    """The first configuration of each state that the models disagree on, and of the first state of all."""
+    mine = set(accepted.effects)
+    parted = {placed.place.state for rival in rivals for placed in mine.symmetric_difference(rival.effects)}
+    firsts = {each.state: each for each in reversed(accepted.experiment.configurations)}
+    here = accepted.experiment.configurations[0].state
+    return [first for state, first in firsts.items() if state in parted or state == here]
 
 
 def separation(accepted: Estimate, rival: Estimate, imagined: Experiment) -> float:

@@ -77,9 +77,8 @@ class Search:
             self._expand(model)
 
     def refine(self) -> None:
-        """Fit the sets that count to full accuracy."""
-        floor = self.best.score - WITHIN
-        self._record([self.fitter.refined(model) for model in self.visited.values() if model.score >= floor])
+        """Fit the sets that count most to full accuracy."""
+        self._record([self.fitter.refined(model) for model in self.beam])
 
     def fit_of(self, effects: Set) -> Estimate:
         """The fit of a set, made where it was not visited."""

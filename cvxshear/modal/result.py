@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from cvxshear.modal.findings import Finding
+from cvxshear.modal.knowledge import entry_std, frequency_std
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.picking import Sweep
 from cvxshear.modal.record import Complexes
@@ -131,8 +132,8 @@ class ModalResult:
             "frequencies": self.frequencies.tolist(),
             "mode_shapes": self.mode_shapes.tolist(),
             "mass_normalized": self.mass_normalized,
-            "frequency_std": np.maximum(self.frequency_std, LEAST_STD).tolist(),
-            "mode_shape_std": np.maximum(self.entry_std, LEAST_STD).tolist(),
+            "frequency_std": np.maximum(frequency_std(self.frequency_std, self.modes, self.findings), LEAST_STD).tolist(),
+            "mode_shape_std": entry_std(self.entry_std).tolist(),
             "mode_shape_noise": "additive",
             "damping_ratios": np.clip(self.damping_ratios, 0.0, None).tolist(),
         }
