@@ -13,7 +13,7 @@ from cvxshear.formats.toml import load
 from cvxshear.identification import Identification, identify
 from cvxshear.loop import Closure, close_loop
 from cvxshear.priors import Prior
-#from cvxshear.studies.backends import Comparison, compare_backends
+from cvxshear.studies.backends import Comparison, compare_backends
 
 __version__ = "0.1.0"
 

@@ -11,7 +11,7 @@ def loaded_by(statement):
 
 def test_importing_cvxshear_loads_neither_matplotlib_nor_the_command_line():
     modules = loaded_by("import cvxshear")
-    assert "cvxshear.identify" in modules
+    assert "cvxshear.identification" in modules
     for unwanted in ("matplotlib", "typer", "rich", "cvxshear.cli", "pytest"):
         assert unwanted not in modules
 

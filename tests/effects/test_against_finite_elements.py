@@ -159,7 +159,7 @@ def test_ground_spring(floor, number):
 @pytest.mark.parametrize("floor", [1, 2, 3, 4])
 @pytest.mark.parametrize("mass", [1.3, -0.8])
 def test_added_mass(floor, mass):
-    there = placed("added_mass", floor=floor, configuration="loaded")
+    there = placed("added_mass", floor=floor, state="loaded")
     assert_same(modes_with([there], mass, number=1), sway_modes(fe.with_mass(building(1), mass, floor)))
     assert_same(modes_with([there], mass, number=0), sway_modes(building(0)))
 
@@ -197,14 +197,14 @@ def test_sensor_gain(floor, number):
 @pytest.mark.parametrize("story", [1, 2, 3, 4])
 @pytest.mark.parametrize("change", [-0.2, 0.4])
 def test_story_change(story, change):
-    there = placed("story_change", story=story, configuration="loaded")
+    there = placed("story_change", story=story, state="loaded")
     assert_same(modes_with([there], change, number=1), sway_modes(fe.with_story_change(building(1), change, story)))
     assert_same(modes_with([there], change, number=0), sway_modes(building(0)))
 
 
 def test_changed_story_between_joints_that_turn():
     """The beams are the frame's, whatever became of the columns in one configuration."""
-    effects = [placed("joint_rotation"), placed("story_change", story=2, configuration="loaded")]
+    effects = [placed("joint_rotation"), placed("story_change", story=2, state="loaded")]
     frame = fe.with_story_change(fe.with_turning_joints(building(1), 0.5), -0.3, 2)
     assert_same(modes_with(effects, 0.5, -0.3, number=1), sway_modes(frame))
 
@@ -215,8 +215,8 @@ def test_many_effects_at_once():
         placed("joint_rotation"),
         placed("base_rocking"),
         placed("ground_spring", floor=3),
-        placed("added_mass", floor=2, configuration="loaded"),
-        placed("story_change", story=1, configuration="loaded"),
+        placed("added_mass", floor=2, state="loaded"),
+        placed("story_change", story=1, state="loaded"),
         placed("gravity"),
         placed("sensor_gain", floor=4),
     ]
