@@ -154,7 +154,7 @@ def test_a_tall_frame_has_the_same_modes_from_the_tridiagonal_solver():
     )
     K[0, 5] = K[5, 0] = -1e7
     coupled = modes(M, K)
-    np.testing.assert_allclose(coupled.shapes.T @ K @ coupled.shapes, np.diag(coupled.eigenvalues), atol=1e-8 * K.max())
+    np.testing.assert_allclose(coupled.shapes @ K @ coupled.shapes.T, np.diag(coupled.eigenvalues), atol=1e-8 * K.max())
 
 
 def test_mode_derivatives_hold_for_a_tall_frame():
