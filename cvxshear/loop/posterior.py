@@ -87,8 +87,11 @@ class Posterior:
         And each effect beyond that set which is more probable than not.
         """
         best = self.best.effects
-        held = [placed for placed in best if self._enough([placed, *(r.placed for r in self.rivals(placed) if r.twin)])]
-        more = [placed for placed in self.of_effects if placed not in best and self._enough([placed])]
+        twins = {placed: [rival.placed for rival in self.rivals(placed) if rival.twin] for placed in best}
+        held = [placed for placed in best if self._enough([placed, *twins[placed]])]
+        # A twin of what is added is there in its place, not besides it.
+        passed = best.union(*(twins[placed] for placed in held))
+        more = [placed for placed in self.of_effects if placed not in passed and self._enough([placed])]
         return frozenset((*held, *more))
 
     def _enough(self, family: Sequence[Placed]) -> bool:
