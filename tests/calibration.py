@@ -50,12 +50,14 @@ BINS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
 
 @dataclass(frozen=True)
 class Trial:
-    """One random frame: what is in it, how many configurations are tested, and its noise where nobody declared it."""
+    """One random frame: what is in it, how many configurations are tested, its noise where nobody declared it, and
+    the most stories that it has."""
 
     effects: tuple[str, ...]
     configurations: int
     seed: int
     noise: tuple[float, float] | None = None
+    tallest: int = 8
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ def visible(effects, configurations):
 def experiment_of(trial):
     """The measurement and the truth."""
     rng = np.random.default_rng(trial.seed)
-    stories = int(rng.integers(3, 9))
+    stories = int(rng.integers(3, trial.tallest + 1))
     added = np.round(rng.uniform(0.0, HEAVIEST, (trial.configurations, stories)) * 2) / 2
     added[0] = 0.0
     simulate = simulated if len(trial.effects) < 2 else simulated_pair
