@@ -1,4 +1,4 @@
-"""Kinds of data: residuals and derivatives against differences, a static test as the only scale, a kind of one's own."""
+"""Kinds of data: residuals and derivatives by differences, a static test as the only scale, a kind of one's own."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -23,7 +23,7 @@ FORCE = np.array([0.0, 30.0, 0.0, 120.0])
 
 
 def measured_twice(*, mass_normalized=False):
-    """Two configurations, one with a sensor missing and entries that were not measured, and a pull test of one state."""
+    """Two configurations, one with a sensor missing and entries not measured, and a pull test of one state."""
     rng = np.random.default_rng(5)
     plain = configuration(MASS, STIFFNESS, ADDED[0], rng=rng, shape_noise=0.02, frequency_noise=0.01)
     loaded = configuration(
@@ -33,7 +33,7 @@ def measured_twice(*, mass_normalized=False):
     loaded["mode_shapes"][1][0] = float("nan")
     if mass_normalized:
         loaded["mode_shapes"] = (0.2 * np.array(loaded["mode_shapes"])).tolist()
-    M, K = chain(MASS, STIFFNESS)
+    _, K = chain(MASS, STIFFNESS)
     u = np.linalg.solve(K, FORCE) * (1 + 0.02 * rng.standard_normal(4))
     u[1] = np.nan
     declared = experiment(
@@ -78,7 +78,7 @@ def test_derivatives_of_frequencies_and_displacements(kind):
 
 
 def test_derivatives_of_shapes_but_for_their_free_scales():
-    """Kaufman's derivative is the exact one with every mode's own direction, which its free scale follows, taken out."""
+    """Kaufman's derivative is the exact one without every mode's own direction, which its free scale follows."""
     of = measured_twice()
     for datum in Shapes.of(of):
         found = residual(datum, AT, of=of)
@@ -148,7 +148,8 @@ def test_a_static_test_s_noise_is_in_the_standard_deviations():
     z = []
     for seed in range(6):
         found = identify(pulled(np.random.default_rng(seed), 0.01)).frame
-        z += [*(found.floor_mass - MASS) / found.floor_mass_std, *(found.story_stiffness - STIFFNESS) / found.story_stiffness_std]
+        z += [*(found.floor_mass - MASS) / found.floor_mass_std]
+        z += [*(found.story_stiffness - STIFFNESS) / found.story_stiffness_std]
     assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.7
     result = close_loop(pulled(np.random.default_rng(1), 0.01))
     assert result.verdict == "adequate"
@@ -215,7 +216,7 @@ def test_a_registered_kind_does_not_outlive_its_test():
 
 def test_modes_that_changed_places_are_paired_by_their_shapes():
     of = measured_twice()
-    frequencies, shapes = modes_of(MASS, STIFFNESS)
+    _, shapes = modes_of(MASS, STIFFNESS)
     swapped = experiment(
         MASS, STIFFNESS,
         {**configuration(MASS, STIFFNESS), "mode_shapes": shapes[[0, 1, 3, 2]].tolist()},

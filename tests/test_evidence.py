@@ -115,7 +115,7 @@ def sampled(of, estimate, effect, seed, *, undeclared=False):
         return np.where(good, value - 0.5 * (chi2[0] + chi2[1]), -np.inf)
 
     rng = np.random.default_rng(seed)
-    spread = np.diag(([0.02, 0.02, 0.02, *([0.05] * (effect is not None)), *([0.3] * 2 * undeclared)])) ** 2
+    spread = np.diag([0.02, 0.02, 0.02, *([0.05] * (effect is not None)), *([0.3] * 2 * undeclared)]) ** 2
     if effect is SPRING:
         spread[3, 3] = 400.0**2
     for _ in range(6):
@@ -181,7 +181,8 @@ def test_the_evidence_of_an_effect_is_the_ratio_of_the_integrals(case, undeclare
     without, with_it = fit(of, None), fit(of, effect)
     expectation = Expectation(SCALE)
     found = log_evidence(with_it, expectation) - log_evidence(without, expectation)
-    exact = sampled(of, with_it, effect, 1, undeclared=undeclared) - sampled(of, without, None, 2, undeclared=undeclared)
+    exact = sampled(of, with_it, effect, 1, undeclared=undeclared)
+    exact -= sampled(of, without, None, 2, undeclared=undeclared)
     assert found == pytest.approx(exact, abs=0.25 if undeclared else 0.06)
 
 
@@ -212,7 +213,9 @@ def test_the_integral_over_an_interval_far_tails_included(lower, upper, slope, s
     assert log_interval(lower, upper, slope, std) == pytest.approx(expected, rel=1e-8, abs=1e-8)
 
 
-@pytest.mark.parametrize(("a", "b"), [(-1.0, 2.0), (5.0, 6.0), (-40.0, -39.0), (39.0, 40.0), (-np.inf, -30.0), (0.0, 0.1)])
+@pytest.mark.parametrize(
+    ("a", "b"), [(-1.0, 2.0), (5.0, 6.0), (-40.0, -39.0), (39.0, 40.0), (-np.inf, -30.0), (0.0, 0.1)]
+)
 def test_the_normal_between_two_points_keeps_its_digits_in_either_tail(a, b):
     """By the complementary error function, scaled, which loses nothing far out."""
     low, high = (a, b) if b <= 0 else (-b, -a) if a >= 0 else (None, None)

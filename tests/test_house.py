@@ -10,7 +10,7 @@ ROOT = Path(cvxshear.__file__).parent
 ROOMS = (
     # What anything may use: exceptions, names of types, checks of what comes in, how quantities are written.
     ("errors",), ("typing",), ("quantities",), ("checks",), ("parallel",),
-    # What was measured and declared. Priors are part of an experiment; a static test and what is expected of effects too.
+    # What was measured and declared: priors, static tests and what is expected of effects are part of an experiment.
     ("priors",), ("configuration",), ("static_test",), ("expected_effect",), ("experiment",),
     # The model, the effects that act on it, and the kinds of data that it is compared with.
     ("frame",), ("effects",), ("data",),
@@ -85,7 +85,7 @@ def circles(edges):
 
     reach = {name: reached(name) for name in following}
     in_circle = {name for name, seen in reach.items() if name in seen}
-    return {frozenset({other for other in in_circle if other in reach[name] and name in reach[other]}) for name in in_circle}
+    return {frozenset(other for other in in_circle if other in reach[name] and name in reach[other]) for name in in_circle}
 
 
 def test_every_module_has_its_room():

@@ -289,7 +289,7 @@ def test_held_out_error_is_what_leaving_a_configuration_out_predicts():
 
 def test_held_out_errors_before_and_after_are_of_the_same_data():
     """A change of one state cannot be judged by the others: the largest error is of those that have none of it."""
-    declared, truth = simulated(
+    declared, _ = simulated(
         "story_change", stories=4, configurations=3, rng=np.random.default_rng(4), configuration=3, story=2, size=-0.2
     )
     result = close_loop(Experiment.from_dict(declared), effects=["story_change"])

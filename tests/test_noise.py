@@ -17,7 +17,7 @@ ADDED = (None, [2e3, 6e3, 4e3, 7e3, 3e3, 5e3], [9e3, 0, 0, 4e3, 0, 0])
 DEFAULTS = {"frequency": 0.002, "mode_shape": 0.01}
 
 
-def tests_with(seed, frequency, shape, *, declare=(), frame=None, prior=()):
+def experiment_with(seed, frequency, shape, *, declare=(), frame=None, prior=()):
     """Three tests with this noise; only the named standard deviations are declared, as the true ones."""
     rng = np.random.default_rng(seed)
     true = {"frequency_std": frequency, "mode_shape_std": shape}
@@ -33,9 +33,6 @@ def tests_with(seed, frequency, shape, *, declare=(), frame=None, prior=()):
     return Experiment.from_dict(experiment(MASS, STIFFNESS, *tables, frame=frame, prior=prior))
 
 
-tests_with.__test__ = False
-
-
 def marginal_of(of, noise=None):
     estimate = efficient(of, backends.get("auto"))
     misfit = estimate.misfit if noise is None else estimate.misfit.replaced(noise=noise)
@@ -45,7 +42,7 @@ def marginal_of(of, noise=None):
 
 @pytest.mark.parametrize("u", [[0.0, 0.0], [1.1, -0.4], [-0.8, 0.9]])
 def test_the_marginal_s_derivative(u):
-    of = marginal_of(tests_with(1, 0.004, 0.008))
+    of = marginal_of(experiment_with(1, 0.004, 0.008))
     at = of.here + np.array(u)
     _, gradient = of.negative(at)
     step = 1e-5
@@ -57,7 +54,7 @@ def test_the_marginal_s_derivative(u):
 
 def test_the_marginal_is_the_gaussian_integral_that_it_stands_for():
     """-2 log of the integral of exp(-|W(u)(J x + r)|^2 / 2) over x, by the full matrices, at two noises."""
-    of = tests_with(2, 0.004, 0.008)
+    of = experiment_with(2, 0.004, 0.008)
     estimate = efficient(of, backends.get("auto"))
     at = estimate.misfit.evaluate(estimate.theta)
     free = estimate.uncertainty.root_of(at.triangle[0])
@@ -85,8 +82,8 @@ def test_two_unknown_noises_are_each_found_by_itself(frequency, shape):
     """Root mean square of the errors in their stated standard deviations, six simulated tests a pair of noises."""
     z = []
     for seed in range(3):
-        found = identify(tests_with(seed, frequency, shape)).to_dict()
-        estimate = efficient(tests_with(seed, frequency, shape), backends.get("auto")).noise.to_dict()
+        found = identify(experiment_with(seed, frequency, shape)).to_dict()
+        estimate = efficient(experiment_with(seed, frequency, shape), backends.get("auto")).noise.to_dict()
         for kind, true in (("frequency", frequency), ("mode_shape", shape)):
             z.append((estimate[kind]["factor"] - true / DEFAULTS[kind]) / estimate[kind]["std"])
         assert estimate["displacement"] is None
@@ -95,10 +92,10 @@ def test_two_unknown_noises_are_each_found_by_itself(frequency, shape):
 
 
 def test_only_what_is_undeclared_is_estimated():
-    estimate = efficient(tests_with(3, 0.006, 0.02, declare=["frequency_std"]), backends.get("auto"))
+    estimate = efficient(experiment_with(3, 0.006, 0.02, declare=["frequency_std"]), backends.get("auto"))
     assert estimate.noise.kinds == ("mode_shape",)
     assert dict(estimate.noise.noise.factors)["mode_shape"] == pytest.approx(2.0, rel=0.25)
-    both = efficient(tests_with(3, 0.006, 0.02, declare=["frequency_std", "mode_shape_std"]), backends.get("auto"))
+    both = efficient(experiment_with(3, 0.006, 0.02, declare=["frequency_std", "mode_shape_std"]), backends.get("auto"))
     assert both.noise.kinds == ()
     assert both.quality.p_value is not None
 
@@ -106,8 +103,8 @@ def test_only_what_is_undeclared_is_estimated():
 def test_a_declared_standard_deviation_is_never_rescaled():
     """Errors four times what was declared leave the stated deviations where the declaration puts them."""
     declare = ["frequency_std", "mode_shape_std"]
-    honest = tests_with(4, 0.001, 0.01, declare=declare).to_dict()
-    worse = tests_with(4, 0.004, 0.04, declare=declare).to_dict()
+    honest = experiment_with(4, 0.001, 0.01, declare=declare).to_dict()
+    worse = experiment_with(4, 0.004, 0.04, declare=declare).to_dict()
     for table in worse["configuration"]:
         table["frequency_std"], table["mode_shape_std"] = 0.001, 0.01
     honest, worse = (identify(Experiment.from_dict(each)) for each in (honest, worse))
@@ -129,7 +126,7 @@ def test_a_prior_s_standard_deviation_is_never_rescaled(frequency, shape):
 
 
 def test_the_rows_of_a_prior_and_of_declared_data_carry_no_factor():
-    of = tests_with(6, 0.004, 0.02, declare=["mode_shape_std"])
+    of = experiment_with(6, 0.004, 0.02, declare=["mode_shape_std"])
     of = of.with_priors([Value("story_stiffness", at=2, value=36e6, std=0.05)])
     theta = np.concatenate([1.01 * MASS, 0.97 * STIFFNESS])
     plain, tenfold = (Misfit(of, noise=Noise(factors)).evaluate(theta) for factors in ((), (("frequency", 10.0),)))
@@ -151,5 +148,5 @@ def test_noise_that_no_instrument_has_is_improbable():
     estimate = efficient(of, backends.get("auto"))
     assert estimate.quality.max_frequency_error > 0.05 or estimate.quality.max_shape_error > 0.05
     assert estimate.p_value < 0.01
-    sound = efficient(tests_with(7, 0.004, 0.02), backends.get("auto"))
+    sound = efficient(experiment_with(7, 0.004, 0.02), backends.get("auto"))
     assert sound.p_value > 0.01

@@ -35,7 +35,7 @@ def posterior(*models, prior=PRIOR, priors=()):
 
 
 def test_probabilities_are_those_of_the_scores():
-    """Far below what an exponential can hold; the sum over all sets is one, that of an effect over those that hold it."""
+    """Far below what an exponential can hold; those of all sets add up to one, an effect's over its sets."""
     of = posterior(model([], 0.1), model([A], 0.6, log_prior=-3.0), model([A, B], 0.2), model([C], 0.1))
     np.testing.assert_allclose(of.probabilities, [0.6, 0.2, 0.1, 0.1], rtol=1e-9)
     assert of.best.effects == {A}

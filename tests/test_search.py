@@ -40,7 +40,7 @@ class HeldAndLoaded(GroundSpring):
         return held.with_mass(M, dM)
 
     def sizes(self, of):
-        return np.array([0.1 * of.story_stiffness, 0.1 * of.floor_mass])
+        return np.array([0.1 * of.story_stiffness, 0.5 * of.floor_mass])
 
     def phrase(self, place, values, std, of, units):
         return Effect.phrase(self, place, values, std, of, units)
@@ -88,7 +88,9 @@ def measured(effect, seed, **keys):
     return Experiment.from_dict(declared), truth
 
 
-@pytest.mark.parametrize(("effect", "seed"), [("sensor_gain", 1), ("ground_spring", 2), (None, 3), ("joint_rotation", 4)])
+@pytest.mark.parametrize(
+    ("effect", "seed"), [("sensor_gain", 1), ("ground_spring", 2), (None, 3), ("joint_rotation", 4)]
+)
 def test_it_ends_and_visits_no_set_twice(fits, effect, seed):
     of, _ = measured(effect, seed)
     result = close_loop(of, effects=PROVOKING)
@@ -178,8 +180,9 @@ def test_the_linearised_model_of_two_parameters_is_that_of_the_fit():
     base = fitted_with(Misfit(of, (), expectation=expectation), start.theta, backends.get("auto"))
     free = type("Free", (HeldAndLoaded,), {"parameters": (Parameter("s", "N/m"), Parameter("mass", "kg"))})()
     placed = Placed(free, Place(floor=3))
-    fitted = fitted_with(Misfit(of, [placed], expectation=expectation), np.append(base.theta, [0, 0]), backends.get("auto"))
+    misfit = Misfit(of, [placed], expectation=expectation)
+    fitted = fitted_with(misfit, np.append(base.theta, [0, 0]), backends.get("auto"))
     linear = Linearised(base, [placed], expectation)
     gain = log_evidence(fitted, expectation) - log_evidence(base, expectation)
     assert linear.gain(placed) == pytest.approx(gain, abs=0.1)
-    np.testing.assert_allclose(linear.predicted([placed])[8:], fitted.theta[8:], atol=0.2 * fitted.std[8:].min() + 0, rtol=0.2)
+    assert np.all(np.abs(linear.predicted([placed])[8:] - fitted.theta[8:]) < 0.2 * fitted.std[8:])

@@ -329,7 +329,7 @@ def test_an_effect_brings_its_own_size_and_probability():
     other = gain.expecting(size=0.02, probability=0.3)
     assert (gain.probability, gain.expected_sizes(scale)[0]) == (0.1, 0.05)
     assert (other.probability, other.expected_sizes(scale)[0]) == (0.3, 0.02)
-    with pytest.raises(InputError, match="must lie between 0 and 1, not 1.5"):
+    with pytest.raises(InputError, match=r"must lie between 0 and 1, not 1\.5"):
         gain.expecting(probability=1.5)
 
 
