@@ -85,7 +85,9 @@ def circles(edges):
 
     reach = {name: reached(name) for name in following}
     in_circle = {name for name, seen in reach.items() if name in seen}
-    return {frozenset(other for other in in_circle if other in reach[name] and name in reach[other]) for name in in_circle}
+    return {
+        frozenset(other for other in in_circle if other in reach[name] and name in reach[other]) for name in in_circle
+    }
 
 
 def test_every_module_has_its_room():

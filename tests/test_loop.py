@@ -123,6 +123,8 @@ def test_gravity_hides_in_the_stiffnesses_of_one_configuration_and_is_said_to():
     table["mode_shapes"] = (shapes * np.array([1.0, 1.3, 1.0, 1.0])).tolist()
     result = close_loop(Experiment.from_dict(declared))
     assert "gravity" not in [item.placed.effect.name for item in result.effects]
+    (gravity,) = (item for item in result.candidates if item.placed.effect.name == "gravity")
+    assert gravity.probability == pytest.approx(gravity.prior, abs=0.05)
     confounded = {item.placed.effect.name: item.confounded_with for item in result.candidates if item.confounded_with}
     assert all(name.startswith("story_stiffness") for name in confounded["gravity"])
     assert any("cannot tell whether there is gravity" in said for said in result.information)
@@ -216,6 +218,22 @@ class Brace(Effect):
         return state.with_stiffness(state.system.K + values[0] * np.outer(e, e), dK)
 
 
+    def sizes(self, of):
+        return np.array([0.1 * of.story_stiffness])
+
+
+class Boundless(Brace):
+    """The same of any size up to infinity, each as probable."""
+
+    def sizes(self, of):
+        return Effect.sizes(self, of)
+
+
+def test_an_effect_that_does_not_say_how_large_it_may_be_is_refused():
+    with pytest.raises(InputError, match="how large b of the effect brace_between_floors may be: give the effect `sizes`"):
+        close_loop(Experiment.from_dict(shear()), effects=[Boundless()])
+
+
 def test_an_effect_of_ones_own_takes_part_like_the_others():
     rng = np.random.default_rng(9)
     declared = shear(9)
@@ -267,12 +285,13 @@ def test_rivals_come_with_the_test_that_parts_them():
     }
 
 
-def test_held_out_error_of_an_exact_frame_is_nothing():
+def test_held_out_error_of_an_exact_frame_is_next_to_nothing():
+    """What is vaguely expected of any frame moves a prediction by a fiftieth of a deviation, 1e-3."""
     exact = experiment(MASS, STIFFNESS, *(configuration(MASS, STIFFNESS, each) for each in ADDED))
     result = close_loop(Experiment.from_dict(exact))
-    assert result.after.held_out < 1e-6
+    assert result.after.held_out < 2e-5
     single = close_loop(Experiment.from_dict(experiment(MASS, STIFFNESS)))
-    assert single.after.held_out < 1e-6
+    assert single.after.held_out < 2e-5
 
 
 def test_held_out_error_is_what_leaving_a_configuration_out_predicts():
@@ -345,7 +364,10 @@ def test_the_json_has_the_documented_keys_and_is_json():
     } <= set(effect)  # fmt: skip
     assert {"effects", "probability", "log_evidence", "chi2"} == set(result["models"][0])
     assert set(result["averaged"]) == set(result["frame"])
-    assert result["noise"] == {"frequency": None, "mode_shape": None, "displacement": None}
+    # The published frame declares no noise, and has no static test.
+    assert set(result["noise"]) == {"frequency", "mode_shape", "displacement"}
+    assert result["noise"]["displacement"] is None
+    assert set(result["noise"]["frequency"]) == set(result["noise"]["mode_shape"]) == {"factor", "std"}
     assert effect["floor"] is None
     assert {"floor_mass", "floor_mass_std", "story_stiffness", "story_stiffness_std"} == set(result["frame"])
     assert [len(item["frequencies"]) for item in result["predictions"]] == [2, 2, 2]

@@ -96,10 +96,13 @@ class Posterior:
 
     def _enough(self, family: Sequence[Placed]) -> bool:
         """Whether one of these effects is there with at least even odds, which the data have raised."""
+        return self._any(family) >= ADDED and self._raised(family) >= RAISED
+
+    def _raised(self, family: Sequence[Placed]) -> float:
+        """The factor by which the data have raised the odds that one of these effects is there."""
         probability = self._any(family)
         prior = 1.0 - float(np.prod([1.0 - self._prior[placed] for placed in family]))
-        odds = probability / max(1.0 - probability, 1e-300)
-        return probability >= ADDED and odds >= RAISED * prior / (1.0 - prior)
+        return probability / max(1.0 - probability, 1e-300) * (1.0 - prior) / prior
 
     def _any(self, family: Sequence[Placed]) -> float:
         """The probability that one of these effects is there."""
@@ -107,11 +110,11 @@ class Posterior:
         return float(self.probabilities[held].sum())
 
     def untold(self) -> list[Placed]:
-        """Effects whose odds the data left as they were, though they were even or better."""
+        """Effects whose odds the data left about as they were, though they are, or were, even or better."""
         return [
             placed
             for placed, probability in self.of_effects.items()
-            if probability >= ADDED and not self._enough([placed])
+            if max(probability, self._prior[placed]) >= ADDED and 1.0 / RAISED < self._raised([placed]) < RAISED
         ]
 
     def rivals(self, placed: Placed) -> list[Rival]:
