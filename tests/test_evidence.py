@@ -84,20 +84,20 @@ def sampled(of, estimate, effect, seed, *, undeclared=False):
     effect that releases it they shift evenly besides.
     """
     dims = 3 + (effect is not None) + 2 * undeclared
-    unit = np.array([10.0 / np.sqrt(2), 22e3, 22e3, *([1.0] * (effect is not None)), *([1.0] * 2 * undeclared)])
+    unit, own = 10.0 / np.sqrt(2), 2200.0 if effect is SPRING else 1.0
     theta = estimate.theta
     center = np.zeros(dims)
     center[1:3] = theta[2:4] / 22e3
-    center[0] = (theta[0] - theta[1]) / 2 / unit[0]
+    center[0] = (theta[0] - theta[1]) / 2 / unit
     if effect is not None:
-        center[3] = theta[4]
+        center[3] = theta[4] / own
     if undeclared:
         center[-2:] = np.log([dict(estimate.misfit.noise.factors)[kind] for kind in ("frequency", "mode_shape")])
 
     def log_posterior(z):
-        x = z[:, 3] if effect is not None else np.zeros(len(z))
+        x = own * z[:, 3] if effect is not None else np.zeros(len(z))
         total = MASS.sum() * of.frame.total_mass / MASS.sum() * (1 + (x if effect is TOTAL else 0.0))
-        mass = np.stack([total / 2 + unit[0] * z[:, 0], total / 2 - unit[0] * z[:, 0]], axis=1)
+        mass = np.stack([total / 2 + unit * z[:, 0], total / 2 - unit * z[:, 0]], axis=1)
         stiffness = 22e3 * z[:, 1:3]
         good = np.all(mass > 0, axis=1) & np.all(stiffness > 0, axis=1)
         prior = log_prior_of(effect, x) if effect is not None else np.zeros(len(z))
@@ -116,23 +116,21 @@ def sampled(of, estimate, effect, seed, *, undeclared=False):
 
     rng = np.random.default_rng(seed)
     spread = np.diag([0.02, 0.02, 0.02, *([0.05] * (effect is not None)), *([0.3] * 2 * undeclared)]) ** 2
-    if effect is SPRING:
-        spread[3, 3] = 400.0**2
-    for _ in range(6):
+    for _ in range(20):
         # Adapted to the weighted samples, so that the last round is drawn from nearly the right shape.
         z = stats.multivariate_t.rvs(center, spread, df=FREEDOM, size=SAMPLES, random_state=rng)
         logs = log_posterior(z) - stats.multivariate_t.logpdf(z, center, spread, df=FREEDOM)
         weights = np.exp(logs - logs.max())
         effective = weights.sum() ** 2 / np.sum(weights**2)
         value = logs.max() + np.log(weights.mean())
-        if effective > SAMPLES / 4:
+        if effective > SAMPLES / 3:
             break
         tempered = np.exp((logs - logs.max()) * min(1.0, 10.0 / np.ptp(np.sort(logs)[-SAMPLES // 100 :])))
         tempered /= tempered.sum()
         center = tempered @ z
         spread = 1.5 * ((z - center).T * tempered) @ (z - center)
-    assert effective > 500
-    return value
+    assert effective > SAMPLES / 20
+    return value + np.log(own)
 
 
 def measured(seed, *, spring=0.0, total=1.0, undeclared=False, tests=3):

@@ -163,7 +163,10 @@ def replacement(placed: Placed, gone: frozenset[Placed], come: frozenset[Placed]
     def likeness(a: Placed, b: Placed) -> int:
         return 2 * (a.place.state == b.place.state) + (a.effect.name == b.effect.name)
 
-    pairs = sorted(((likeness(a, b), a, b) for a in gone for b in come), key=lambda item: -item[0])
+    # Sets have no order of their own: equal likeness goes by the label, so that every run says the same.
+    pairs = sorted(
+        ((likeness(a, b), a, b) for a in gone for b in come), key=lambda item: (-item[0], item[1].label, item[2].label)
+    )
     taken: dict[Placed, Placed] = {}
     for _, a, b in pairs:
         if a not in taken and b not in taken.values():
