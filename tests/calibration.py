@@ -13,6 +13,7 @@ import sys
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy import stats
@@ -113,9 +114,9 @@ def _renoised(declared, truth, noise, rng):
     for each, frequencies, shapes in zip(
         declared["configuration"], truth["frequencies"], truth["mode_shapes"], strict=True
     ):
-        shapes = shapes / np.max(np.abs(shapes), axis=1, keepdims=True)
+        scaled = shapes / np.max(np.abs(shapes), axis=1, keepdims=True)
         each["frequencies"] = (frequencies * np.exp(noise[0] * rng.standard_normal(len(frequencies)))).tolist()
-        each["mode_shapes"] = (shapes + noise[1] * rng.standard_normal(shapes.shape)).tolist()
+        each["mode_shapes"] = (scaled + noise[1] * rng.standard_normal(scaled.shape)).tolist()
         del each["frequency_std"], each["mode_shape_std"]
 
 
@@ -213,7 +214,7 @@ def reliability(results):
     """For each bin of probabilities: how many effects, how many of them there, and their mean probability."""
     odds = [item for r in results for item in r.odds]
     rows = []
-    for low, high in zip(BINS[:-1], BINS[1:], strict=True):
+    for low, high in pairwise(BINS):
         mine = [(p, there) for p, there in odds if low <= p < high or (high == 1.0 and p >= low)]
         if mine:
             rows.append((low, high, len(mine), sum(there for _, there in mine), float(np.mean([p for p, _ in mine]))))
@@ -231,7 +232,8 @@ def print_reliability(results):
     print("|---|---|---|---|---|")
     for low, high, count, there, mean in reliability(results):
         least, most = limits(count, mean)
-        print(f"| {100 * low:g} to {100 * high:g} % | {count} | {there} | {least} to {most} | {least <= there <= most} |")
+        within = least <= there <= most
+        print(f"| {100 * low:g} to {100 * high:g} % | {count} | {there} | {least} to {most} | {within} |")
 
 
 def coverage(results):
@@ -272,7 +274,8 @@ def main():
     print_reliability([*results, *empty])
     held = [r for r in (*results, *empty) if r.trial.configurations > 1]
     count, of = coverage(held)
-    print(f"\naveraged masses and stiffnesses within 1.96 standard deviations: {count} of {of}, {100 * count / of:.1f} %")
+    part = f"{count} of {of}, {100 * count / of:.1f} %"
+    print(f"\naveraged masses and stiffnesses within 1.96 standard deviations: {part}")
     if options.failures:
         for r in (*results, *empty):
             if r.word != "exact":

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from importlib import import_module
 
 
 def loaded_by(statement):
@@ -22,3 +23,8 @@ def test_importing_cvxshear_changes_no_numpy_setting():
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert modules.stdout.strip() == "True"
+
+
+def test_the_benchmarks_import():
+    for part in ("large", "many", "peers", "solvers"):
+        assert callable(import_module(f"tests.benchmarks.{part}").main)

@@ -230,7 +230,7 @@ class Boundless(Brace):
 
 
 def test_an_effect_that_does_not_say_how_large_it_may_be_is_refused():
-    with pytest.raises(InputError, match="how large b of the effect brace_between_floors may be: give the effect `sizes`"):
+    with pytest.raises(InputError, match="how large b of the effect brace_between_floors may be"):
         close_loop(Experiment.from_dict(shear()), effects=[Boundless()])
 
 

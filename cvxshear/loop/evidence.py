@@ -128,8 +128,7 @@ def _log_kept(estimate: Estimate, B: Floats, H: Floats, gradient: Floats) -> flo
     rows = np.concatenate([-np.eye(len(B)), np.eye(len(B)), G]) @ B
     slack = np.concatenate([-program.lower, program.upper, h])
     within = B / estimate.domain.interval_std[:, None]
-    own = np.concatenate([np.arange(start.start, start.stop) for _, start in slices(estimate.effects, n2)] or [[]])
-    together = {int(p) for p in own}
+    together = {p for _, own in slices(estimate.effects, n2) for p in range(own.start, own.stop)}
     std = _spread(rows, H + within.T @ within)
     alone = [row for row in range(2 * len(B)) if row % len(B) in together]
     std[alone] = _spread(rows[alone], H)
@@ -147,7 +146,8 @@ def _log_kept(estimate: Estimate, B: Floats, H: Floats, gradient: Floats) -> flo
 
 def _spread(rows: Floats, H: Floats) -> Floats:
     """Standard deviations of these rows under a Gaussian of this precision."""
-    return np.sqrt(np.maximum(np.einsum("ij,ji->i", rows, np.linalg.solve(H, rows.T)), 0.0))
+    variance: Floats = np.einsum("ij,ji->i", rows, np.linalg.solve(H, rows.T))
+    return np.sqrt(np.maximum(variance, 0.0))
 
 
 def _multipliers(rows: Floats, active: np.ndarray[tuple[int], np.dtype[np.bool_]], gradient: Floats) -> Floats:
