@@ -10,6 +10,7 @@ from cvxshear import Experiment, backends, close_loop
 from cvxshear.effects import Place, Placed, named
 from cvxshear.errors import CvxshearError
 from cvxshear.identification.efficient import efficient
+from cvxshear.loop.fitter import with_stand_in
 from tests.fe.experiments import simulated
 from tests.frames import configuration, experiment, modes_of
 
@@ -166,7 +167,9 @@ def test_no_floor_loses_more_than_it_holds(backend):
     tables[1]["frequencies"][3] *= 1.1
     frame = {"total_mass": float(MASS.sum()), "reference": "before"}
     of = Experiment.from_dict(experiment(MASS, STIFFNESS, *tables, frame=frame))
-    found = efficient(of, backends.get(backend), [put("added_mass", floor=3, state="after")])
+    gone = [put("added_mass", floor=3, state="after")]
+    # A solver may give up on so little a mass; what the loop then takes in its place keeps the limit as well.
+    found, _ = with_stand_in(backends.get(backend), lambda by: efficient(of, by, gone))
     assert found.theta[-1] < -0.5 * MASS[2]
     assert found.theta[2] + found.theta[-1] >= -1e-6 * MASS.mean()
 
