@@ -23,6 +23,9 @@ class Brace(Effect):
         dK[own] += np.outer(e, e)
         return state.with_stiffness(state.system.K + values[0] * np.outer(e, e), dK)
 
+    def sizes(self, of):
+        return np.array([0.1 * of.story_stiffness])
+
 
 def measured(added):
     """A test of a four-story frame with a brace of 400 N/m, to the declared noise."""

@@ -13,6 +13,7 @@ import sys
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy import stats
@@ -50,12 +51,14 @@ BINS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
 
 @dataclass(frozen=True)
 class Trial:
-    """One random frame: what is in it, how many configurations are tested, and its noise where nobody declared it."""
+    """One random frame: what is in it, how many configurations are tested, its noise where nobody declared it, and
+    the most stories that it has."""
 
     effects: tuple[str, ...]
     configurations: int
     seed: int
     noise: tuple[float, float] | None = None
+    tallest: int = 8
 
 
 @dataclass(frozen=True)
@@ -93,7 +96,7 @@ def visible(effects, configurations):
 def experiment_of(trial):
     """The measurement and the truth."""
     rng = np.random.default_rng(trial.seed)
-    stories = int(rng.integers(3, 9))
+    stories = int(rng.integers(3, trial.tallest + 1))
     added = np.round(rng.uniform(0.0, HEAVIEST, (trial.configurations, stories)) * 2) / 2
     added[0] = 0.0
     simulate = simulated if len(trial.effects) < 2 else simulated_pair
@@ -111,9 +114,9 @@ def _renoised(declared, truth, noise, rng):
     for each, frequencies, shapes in zip(
         declared["configuration"], truth["frequencies"], truth["mode_shapes"], strict=True
     ):
-        shapes = shapes / np.max(np.abs(shapes), axis=1, keepdims=True)
+        scaled = shapes / np.max(np.abs(shapes), axis=1, keepdims=True)
         each["frequencies"] = (frequencies * np.exp(noise[0] * rng.standard_normal(len(frequencies)))).tolist()
-        each["mode_shapes"] = (shapes + noise[1] * rng.standard_normal(shapes.shape)).tolist()
+        each["mode_shapes"] = (scaled + noise[1] * rng.standard_normal(scaled.shape)).tolist()
         del each["frequency_std"], each["mode_shape_std"]
 
 
@@ -211,7 +214,7 @@ def reliability(results):
     """For each bin of probabilities: how many effects, how many of them there, and their mean probability."""
     odds = [item for r in results for item in r.odds]
     rows = []
-    for low, high in zip(BINS[:-1], BINS[1:], strict=True):
+    for low, high in pairwise(BINS):
         mine = [(p, there) for p, there in odds if low <= p < high or (high == 1.0 and p >= low)]
         if mine:
             rows.append((low, high, len(mine), sum(there for _, there in mine), float(np.mean([p for p, _ in mine]))))
@@ -229,7 +232,8 @@ def print_reliability(results):
     print("|---|---|---|---|---|")
     for low, high, count, there, mean in reliability(results):
         least, most = limits(count, mean)
-        print(f"| {100 * low:g} to {100 * high:g} % | {count} | {there} | {least} to {most} | {least <= there <= most} |")
+        within = least <= there <= most
+        print(f"| {100 * low:g} to {100 * high:g} % | {count} | {there} | {least} to {most} | {within} |")
 
 
 def coverage(results):
@@ -270,7 +274,8 @@ def main():
     print_reliability([*results, *empty])
     held = [r for r in (*results, *empty) if r.trial.configurations > 1]
     count, of = coverage(held)
-    print(f"\naveraged masses and stiffnesses within 1.96 standard deviations: {count} of {of}, {100 * count / of:.1f} %")
+    part = f"{count} of {of}, {100 * count / of:.1f} %"
+    print(f"\naveraged masses and stiffnesses within 1.96 standard deviations: {part}")
     if options.failures:
         for r in (*results, *empty):
             if r.word != "exact":

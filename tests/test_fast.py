@@ -123,7 +123,7 @@ LARGE = textwrap.dedent("""
     rng = np.random.default_rng(0)
     mass, stiffness = 2e4 * rng.uniform(0.7, 1.3, n), 2e10 * rng.uniform(0.7, 1.3, n)
     found = modes(mass_matrix(mass), stiffness_matrix(stiffness))
-    of = Experiment(Frame(stories=n, total_mass=mass.sum()), (Configuration(found.frequencies, found.shapes.T),))
+    of = Experiment(Frame(stories=n, total_mass=mass.sum()), (Configuration(found.frequencies, found.shapes),))
     keys = {"accelerate": True} if sys.argv[1] == "two-stage" else {}
     frame = identify(of, sys.argv[1], **keys).frame
     status = Path("/proc/self/status").read_text().splitlines()
@@ -150,13 +150,13 @@ def test_a_tall_frame_has_the_same_modes_from_the_tridiagonal_solver():
     mass, stiffness, _ = random_frame(60)
     M, K = mass_matrix(mass), stiffness_matrix(stiffness)
     found = modes(M, K)
-    np.testing.assert_allclose(found.shapes.T @ M @ found.shapes, np.eye(60), atol=1e-12)
+    np.testing.assert_allclose(found.shapes @ M @ found.shapes.T, np.eye(60), atol=1e-12)
     np.testing.assert_allclose(
-        K @ found.shapes, M @ found.shapes * found.eigenvalues, atol=1e-11 * found.eigenvalues[-1] * mass.max()
+        K @ found.shapes.T, M @ found.shapes.T * found.eigenvalues, atol=1e-11 * found.eigenvalues[-1] * mass.max()
     )
     K[0, 5] = K[5, 0] = -1e7
     coupled = modes(M, K)
-    np.testing.assert_allclose(coupled.shapes.T @ K @ coupled.shapes, np.diag(coupled.eigenvalues), atol=1e-8 * K.max())
+    np.testing.assert_allclose(coupled.shapes @ K @ coupled.shapes.T, np.diag(coupled.eigenvalues), atol=1e-8 * K.max())
 
 
 def test_mode_derivatives_hold_for_a_tall_frame():

@@ -3,6 +3,7 @@
 import importlib
 import subprocess
 import sys
+from importlib import import_module
 
 import pytest
 
@@ -82,3 +83,8 @@ def test_importing_cvxshear_changes_no_numpy_setting():
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert modules.stdout.strip() == "True"
+
+
+def test_the_benchmarks_import():
+    for part in ("large", "many", "peers", "solvers"):
+        assert callable(import_module(f"tests.benchmarks.{part}").main)

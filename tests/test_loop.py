@@ -10,19 +10,16 @@ from scipy import linalg
 import cvxshear
 from cvxshear import Experiment, InputError, close_loop
 from cvxshear.effects import Effect, Parameter, Place, Placed, catalogue, named
-from cvxshear.loop.fitter import Fitter
-from cvxshear.loop.held_out import held_out_frequency_error
-from cvxshear.loop.results import Found
 from cvxshear.priors import Ratio
-from cvxshear.report.loop_terminal import effect
-from tests.confusion import HIDDEN, Trial, deviation, outcome
+from tests.calibration import HIDDEN, Trial, experiment_of, place
 from tests.fe.experiments import simulated
 from tests.frames import chain, configuration, experiment, modes_of, shared
 
 MASS = np.array([21e3, 19e3, 19.5e3, 18e3, 17e3])
 STIFFNESS = np.array([30e6, 36e6, 33e6, 27e6, 22e6])
 ADDED = (None, [2e3, 6e3, 4e3, 7e3, 3e3], [7e3, 0, 9.8e3, 5e3, 0])
-EFFECTS = [effect.name for effect in catalogue()]
+EFFECTS = [effect.name for effect in catalogue() if effect.name != "total_mass"]
+"""Those that the finite-element frames have; a declaration that is off is tested by itself."""
 
 
 def shear(seed=0, added=ADDED, frame=None, **keys):
@@ -38,33 +35,43 @@ def shear(seed=0, added=ADDED, frame=None, **keys):
     )
 
 
+def deviation(result, truth):
+    """Largest error of a mass or stiffness in its stated standard deviations."""
+    frame = result["frame"]
+    values = np.array(frame["floor_mass"] + frame["story_stiffness"], dtype=float)
+    std = np.array(frame["floor_mass_std"] + frame["story_stiffness_std"], dtype=float)
+    exact = np.concatenate([truth["floor_mass"], truth["story_stiffness"]])
+    return float(np.nanmax(np.abs(values - exact) / std))
+
+
+def closed(trial):
+    declared, truth = experiment_of(trial)
+    return close_loop(Experiment.from_dict(declared)).to_dict(), truth
+
+
 @pytest.mark.parametrize("name", EFFECTS)
 def test_the_right_effect_is_named_alone_with_three_configurations(name):
-    word, result, truth = outcome(Trial(name, 3, 11))
-    assert word == "first"
+    result, truth = closed(Trial((name,), 3, 11))
+    (found,) = result["effects"]
+    assert (place(found),) == tuple(truth["effects"])
     assert result["verdict"] in ("explained", "ambiguous")
     assert deviation(result, truth) < 4
-    (found,) = result["effects"]
     ((parameter, value),) = found["parameters"].items()
-    size = truth["size"]
-    if found["std"][parameter] > 0:
-        assert abs(value - size) < 4 * found["std"][parameter]
-    else:
-        assert name == "gravity"
-        assert 1.0 <= value <= 1.2
+    assert abs(value - truth["size"]) < 4 * found["std"][parameter]
     assert result["after"]["chi2"] < result["before"]["chi2"]
 
 
 @pytest.mark.parametrize("name", [name for name in EFFECTS if name not in HIDDEN])
 def test_the_right_effect_is_named_or_a_rival_with_one_configuration(name):
-    word, _, _ = outcome(Trial(name, 1, 12))
-    assert word in ("first", "rival")
+    result, truth = closed(Trial((name,), 1, 12))
+    named = {place(each) for found in result["effects"] for each in (found, *found["rivals"])}
+    assert set(truth["effects"]) <= named
 
 
 @pytest.mark.parametrize("name", HIDDEN)
 def test_what_one_configuration_hides_is_not_found(name):
-    word, result, _ = outcome(Trial(name, 1, 13))
-    assert word == "nothing"
+    result, _ = closed(Trial((name,), 1, 13))
+    assert result["effects"] == []
     assert result["verdict"] == "adequate"
 
 
@@ -116,9 +123,11 @@ def test_gravity_hides_in_the_stiffnesses_of_one_configuration_and_is_said_to():
     table["mode_shapes"] = (shapes * np.array([1.0, 1.3, 1.0, 1.0])).tolist()
     result = close_loop(Experiment.from_dict(declared))
     assert "gravity" not in [item.placed.effect.name for item in result.effects]
+    (gravity,) = (item for item in result.candidates if item.placed.effect.name == "gravity")
+    assert gravity.probability == pytest.approx(gravity.prior, abs=0.05)
     confounded = {item.placed.effect.name: item.confounded_with for item in result.candidates if item.confounded_with}
     assert all(name.startswith("story_stiffness") for name in confounded["gravity"])
-    assert any("gravity cannot be told from story_stiffness" in said for said in result.information)
+    assert any("cannot tell whether there is gravity" in said for said in result.information)
     assert any("of a story's stiffness (P/h" in said for said in result.information)
 
 
@@ -209,6 +218,22 @@ class Brace(Effect):
         return state.with_stiffness(state.system.K + values[0] * np.outer(e, e), dK)
 
 
+    def sizes(self, of):
+        return np.array([0.1 * of.story_stiffness])
+
+
+class Boundless(Brace):
+    """The same of any size up to infinity, each as probable."""
+
+    def sizes(self, of):
+        return Effect.sizes(self, of)
+
+
+def test_an_effect_that_does_not_say_how_large_it_may_be_is_refused():
+    with pytest.raises(InputError, match="how large b of the effect brace_between_floors may be"):
+        close_loop(Experiment.from_dict(shear()), effects=[Boundless()])
+
+
 def test_an_effect_of_ones_own_takes_part_like_the_others():
     rng = np.random.default_rng(9)
     declared = shear(9)
@@ -258,18 +283,15 @@ def test_rivals_come_with_the_test_that_parts_them():
         "axial_columns",
         "base_rocking",
     }
-    if result.next_test is not None:
-        assert 1 <= result.next_test.floor <= 3
-        assert result.next_test.added_mass > 0
-        assert result.next_test.standard_deviations >= 1
 
 
-def test_held_out_error_of_an_exact_frame_is_nothing():
+def test_held_out_error_of_an_exact_frame_is_next_to_nothing():
+    """What is vaguely expected of any frame moves a prediction by a fiftieth of a deviation, 1e-3."""
     exact = experiment(MASS, STIFFNESS, *(configuration(MASS, STIFFNESS, each) for each in ADDED))
     result = close_loop(Experiment.from_dict(exact))
-    assert result.after.held_out < 1e-6
+    assert result.after.held_out < 2e-5
     single = close_loop(Experiment.from_dict(experiment(MASS, STIFFNESS)))
-    assert single.after.held_out < 1e-6
+    assert single.after.held_out < 2e-5
 
 
 def test_held_out_error_is_what_leaving_a_configuration_out_predicts():
@@ -284,22 +306,46 @@ def test_held_out_error_is_what_leaving_a_configuration_out_predicts():
     assert result.after.held_out == pytest.approx(max(errors), rel=1e-4)
 
 
+def test_held_out_errors_before_and_after_are_of_the_same_data():
+    """A change of one state cannot be judged by the others: the largest error is of those that have none of it."""
+    declared, _ = simulated(
+        "story_change", stories=4, configurations=3, rng=np.random.default_rng(4), configuration=3, story=2, size=-0.2
+    )
+    result = close_loop(Experiment.from_dict(declared), effects=["story_change"])
+    assert [item.placed.place.state for item in result.effects] == ["test 3"]
+    rest = {**declared, "configuration": declared["configuration"][1:]}
+    first = declared["configuration"][0]
+    change = Placed(named(["story_change"])[0], result.effects[0].placed.place)
+    of = Experiment.from_dict(rest)
+    assert result.before.held_out is not None
+    assert result.after.held_out is not None
+    errors = {}
+    for assume in ((), (change,)):
+        frame = close_loop(of, effects=[], assume=assume).frame
+        predicted, _ = modes_of(frame.floor_mass + np.array(first["added_mass"]), frame.story_stiffness)
+        errors[len(assume)] = float(np.max(np.abs(predicted / np.array(first["frequencies"]) - 1)))
+    assert result.before.held_out >= errors[0] * (1 - 1e-3)
+    assert result.after.held_out >= errors[1] * (1 - 1e-3)
+    assert result.after.held_out < 0.5 * result.before.held_out
+
+
 def test_a_prediction_that_the_rest_does_not_determine_is_passed_over():
+    """Two tests with different masses give the scale together; either by itself does not give the other."""
     tables = [configuration(MASS, STIFFNESS, added) for added in ADDED[:2]]
     of = Experiment.from_dict(experiment(MASS, STIFFNESS, *tables, frame={}))
     result = close_loop(of, effects=[])
-    assert held_out_frequency_error(result.estimate, Fitter(cvxshear.backends.get("auto"))) is None
+    assert result.before.held_out is None
+    assert result.after.held_out is None
 
 
 def test_an_end_of_the_physical_range_is_only_said_where_there_is_one():
-    texts = {}
-    for name, value in (("mass_coupling", 0.9), ("gravity", 1.2), ("gravity", 1.1)):
-        placed = Placed(named([name])[0])
-        parameter = placed.effect.parameters[0].name
-        texts[name, value] = effect(Found(placed, {parameter: value}, {parameter: 0.01}, (), -20.0))
-    assert "end of what is physical" not in texts["mass_coupling", 0.9]
-    assert "end of what is physical" not in texts["gravity", 1.1]
-    assert "at the upper end of what is physical" in texts["gravity", 1.2]
+    (gravity,) = close_loop(cvxshear.load("paper"), effects=["gravity"]).effects
+    assert gravity.parameters["gamma"] == pytest.approx(1.2, rel=1e-6)
+    assert gravity.remarks == ("gamma is at the upper end of what is physical",)
+    declared, _ = simulated("ground_spring", stories=4, configurations=3, rng=np.random.default_rng(4))
+    (spring,) = close_loop(Experiment.from_dict(declared), effects=["ground_spring"]).effects
+    assert spring.parameters["s"] > 5 * spring.std["s"]
+    assert spring.remarks == ()
 
 
 def test_the_json_has_the_documented_keys_and_is_json():
@@ -313,9 +359,17 @@ def test_the_json_has_the_documented_keys_and_is_json():
     assert figures <= set(result["after"])
     assert all(figures | {"effects"} <= set(step) for step in result["steps"])
     (effect,) = result["effects"]
-    assert {"name", "floor", "story", "configuration", "parameters", "std", "rivals"} <= set(effect)
+    assert {
+        "name", "floor", "story", "configuration", "probability", "parameters", "std", "size", "rivals",
+    } <= set(effect)  # fmt: skip
+    assert {"effects", "probability", "log_evidence", "chi2"} == set(result["models"][0])
+    assert set(result["averaged"]) == set(result["frame"])
+    # The published frame declares no noise, and has no static test.
+    assert set(result["noise"]) == {"frequency", "mode_shape", "displacement"}
+    assert result["noise"]["displacement"] is None
+    assert set(result["noise"]["frequency"]) == set(result["noise"]["mode_shape"]) == {"factor", "std"}
     assert effect["floor"] is None
     assert {"floor_mass", "floor_mass_std", "story_stiffness", "story_stiffness_std"} == set(result["frame"])
     assert [len(item["frequencies"]) for item in result["predictions"]] == [2, 2, 2]
-    assert {"name", "floor", "chi2", "dof", "p_value"} <= set(result["candidates"][0])
+    assert {"name", "floor", "probability", "chi2", "dof", "p_value"} <= set(result["candidates"][0])
     assert result["next_test"] is None

@@ -10,6 +10,7 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.effects import Effect, Placed, Scale
 from cvxshear.effects.base import heights_of
+from cvxshear.errors import InputError
 from cvxshear.experiment import Experiment
 from cvxshear.identification.efficient import Estimate, efficient
 from cvxshear.identification.expectation import Expectation
@@ -55,7 +56,7 @@ def close_loop(
     Raises
     ------
     InputError
-        Where an effect is not known, or cannot be assumed for this experiment.
+        Where an effect is not known, cannot be assumed for this experiment, or does not say how large it may be.
     NoSolutionError
         Where the shear model itself could not be fitted.
     """
@@ -96,4 +97,12 @@ def _expectation(experiment: Experiment, start: Estimate, looked_for: Sequence[H
         for item in looked_for
         if item.size is not None
     }
-    return Expectation(scale, stds)
+    found = Expectation(scale, stds)
+    for item in looked_for:
+        for parameter, std in zip(item.placed.effect.parameters, found.of(item.placed), strict=True):
+            if np.isinf(std) and np.isinf(parameter.upper - parameter.lower):
+                raise InputError(
+                    f"nothing says how large {parameter.name} of the effect {item.placed.effect.name} may be: give the "
+                    "effect `sizes`, or the parameter finite bounds"
+                )
+    return found

@@ -53,7 +53,7 @@ def log_evidence(estimate: Estimate, expectation: Expectation) -> float:
         return -np.inf
     value = -0.5 * (estimate.fit.at.objective + float(log_det)) + estimate.noise.gain - _log_size(estimate, expectation)
     value += sum(_log_constant(placed, expectation) for placed in estimate.effects if not placed.fixed)
-    return float(value + _log_kept(estimate, B, np.linalg.inv(H), moved.T @ c))
+    return float(value + _log_kept(estimate, B, H, moved.T @ c))
 
 
 def _log_size(estimate: Estimate, expectation: Expectation) -> float:
@@ -113,8 +113,11 @@ def _log_constant(placed: Placed, expectation: Expectation) -> float:
     return float(value)
 
 
-def _log_kept(estimate: Estimate, B: Floats, covariance: Floats, gradient: Floats) -> float:
-    """Logarithm of the part of the Gaussian that keeps the inequalities, each by itself."""
+def _log_kept(estimate: Estimate, B: Floats, H: Floats, gradient: Floats) -> float:
+    """Logarithm of the part of the Gaussian that keeps the inequalities, each by itself.
+
+    An effect's parameter is kept by its own interval; what that leaves of the Gaussian is what other rows cut.
+    """
     program = _program(estimate)
     n2 = 2 * estimate.experiment.stories
     value = 0.0
@@ -124,10 +127,12 @@ def _log_kept(estimate: Estimate, B: Floats, covariance: Floats, gradient: Float
     h = np.zeros(0) if program.h is None else program.h
     rows = np.concatenate([-np.eye(len(B)), np.eye(len(B)), G]) @ B
     slack = np.concatenate([-program.lower, program.upper, h])
-    std = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", rows, covariance, rows), 0.0))
+    within = B / estimate.domain.interval_std[:, None]
+    together = {p for _, own in slices(estimate.effects, n2) for p in range(own.start, own.stop)}
+    std = _spread(rows, H + within.T @ within)
+    alone = [row for row in range(2 * len(B)) if row % len(B) in together]
+    std[alone] = _spread(rows[alone], H)
     multipliers = _multipliers(rows, slack <= TOUCHING * std, gradient)
-    own = np.concatenate([np.arange(start.start, start.stop) for _, start in slices(estimate.effects, n2)] or [[]])
-    together = {int(p) for p in own}
     for p in sorted(together):
         if std[p] > 0:
             slope = multipliers[p] - multipliers[p + len(B)]
@@ -137,6 +142,12 @@ def _log_kept(estimate: Estimate, B: Floats, covariance: Floats, gradient: Float
         if not of_own and std[row] > 0 and slack[row] < FAR * std[row]:
             value += log_interval(-np.inf, max(slack[row], 0.0), -multipliers[row], std[row])
     return value
+
+
+def _spread(rows: Floats, H: Floats) -> Floats:
+    """Standard deviations of these rows under a Gaussian of this precision."""
+    variance: Floats = np.einsum("ij,ji->i", rows, np.linalg.solve(H, rows.T))
+    return np.sqrt(np.maximum(variance, 0.0))
 
 
 def _multipliers(rows: Floats, active: np.ndarray[tuple[int], np.dtype[np.bool_]], gradient: Floats) -> Floats:

@@ -86,20 +86,24 @@ class Posterior:
         enough, the most probable of these; and each effect beyond that set which is more probable than not.
         """
         best = self.best.effects
-        held = []
-        for placed in best:
-            family = [placed, *(rival.placed for rival in self.rivals(placed))]
-            if self._enough(family):
-                held.append(max(family, key=lambda each: self.of_effects[each]))
-        more = [placed for placed in self.of_effects if placed not in best and self._enough([placed])]
+        families = {placed: [placed, *(rival.placed for rival in self.rivals(placed))] for placed in best}
+        held = [
+            max(family, key=lambda each: self.of_effects[each]) for family in families.values() if self._enough(family)
+        ]
+        # A rival of what is added is there in its place, not besides it.
+        passed = {each for family in families.values() for each in family}
+        more = [placed for placed in self.of_effects if placed not in passed and self._enough([placed])]
         return frozenset((*held, *more))
 
     def _enough(self, family: Sequence[Placed]) -> bool:
         """Whether one of these effects is there with at least even odds, which the data have raised."""
+        return self._any(family) >= ADDED and self._raised(family) >= RAISED
+
+    def _raised(self, family: Sequence[Placed]) -> float:
+        """The factor by which the data have raised the odds that one of these effects is there."""
         probability = self._any(family)
         prior = 1.0 - float(np.prod([1.0 - self._prior[placed] for placed in family]))
-        odds = probability / max(1.0 - probability, 1e-300)
-        return probability >= ADDED and odds >= RAISED * prior / (1.0 - prior)
+        return probability / max(1.0 - probability, 1e-300) * (1.0 - prior) / prior
 
     def _any(self, family: Sequence[Placed]) -> float:
         """The probability that one of these effects is there."""
@@ -107,11 +111,11 @@ class Posterior:
         return float(self.probabilities[held].sum())
 
     def untold(self) -> list[Placed]:
-        """Effects whose odds the data left as they were, though they were even or better."""
+        """Effects whose odds the data left about as they were, though they are, or were, even or better."""
         return [
             placed
             for placed, probability in self.of_effects.items()
-            if probability >= ADDED and not self._enough([placed])
+            if max(probability, self._prior[placed]) >= ADDED and 1.0 / RAISED < self._raised([placed]) < RAISED
         ]
 
     def rivals(self, placed: Placed) -> list[Rival]:
@@ -167,7 +171,10 @@ def replacement(placed: Placed, gone: frozenset[Placed], come: frozenset[Placed]
     def likeness(a: Placed, b: Placed) -> int:
         return 2 * (a.place.state == b.place.state) + (a.effect.name == b.effect.name)
 
-    pairs = sorted(((likeness(a, b), a, b) for a in gone for b in come), key=lambda item: -item[0])
+    # Sets have no order of their own: equal likeness goes by the label, so that every run says the same.
+    pairs = sorted(
+        ((likeness(a, b), a, b) for a in gone for b in come), key=lambda item: (-item[0], item[1].label, item[2].label)
+    )
     taken: dict[Placed, Placed] = {}
     for _, a, b in pairs:
         if a not in taken and b not in taken.values():

@@ -151,7 +151,7 @@ class Search:
         """Visit the sets with one effect less, and expand those: what is added takes its place."""
         self.thinned.add(model.effects)
         assert model.estimate is not None
-        fewer = [model.effects - {placed} for placed in model.effects]
+        fewer = [model.effects - {placed} for placed in model.estimate.effects if placed in model.effects]
         new = [each for each in fewer if each not in self.visited]
         kept = [[placed for placed in model.estimate.effects if placed in each or placed in self.fitter.assumed] for each in new]
         self._record(self.fitter.models([self.fitter.proposal(model.estimate, effects) for effects in kept]))

@@ -66,7 +66,7 @@ def modes_with(effects: list[Placed], *own: float, number: int = 0, stiffness: F
     """The modes of that configuration, as the sensors show them."""
     state = composed(effects, *own, number=number, stiffness=stiffness)
     found = modes(state.system.M, state.system.K)
-    return dataclasses.replace(found, shapes=state.gain[:, None] * found.shapes)
+    return dataclasses.replace(found, shapes=state.gain * found.shapes)
 
 
 def frequency_gap(model: Modes, fe: SwayModes) -> float:
@@ -76,8 +76,9 @@ def frequency_gap(model: Modes, fe: SwayModes) -> float:
 
 def shape_gap(model: Modes, fe: SwayModes) -> float:
     """The largest difference of a mass-normalized shape's entry, as a part of the largest entry of all."""
-    signs = np.sign(np.sum(model.shapes * fe.shapes, axis=0))
-    return float(np.max(np.abs(model.shapes * signs - fe.shapes)) / np.max(np.abs(fe.shapes)))
+    rows = fe.shapes.T
+    signs = np.sign(np.sum(model.shapes * rows, axis=1, keepdims=True))
+    return float(np.max(np.abs(model.shapes * signs - rows)) / np.max(np.abs(rows)))
 
 
 def assert_same(model: Modes, fe: SwayModes, within: float = ROUNDING) -> None:

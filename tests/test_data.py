@@ -1,0 +1,227 @@
+"""Kinds of data: residuals and derivatives by differences, a static test as the only scale, a kind of one's own."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from cvxshear import Experiment, close_loop, identify
+from cvxshear.data import Datum, Frequencies, Model, Residual, Shapes, Static, data_of, register
+from cvxshear.data import registry as registry_module
+from cvxshear.effects import compose
+from cvxshear.identification.misfit import Misfit
+from tests.effects.common import ADDED, HEIGHTS, MASS, STIFFNESS, theta
+from tests.effects.test_derivatives import CASES, SCALES
+from tests.frames import chain, configuration, experiment, modes_of
+
+EFFECTS = [effect for effect, _ in CASES.values()]
+OWN = [value for _, value in CASES.values()]
+AT = theta(*OWN)
+STEPS = 1e-5 * np.concatenate([MASS, STIFFNESS, list(SCALES.values())])
+FORCE = np.array([0.0, 30.0, 0.0, 120.0])
+
+
+def measured_twice(*, mass_normalized=False):
+    """Two configurations, one with a sensor missing and entries not measured, and a pull test of one state."""
+    rng = np.random.default_rng(5)
+    plain = configuration(MASS, STIFFNESS, ADDED[0], rng=rng, shape_noise=0.02, frequency_noise=0.01)
+    loaded = configuration(
+        MASS, STIFFNESS, ADDED[1], rng=rng, shape_noise=0.02, frequency_noise=0.01,
+        modes=[1, 2, 4], measured_floors=[1, 3, 4], mass_normalized=mass_normalized,
+    )  # fmt: skip
+    loaded["mode_shapes"][1][0] = float("nan")
+    if mass_normalized:
+        loaded["mode_shapes"] = (0.2 * np.array(loaded["mode_shapes"])).tolist()
+    _, K = chain(MASS, STIFFNESS)
+    u = np.linalg.solve(K, FORCE) * (1 + 0.02 * rng.standard_normal(4))
+    u[1] = np.nan
+    declared = experiment(
+        MASS, STIFFNESS, {**plain, "name": "plain"}, {**loaded, "name": "loaded"},
+        frame={"total_mass": float(MASS.sum()), "story_heights": HEIGHTS.tolist()},
+    )  # fmt: skip
+    declared["static"] = [
+        {"name": "pull", "state": "loaded", "force": FORCE.tolist(), "displacement": u.tolist(),
+         "displacement_std": 0.01, "added_mass": [0.0, 0.0, 2.0, 0.0]}
+    ]  # fmt: skip
+    return Experiment.from_dict(declared)
+
+
+def residual(datum, at, *, derivatives=True, of=None):
+    of = measured_twice() if of is None else of
+    return datum.residual(Model(compose(of, datum.tested, EFFECTS, at), slice(None), derivatives))
+
+
+def quotients(value):
+    """Central differences of a function of all parameters, one row a parameter, each times its step's scale."""
+    rows = []
+    for p, step in enumerate(STEPS):
+        ahead, behind = AT.copy(), AT.copy()
+        ahead[p] += step
+        behind[p] -= step
+        rows.append((value(ahead) - value(behind)) / 2)
+    return np.array(rows)
+
+
+def assert_close(analytic, differences):
+    np.testing.assert_allclose(analytic, differences, rtol=0, atol=2e-6 * np.max(np.abs(differences)))
+
+
+@pytest.mark.parametrize("kind", [Frequencies, Static])
+def test_derivatives_of_frequencies_and_displacements(kind):
+    of = measured_twice()
+    for datum in kind.of(of):
+        found = residual(datum, AT, of=of)
+        assert len(found.r) == datum.count
+        differences = quotients(lambda at, datum=datum: residual(datum, at, of=of).r)
+        assert_close(found.J.T * STEPS[:, None], differences)
+
+
+def test_derivatives_of_shapes_but_for_their_free_scales():
+    """Kaufman's derivative is the exact one without every mode's own direction, which its free scale follows."""
+    of = measured_twice()
+    for datum in Shapes.of(of):
+        found = residual(datum, AT, of=of)
+        differences = quotients(lambda at, datum=datum: residual(datum, at, of=of).r)
+        model = Model(compose(of, datum.tested, EFFECTS, AT), slice(None), True)
+        direction = datum.tested.entry_weights * datum.seen(model)
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        rows = differences.reshape(len(AT), *direction.shape)
+        projected = rows - direction * np.sum(rows * direction, axis=2, keepdims=True)
+        assert_close(found.J.T * STEPS[:, None], projected.reshape(len(AT), -1))
+        squares = quotients(lambda at, datum=datum: np.sum(residual(datum, at, of=of).r ** 2))
+        assert_close(2 * found.J.T @ found.r * STEPS, squares)
+
+
+def test_derivatives_of_mass_normalized_shapes():
+    of = measured_twice(mass_normalized=True)
+    datum = Shapes.of(of)[1]
+    found = residual(datum, AT, of=of)
+    assert_close(found.J.T * STEPS[:, None], quotients(lambda at: residual(datum, at, of=of).r))
+
+
+def test_counts_and_labels():
+    of = measured_twice()
+    assert [datum.label for datum in data_of(of)] == [
+        'frequencies of "plain"', 'mode shapes of "plain"', 'frequencies of "loaded"', 'mode shapes of "loaded"',
+        'displacements of "pull"',
+    ]  # fmt: skip
+    # Every entry, less one a mode whose scale is free.
+    assert [datum.count for datum in data_of(of)] == [4, 16 - 4, 3, 8 - 3, 3]
+    assert Shapes.of(measured_twice(mass_normalized=True))[1].count == 8
+
+
+def test_displacements_are_those_of_equilibrium():
+    """Of the shear frame, whose drifts are the forces above over the story stiffnesses."""
+    of = measured_twice()
+    (datum,) = Static.of(of)
+    at = theta()
+    model = Model(compose(of, datum.tested, [], at), slice(None), False)
+    drifts = np.cumsum(FORCE[::-1])[::-1] / STIFFNESS
+    known = np.isfinite(datum.tested.displacement)
+    u = np.cumsum(drifts)[known]
+    expected = (u - datum.tested.displacement[known]) / (0.01 * np.nanmax(np.abs(datum.tested.displacement)))
+    np.testing.assert_allclose(datum.residual(model).r, expected, rtol=1e-9)
+    assert [part.place for part in datum.describe(model)] == ["floor 1", "floor 3", "floor 4"]
+
+
+def pulled(rng=None, noise=0.0):
+    """One configuration, no mass declared, and a pull at the top: the only thing that tells newtons and kilograms."""
+    keys = {"rng": rng, "shape_noise": 0.01, "frequency_noise": 0.001} if noise else {}
+    declared = experiment(MASS, STIFFNESS, configuration(MASS, STIFFNESS, **keys), frame={})
+    u = np.linalg.solve(chain(MASS, STIFFNESS)[1], FORCE)
+    if noise:
+        u = u + noise * u.max() * rng.standard_normal(4)
+    declared["static"] = [
+        {"state": "test 1", "force": FORCE.tolist(), "displacement": u.tolist(), "displacement_std": noise or 0.01}
+    ]
+    return Experiment.from_dict(declared)
+
+
+def test_a_static_test_alone_gives_the_masses_in_kilograms():
+    exact = identify(pulled()).frame
+    np.testing.assert_allclose(exact.floor_mass, MASS, rtol=1e-7)
+    np.testing.assert_allclose(exact.story_stiffness, STIFFNESS, rtol=1e-7)
+
+
+def test_a_static_test_s_noise_is_in_the_standard_deviations():
+    z = []
+    for seed in range(6):
+        found = identify(pulled(np.random.default_rng(seed), 0.01)).frame
+        z += [*(found.floor_mass - MASS) / found.floor_mass_std]
+        z += [*(found.story_stiffness - STIFFNESS) / found.story_stiffness_std]
+    assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.7
+    result = close_loop(pulled(np.random.default_rng(1), 0.01))
+    assert result.verdict == "adequate"
+    assert result.after.estimate.quality.max_displacement_error < 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed(Datum):
+    """The weight of the whole frame on load cells, N, in a state that carries no added mass."""
+
+    noise: ClassVar[str] = "displacement"
+    weight: ClassVar[float] = 0.0
+    std: ClassVar[float] = 0.01
+    tested: object
+
+    @classmethod
+    def of(cls, experiment):
+        return [cls(experiment.configurations[0])]
+
+    label = "weight on load cells"
+    declared = True
+    count = 1
+
+    def residual(self, model):
+        unit = 9.81 / (self.std * self.weight)
+        system = model.wanted
+        r = np.array([unit * system.M.sum() - 1.0 / self.std])
+        return Residual(r, unit * system.dM.sum(axis=(1, 2))[None] if model.derivatives else np.zeros((0, 0)))
+
+
+@pytest.fixture
+def weighed(monkeypatch):
+    """The kind of datum above, registered for one test."""
+    monkeypatch.setattr(registry_module, "_kinds", dict(registry_module._kinds))
+    monkeypatch.setattr(Weighed, "weight", 9.81 * 1.1 * MASS.sum())
+    register(Weighed)
+
+
+@pytest.mark.usefixtures("weighed")
+def test_a_kind_of_datum_of_ones_own_takes_part_in_identify_and_close_loop():
+    """The total is then the mean of what was declared and what was weighed, each by its precision."""
+    declared = experiment(
+        MASS, STIFFNESS, configuration(MASS, STIFFNESS), frame={"total_mass": float(MASS.sum()), "total_mass_std": 0.02}
+    )
+    of = Experiment.from_dict(declared)
+    said, cells = 1 / 0.02**2, 1 / (0.01 * 1.1) ** 2
+    expected = (said + 1.1 * cells) / (said + cells)
+    found = identify(of)
+    assert found.frame.floor_mass.sum() / MASS.sum() == pytest.approx(expected, rel=1e-6)
+    result = close_loop(of, effects=["sensor_gain"])
+    assert result.frame.floor_mass.sum() / MASS.sum() == pytest.approx(expected, rel=1e-3)
+    assert "weight on load cells" in [part.place for part in Weighed(of.configurations[0]).describe(model_of(of))]
+    # Four frequencies, shapes of 12 free entries, the total, the weight; 4 masses and 4 stiffnesses.
+    assert found.fit.dof == 4 + 12 + 1 + 1 - 8
+
+
+def model_of(of):
+    return Misfit(of).evaluate(theta()).models[0]
+
+
+def test_a_registered_kind_does_not_outlive_its_test():
+    assert set(registry_module._kinds) == {"Frequencies", "Shapes", "Static"}
+
+
+def test_modes_that_changed_places_are_paired_by_their_shapes():
+    of = measured_twice()
+    _, shapes = modes_of(MASS, STIFFNESS)
+    swapped = experiment(
+        MASS, STIFFNESS,
+        {**configuration(MASS, STIFFNESS), "mode_shapes": shapes[[0, 1, 3, 2]].tolist()},
+        frame={"total_mass": float(MASS.sum())},
+    )  # fmt: skip
+    (model,) = Misfit(Experiment.from_dict(swapped)).evaluate(theta()).models
+    np.testing.assert_array_equal(model.paired, [0, 1, 3, 2])
+    np.testing.assert_array_equal(Misfit(of).evaluate(theta()).models[0].paired, [0, 1, 2, 3])

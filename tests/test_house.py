@@ -1,0 +1,117 @@
+"""The house: data flow one way, so that no module imports upward and none takes part in a circle."""
+
+import ast
+from pathlib import Path
+
+import cvxshear
+
+ROOT = Path(cvxshear.__file__).parent
+
+ROOMS = (
+    # What anything may use: exceptions, names of types, checks of what comes in, how quantities are written.
+    ("errors",), ("typing",), ("quantities",), ("checks",), ("parallel",),
+    # What was measured and declared: priors, static tests and what is expected of effects are part of an experiment.
+    ("priors",), ("configuration",), ("static_test",), ("expected_effect",), ("experiment",),
+    # The model, the effects that act on it, and the kinds of data that it is compared with.
+    ("frame",), ("effects",), ("data",),
+    # Programs, what solves them, and the methods that are made of them.
+    ("programs",), ("backends",), ("screening",), ("identification",), ("loop",),
+    # Records and files: both end in an experiment.
+    ("modal",), ("formats",),
+    # What is made of many identifications, and of an identified frame.
+    ("studies",), ("response",), ("planning",),
+    # How results are shown, the published numbers, the public face, the command line.
+    ("report",), ("paper",), ("__init__",), ("cli",), ("__main__",),
+)  # fmt: skip
+"""From the ground up; a room imports from itself and from those before it."""
+
+LEVEL = {name: level for level, names in enumerate(ROOMS) for name in names}
+
+
+def modules():
+    """Every module of the package by its dotted name, with its source."""
+    found = {}
+    for path in sorted(ROOT.rglob("*.py")):
+        parts = ["cvxshear", *path.relative_to(ROOT).with_suffix("").parts]
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path.read_text()
+    return found
+
+
+def imported(source, known):
+    """The modules of the package that a module imports, those inside functions included, each with its line."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            targets = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            # A name that is a module is that module; any other one comes from the module named.
+            targets = [
+                whole if (whole := f"{node.module}.{alias.name}") in known else node.module for alias in node.names
+            ]
+        else:
+            continue
+        yield from ((target, node.lineno) for target in targets if target.split(".")[0] == "cvxshear")
+
+
+def room(name):
+    parts = name.split(".")
+    return parts[1] if len(parts) > 1 else "__init__"
+
+
+def arrows():
+    """(importing module, imported module, line) over the whole package."""
+    known = modules()
+    return [
+        (name, target, line)
+        for name, source in known.items()
+        for target, line in imported(source, known)
+        if target != name
+    ]
+
+
+def circles(edges):
+    """Groups of modules that import each other, directly or in a round."""
+    following = {}
+    for start, end, _ in edges:
+        following.setdefault(start, set()).add(end)
+
+    def reached(start):
+        seen, todo = set(), [start]
+        while todo:
+            for end in following.get(todo.pop(), ()):
+                if end not in seen:
+                    seen.add(end)
+                    todo.append(end)
+        return seen
+
+    reach = {name: reached(name) for name in following}
+    in_circle = {name for name, seen in reach.items() if name in seen}
+    return {
+        frozenset(other for other in in_circle if other in reach[name] and name in reach[other]) for name in in_circle
+    }
+
+
+def test_every_module_has_its_room():
+    assert sorted({room(name) for name in modules()} - set(LEVEL)) == []
+
+
+def test_nothing_imports_upward():
+    upward = [
+        f"{name}:{line} imports {target}"
+        for name, target, line in arrows()
+        if LEVEL[room(target)] > LEVEL[room(name)]
+    ]
+    assert upward == []
+
+
+def test_no_circle_of_modules():
+    """A package's own `__init__` gathers its modules; that they are part of it is no import of it."""
+    assert [sorted(circle) for circle in circles(arrows())] == []
+
+
+def test_imports_inside_functions_and_circles_are_seen():
+    """That the reading above would find what it looks for."""
+    known = {"cvxshear.a": "", "cvxshear.b": ""}
+    inside = "def f():\n    from cvxshear import b\n    import cvxshear.a\n"
+    assert list(imported(inside, known)) == [("cvxshear.b", 2), ("cvxshear.a", 3)]
+    assert circles([("a", "b", 1), ("b", "c", 1), ("c", "b", 1)]) == {frozenset({"b", "c"})}
+    assert circles([("a", "b", 1), ("b", "c", 1)]) == set()

@@ -1,0 +1,124 @@
+"""The linearised model at a fit, against fits, evidences and finite differences."""
+
+import numpy as np
+import pytest
+
+from cvxshear import Experiment, backends
+from cvxshear.effects import Place, Placed, Scale, named
+from cvxshear.identification.efficient import efficient, fitted_with
+from cvxshear.identification.expectation import Expectation
+from cvxshear.identification.misfit import Misfit
+from cvxshear.loop.evidence import log_evidence
+from cvxshear.loop.linear import Linearised
+from tests.frames import configuration, experiment, modes_of
+
+MASS = np.array([21e3, 19e3, 19.5e3, 18e3, 17e3])
+STIFFNESS = np.array([30e6, 36e6, 33e6, 27e6, 22e6])
+MISSED = 150.0
+SCALE = Scale(19e3, 30e6, np.ones(5))
+
+
+def put(name, **place):
+    return Placed(named([name])[0], Place(**place))
+
+
+MASS_3 = put("added_mass", floor=3, state="test 2")
+GAIN_2 = put("sensor_gain", floor=2)
+CHANGE_4 = put("story_change", story=4, state="test 1")
+SPRING_2 = put("ground_spring", floor=2)
+TOTAL = put("total_mass")
+LACKING = [MASS_3, GAIN_2, CHANGE_4, SPRING_2, TOTAL]
+EXPECTED = Expectation(SCALE)
+
+
+@pytest.fixture(scope="module")
+def base():
+    """The shear model fitted to two tests, the second with a small mass at floor 3 that nobody wrote down."""
+    rng = np.random.default_rng(0)
+    added = np.array([0.0, 2e3, 4e3, 0.0, 6e3])
+    first, second = (
+        configuration(MASS, STIFFNESS, each, rng=rng, shape_noise=0.01, frequency_noise=0.001) for each in (None, added)
+    )
+    frequencies, shapes = modes_of(MASS + added + MISSED * np.eye(5)[2], STIFFNESS)
+    second["frequencies"] = (frequencies * (1 + 0.001 * rng.standard_normal(5))).tolist()
+    second["mode_shapes"] = (shapes + 0.01 * rng.standard_normal(shapes.shape)).tolist()
+    of = Experiment.from_dict(experiment(MASS, STIFFNESS, first, second, frame={"total_mass": float(MASS.sum())}))
+    start = efficient(of, backends.get("auto"))
+    return fitted_with(Misfit(of, (), expectation=EXPECTED), start.theta, backends.get("auto"))
+
+
+@pytest.fixture(scope="module")
+def linear(base):
+    return Linearised(base, LACKING, EXPECTED)
+
+
+def refitted(base, *effects):
+    misfit = Misfit(base.experiment, effects, expectation=EXPECTED)
+    own = [value for each in effects for value in each.start]
+    return fitted_with(misfit, np.concatenate([base.theta, own]), backends.get("auto"))
+
+
+def test_a_candidate_s_own_column_gives_the_slope_of_chi_square(base):
+    """By finite differences; the column itself leaves out what the free scales of the shapes follow."""
+    column = Linearised(base, [MASS_3], EXPECTED)._columns
+    misfit = Misfit(base.experiment, [MASS_3])
+    ahead, behind = (misfit.evaluate(np.append(base.theta, at), derivatives=False).chi2 for at in (1.0, -1.0))
+    at = base.fit.at
+    assert 2 * column[: at.measured, 0] @ at.r[: at.measured] == pytest.approx((ahead - behind) / 2, rel=1e-4)
+
+
+@pytest.mark.parametrize("placed", LACKING, ids=lambda placed: placed.label)
+def test_the_gain_is_the_difference_of_evidences(base, linear, placed):
+    """Within what the model's curvature leaves: a tenth of a unit of the logarithm, where the gains are of some."""
+    expected = log_evidence(refitted(base, placed), EXPECTED) - log_evidence(base, EXPECTED)
+    assert linear.gain(placed) == pytest.approx(expected, abs=0.1)
+
+
+def test_the_gains_of_pairs_are_the_differences_of_evidences(base, linear):
+    gains = linear.pair_gains()
+    np.testing.assert_allclose(gains, gains.T, rtol=1e-12)
+    compared = 0
+    for i, first in enumerate(LACKING):
+        for j, second in enumerate(LACKING[:i]):
+            if np.isfinite(gains[i, j]):
+                compared += 1
+                both = log_evidence(refitted(base, first, second), EXPECTED) - log_evidence(base, EXPECTED)
+                assert gains[i, j] == pytest.approx(both, abs=0.2), (first.label, second.label)
+    assert compared >= 5
+
+
+def test_the_promised_decrease_and_the_predicted_minimum_are_those_of_the_fit_for_a_small_effect(base, linear):
+    fitted = refitted(base, MASS_3)
+    assert linear.told(MASS_3) > 2
+    wide = Expectation(SCALE, {MASS_3: np.array([1e9])})
+    free = fitted_with(
+        Misfit(base.experiment, [MASS_3], expectation=wide), np.append(base.theta, 0.0), backends.get("auto")
+    )
+    assert linear.decrease(MASS_3) == pytest.approx(base.fit.at.objective - free.fit.at.objective, rel=0.05)
+    np.testing.assert_allclose(linear.predicted([MASS_3])[:10], fitted.theta[:10], rtol=2e-3)
+    assert linear.predicted([MASS_3])[10] == pytest.approx(fitted.theta[10], rel=0.1)
+
+
+def test_the_predicted_minimum_with_a_total_mass_keeps_what_it_says(base, linear):
+    """sum m = total (1 + e), and near the fit."""
+    found = linear.predicted([TOTAL])
+    assert found[:5].sum() == pytest.approx(MASS.sum() * (1 + found[10]), rel=1e-9)
+    fitted = refitted(base, TOTAL)
+    assert found[10] == pytest.approx(fitted.theta[10], abs=0.3 * fitted.std[10])
+
+
+def test_the_prediction_keeps_an_effect_within_its_bounds(linear):
+    (parameter,) = SPRING_2.effect.parameters
+    free = -linear._slope[linear._at[SPRING_2].start]
+    assert linear.predicted([SPRING_2])[-1] >= parameter.lower
+    assert (linear.predicted([SPRING_2])[-1] == parameter.lower) == (free < 0)
+
+
+def test_the_triangle_of_an_evaluation_stands_for_its_rows(base):
+    at = base.fit.at
+    U, c = at.triangle
+    rng = np.random.default_rng(1)
+    steps = base.theta[:, None] * 1e-3 * rng.standard_normal((10, 4))
+    rows = np.sum((at.J @ steps + at.r[:, None]) ** 2, axis=0)
+    short = np.sum((U @ steps + c[:, None]) ** 2, axis=0)
+    np.testing.assert_allclose(np.diff(rows), np.diff(short), rtol=1e-8)

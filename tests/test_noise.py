@@ -1,0 +1,152 @@
+"""Noise that nobody declared: its marginal, its estimates, and what it must leave alone."""
+
+import numpy as np
+import pytest
+
+from cvxshear import Experiment, backends, identify
+from cvxshear.data import NOISES, Noise
+from cvxshear.identification.efficient import efficient
+from cvxshear.identification.misfit import Misfit
+from cvxshear.identification.noise import _Marginal
+from cvxshear.priors import Value
+from tests.frames import configuration, experiment
+
+MASS = np.array([21e3, 19e3, 19.5e3, 18e3, 17e3, 20e3])
+STIFFNESS = np.array([30e6, 36e6, 33e6, 27e6, 22e6, 25e6])
+ADDED = (None, [2e3, 6e3, 4e3, 7e3, 3e3, 5e3], [9e3, 0, 0, 4e3, 0, 0])
+DEFAULTS = {"frequency": 0.002, "mode_shape": 0.01}
+
+
+def experiment_with(seed, frequency, shape, *, declare=(), frame=None, prior=()):
+    """Three tests with this noise; only the named standard deviations are declared, as the true ones."""
+    rng = np.random.default_rng(seed)
+    true = {"frequency_std": frequency, "mode_shape_std": shape}
+    tables = []
+    for added in ADDED:
+        table = configuration(MASS, STIFFNESS, added, rng=rng, shape_noise=shape, frequency_noise=frequency)
+        for key, value in true.items():
+            del table[key]
+            if key in declare:
+                table[key] = value
+        tables.append(table)
+    frame = {"total_mass": float(MASS.sum())} if frame is None else frame
+    return Experiment.from_dict(experiment(MASS, STIFFNESS, *tables, frame=frame, prior=prior))
+
+
+def marginal_of(of, noise=None):
+    estimate = efficient(of, backends.get("auto"))
+    misfit = estimate.misfit if noise is None else estimate.misfit.replaced(noise=noise)
+    at = misfit.evaluate(estimate.theta)
+    return _Marginal(misfit, at, estimate.uncertainty.root_of(at.triangle[0]), tuple(misfit.open_noises))
+
+
+@pytest.mark.parametrize("u", [[0.0, 0.0], [1.1, -0.4], [-0.8, 0.9]])
+def test_the_marginal_s_derivative(u):
+    of = marginal_of(experiment_with(1, 0.004, 0.008))
+    at = of.here + np.array(u)
+    _, gradient = of.negative(at)
+    step = 1e-5
+    differences = [
+        (of.negative(at + step * unit)[0] - of.negative(at - step * unit)[0]) / (2 * step) for unit in np.eye(2)
+    ]
+    np.testing.assert_allclose(gradient, differences, rtol=1e-5, atol=1e-5)
+
+
+def test_the_marginal_is_the_gaussian_integral_that_it_stands_for():
+    """-2 log of the integral of exp(-|W(u)(J x + r)|^2 / 2) over x, by the full matrices, at two noises."""
+    of = experiment_with(2, 0.004, 0.008)
+    estimate = efficient(of, backends.get("auto"))
+    at = estimate.misfit.evaluate(estimate.theta)
+    free = estimate.uncertainty.root_of(at.triangle[0])
+    kinds = tuple(estimate.misfit.open_noises)
+    marginal = _Marginal(estimate.misfit, at, free, kinds)
+    counts = [estimate.misfit.open_noises[kind] for kind in kinds]
+
+    def direct(u):
+        weight = np.ones(len(at.r))
+        for kind, change in zip(kinds, u - marginal.here, strict=True):
+            weight[at.noises == NOISES.index(kind)] = np.exp(-change)
+        J, r = weight[:, None] * (at.J @ free), weight * at.r
+        x = np.linalg.lstsq(J, -r, rcond=None)[0]
+        return (
+            -0.5 * np.sum((J @ x + r) ** 2) - 0.5 * np.linalg.slogdet(J.T @ J)[1] - counts @ u - 0.5 * u @ u / 0.7**2
+        )
+
+    first, second = marginal.here + np.array([0.3, -0.5]), marginal.here + np.array([-0.6, 0.2])
+    expected = direct(first) - direct(second)
+    assert marginal.value(first) - marginal.value(second) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(("frequency", "shape"), [(0.002, 0.01), (0.006, 0.005), (0.001, 0.02), (0.005, 0.03)])
+def test_two_unknown_noises_are_each_found_by_itself(frequency, shape):
+    """Root mean square of the errors in their stated standard deviations, six simulated tests a pair of noises."""
+    z = []
+    for seed in range(3):
+        found = identify(experiment_with(seed, frequency, shape)).to_dict()
+        estimate = efficient(experiment_with(seed, frequency, shape), backends.get("auto")).noise.to_dict()
+        for kind, true in (("frequency", frequency), ("mode_shape", shape)):
+            z.append((estimate[kind]["factor"] - true / DEFAULTS[kind]) / estimate[kind]["std"])
+        assert estimate["displacement"] is None
+        assert found["fit"]["p_value"] is None
+    assert np.sqrt(np.mean(np.square(z))) < 1.8
+
+
+def test_only_what_is_undeclared_is_estimated():
+    estimate = efficient(experiment_with(3, 0.006, 0.02, declare=["frequency_std"]), backends.get("auto"))
+    assert estimate.noise.kinds == ("mode_shape",)
+    assert dict(estimate.noise.noise.factors)["mode_shape"] == pytest.approx(2.0, rel=0.25)
+    both = efficient(experiment_with(3, 0.006, 0.02, declare=["frequency_std", "mode_shape_std"]), backends.get("auto"))
+    assert both.noise.kinds == ()
+    assert both.quality.p_value is not None
+
+
+def test_a_declared_standard_deviation_is_never_rescaled():
+    """Errors four times what was declared leave the stated deviations where the declaration puts them."""
+    declare = ["frequency_std", "mode_shape_std"]
+    honest = experiment_with(4, 0.001, 0.01, declare=declare).to_dict()
+    worse = experiment_with(4, 0.004, 0.04, declare=declare).to_dict()
+    for table in worse["configuration"]:
+        table["frequency_std"], table["mode_shape_std"] = 0.001, 0.01
+    honest, worse = (identify(Experiment.from_dict(each)) for each in (honest, worse))
+    np.testing.assert_allclose(worse.frame.story_stiffness_std, honest.frame.story_stiffness_std, rtol=0.1)
+    assert worse.fit.p_value < 1e-6
+    assert honest.fit.p_value > 1e-3
+
+
+@pytest.mark.parametrize(("frequency", "shape"), [(0.0002, 0.001), (0.008, 0.04)])
+def test_a_prior_s_standard_deviation_is_never_rescaled(frequency, shape):
+    """One floor's mass, known to 5 %, is all that tells the scale: it stays so, whatever the noise."""
+    rng = np.random.default_rng(5)
+    table = configuration(MASS, STIFFNESS, rng=rng, shape_noise=shape, frequency_noise=frequency)
+    del table["frequency_std"], table["mode_shape_std"]
+    prior = Value("floor_mass", at=1, value=MASS[0], std=0.05)
+    of = Experiment.from_dict(experiment(MASS, STIFFNESS, table, frame={}, prior=[prior.to_dict()]))
+    estimate = efficient(of, backends.get("auto"))
+    assert estimate.std[0] / estimate.theta[0] == pytest.approx(0.05, rel=0.02)
+
+
+def test_the_rows_of_a_prior_and_of_declared_data_carry_no_factor():
+    of = experiment_with(6, 0.004, 0.02, declare=["mode_shape_std"])
+    of = of.with_priors([Value("story_stiffness", at=2, value=36e6, std=0.05)])
+    theta = np.concatenate([1.01 * MASS, 0.97 * STIFFNESS])
+    plain, tenfold = (Misfit(of, noise=Noise(factors)).evaluate(theta) for factors in ((), (("frequency", 10.0),)))
+    open_rows = plain.noises == NOISES.index("frequency")
+    assert open_rows.sum() == 18
+    np.testing.assert_allclose(tenfold.r[open_rows], plain.r[open_rows] / 10, rtol=1e-12)
+    np.testing.assert_array_equal(tenfold.r[~open_rows], plain.r[~open_rows])
+    np.testing.assert_array_equal(tenfold.J[~open_rows], plain.J[~open_rows])
+
+
+def test_noise_that_no_instrument_has_is_improbable():
+    """Modes 1 and 3 swapped: the factors grow, but not beyond what is counted as noise."""
+    table = configuration(MASS, STIFFNESS)
+    del table["frequency_std"], table["mode_shape_std"]
+    shapes = table["mode_shapes"]
+    shapes[0], shapes[2] = shapes[2], shapes[0]
+    frame = {"total_mass": float(MASS.sum())}
+    of = Experiment.from_dict(experiment(MASS, STIFFNESS, table, frame=frame))
+    estimate = efficient(of, backends.get("auto"))
+    assert estimate.quality.max_frequency_error > 0.05 or estimate.quality.max_shape_error > 0.05
+    assert estimate.p_value < 0.01
+    sound = efficient(experiment_with(7, 0.004, 0.02), backends.get("auto"))
+    assert sound.p_value > 0.01

@@ -1,0 +1,121 @@
+"""Probabilities of sets and effects from scores made by hand."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from cvxshear.effects import Place, Placed, named
+from cvxshear.errors import NoSolutionError
+from cvxshear.identification.results import IdentifiedFrame
+from cvxshear.loop.hypotheses import Hypothesis
+from cvxshear.loop.model_class import ModelClass
+from cvxshear.loop.posterior import Posterior
+
+
+def put(name, **place):
+    return Placed(named([name])[0], Place(**place))
+
+
+A, B, C, D = (put("sensor_gain", floor=floor) for floor in (1, 2, 3, 4))
+MASS = put("added_mass", floor=1, state="after")
+PRIOR = 0.02
+
+
+def model(effects, probability, *, mass=10.0, std=0.5, chi2=20.0, dof=20, log_prior=0.0):
+    """A set whose score is the logarithm of a probability."""
+    frame = IdentifiedFrame(np.full(2, mass), np.full(2, 1e3 * mass), np.full(2, std), np.full(2, 1e3 * std))
+    estimate = SimpleNamespace(frame=frame, chi2=chi2, dof=dof)
+    return ModelClass(frozenset(effects), estimate, float(np.log(probability)) - log_prior - 300.0, log_prior)
+
+
+def posterior(*models, prior=PRIOR, priors=()):
+    known = {A: prior, B: prior, C: prior, D: prior, MASS: prior, **dict(priors)}
+    return Posterior(models, [Hypothesis(placed, probability) for placed, probability in known.items()])
+
+
+def test_probabilities_are_those_of_the_scores():
+    """Far below what an exponential can hold; those of all sets add up to one, an effect's over its sets."""
+    of = posterior(model([], 0.1), model([A], 0.6, log_prior=-3.0), model([A, B], 0.2), model([C], 0.1))
+    np.testing.assert_allclose(of.probabilities, [0.6, 0.2, 0.1, 0.1], rtol=1e-9)
+    assert of.best.effects == {A}
+    assert of.of_effects[A] == pytest.approx(0.8)
+    assert of.of_effects[B] == pytest.approx(0.2)
+    assert of.of_effects[D] == 0.0
+    assert of.of(frozenset({C})) == pytest.approx(0.1)
+    assert of.of(frozenset({D})) == 0.0
+    assert of.verdict_set() == {A}
+
+
+def test_sets_that_were_not_fitted_take_no_part():
+    failed = ModelClass(frozenset({B}), None, -np.inf, 0.0, NoSolutionError("any", "it gave up"))
+    of = posterior(model([A], 0.75), model([], 0.25), failed)
+    assert len(of.models) == 2
+    assert of.of_effects[A] == pytest.approx(0.75)
+
+
+def test_the_median_model_may_be_none_that_is_best():
+    """B is in no set with A, but more probable than not over all."""
+    of = posterior(model([A], 0.4, chi2=20.0), model([B], 0.3, chi2=25.0), model([B, C], 0.3, chi2=24.0))
+    assert of.best.effects == {A}
+    assert of.verdict_set() == {B}
+
+
+def test_a_twin_is_added_in_place_of_what_it_is_a_twin_of_never_besides_it():
+    of = posterior(model([A], 0.4), model([B], 0.3), model([B, C], 0.3))
+    assert [item.placed for item in of.rivals(A) if item.twin] == [B]
+    assert of.verdict_set() == {A}
+
+
+def test_what_the_data_cannot_tell_keeps_its_odds_and_is_not_added():
+    of = posterior(model([A], 0.55), model([], 0.45), priors=[(A, 0.5)])
+    assert of.verdict_set() == set()
+    assert of.untold() == [A]
+    told = posterior(model([A], 0.8), model([], 0.2), priors=[(A, 0.5)])
+    assert told.verdict_set() == {A}
+    assert told.untold() == []
+
+
+def test_rivals_replace_an_effect_and_are_summed_over_sets():
+    of = posterior(
+        model([A], 0.5, chi2=20.0), model([B], 0.2, chi2=24.0), model([B, D], 0.1), model([C], 0.02), model([], 0.18)
+    )
+    rivals = of.rivals(A)
+    assert [item.placed for item in rivals] == [B]
+    assert rivals[0].probability == pytest.approx(0.3)
+    assert not rivals[0].twin
+
+
+def test_of_two_replaced_effects_each_has_its_rival_by_state_or_kind():
+    other = put("added_mass", floor=2, state="after")
+    of = posterior(model([A, MASS], 0.6), model([B, other], 0.4), priors=[(other, PRIOR)])
+    assert [item.placed for item in of.rivals(A)] == [B]
+    assert [item.placed for item in of.rivals(MASS)] == [other]
+
+
+def test_twins_share_what_either_would_have_alone():
+    """Neither has even odds by itself; that one of them is there has."""
+    of = posterior(model([A], 0.45, chi2=20.0), model([B], 0.45, chi2=20.0), model([], 0.1, chi2=60.0, dof=21))
+    (best,) = of.best.effects
+    (twin,) = of.rivals(best)
+    assert {best, twin.placed} == {A, B}
+    assert twin.twin
+    assert of.verdict_set() == {best}
+    apart = posterior(model([A], 0.46, chi2=20.0), model([B], 0.44, chi2=22.0), model([], 0.1, chi2=60.0, dof=21))
+    assert not apart.rivals(A)[0].twin
+    assert apart.verdict_set() == set()
+
+
+def test_the_averaged_frame_is_a_mixture():
+    """Mean 0.75 10 + 0.25 14 = 11; variance 0.75 (0.25 + 1) + 0.25 (1 + 9) = 3.4375."""
+    of = posterior(model([A], 0.75, mass=10.0, std=0.5), model([B], 0.25, mass=14.0, std=1.0))
+    found = of.averaged()
+    np.testing.assert_allclose(found.floor_mass, 11.0)
+    np.testing.assert_allclose(found.floor_mass_std, np.sqrt(3.4375))
+    np.testing.assert_allclose(found.story_stiffness, 11e3)
+    np.testing.assert_allclose(found.story_stiffness_std, 1e3 * np.sqrt(3.4375))
+
+
+def test_averaged_mixture_leaves_undetermined_what_no_set_determines():
+    nan = model([], 1.0, mass=float("nan"), std=float("nan"))
+    assert np.isnan(posterior(nan).averaged().floor_mass).all()
