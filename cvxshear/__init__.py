@@ -6,16 +6,18 @@
 [25.5, 25.2]
 """
 
-from cvxshear import backends, effects, priors
+from cvxshear import backends, effects, priors, showing
 from cvxshear.errors import CvxshearError, InfeasibleError, InputError, NoSolutionError, UnsuitableError
 from cvxshear.experiment import Configuration, Experiment, Frame
 from cvxshear.formats.toml import load
 from cvxshear.identification import Identification, identify
 from cvxshear.loop import Closure, close_loop
 from cvxshear.priors import Prior
-#from cvxshear.studies.backends import Comparison, compare_backends
+from cvxshear.studies.backends import Comparison, compare_backends
 
 __version__ = "0.1.0"
+
+showing.shown_by("cvxshear.report.show")
 
 __all__ = [
     "Closure",

@@ -11,6 +11,7 @@ from cvxshear.data import Model
 from cvxshear.experiment import Configuration, Experiment
 from cvxshear.identification.ending import Ending
 from cvxshear.identification.quality import Quality
+from cvxshear.showing import Shown
 from cvxshear.typing import Floats, Json
 
 
@@ -139,8 +140,8 @@ class Part:
         return result
 
 
-@dataclass(frozen=True, eq=False)
-class Identification:
+@dataclass(frozen=True, eq=False, repr=False)
+class Identification(Shown):
     """The result of `identify`.
 
     Parameters
@@ -185,12 +186,6 @@ class Identification:
     def converged(self) -> bool:
         """Whether every part converged."""
         return all(part.converged for part in self.parts)
-
-    def _repr_html_(self) -> str | None:
-        """What a notebook shows."""
-        from cvxshear.report.notebook import identification_html  # noqa: PLC0415 - loaded by a notebook only
-
-        return identification_html(self)
 
     def to_dict(self) -> Json:
         """The documented JSON."""

@@ -14,6 +14,7 @@ from cvxshear.identification.results import IdentifiedFrame
 from cvxshear.loop.next_test import NextTest
 from cvxshear.loop.posterior import Rival
 from cvxshear.loop.residual import by_floor, by_part
+from cvxshear.showing import Shown
 from cvxshear.typing import Json
 
 VERDICTS = {
@@ -163,8 +164,8 @@ class EffectSet:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Closure:
+@dataclass(frozen=True, eq=False, repr=False)
+class Closure(Shown):
     """The result of `close_loop`.
 
     Parameters

@@ -14,6 +14,7 @@ from cvxshear.formats.measurement import write_measurement
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.picking import Sweep
 from cvxshear.modal.record import Complexes
+from cvxshear.showing import Shown
 from cvxshear.typing import Floats, Ints, Json
 
 DRAWN = 0.3
@@ -22,8 +23,8 @@ LEAST_STD = 1e-6
 """Relative; no record is that good, and a zero would weigh infinitely."""
 
 
-@dataclass(frozen=True, eq=False)
-class ModalResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class ModalResult(Shown):
     """Modes of one record.
 
     Parameters

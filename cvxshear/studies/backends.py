@@ -19,6 +19,7 @@ from cvxshear.identification.start import uniform
 from cvxshear.programs import LeastSquares, mass_correction, one_shot_masses, story_stiffnesses
 from cvxshear.programs.mass import normalized
 from cvxshear.programs.rows import constrained
+from cvxshear.showing import Shown
 from cvxshear.typing import Floats, Json
 
 REPEATS = 3
@@ -81,8 +82,8 @@ class Row:
     failure: str
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Shown):
     """The result of `compare_backends`.
 
     Parameters
@@ -97,12 +98,6 @@ class Comparison:
     experiment: str
     rows: tuple[Row, ...]
     left_out: str
-
-    def _repr_html_(self) -> str | None:
-        """What a notebook shows."""
-        from cvxshear.report.notebook import comparison_html  # noqa: PLC0415 - loaded by a notebook only
-
-        return comparison_html(self)
 
     def to_dict(self) -> Json:
         """The rows as dicts."""

@@ -1,0 +1,86 @@
+"""Backends on the same programs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from cvxshear.quantities import AUTOMATIC, Units, counted, exponential, significant
+from cvxshear.report.describe.dispatch import describe, line
+from cvxshear.report.describe.vocabulary import Document, Part, Row, Section, Sentence, Table
+from cvxshear.studies.backends import Comparison
+from cvxshear.studies.backends import Row as BackendResult
+
+
+@describe.register
+def _comparison(of: Comparison, units: Units = AUTOMATIC) -> Document:
+    kinds = list(dict.fromkeys(row.kind for row in of.rows))
+    tables: list[Part] = [_kind(of, kind) for kind in kinds]
+    if of.left_out:
+        tables.insert(0, Sentence(f"Without the paper's programs: {of.left_out}."))
+    return Document(
+        of.experiment,
+        f"{of.experiment}: {_headline(of)}",
+        (Section("programs", "Programs", tuple(tables)), Section("worst", "All programs", (worst(of),), detail=True)),
+    )
+
+
+@line.register
+def _line(of: Comparison) -> str:
+    return f"<Comparison {of.experiment}: {_headline(of)}>"
+
+
+def _headline(of: Comparison) -> str:
+    backends = len({row.backend for row in of.rows})
+    kinds = len({row.kind for row in of.rows})
+    return f"{counted(backends, 'backend')} on {counted(kinds, 'kind')} of programs"
+
+
+def _kind(of: Comparison, kind: str) -> Table:
+    rows = [row for row in of.rows if row.kind == kind]
+    title = f"{kind} ({counted(rows[0].programs, 'program')}, against the {rows[0].reference})"
+    head = ("backend", "difference", "primal", "dual", "gap", "iterations", "time / kkt")
+    return Table(f"kind-{kind.replace(' ', '-')}", title, head, tuple(Row(tuple(_cells(row))) for row in rows))
+
+
+def _cells(row: BackendResult) -> Iterator[str]:
+    yield row.backend
+    if row.failure:
+        yield short(row.failure)
+        yield from [""] * 5
+        return
+    for value in (row.difference, row.primal_residual, row.dual_residual, row.duality_gap):
+        yield "–" if value is None else exponential(value)
+    yield "–" if row.iterations is None else str(row.iterations)
+    yield significant(row.relative_time, 2)
+
+
+def worst(of: Comparison) -> Table:
+    """For each backend its worst figures over all programs that it takes."""
+    names = dict.fromkeys(row.backend for row in of.rows)
+    head = ("backend", "programs solved", "largest difference", "largest certificate residual", "remark")
+    rows = tuple(_worst(name, [row for row in of.rows if row.backend == name]) for name in names)
+    return Table("backends-table", "Worst figures of each backend over all programs", head, rows, words=(0, 4))
+
+
+def _worst(name: str, rows: list[BackendResult]) -> Row:
+    solved = [row for row in rows if not row.failure]
+    residuals = [each for row in solved for each in (row.primal_residual, row.dual_residual, row.duality_gap)]
+    return Row(
+        (
+            name,
+            f"{sum(row.programs for row in solved)} of {sum(row.programs for row in rows)}",
+            _largest([row.difference for row in solved]),
+            _largest(residuals),
+            "; ".join(sorted({short(row.failure) for row in rows if row.failure})),
+        )
+    )
+
+
+def _largest(values: list[float | None]) -> str:
+    known = [value for value in values if value is not None]
+    return exponential(max(known)) if known else "–"
+
+
+def short(failure: str) -> str:
+    """A failure that every reader of these tables knows, in a few words."""
+    return "takes no active bound" if "takes equalities only" in failure else failure

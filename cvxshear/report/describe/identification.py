@@ -1,0 +1,79 @@
+"""What an identification found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from cvxshear.identification import Identification, Part
+from cvxshear.quantities import AUTOMATIC, Units, counted, percent, percents, probability, significant, with_std
+from cvxshear.report.describe import vocabulary
+from cvxshear.report.describe.dispatch import describe, line
+from cvxshear.report.describe.experiment import declared
+from cvxshear.report.describe.frame import frame_table
+from cvxshear.report.describe.vocabulary import Document, Row, Section, Sentence, Table
+from cvxshear.typing import Floats
+
+
+@describe.register
+def _identification(of: Identification, units: Units = AUTOMATIC) -> Document:
+    sections = [declared(of.experiment, units)]
+    sections += [part_section(of, part, place, units) for place, part in enumerate(of.parts, 1)]
+    if of.undetermined:
+        open_ones = [Sentence(f"Not determined by these data: {' and '.join(names)}.", "warning") for names in of.undetermined]
+        sections.append(Section("undetermined", "What these data cannot tell", tuple(open_ones)))
+    headline = f"{of.experiment.name}: method {of.method}, backend {of.backend}"
+    return Document(of.experiment.name, headline, tuple(sections))
+
+
+@line.register
+def _line(of: Identification) -> str:
+    worst = max(part.fit.max_frequency_error for part in of.parts)
+    ended = "" if of.converged else ", not converged"
+    return (
+        f"<Identification {of.experiment.name}: {of.method}, {counted(of.experiment.stories, 'story')}, largest "
+        f"frequency error {percent(worst)}{ended}>"
+    )
+
+
+def part_section(of: Identification, part: Part, place: int, units: Units) -> Section:
+    """The frame that one configuration, or all together, speak for, and how well it fits."""
+    title = "All configurations together" if of.joint else part.name
+    parts = [
+        frame_table(part.frame, "Identified frame (masses without added mass)", units, key=f"identified-{place}"),
+        *how_it_ended(part),
+        *([] if part.mass_matrix is None else [_matrix(part.mass_matrix, place, units)]),
+        Sentence(_fit(part)),
+    ]
+    return Section(f"part-{place}", title, tuple(parts))
+
+
+def how_it_ended(part: Part) -> Iterator[Sentence]:
+    """How many iterations there were and why they ended; a warning where they did not converge."""
+    said = f"{counted(part.iterations, 'iteration')}: {part.reason}."
+    yield Sentence(said) if part.converged else Sentence(
+        f"NOT CONVERGED. {said} The numbers are where it stopped.", "warning"
+    )
+
+
+def _fit(part: Part) -> str:
+    fit = part.fit
+    largest, rms = percents([fit.max_frequency_error, fit.rms_frequency_error])
+    said = [f"Frequency errors: largest {largest}, root mean square {rms}"]
+    if fit.min_mac is not None:
+        said.append(f"smallest MAC {significant(fit.min_mac, 6)}")
+    if fit.max_displacement_error is not None:
+        said.append(f"largest displacement error {percent(fit.max_displacement_error)}")
+    test = "" if fit.p_value is None else f" (p = {probability(fit.p_value)})"
+    said.append(f"chi-square {significant(fit.chi2)} on {counted(fit.dof, 'degree')} of freedom{test}")
+    return f"{'; '.join(said)}."
+
+
+def _matrix(matrix: Floats, place: int, units: Units) -> vocabulary.Part:
+    factor, unit = units.of_mass(np.diag(matrix).tolist())
+    head = ("floor", *(str(i) for i in range(1, len(matrix) + 1)))
+    rows = tuple(
+        Row((str(i), *(with_std(float(entry), None, factor=factor) for entry in row))) for i, row in enumerate(matrix, 1)
+    )
+    return Table(f"mass-matrix-{place}", f"Corrected mass matrix, {unit}", head, rows)
