@@ -25,6 +25,8 @@ PLAIN = (1e-4, 1e6)
 
 MOST_DECIMALS = 6
 
+UNKNOWN = "not determined"
+
 
 @dataclass(frozen=True)
 class Units:
@@ -88,8 +90,13 @@ def significant(value: float | None, digits: int = 4) -> str:
     """A number with so many significant digits; a dash for none."""
     if value is None or math.isnan(value):
         return "–"
-    plain = value == 0 or PLAIN[0] <= abs(value) < PLAIN[1]
-    return f"{value:.{digits}g}" if plain else exponential(value, digits)
+    if value == 0:
+        return "0"
+    if not PLAIN[0] <= abs(value) < PLAIN[1]:
+        return exponential(value, digits)
+    decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+    shown = f"{value:.{decimals}f}"
+    return shown.rstrip("0").rstrip(".") if "." in shown else shown
 
 
 def significants(values: Sequence[float | None], digits: int = 4) -> list[str]:
@@ -148,7 +155,7 @@ def with_std(value: float | None, std: float | None, unit: str = "", factor: flo
         unit.
     """
     if value is None or math.isnan(value):
-        return "not determined"
+        return UNKNOWN
     if factor is None:
         factor, unit = fitting([value], unit)
     value = value / factor

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 
 from cvxshear.errors import CvxshearError
 from cvxshear.loop import Closure
+from cvxshear.quantities import AUTOMATIC, Units
 from cvxshear.report.files import write_whole
 from cvxshear.studies.backends import Comparison, compare_backends
 
 try:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
 
     from cvxshear.report import figures
     from cvxshear.report.figures.output import inline_svg
+    from cvxshear.report.pages import environment
 except ImportError as error:
     raise CvxshearError(
         f"the report needs {error.name}, which is not installed: pip install 'cvxshear[report]'"
@@ -24,7 +24,13 @@ except ImportError as error:
 from cvxshear.report.contents import contents
 
 
-def write_report(result: Closure, path: str | Path, command: str, comparison: Comparison | None = None) -> None:
+def write_report(
+    result: Closure,
+    path: str | Path,
+    command: str,
+    comparison: Comparison | None = None,
+    units: Units = AUTOMATIC,
+) -> None:
     """Write the report of a closed loop.
 
     Parameters
@@ -36,16 +42,20 @@ def write_report(result: Closure, path: str | Path, command: str, comparison: Co
         What makes this report again, as it was typed.
     comparison : Comparison, optional
         Of the backends; made where not given.
+    units : Units, optional
+        In which quantities are shown.
 
     Raises
     ------
     InputError
         Where the file cannot be written.
     """
-    write_whole(path, render(result, command, comparison))
+    write_whole(path, render(result, command, comparison, units))
 
 
-def render(result: Closure, command: str, comparison: Comparison | None = None) -> str:
+def render(
+    result: Closure, command: str, comparison: Comparison | None = None, units: Units = AUTOMATIC
+) -> str:
     """The report of a closed loop as HTML.
 
     Parameters
@@ -53,6 +63,7 @@ def render(result: Closure, command: str, comparison: Comparison | None = None) 
     result : Closure
     command : str
     comparison : Comparison, optional
+    units : Units, optional
 
     Returns
     -------
@@ -61,20 +72,8 @@ def render(result: Closure, command: str, comparison: Comparison | None = None) 
     """
     if comparison is None:
         comparison = compare_backends(result.experiment)
-    page = _environment().get_template("report.html")
-    return page.render(**contents(result, comparison, command), figure=_figures(result, comparison))
-
-
-@cache
-def _environment() -> Environment:
-    # Escapes every text, whatever the template is called: names and priors come from files.
-    return Environment(
-        loader=PackageLoader("cvxshear.report", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    page = environment().get_template("report.html")
+    return page.render(**contents(result, comparison, command, units), figure=_figures(result, comparison))
 
 
 def _figures(result: Closure, comparison: Comparison) -> dict[str, Markup]:

@@ -64,7 +64,7 @@ def limits_section(of: Closure) -> Section:
         parts += [Sentence("The residual sits in:", "warning"), Points("remains", of.remains)]
     known = tuple(_limits(of))
     if known:
-        parts.append(Points("limits", known))
+        parts.append(Points("untold", known))
     return Section("limits", "What is left and what these data cannot tell", tuple(parts))
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from cvxshear.quantities import AUTOMATIC, Units, counted, exponential, significant
 from cvxshear.report.describe.dispatch import describe, line
-from cvxshear.report.describe.vocabulary import Document, Part, Row, Section, Sentence, Table
+from cvxshear.report.describe.vocabulary import Document, Part, Points, Row, Section, Sentence, Table
 from cvxshear.studies.backends import Comparison
 from cvxshear.studies.backends import Row as BackendResult
 
@@ -14,7 +14,7 @@ from cvxshear.studies.backends import Row as BackendResult
 @describe.register
 def _comparison(of: Comparison, units: Units = AUTOMATIC) -> Document:
     kinds = list(dict.fromkeys(row.kind for row in of.rows))
-    tables: list[Part] = [_kind(of, kind) for kind in kinds]
+    tables: list[Part] = [part for kind in kinds for part in _kind(of, kind)]
     if of.left_out:
         tables.insert(0, Sentence(f"Without the paper's programs: {of.left_out}."))
     return Document(
@@ -35,19 +35,19 @@ def _headline(of: Comparison) -> str:
     return f"{counted(backends, 'backend')} on {counted(kinds, 'kind')} of programs"
 
 
-def _kind(of: Comparison, kind: str) -> Table:
+def _kind(of: Comparison, kind: str) -> Iterator[Part]:
     rows = [row for row in of.rows if row.kind == kind]
+    name = kind.replace(" ", "-")
     title = f"{kind} ({counted(rows[0].programs, 'program')}, against the {rows[0].reference})"
     head = ("backend", "difference", "primal", "dual", "gap", "iterations", "time / kkt")
-    return Table(f"kind-{kind.replace(' ', '-')}", title, head, tuple(Row(tuple(_cells(row))) for row in rows))
+    yield Table(f"kind-{name}", title, head, tuple(Row(tuple(_cells(row))) for row in rows if not row.failure))
+    failures = tuple(f"{row.backend}: {short(row.failure)}" for row in rows if row.failure)
+    if failures:
+        yield Points(f"failures-{name}", failures)
 
 
 def _cells(row: BackendResult) -> Iterator[str]:
     yield row.backend
-    if row.failure:
-        yield short(row.failure)
-        yield from [""] * 5
-        return
     for value in (row.difference, row.primal_residual, row.dual_residual, row.duality_gap):
         yield "–" if value is None else exponential(value)
     yield "–" if row.iterations is None else str(row.iterations)

@@ -99,5 +99,5 @@ def steps_section(of: Closure) -> Section:
         errors,
     )
     head = ("step", "chi-square", "of", "p", "largest frequency error")
-    table = Table("steps", "How the model was arrived at, in the noise of the last step", head, rows)
+    table = Table("steps-table", "How the model was arrived at, in the noise of the last step", head, rows)
     return Section("steps", "Step by step", (table,), detail=len(of.steps) < 3, below=True)

@@ -95,7 +95,7 @@ def measured_modes(of: Experiment, units: Units = AUTOMATIC) -> Section:
     parts: list[Part] = []
     for place, each in enumerate(of.configurations, 1):
         parts += _modes(each, place, units)
-    return Section("modes", "Measured modes", tuple(parts), detail=True)
+    return Section("modes", "Measured modes", tuple(parts), detail=True, below=True)
 
 
 def _modes(each: Configuration, place: int, units: Units) -> Iterator[Part]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.identification import IdentifiedFrame
-from cvxshear.quantities import Units, with_std
-from cvxshear.report.describe.vocabulary import Row, Table
+from cvxshear.quantities import UNKNOWN, Units, significants, with_std
+from cvxshear.report.describe.vocabulary import Table, columns
 from cvxshear.typing import Floats
 
 
@@ -20,15 +20,15 @@ def frame_table(
     shown = [frame] if averaged is None else [frame, averaged]
     if averaged is not None:
         head += [f"averaged mass, {mass_unit}", f"averaged stiffness, {unit}"]
-    rows = []
-    for i in reversed(range(len(frame.floor_mass))):
-        cells = [str(i + 1)]
-        for each in shown:
-            cells.append(_cell(each.floor_mass, each.floor_mass_std, i, mass_factor))
-            cells.append(_cell(each.story_stiffness, each.story_stiffness_std, i, factor))
-        rows.append(Row(tuple(cells)))
-    return Table(key, title, tuple(head), tuple(rows))
+    cells = [[str(i) for i in range(1, len(frame.floor_mass) + 1)]]
+    for each in shown:
+        cells.append(_column(each.floor_mass, each.floor_mass_std, mass_factor))
+        cells.append(_column(each.story_stiffness, each.story_stiffness_std, factor))
+    return Table(key, title, tuple(head), tuple(reversed(columns(*cells))))
 
 
-def _cell(values: Floats, stds: Floats | None, i: int, factor: float) -> str:
-    return with_std(float(values[i]), None if stds is None or np.isnan(stds[i]) else float(stds[i]), factor=factor)
+def _column(values: Floats, stds: Floats | None, factor: float) -> list[str]:
+    if stds is None or np.all(np.isnan(stds)):
+        written = significants((values / factor).tolist(), 5)
+        return [UNKNOWN if np.isnan(value) else text for value, text in zip(values, written, strict=True)]
+    return [with_std(value, std, factor=factor) for value, std in zip(values.tolist(), stds.tolist(), strict=True)]
