@@ -175,7 +175,7 @@ def _to_digits(value: float, std: float) -> str:
 
 
 def fitting(values: Iterable[float], unit: str) -> tuple[float, str]:
-    """What the unit that fits these values is in that unit, and its name: tonnes for kg, prefixes for N, N/m, N m/rad."""
+    """The size of the unit that fits these values, in that unit, and its name: tonnes for kg, prefixes for N and N/m."""
     if unit == "kg":
         heavy = max((abs(value) for value in values if not math.isnan(value)), default=0.0) >= TONNES
         return (1e3, "t") if heavy else (1.0, "kg")
@@ -196,6 +196,11 @@ def counted(number: int, noun: str) -> str:
     if number == 1:
         return f"1 {noun}"
     return f"{number} {noun.removesuffix('y')}ies" if noun.endswith("y") else f"{number} {noun}s"
+
+
+def capital(text: str) -> str:
+    """A text as a sentence begins."""
+    return text[:1].upper() + text[1:]
 
 
 def listed(words: Sequence[str], last: str = "and") -> str:

@@ -17,6 +17,7 @@ from cvxshear.cli.output import (
     File,
     JsonOut,
     Quiet,
+    UnitsOption,
     deliver,
     figures_for,
     names,
@@ -44,6 +45,7 @@ def identify(
     accelerate: Annotated[
         bool, typer.Option("--accelerate", help="Reach the end of the mass iteration in a few steps (two-stage).")
     ] = False,
+    units: UnitsOption = None,
     figure: FigureOut = None,
     out: JsonOut = None,
 ) -> None:
@@ -56,9 +58,10 @@ def identify(
     # The solvers load slowly, and help needs none of them.
     from cvxshear import identify as run
     from cvxshear import load
+    from cvxshear.quantities import Units
     from cvxshear.report import terminal
 
-    drawing = figures_for(figure)
+    drawing, display = figures_for(figure), Units.parse(units)
     experiment, start = load(file), _numbers(initial_mass)
     named = method or ("efficient" if start is None else "two-stage")
     result = run(
@@ -70,7 +73,7 @@ def identify(
             beside = run(experiment, method="two-stage", backend=backend)
     if drawing is not None:
         drawing.save(drawing.frame(result), figure)
-    deliver(result.to_dict(), out, lambda: terminal.identification(result, beside))
+    deliver(result.to_dict(), out, lambda: terminal.identification(result, beside, display))
 
 
 def _numbers(text: str | None) -> list[float] | None:
@@ -98,6 +101,7 @@ def loop(
     report: Annotated[
         str | None, typer.Option("--report", help="Write a report, one HTML file.", metavar="OUT.html")
     ] = None,
+    units: UnitsOption = None,
     figure: FigureOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
@@ -107,9 +111,10 @@ def loop(
     Example: cvxshear loop paper
     """
     from cvxshear import close_loop
-    from cvxshear.report import loop_terminal
+    from cvxshear.quantities import Units
+    from cvxshear.report import terminal
 
-    drawing = figures_for(figure)
+    drawing, display = figures_for(figure), Units.parse(units)
     if report is not None:
         from cvxshear.report.html import write_report
     with progress("closing the loop", quiet):
@@ -117,10 +122,10 @@ def loop(
         result = close_loop(experiment, effects=names(effects), assume=names(assume) or (), backend=backend, jobs=jobs)
     said = result.to_dict() if found is None else {**result.to_dict(), "modes": found.to_dict()}
     if report is not None:
-        write_report(result, report, shlex.join(["cvxshear", *typed]))
+        write_report(result, report, shlex.join(["cvxshear", *typed]), units=display)
     if drawing is not None:
         drawing.save(drawing.residual(result), figure)
-    deliver(said, out, lambda: [*_modes_of(found), *loop_terminal.closure(result)])
+    deliver(said, out, lambda: [*_modes_of(found), *terminal.shown(result, display)])
 
 
 def _measured(file: str) -> tuple[Experiment, ModalResult | None]:
@@ -136,9 +141,9 @@ def _measured(file: str) -> tuple[Experiment, ModalResult | None]:
 
 
 def _modes_of(found: ModalResult | None) -> Iterable[RenderableType]:
-    from cvxshear.report import modal_terminal
+    from cvxshear.report import terminal
 
-    return () if found is None else (*modal_terminal.modes(found), "")
+    return () if found is None else (*terminal.shown(found), "")
 
 
 def modes(
@@ -161,7 +166,7 @@ def modes(
     Example: cvxshear modes record.toml -o test.toml
     """
     from cvxshear.modal import run
-    from cvxshear.report import modal_terminal
+    from cvxshear.report import terminal
 
     with progress("identifying modes", quiet):
         result, _ = run(
@@ -173,7 +178,7 @@ def modes(
             output=output,
             uff=uff,
         )
-    deliver(result.to_dict(), out, lambda: modal_terminal.modes(result))
+    deliver(result.to_dict(), out, lambda: terminal.shown(result))
 
 
 def backends(file: File, figure: FigureOut = None, quiet: Quiet = False, out: JsonOut = None) -> None:
@@ -189,4 +194,4 @@ def backends(file: File, figure: FigureOut = None, quiet: Quiet = False, out: Js
         result = compare_backends(load(file))
     if drawing is not None:
         drawing.save(drawing.backend_differences(result), figure)
-    deliver(result.to_dict(), out, lambda: terminal.comparison(result))
+    deliver(result.to_dict(), out, lambda: terminal.shown(result))

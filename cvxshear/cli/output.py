@@ -26,6 +26,10 @@ JsonOut = Annotated[
 FigureOut = Annotated[
     str | None, typer.Option("--figure", help="Draw into this file: .svg, .png or .pdf.", metavar="OUT")
 ]
+UnitsOption = Annotated[
+    str | None,
+    typer.Option("--units", help="Units that quantities are shown in, such as t,kN,mm.", metavar="MASS,FORCE,LENGTH"),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")]
 BackendName = Annotated[
     str, typer.Option("--backend", help="Which solver; 'cvxshear backends FILE' lists them.", metavar="NAME")

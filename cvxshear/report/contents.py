@@ -10,9 +10,10 @@ from importlib import metadata
 
 import cvxshear
 from cvxshear.loop import Closure
-from cvxshear.quantities import AUTOMATIC, Units
+from cvxshear.quantities import AUTOMATIC, Units, capital
 from cvxshear.report import motion
 from cvxshear.report.describe import describe
+from cvxshear.report.describe.headline import headline
 from cvxshear.studies.backends import Comparison
 from cvxshear.typing import Json
 
@@ -34,8 +35,8 @@ PACKAGES = (
 CAPTIONS = {
     "ranking": (
         "How probable each effect is before and with the data; the numbers are in the table above.",
-        "How probable each effect is: before the data (hollow diamonds) and with them (dots). Beyond the dotted line an "
-        "effect is more probable than not.",
+        "How probable each effect is: before the data (hollow diamonds) and with them (dots). Beyond the dotted line "
+        "an effect is more probable than not.",
     ),
     "residual": (
         "Residual of each part of the measurement in standard deviations, before and after; the numbers are in the "
@@ -85,6 +86,7 @@ def contents(result: Closure, comparison: Comparison, command: str, units: Units
     """
     return {
         "document": describe(result, units),
+        "headline": capital(headline(result)),
         "verdict": result.verdict,
         "captions": CAPTIONS,
         "figures_of": FIGURES_OF,

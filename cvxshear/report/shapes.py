@@ -86,7 +86,8 @@ def _modelled(configuration: Configuration, model: Model, datum: Shapes | None) 
         at_sensors = full[datum.kept][:, configuration.measured_floors - 1]
         length = np.sum(at_sensors**2, axis=1)
         factor[datum.kept] = np.where(length > 0, np.sum(datum.seen(model) * at_sensors, axis=1) / length, 1.0)
-    return factor[:, None] * full
+    laid: Floats = factor[:, None] * full
+    return laid
 
 
 def _unit(configuration: Configuration, j: int) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from cvxshear.loop import VERDICTS, Closure
-from cvxshear.quantities import AUTOMATIC, Units, chance, counted, significant
+from cvxshear.quantities import AUTOMATIC, Units, capital, chance, counted, significant
 from cvxshear.report.describe.dispatch import describe, line
 from cvxshear.report.describe.errors import before_after, residual_section, steps_section
 from cvxshear.report.describe.evidence import candidates_section, effect_sections, effects_section, sets_section
@@ -72,9 +72,9 @@ def _limits(of: Closure) -> Iterator[str]:
     for names in of.estimate.uncertainty.null_directions:
         yield f"Not determined: {' and '.join(name.replace('_', ' ') for name in names)}."
     for text in of.information:
-        yield f"{text[:1].upper()}{text[1:]}."
+        yield f"{capital(text)}."
     for name, lacking in of.not_considered.items():
-        yield f"{name.replace('_', ' ').capitalize()} was not looked for: that needs {lacking.replace('_', ' ')}."
+        yield f"{capital(name.replace('_', ' '))} was not looked for: that needs {lacking.replace('_', ' ')}."
 
 
 def next_section(of: Closure, units: Units) -> Section:

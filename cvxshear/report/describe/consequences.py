@@ -145,8 +145,9 @@ def _mass(found: list[Change], units: Units) -> Iterator[str]:
     most = found[worst]
     word = "more" if shares[worst, floor] > 0 else "less"
     factor, unit = units.of_mass([float(most.mass[floor])])
+    size = f"{abs(most.mass[floor]) / factor:.3g} {unit}"
     yield (
-        f'The inertia at floor {floor + 1} in "{most.configuration}" is {abs(most.mass[floor]) / factor:.3g} {unit} {word}, '
+        f'The inertia at floor {floor + 1} in "{most.configuration}" is {size} {word}, '
         f"{percent(abs(shares[worst, floor]))} of what the floor carries."
     )
 

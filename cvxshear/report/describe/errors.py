@@ -35,7 +35,8 @@ def before_after(of: Closure) -> Section:
     """The model that the loop began with beside the one that it ended with."""
     first = of.before.action
     after = "the final model" if len(of.steps) > 1 else "the same model, as nothing was added"
-    parts: list[Part] = [Sentence(f"Before: {first}. After: {after}. Both are counted in the same noise."), errors_table(of)]
+    which = f"Before: {first}. After: {after}. Both are counted in the same noise."
+    parts: list[Part] = [Sentence(which), errors_table(of)]
     parts += not_converged(of)
     parts.append(noise_facts(of))
     return Section("before-after", "Before and after", tuple(parts))

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from cvxshear.loop import Closure
 from cvxshear.loop.results import AddedEffect, Candidate, EffectSet
-from cvxshear.quantities import Units, chance, probability, significants, with_std
+from cvxshear.quantities import Units, capital, chance, probability, significants, with_std
 from cvxshear.report.describe.consequences import consequences
 from cvxshear.report.describe.vocabulary import Facts, Part, Points, Row, Section, Sentence, Table
 
@@ -52,11 +52,7 @@ def effect_sections(of: Closure, units: Units) -> Iterator[Section]:
             facts,
             Points(f"size-{place}", tuple(consequences(of.estimate, item.placed, units))),
         )
-        yield Section(f"effect-{place}", _capital(item.placed.label), parts, detail=True, below=True)
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
+        yield Section(f"effect-{place}", capital(item.placed.label), parts, detail=True, below=True)
 
 
 def _parameters(of: Closure, item: AddedEffect) -> Iterator[tuple[str, str]]:
@@ -70,9 +66,8 @@ def sets_section(of: Closure) -> Section:
     """The sets of effects with their probabilities."""
     chi2 = significants([item.chi2 for item in of.models])
     rows = tuple(_set_row(item, shown) for item, shown in zip(of.models, chi2, strict=True))
-    table = Table(
-        "models", "Sets of effects, the most probable first", ("set", "probability", "chi-square"), rows, brief=BRIEF_SETS
-    )
+    head = ("set", "probability", "chi-square")
+    table = Table("models", "Sets of effects, the most probable first", head, rows, brief=BRIEF_SETS)
     return Section("sets", "Which effects together", (table,) if rows else (), below=True)
 
 
@@ -116,4 +111,4 @@ def _candidate_row(item: Candidate, chi2: str) -> Row:
 def _confounded(item: Candidate) -> str:
     names = [name.replace("_", " ") for name in item.confounded_with]
     more = f" and {len(names) - MOST_CONFOUNDERS} more" if len(names) > MOST_CONFOUNDERS else ""
-    return f"{_capital(item.placed.label)} cannot be told from {', '.join(names[:MOST_CONFOUNDERS])}{more}."
+    return f"{capital(item.placed.label)} cannot be told from {', '.join(names[:MOST_CONFOUNDERS])}{more}."

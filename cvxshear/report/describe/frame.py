@@ -11,7 +11,12 @@ from cvxshear.typing import Floats
 
 
 def frame_table(
-    frame: IdentifiedFrame, title: str, units: Units, *, key: str = "identified", averaged: IdentifiedFrame | None = None
+    frame: IdentifiedFrame,
+    title: str,
+    units: Units,
+    *,
+    key: str = "identified",
+    averaged: IdentifiedFrame | None = None,
 ) -> Table:
     """Floor masses and story stiffnesses, the top of the frame first, and beside them those averaged over models."""
     mass_factor, mass_unit = units.of_mass(frame.floor_mass.tolist())

@@ -29,8 +29,10 @@ def _adequate(of: Closure) -> str:
     noise = noise_in_words(of)
     within = f" within {noise}" if noise else " within the declared noise"
     best = of.candidates[0] if of.candidates else None
-    tried = "" if best is None else f"; of what it might lack, {best.placed.label} is the most probable ({chance(best.probability)})"
-    return f"{model} explains the data{within}{tried}."
+    if best is None:
+        return f"{model} explains the data{within}."
+    likely = f"{best.placed.label} is the most probable ({chance(best.probability)})"
+    return f"{model} explains the data{within}; of what it might lack, {likely}."
 
 
 def _explained(of: Closure) -> str:

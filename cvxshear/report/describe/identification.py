@@ -7,7 +7,17 @@ from collections.abc import Iterator
 import numpy as np
 
 from cvxshear.identification import Identification, Part
-from cvxshear.quantities import AUTOMATIC, Units, counted, percent, percents, probability, significant, with_std
+from cvxshear.quantities import (
+    AUTOMATIC,
+    Units,
+    counted,
+    listed,
+    percent,
+    percents,
+    probability,
+    significant,
+    significants,
+)
 from cvxshear.report.describe import vocabulary
 from cvxshear.report.describe.dispatch import describe, line
 from cvxshear.report.describe.experiment import declared
@@ -21,7 +31,7 @@ def _identification(of: Identification, units: Units = AUTOMATIC) -> Document:
     sections = [declared(of.experiment, units)]
     sections += [part_section(of, part, place, units) for place, part in enumerate(of.parts, 1)]
     if of.undetermined:
-        open_ones = [Sentence(f"Not determined by these data: {' and '.join(names)}.", "warning") for names in of.undetermined]
+        open_ones = [Sentence(f"Not determined: {_words(names)}.", "warning") for names in of.undetermined]
         sections.append(Section("undetermined", "What these data cannot tell", tuple(open_ones)))
     headline = f"{of.experiment.name}: method {of.method}, backend {of.backend}"
     return Document(of.experiment.name, headline, tuple(sections))
@@ -49,6 +59,10 @@ def part_section(of: Identification, part: Part, place: int, units: Units) -> Se
     return Section(f"part-{place}", title, tuple(parts))
 
 
+def _words(names: tuple[str, ...]) -> str:
+    return listed([name.replace("_", " ") for name in names])
+
+
 def how_it_ended(part: Part) -> Iterator[Sentence]:
     """How many iterations there were and why they ended; a warning where they did not converge."""
     said = f"{counted(part.iterations, 'iteration')}: {part.reason}."
@@ -73,7 +87,8 @@ def _fit(part: Part) -> str:
 def _matrix(matrix: Floats, place: int, units: Units) -> vocabulary.Part:
     factor, unit = units.of_mass(np.diag(matrix).tolist())
     head = ("floor", *(str(i) for i in range(1, len(matrix) + 1)))
-    rows = tuple(
-        Row((str(i), *(with_std(float(entry), None, factor=factor) for entry in row))) for i, row in enumerate(matrix, 1)
-    )
+    largest = float(np.max(np.abs(matrix))) / factor
+    # Beside the largest entry, so that all have one format.
+    written = [significants([*row, largest], 5)[:-1] for row in (matrix / factor).tolist()]
+    rows = tuple(Row((str(i), *cells)) for i, cells in enumerate(written, 1))
     return Table(f"mass-matrix-{place}", f"Corrected mass matrix, {unit}", head, rows)

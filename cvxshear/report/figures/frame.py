@@ -10,8 +10,8 @@ from matplotlib.patches import Rectangle
 from cvxshear.experiment import Experiment
 from cvxshear.identification import Identification, IdentifiedFrame
 from cvxshear.loop import Closure
+from cvxshear.quantities import fitting, with_std
 from cvxshear.report.figures.style import AFTER, PALE, QUIET, grid_of, letters, new_figure, panels, spread, styled
-from cvxshear.quantities import scaled, with_std
 from cvxshear.typing import Floats
 
 LINE = 0.17
@@ -20,10 +20,10 @@ LINE = 0.17
 SLAB = 0.3
 """Thickness of the heaviest floor, of the lowest story height."""
 
-PANEL_WIDTH = 6.0
+PANEL_WIDTH = 6.8
 """inch; room for the widest label on either side."""
 
-LEFT, RIGHT, GAP = 0.43, 0.59, 0.07
+LEFT, RIGHT, GAP = 0.46, 0.57, 0.07
 """The columns, and the distance of the labels from them, as parts of a panel's width."""
 
 SMALLEST = 1e-300
@@ -93,15 +93,21 @@ def _draw(axes: Axes, experiment: Experiment, found: IdentifiedFrame, title: str
     axes.set_ylabel(label)
     axes.set_xticks([])
     axes.spines["bottom"].set_visible(False)
-    for x, text, align in ((LEFT - GAP, "story stiffness ± std", "right"), (RIGHT + GAP, "floor mass ± std", "left")):
-        axes.text(x, 1.02, text, ha=align, va="bottom", weight="bold", transform=axes.transAxes)
+    for x, text, std, align in (
+        (LEFT - GAP, "story stiffness", found.story_stiffness_std, "right"),
+        (RIGHT + GAP, "floor mass", found.floor_mass_std, "left"),
+    ):
+        # A value that a bound holds has no deviation of its own.
+        heading = f"{text} ± std" if any(_known(std, z)) else text
+        axes.text(x, 1.02, heading, ha=align, va="bottom", weight="bold", transform=axes.transAxes)
     if title:
         axes.set_title(title, pad=20)
 
 
 def _labels(axes: Axes, found: IdentifiedFrame, z: Floats, heights: Floats, gap: float) -> None:
     """Stiffnesses to the left at the stories, masses to the right at the floors, apart from one another."""
-    factor, unit = scaled(found.story_stiffness.tolist(), "N/m")
+    factor, unit = fitting(found.story_stiffness.tolist(), "N/m")
+    mass_factor, mass_unit = fitting(found.floor_mass.tolist(), "kg")
     stiffness_std, mass_std = _known(found.story_stiffness_std, z), _known(found.floor_mass_std, z)
     top = float(z[-1])
     middle = z - heights / 2
@@ -110,7 +116,7 @@ def _labels(axes: Axes, found: IdentifiedFrame, z: Floats, heights: Floats, gap:
         _leader(axes, (LEFT, at), (LEFT - GAP + 0.01, shown))
         axes.text(LEFT - GAP, shown, f"story {i + 1}:  {text}", ha="right", va="center")
     for i, (at, shown) in enumerate(zip(z, spread(z, gap, 0.0, top), strict=True)):
-        text = with_std(float(found.floor_mass[i]), mass_std[i], "kg")
+        text = with_std(float(found.floor_mass[i]), mass_std[i], mass_unit, mass_factor)
         _leader(axes, (RIGHT + 0.02, at), (RIGHT + GAP - 0.01, shown))
         axes.text(RIGHT + GAP, shown, f"floor {i + 1}:  {text}", ha="left", va="center")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 
 from cvxshear.identification import Identification
 from cvxshear.loop import Closure
@@ -37,25 +38,27 @@ def mac(result: Closure | Identification) -> Figure:
     figure = new_figure(side * columns + 0.9, rows * (side + 0.3))
     axes = panels(figure, len(tables), columns)
     for each, (name, table) in zip(axes, tables, strict=True):
-        image = each.imshow(table, vmin=0, vmax=1, cmap="cividis", aspect="auto")
-        each.set_title(letters(name))
         configuration = next(item for item in result.experiment.configurations if item.name == name)
-        _ticks(each, configuration.modes.tolist(), stories)
-        if stories <= NUMBERED:
-            _numbers(each, table)
+        image = draw_matrix(each, table, configuration.modes.tolist(), list(range(1, stories + 1)))
+        each.set_title(letters(name))
+        each.set_xlabel("mode of the model")
+        each.set_ylabel("measured mode")
     figure.colorbar(image, ax=axes, label="MAC (1: the same shape)", shrink=0.8)
     return figure
 
 
-def _ticks(axes: Axes, measured: list[int], stories: int) -> None:
-    step = 1 if stories <= 10 else 2
-    axes.set_xticks(range(0, stories, step), [str(mode) for mode in range(1, stories + 1, step)])
-    axes.set_yticks(range(0, len(measured), step), [str(mode) for mode in measured[::step]])
-    axes.set_xlabel("mode of the model")
-    axes.set_ylabel("measured mode")
+def draw_matrix(axes: Axes, table: Floats, rows: list[int], columns: list[int]) -> AxesImage:
+    """A matrix of MACs with the numbers of its modes, and its values where they can be read."""
+    image = axes.imshow(table, vmin=0, vmax=1, cmap="cividis", aspect="auto")
+    step = 1 if len(columns) <= 10 else 2
+    axes.set_xticks(range(0, len(columns), step), [str(mode) for mode in columns[::step]])
+    axes.set_yticks(range(0, len(rows), step), [str(mode) for mode in rows[::step]])
     axes.tick_params(length=0)
     for side in ("left", "bottom"):
         axes.spines[side].set_visible(False)
+    if len(columns) <= NUMBERED:
+        _numbers(axes, table)
+    return image
 
 
 def _numbers(axes: Axes, table: Floats) -> None:

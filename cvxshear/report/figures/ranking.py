@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -73,9 +75,8 @@ def _log_odds(probabilities: list[float] | tuple[float, ...]) -> Floats:
 def _arrows(axes: Axes, bars: list[Candidate]) -> None:
     before, after = _log_odds([item.prior for item in bars]), _log_odds([item.probability for item in bars])
     axes.hlines(range(len(bars)), before, after, color="#B0B0B0", lw=1.0, zorder=1)
-    axes.plot(
-        before, range(len(bars)), ls="none", marker="D", mfc="white", mec=BEFORE, mew=1.2, ms=5.0, label="before the data"
-    )
+    style: dict[str, Any] = {"ls": "none", "marker": "D", "mfc": "white", "mec": BEFORE, "mew": 1.2, "ms": 5.0}
+    axes.plot(before, range(len(bars)), label="before the data", **style)
 
 
 def _dots(axes: Axes, bars: list[Candidate], added: int) -> None:
