@@ -52,7 +52,7 @@ class Units:
             Where one is none of `UNITS`, or two are of one quantity.
         """
         found: dict[str, str] = {}
-        for name in ([] if text is None else [part.strip() for part in text.split(",") if part.strip()]):
+        for name in [] if text is None else [part.strip() for part in text.split(",") if part.strip()]:
             quantity = next((key for key, units in UNITS.items() if name in units), None)
             if quantity is None:
                 known = ", ".join(unit for units in UNITS.values() for unit in units)
@@ -175,7 +175,7 @@ def _to_digits(value: float, std: float) -> str:
 
 
 def fitting(values: Iterable[float], unit: str) -> tuple[float, str]:
-    """The size of the unit that fits these values, in that unit, and its name: tonnes for kg, prefixes for N and N/m."""
+    """The size of the unit that fits these values, and its name: tonnes for kg, prefixes for N and N/m."""
     if unit == "kg":
         heavy = max((abs(value) for value in values if not math.isnan(value)), default=0.0) >= TONNES
         return (1e3, "t") if heavy else (1.0, "kg")

@@ -53,9 +53,7 @@ def write_report(
     write_whole(path, render(result, command, comparison, units))
 
 
-def render(
-    result: Closure, command: str, comparison: Comparison | None = None, units: Units = AUTOMATIC
-) -> str:
+def render(result: Closure, command: str, comparison: Comparison | None = None, units: Units = AUTOMATIC) -> str:
     """The report of a closed loop as HTML.
 
     Parameters

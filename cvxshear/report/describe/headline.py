@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from cvxshear.identification.quality import Quality
 from cvxshear.loop import Closure
 from cvxshear.loop.results import AddedEffect
 from cvxshear.quantities import chance, listed, percents
@@ -93,8 +94,16 @@ def _rivals(item: AddedEffect, *, several: bool) -> str:
 
 
 def _change(of: Closure) -> str:
-    """What became of the error that changed: that of the frequencies, or else that of the shapes."""
-    before, after = of.before.estimate.quality, of.after.estimate.quality
+    return change_in_words(of.before.estimate.quality, of.after.estimate.quality)
+
+
+def change_in_words(before: Quality, after: Quality) -> str:
+    """What became of the error that changed: that of the frequencies, or else that of the shapes.
+
+    Parameters
+    ----------
+    before, after : Quality
+    """
     frequency = (before.max_frequency_error, after.max_frequency_error)
     shape = (before.max_shape_error or 0.0, after.max_shape_error or 0.0)
     if frequency[1] > FELL * frequency[0] and shape[1] < FELL * shape[0]:
@@ -107,5 +116,3 @@ def _moves(what: str, before: float, after: float) -> str:
     if first == last:
         return f"{what} stays at {last}"
     return f"{what} {'falls' if after < before else 'rises'} from {first} to {last}"
-
-

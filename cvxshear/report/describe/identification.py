@@ -66,8 +66,10 @@ def _words(names: tuple[str, ...]) -> str:
 def how_it_ended(part: Part) -> Iterator[Sentence]:
     """How many iterations there were and why they ended; a warning where they did not converge."""
     said = f"{counted(part.iterations, 'iteration')}: {part.reason}."
-    yield Sentence(said) if part.converged else Sentence(
-        f"NOT CONVERGED. {said} The numbers are where it stopped.", "warning"
+    yield (
+        Sentence(said)
+        if part.converged
+        else Sentence(f"NOT CONVERGED. {said} The numbers are where it stopped.", "warning")
     )
 
 
