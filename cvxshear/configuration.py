@@ -154,8 +154,9 @@ class Configuration:
                     f"{where} has {checks.entries(len(self.measured_floors))}, each row of mode_shapes has {width}: "
                     "give one entry a measured floor"
                 )
-        self._refuse_empty_shapes(shapes)
-        self._refuse_equal_shapes(shapes, whole=whole)
+        if width:
+            self._refuse_empty_shapes(shapes)
+            self._refuse_equal_shapes(shapes, whole=whole)
 
     def _refuse_empty_shapes(self, shapes: Floats) -> None:
         for row, shape in enumerate(shapes, 1):

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from cvxshear import checks
+from cvxshear import checks, findings
 from cvxshear.checks import MOST_STORIES
 from cvxshear.configuration import Configuration
 from cvxshear.errors import InputError
@@ -31,6 +31,9 @@ Tested = Configuration | StaticTest
 """What was measured on one state of the frame; either has a `name`, a `state` and an `added_mass`."""
 
 T = TypeVar("T")
+
+UNSAID = (("stories", 0), ("accept", ()))
+"""Keys of a frame, with the values that stand for "not given"."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +56,8 @@ class Frame:
         Relative standard deviation of `total_mass`; exact without it.
     reference : str, optional
         The state that is the frame itself: no change and no undeclared mass sits in it.
+    accept : sequence of str, optional
+        Findings of `check` that are known and right, by their names in `cvxshear.findings.NAMES`.
 
     Raises
     ------
@@ -67,6 +72,7 @@ class Frame:
     gravity: float = 9.81
     total_mass_std: float | None = None
     reference: str | None = None
+    accept: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -91,6 +97,13 @@ class Frame:
                 raise InputError("frame: total_mass_std belongs to total_mass; give that, and no floor_masses")
         if self.reference is not None:
             checks.text(self.reference, "frame: reference")
+        put(self, "accept", self._checked_accept(self.accept))
+
+    @staticmethod
+    def _checked_accept(accept: object) -> tuple[str, ...]:
+        if not isinstance(accept, list | tuple):
+            raise InputError(f"frame: accept must be a list of names, not {checks.shown(accept)}")
+        return tuple(checks.choice(name, findings.NAMES, "frame: accept") for name in accept)
 
     def _checked_heights(self, heights: object) -> Floats:
         """One height a story; a single number, for all stories, stays one until their number is known."""
@@ -122,8 +135,11 @@ class Frame:
     def to_dict(self) -> Json:
         """The table that declares this frame in a measurement file."""
         values = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
-        given = {key: value for key, value in values.items() if value is not None and (key, value) != ("stories", 0)}
-        return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in given.items()}
+        given = {key: value for key, value in values.items() if value is not None and (key, value) not in UNSAID}
+        return {
+            key: value.tolist() if isinstance(value, np.ndarray) else list(value) if isinstance(value, tuple) else value
+            for key, value in given.items()
+        }
 
     @property
     def elevations(self) -> Floats | None:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cvxshear.cli import frames, studies
+from cvxshear.cli import check, frames, studies
 from cvxshear.cli.output import typed
 from cvxshear.errors import CvxshearError, NoSolutionError
 
@@ -23,6 +23,7 @@ for command in (
     frames.identify,
     frames.loop,
     frames.modes,
+    check.check,
     frames.backends,
     studies.reproduce,
 ):

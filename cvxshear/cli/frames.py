@@ -59,10 +59,12 @@ def identify(
     from cvxshear import identify as run
     from cvxshear import load
     from cvxshear.quantities import Units
-    from cvxshear.report import terminal
+    from cvxshear.report import screening_terminal, terminal
+    from cvxshear.screening import refuse_mistakes
 
     drawing, display = figures_for(figure), Units.parse(units)
     experiment, start = load(file), _numbers(initial_mass)
+    doubts = refuse_mistakes(experiment)
     named = method or ("efficient" if start is None else "two-stage")
     result = run(
         experiment, method=named, backend=backend, initial_mass=start, tolerance=tolerance, accelerate=accelerate
@@ -73,7 +75,12 @@ def identify(
             beside = run(experiment, method="two-stage", backend=backend)
     if drawing is not None:
         drawing.save(drawing.frame(result), figure)
-    deliver(result.to_dict(), out, lambda: terminal.identification(result, beside, display))
+    said = {**result.to_dict(), "warnings": [item.to_dict() for item in doubts]}
+    deliver(
+        said,
+        out,
+        lambda: [*screening_terminal.warnings(doubts), *terminal.identification(result, beside, display)],
+    )
 
 
 def _numbers(text: str | None) -> list[float] | None:
@@ -112,23 +119,31 @@ def loop(
     """
     from cvxshear import close_loop
     from cvxshear.quantities import Units
-    from cvxshear.report import terminal
+    from cvxshear.report import screening_terminal, terminal
+    from cvxshear.screening import refuse_mistakes
 
     drawing, display = figures_for(figure), Units.parse(units)
     if report is not None:
         from cvxshear.report.html import write_report
     with progress("closing the loop", quiet):
-        experiment, found = _measured(file)
+        experiment, found = measured(file)
+        doubts = refuse_mistakes(experiment)
         result = close_loop(experiment, effects=names(effects), assume=names(assume) or (), backend=backend, jobs=jobs)
-    said = result.to_dict() if found is None else {**result.to_dict(), "modes": found.to_dict()}
+    said = {**result.to_dict(), "warnings": [item.to_dict() for item in doubts]}
+    if found is not None:
+        said["modes"] = found.to_dict()
     if report is not None:
         write_report(result, report, shlex.join(["cvxshear", *typed]), units=display)
     if drawing is not None:
         drawing.save(drawing.residual(result), figure)
-    deliver(said, out, lambda: [*_modes_of(found), *terminal.shown(result, display)])
+    deliver(
+        said,
+        out,
+        lambda: [*_modes_of(found), *screening_terminal.warnings(doubts), *terminal.shown(result, display)],
+    )
 
 
-def _measured(file: str) -> tuple[Experiment, ModalResult | None]:
+def measured(file: str, *, accept_swapped: bool = False) -> tuple[Experiment, ModalResult | None]:
     """The experiment of a measurement file, or of the record that a record file names, with its modes."""
     from cvxshear import Experiment, load
     from cvxshear.formats.toml import is_record_file
@@ -136,7 +151,7 @@ def _measured(file: str) -> tuple[Experiment, ModalResult | None]:
 
     if not is_record_file(file):
         return load(file), None
-    found, declared = run(file)
+    found, declared = run(file, accept_swapped=accept_swapped)
     return Experiment.from_dict(declared, name=Path(file).stem), found
 
 

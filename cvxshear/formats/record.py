@@ -101,7 +101,13 @@ def read_record(path: str | Path) -> RecordFile:
     """
     path = Path(path)
     text = read_text(path)
-    table = checks.keys(parse(text, path), ["record", "channel", "run", *PASSED_ON], ["record", "channel"], str(path))
+    declared = parse(text, path)
+    if "configuration" in declared and "record" not in declared:
+        raise InputError(
+            f"{path} is a measurement file (it has [[configuration]]), not a record file: its modes are found already; "
+            f"'cvxshear identify {path}' and 'cvxshear loop {path}' take it"
+        )
+    table = checks.keys(declared, ["record", "channel", "run", *PASSED_ON], ["record", "channel"], str(path))
     try:
         record = _record(table, path, _lines_of(text, "channel"))
     except InputError as error:

@@ -14,6 +14,9 @@ from cvxshear.experiment import Experiment
 LARGEST_FILE = 50_000_000
 """Bytes; a larger file is taken for a mistake (a record in place of a measurement file, say)."""
 
+BUILT_IN = {"paper": ("paper", "paper.toml"), "los-alamos": ("builtin", "los-alamos.toml")}
+"""Examples that travel with the package, and where they stand in it."""
+
 
 def load(path: str | Path) -> Experiment:
     """Read a measurement file.
@@ -21,8 +24,9 @@ def load(path: str | Path) -> Experiment:
     Parameters
     ----------
     path : str or Path
-        A TOML file, or "paper" for the published two-story test frame in three configurations. A file of
-        that name in the current folder is reached as "./paper", or as a Path.
+        A TOML file, or a built-in example: "paper", the published two-story test frame in three configurations;
+        "los-alamos", the published frequencies of a three-story structure in nine states. A file of such a name in
+        the current folder is reached as "./paper", or as a Path.
 
     Returns
     -------
@@ -33,15 +37,20 @@ def load(path: str | Path) -> Experiment:
     InputError
         Naming the file, and the key, the value found and what would be right.
     """
-    if path == "paper":
-        text = resources.files("cvxshear").joinpath("paper", "paper.toml").read_text(encoding="utf-8")
-        return Experiment.from_dict(tomllib.loads(text), name="paper")
+    if isinstance(path, str) and path in BUILT_IN:
+        text = resources.files("cvxshear").joinpath(*BUILT_IN[path]).read_text(encoding="utf-8")
+        return Experiment.from_dict(tomllib.loads(text), name=path)
     if not isinstance(path, str | os.PathLike):
         raise InputError(
             f"load takes the name of a measurement file, not {shown(path)}; a dict goes to Experiment.from_dict"
         )
     path = Path(path)
     declared = parse(read_text(path), path)
+    if "record" in declared:
+        raise InputError(
+            f"{path} is a record file (it has a table [record]), not a measurement file: "
+            f"'cvxshear modes {path} -o test.toml' makes one of it, and 'cvxshear loop {path}' takes it as it is"
+        )
     try:
         return Experiment.from_dict(declared, name=path.stem)
     except InputError as error:

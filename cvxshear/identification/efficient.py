@@ -137,6 +137,14 @@ class Estimate:
         return next(at for item, at in slices(self.effects, 2 * self.experiment.stories) if item is placed)
 
     @property
+    def expected_frame(self) -> IdentifiedFrame:
+        """The frame with what was expected of it counted too, so that nothing of it is undetermined."""
+        names = parameter_names(self.experiment, self.effects)
+        n = self.experiment.stories
+        std = uncertainty(self.fit.at.triangle[0], self.theta, self.domain, names).std()
+        return IdentifiedFrame(self.theta[:n], self.theta[n : 2 * n], std[:n], std[n : 2 * n])
+
+    @property
     def free_directions(self) -> Floats:
         """Directions that the constraints leave free and anything determines, of unit effect on all residuals."""
         return self.uncertainty.root_of(self.fit.at.triangle[0])

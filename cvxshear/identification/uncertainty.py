@@ -77,8 +77,10 @@ class Uncertainty:
 
     @cached_property
     def reach(self) -> Floats:
-        """The same with parameters of an interval free to leave its ends, shape (P, g)."""
-        return _unit_directions(self.J, np.concatenate([self.equalities, self.touching]))
+        """The same with parameters of an interval free to leave its ends, and known to lie in it, shape (P, g)."""
+        return _unit_directions(
+            np.concatenate([self.J, _interval_rows(self.interval_std)]), np.concatenate([self.equalities, self.touching])
+        )
 
     def root_of(self, J: Floats) -> Floats:
         """Directions that the constraints leave free, of unit effect on other residuals than these, shape (P, f)."""
@@ -86,9 +88,7 @@ class Uncertainty:
 
     def covariance(self) -> Floats:
         """Covariance of the determined part, shape (P, P), in the parameters' own units."""
-        known = (self.reach / self.interval_std[:, None]).T @ (self.reach / self.interval_std[:, None])
-        information = np.eye(self.reach.shape[1]) + known
-        covariance: Floats = self.reach @ np.linalg.solve(information, self.reach.T)
+        covariance: Floats = self.reach @ self.reach.T
         return covariance
 
     def std(self) -> Floats:
@@ -115,11 +115,13 @@ def uncertainty(J: Floats, theta: Floats, domain: Domain, names: Sequence[str]) 
         Of the P parameters.
     """
     here = constrained(LeastSquares(R=J, s=np.zeros(len(J))), domain.statements, theta)
-    unit = _units(J)
+    unit = _units(np.concatenate([J, _interval_rows(domain.interval_std)]))
     A, _ = here.equalities
     G, h = here.inequalities
     touching = G[h <= TOUCHING * np.linalg.norm(G * unit, axis=1)]
-    determined, null = _split(J * unit, _null_space(A * unit))
+    free = _null_space(A * unit)
+    # What is even over an interval is known to within it, whatever the data say.
+    _, null = _split(np.concatenate([J, _interval_rows(domain.interval_std)]) * unit, free)
     ends = np.any(touching[:, np.isfinite(domain.interval_std)], axis=1)
     open_part = np.linalg.norm(null, axis=1) if null.size else np.zeros(len(theta))
     return Uncertainty(
@@ -130,9 +132,15 @@ def uncertainty(J: Floats, theta: Floats, domain: Domain, names: Sequence[str]) 
         interval_std=domain.interval_std,
         determined=open_part < 1e-4,
         null_directions=tuple(_words(column, names) for column in null.T),
-        free=determined[0].shape[1],
+        free=_split(J * unit, free)[0][0].shape[1],
         active=tuple(name for name, on in zip(names, np.any(touching, axis=0), strict=True) if on),
     )
+
+
+def _interval_rows(interval_std: Floats) -> Floats:
+    """What intervals of physical values say, as rows beside the data's."""
+    rows: Floats = np.diag(1.0 / interval_std)[np.isfinite(interval_std)]
+    return rows
 
 
 def _units(J: Floats) -> Floats:

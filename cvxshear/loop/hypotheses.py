@@ -43,7 +43,8 @@ def hypotheses(experiment: Experiment, effects: Sequence[Effect], there: Sequenc
     """Everything that can be looked for.
 
     An effect's probability is spread evenly over its places: with n of them each has 1 - (1 - p)^(1/n), so that the
-    effect is somewhere with the probability p.
+    effect is somewhere with the probability p. Where a reference is named, every other state is one in which something
+    may have been done to the frame: p is then that of each state, and spread over its floors or stories.
 
     Parameters
     ----------
@@ -75,17 +76,21 @@ def _of(effect: Effect, experiment: Experiment) -> list[Hypothesis]:
     """One effect at its places, but where it is excluded."""
     said = {place: _said(experiment, effect.name, place) for place in effect.places(experiment)}
     places = [place for place, known in said.items() if not any(each.exclude for each in known)]
-    usual = _spread(effect.probability, max(len(places), 1))
+    by_state = experiment.frame.reference is not None
+
+    def alike(place: Place) -> list[Place]:
+        return [other for other in places if not by_state or other.state == place.state]
+
     return [
         Hypothesis(
             Placed(effect, place),
             _last(
                 [
-                    _spread(each.probability, sum(each in said[other] for other in places))
+                    _spread(each.probability, sum(each in said[other] for other in alike(place)))
                     for each in said[place]
                     if each.probability is not None
                 ],
-                usual,
+                _spread(effect.probability, len(alike(place))),
             ),
             _last([each.size for each in said[place] if each.size is not None], None),
         )

@@ -19,6 +19,10 @@ from cvxshear.loop.evidence import log_constants, log_interval
 from cvxshear.typing import Floats
 
 
+MOST_TAKEN = 40
+"""Effects that are taken in one go at most."""
+
+
 class Linearised:
     """The derivatives at a fit by its own parameters and by those of effects that it lacks.
 
@@ -68,8 +72,11 @@ class Linearised:
 
     def gain(self, placed: Placed) -> float:
         """By how much the logarithm of the evidence grows with an effect, as the linearised model has it."""
-        own = self._at[placed]
-        b, h = -self._slope[own], self._own[:, own].T @ self._own[:, own]
+        return self._gain(placed, self._own[:, self._at[placed]], self.base.fit.at.r)
+
+    def _gain(self, placed: Placed, own: Floats, r: Floats) -> float:
+        """The gain by columns that nothing else in the model can make, on what is left of the residual."""
+        b, h = -(own.T @ r), own.T @ own
         constants = log_constants([placed], self.expectation)
         stds = self.expectation.of(placed)
         h = h + np.diag(1.0 / stds**2)
@@ -83,6 +90,30 @@ class Linearised:
         std = float(1.0 / np.sqrt(h[0, 0]))
         between = log_interval(item.lower - item.null, item.upper - item.null, -float(b[0]), std)
         return constants + between + float(np.log(std))
+
+    def forward(self, log_priors: Sequence[float]) -> list[Placed]:
+        """Effects that the linearised model takes one after the other, the most promising first, while it gains.
+
+        Parameters
+        ----------
+        log_priors : sequence of float
+            Logarithm of the prior odds of each effect that is lacking.
+        """
+        taken: list[Placed] = []
+        own, left = self._own, self.base.fit.at.r
+        for _ in range(min(len(self.lacking), MOST_TAKEN)):
+            gains = {
+                placed: self._gain(placed, own[:, self._at[placed]], left) + log_prior
+                for placed, log_prior in zip(self.lacking, log_priors, strict=True)
+                if placed not in taken
+            }
+            best = max(gains, key=lambda each: gains[each])
+            if not gains[best] > 0.0:
+                break
+            taken.append(best)
+            basis, _ = np.linalg.qr(own[:, self._at[best]])
+            own, left = own - basis @ (basis.T @ own), left - basis @ (basis.T @ left)
+        return taken
 
     def pair_gains(self) -> Floats:
         """The same for each pair of effects of one parameter, shape (n, n); -inf where it keeps no bound, or is none."""

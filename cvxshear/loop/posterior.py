@@ -82,12 +82,15 @@ class Posterior:
         return float(self.probabilities[self._known[effects]]) if effects in self._known else 0.0
 
     def verdict_set(self) -> frozenset[Placed]:
-        """What is added: each effect of the best set that is there, or a twin of it, with probability enough.
-
-        And each effect beyond that set which is more probable than not.
+        """What is added: for each effect of the best set that is there, or a rival in its place, with probability
+        enough, the most probable of these; and each effect beyond that set which is more probable than not.
         """
         best = self.best.effects
-        held = [placed for placed in best if self._enough([placed, *(r.placed for r in self.rivals(placed) if r.twin)])]
+        held = []
+        for placed in best:
+            family = [placed, *(rival.placed for rival in self.rivals(placed))]
+            if self._enough(family):
+                held.append(max(family, key=lambda each: self.of_effects[each]))
         more = [placed for placed in self.of_effects if placed not in best and self._enough([placed])]
         return frozenset((*held, *more))
 
@@ -113,7 +116,14 @@ class Posterior:
 
     def rivals(self, placed: Placed) -> list[Rival]:
         """What replaces an effect in sets that are a twentieth as probable as the best, or more; most probable first."""
-        best = self.best
+        return self._in_place_of(placed, self._holding(placed))
+
+    def _holding(self, placed: Placed) -> ModelClass:
+        """The most probable set that holds an effect; the best of all where none does."""
+        return next((model for model in self.models if placed in model.effects), self.best)
+
+    def _in_place_of(self, placed: Placed, best: ModelClass) -> list[Rival]:
+        """What replaces an effect of a set in the others."""
         found: dict[Placed, float] = {}
         twins: set[Placed] = set()
         for model, probability in zip(self.models, self.probabilities, strict=True):
@@ -131,7 +141,7 @@ class Posterior:
 
     def averaged(self) -> IdentifiedFrame:
         """Masses and stiffnesses averaged over the sets, with the scatter within and between them."""
-        frames = [model.estimate.frame for model in self.models if model.estimate is not None]
+        frames = [model.estimate.expected_frame for model in self.models if model.estimate is not None]
         mass = self._mixture([frame.floor_mass for frame in frames], [frame.floor_mass_std for frame in frames])
         stiffness = self._mixture(
             [frame.story_stiffness for frame in frames], [frame.story_stiffness_std for frame in frames]

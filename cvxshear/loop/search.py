@@ -1,6 +1,7 @@
 """The search among sets of effects: forward from the shear model, then exchange and removal, none visited twice.
 
-A set is expanded by what the linearised model at its fit promises of each further effect, and of each pair. The best
+A set is expanded by what the linearised model at its fit promises of each further effect, of each pair, and of all
+that it would take one after the other. The best
 sets visited, a beam of them, are expanded until all of them have been; then the same from each of them with one effect
 taken out, which exchanges that effect for another, until the beam stays as it is. As there are finitely many sets and
 none is fitted or expanded twice, it ends.
@@ -27,7 +28,7 @@ WITHIN = 7.0
 """Logarithm of a probability ratio: what is a thousandth as probable as the best is not followed up."""
 
 MOST = 10
-LEAST = 2
+LEAST = 1
 PAIRS = 2
 """Most and least further effects, and most pairs of them, that are fitted when a set is expanded."""
 
@@ -121,7 +122,8 @@ class Search:
         # A set with an effect taken out is far behind: what is put in must catch up with the best.
         floor = max(single[order[0]], 0.0, self.best.score - model.score) - WITHIN
         new = [each for at, each in enumerate(order[:MOST]) if at < LEAST or single[each] > floor]
-        return [each for each in (*new, *self._pairs(model, linear, single)) if each not in self.visited]
+        several = model.effects.union(linear.forward([self.fitter.log_prior([placed]) for placed in linear.lacking]))
+        return [each for each in (*new, *self._pairs(model, linear, single), several) if each not in self.visited]
 
     def _pairs(self, model: ModelClass, linear: Linearised, single: dict[Set, float]) -> Iterable[Set]:
         """Pairs that promise more together than either does by itself, and than nothing."""

@@ -67,3 +67,17 @@ def test_a_record_with_a_mistake_is_status_two(record, tmp_path, capsys):
     assert status == 2
     assert "flor2" in shown.err
     assert not (tmp_path / "never.toml").exists()
+
+
+def test_check_takes_a_record_and_says_what_its_diagnostics_say(record, capsys):
+    status, shown = run(capsys, "check", str(record), "--json", "-")
+    assert status == 0, shown.err
+    result = json.loads(shown.out)
+    assert result["findings"] == []
+    assert not result["refused"]
+    exchanged = record.read_text().replace("floor = 1", "floor = 9").replace("floor = 2", "floor = 1")
+    record.write_text(exchanged.replace("floor = 9", "floor = 2"))
+    status, shown = run(capsys, "check", str(record))
+    assert status == 2
+    assert "RECORD: swapped channels" in shown.out
+    assert "MISTAKE: swapped_sensors" in shown.out

@@ -25,10 +25,13 @@ from cvxshear.report.describe.frame import frame_table
 from cvxshear.report.describe.vocabulary import Document, Row, Section, Sentence, Table
 from cvxshear.typing import Floats
 
+RULED_OUT = 1e-3
+"""Probability of a chi-square so large below which the model is said to be ruled out."""
+
 
 @describe.register
 def _identification(of: Identification, units: Units = AUTOMATIC) -> Document:
-    sections = [declared(of.experiment, units)]
+    sections = [*_ruled_out(of), declared(of.experiment, units)]
     sections += [part_section(of, part, place, units) for place, part in enumerate(of.parts, 1)]
     if of.undetermined:
         open_ones = [Sentence(f"Not determined: {_words(names)}.", "warning") for names in of.undetermined]
@@ -45,6 +48,20 @@ def _line(of: Identification) -> str:
         f"<Identification {of.experiment.name}: {of.method}, {counted(of.experiment.stories, 'story')}, largest "
         f"frequency error {percent(worst)}{ended}>"
     )
+
+
+def _ruled_out(of: Identification) -> Iterator[Section]:
+    """A word of warning above a fit that its own declared noise rules out."""
+    fit = of.parts[0].fit
+    if of.joint and fit.p_value is not None and fit.p_value < RULED_OUT:
+        warning = Sentence(
+            f"RULED OUT: with the declared noise a shear frame would hardly give these data (chi-square "
+            f"{significant(fit.chi2)} on {counted(fit.dof, 'degree')} of freedom, p = {probability(fit.p_value)}): the "
+            "masses and stiffnesses below are those of a wrong model, and their standard deviations too small. "
+            "'cvxshear loop' on the same file looks for what the model lacks.",
+            "warning",
+        )
+        yield Section("ruled-out", "A model that the data rule out", (warning,))
 
 
 def part_section(of: Identification, part: Part, place: int, units: Units) -> Section:

@@ -1,0 +1,41 @@
+"""The command that looks for mistakes before anything is fitted."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from cvxshear.cli.frames import measured
+from cvxshear.cli.output import JsonOut, deliver
+
+MISTAKEN = 2
+
+
+def check(
+    file: Annotated[
+        str,
+        typer.Argument(help="A measurement file or a record file (TOML), or 'paper' for the example.", metavar="FILE"),
+    ],
+    out: JsonOut = None,
+) -> None:
+    """Tell what looks wrong in a measurement file or a record, before anything is fitted; status 2 for a mistake.
+
+    Example: cvxshear check paper
+    """
+    from cvxshear.report import screening_terminal
+    from cvxshear.screening import screen
+
+    experiment, modes = measured(file, accept_swapped=True)
+    found = screen(experiment)
+    diagnostics = () if modes is None else modes.findings
+    refused = any(item.refuses for item in found)
+    said = {
+        "name": experiment.name,
+        "refused": refused,
+        "findings": [item.to_dict() for item in found],
+        "record": [item.to_dict() for item in diagnostics],
+    }
+    deliver(said, out, lambda: screening_terminal.screening(experiment, found, diagnostics))
+    if refused:
+        raise typer.Exit(MISTAKEN)

@@ -1,0 +1,6 @@
+"""What looks wrong in a measurement file, before anything is fitted: mistakes, which are refused, and doubts."""
+
+from cvxshear.screening.finding import Finding
+from cvxshear.screening.screen import refuse_mistakes, screen
+
+__all__ = ["Finding", "refuse_mistakes", "screen"]

@@ -1,0 +1,206 @@
+"""The single changes that would mend a reading, one function a kind of mistake.
+
+Each proposes, for a reading, every place at which its mistake can have been made. Whether one was made is not
+decided here.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from math import comb
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from cvxshear.frame import Modes
+from cvxshear.screening.reading import Reading
+from cvxshear.typing import Floats, Ints
+
+MOST_NUMBERINGS = 60
+"""Sets of mode numbers are all tried where there are no more; else those that leave out one mode."""
+
+
+@dataclass(frozen=True, eq=False)
+class Repair:
+    """A change of a reading.
+
+    Parameters
+    ----------
+    name : str
+        Of the mistake that it mends, a key of `cvxshear.findings.MISTAKES`.
+    found, change : str
+        What the mistake would be, and what to change: parts of sentences.
+    reading : Reading
+        As it would be.
+    choices : int
+        Among how many of its kind it is one; the more there are the better must it be.
+    """
+
+    name: str
+    found: str
+    change: str
+    reading: Reading
+    choices: int
+
+
+def sensor_signs(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
+    """Each sensor turned round in every mode."""
+    width = len(reading.floors)
+    for column in range(width):
+        turned = np.where(np.arange(width) == column, -1.0, 1.0)
+        floor = reading.floors[column] + 1
+        yield Repair(
+            "sensor_sign",
+            f"the sensor of floor {floor} has the wrong sign",
+            f"change the sign of floor {floor}'s entry in every mode",
+            replace(reading, shapes=reading.shapes * turned),
+            width,
+        )
+
+
+def exchanged_sensors(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
+    """Each pair of sensors exchanged."""
+    width = len(reading.floors)
+    for low, high in itertools.combinations(range(width), 2):
+        order = np.arange(width)
+        order[[low, high]] = high, low
+        names = f"floors {reading.floors[low] + 1} and {reading.floors[high] + 1}"
+        yield Repair(
+            "swapped_sensors",
+            f"the sensors of {names} stand in each other's place",
+            f"exchange the entries of {names} in every mode",
+            replace(reading, shapes=reading.shapes[:, order], noise=reading.noise[:, order]),
+            comb(width, 2),
+        )
+
+
+def floors_from_top(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
+    """The floors in the opposite order."""
+    if len(reading.floors) > 1:
+        yield Repair(
+            "floors_from_top",
+            "the floors are listed from the top",
+            "list each mode's entries from the lowest floor up (and added_mass and what else is given a floor)",
+            replace(reading, shapes=reading.shapes[:, ::-1], noise=reading.noise[:, ::-1]),
+            1,
+        )
+
+
+def transposed(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
+    """Rows for columns."""
+    if len(reading.floors) == len(reading.modes) > 1:
+        yield Repair(
+            "transposed",
+            "mode_shapes has one row a floor",
+            "transpose mode_shapes: one row a mode, one entry a floor",
+            replace(reading, shapes=reading.shapes.T, noise=reading.noise.T),
+            1,
+        )
+
+
+def other_orders(reading: Reading, frames: Sequence[Modes]) -> Iterator[Repair]:
+    """Each pair of shapes exchanged, and the order in which the shapes are most like those of each frame."""
+    count = len(reading.modes)
+    orders = {tuple(_exchanged(count, i, j)) for i, j in itertools.combinations(range(count), 2)}
+    orders |= {tuple(_assigned(reading, frame)) for frame in frames}
+    orders.discard(tuple(range(count)))
+    for order in sorted(orders):
+        places = [place for place in range(count) if order[place] != place]
+        rows = ", ".join(str(place + 1) for place in places)
+        yield Repair(
+            "mode_order",
+            f"rows {rows} of mode_shapes stand in another order than the frequencies",
+            f"put rows {', '.join(str(order[place] + 1) for place in places)} of mode_shapes in the places of {rows}",
+            replace(reading, shapes=reading.shapes[list(order)], noise=reading.noise[list(order)]),
+            comb(count, 2) * 2 ** (len(places) - 2),
+        )
+
+
+def _exchanged(count: int, i: int, j: int) -> Ints:
+    order = np.arange(count)
+    order[[i, j]] = j, i
+    return order
+
+
+def _assigned(reading: Reading, frame: Modes) -> Ints:
+    """The order of rows with the largest sum of modal assurance criteria with the frame's modes."""
+    psi = frame.shapes[np.ix_(reading.modes, reading.floors)]
+    read = reading.scaled
+    weight = reading.known.astype(float)
+    length = np.sum(read**2, axis=1, keepdims=True) * (weight @ (psi**2).T)
+    mac = (read @ psi.T) ** 2 / np.where(length > 0, length, 1.0)
+    rows, places = linear_sum_assignment(-mac)
+    order: Ints = np.empty(len(rows), dtype=np.int64)
+    order[places] = rows
+    return order
+
+
+def other_numbers(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
+    """The modes numbered otherwise: other sets where they are 1, 2, 3, ...; else with one number changed."""
+    count, N = len(reading.modes), reading.stories
+    running = bool(np.all(reading.modes == np.arange(count)))
+    numberings = list(_gaps(count, N) if running else _one_changed(reading.modes.tolist(), N))
+    for numbers in numberings:
+        listed = ", ".join(str(number + 1) for number in numbers)
+        absent = [str(number + 1) for number in range(numbers[-1]) if number not in numbers]
+        lost = f"mode{'s' * (len(absent) > 1)} {', '.join(absent)} is not among those measured"
+        changed = [place for place in range(count) if numbers[place] != reading.modes[place]]
+        wrong = ", ".join(
+            f"what is called mode {reading.modes[place] + 1} is mode {numbers[place] + 1}" for place in changed
+        )
+        yield Repair(
+            "missing_mode" if running else "mode_number",
+            lost if running else wrong,
+            f"write modes = [{listed}]",
+            replace(reading, modes=np.array(numbers)),
+            len(numberings),
+        )
+
+
+def _gaps(count: int, N: int) -> Iterator[tuple[int, ...]]:
+    """Numbers of `count` of N modes that are not the lowest."""
+    if comb(N, count) <= MOST_NUMBERINGS:
+        yield from itertools.islice(itertools.combinations(range(N), count), 1, None)
+    elif count < N:
+        for absent in range(count):
+            yield tuple(number for number in range(count + 1) if number != absent)
+
+
+def _one_changed(numbers: list[int], N: int) -> Iterator[tuple[int, ...]]:
+    """The numbers with one of them another, still ascending."""
+    for place in range(len(numbers)):
+        low = numbers[place - 1] + 1 if place else 0
+        high = numbers[place + 1] if place + 1 < len(numbers) else N
+        for number in range(low, high):
+            if number != numbers[place]:
+                yield (*numbers[:place], number, *numbers[place + 1 :])
+
+
+def entry_signs(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
+    """Each entry turned round."""
+    known = np.argwhere(reading.known)
+    for row, column in known:
+        shapes: Floats = reading.shapes.copy()
+        shapes[row, column] *= -1
+        place = f"floor {reading.floors[column] + 1} in mode {reading.modes[row] + 1}"
+        yield Repair(
+            "entry_sign",
+            f"the entry of {place} has the wrong sign",
+            f"change the sign of the entry of {place}",
+            replace(reading, shapes=shapes),
+            len(known),
+        )
+
+
+KINDS: tuple[Callable[[Reading, Sequence[Modes]], Iterator[Repair]], ...] = (
+    transposed,
+    floors_from_top,
+    sensor_signs,
+    exchanged_sensors,
+    other_numbers,
+    other_orders,
+    entry_signs,
+)
+"""Simplest first."""

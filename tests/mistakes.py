@@ -1,0 +1,136 @@
+"""Ordinary mistakes, made in a measurement file that had none."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+
+MISTAKES = (
+    "missing_mode", "transposed", "swapped_sensors", "sensor_sign", "entry_sign", "floors_from_top", "mode_order",
+    "mode_number",
+)  # fmt: skip
+
+SENSOR_MISTAKES = ("swapped_sensors", "sensor_sign", "floors_from_top")
+"""Made once in the laboratory, so in every configuration; the others in one configuration of the file."""
+
+LEAST_ENTRY = 0.06
+"""Of a mode's largest: a smaller entry's sign is not turned round, nor do sensors that differ by less in every mode
+count as swapped. Nobody could tell."""
+
+
+def with_mistake(name, declared, rng):
+    """The dict of a measurement file with a mistake in it, and where it was made, as words of the finding.
+
+    Parameters
+    ----------
+    name : str
+        One of `MISTAKES`.
+    declared : dict
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    declared : dict
+    configurations : list of str
+        In which the mistake now is.
+    word : str
+        What the finding's `change` must say.
+    """
+    declared = copy.deepcopy(declared)
+    tables = declared["configuration"]
+    wrong = tables if name in SENSOR_MISTAKES else [tables[int(rng.integers(len(tables)))]]
+    word = MAKE[name](wrong, rng, declared["frame"]["stories"])
+    return declared, [table["name"] for table in wrong], word
+
+
+def missing_mode(tables, rng, stories):
+    """A mode that is not the highest of those measured is left out."""
+    (table,) = tables
+    absent = int(rng.integers(len(table["frequencies"]) - 1))
+    for key in ("frequencies", "mode_shapes"):
+        del table[key][absent]
+    kept = [number for number in range(1, len(table["frequencies"]) + 2) if number != absent + 1]
+    return f"modes = {kept}"
+
+
+def transposed(tables, rng, stories):
+    (table,) = tables
+    table["mode_shapes"] = np.array(table["mode_shapes"]).T.tolist()
+    return "transpose"
+
+
+def swapped_sensors(tables, rng, stories):
+    shapes = np.array(tables[0]["mode_shapes"])
+    floors = tables[0]["measured_floors"]
+    while True:
+        low, high = sorted(rng.choice(len(floors), 2, replace=False))
+        if np.max(np.abs(shapes[:, low] - shapes[:, high])) > LEAST_ENTRY:
+            break
+    order = list(range(len(floors)))
+    order[low], order[high] = high, low
+    for table in tables:
+        table["mode_shapes"] = [[row[column] for column in order] for row in table["mode_shapes"]]
+    return f"floors {floors[low]} and {floors[high]}"
+
+
+def sensor_sign(tables, rng, stories):
+    column = int(rng.integers(len(tables[0]["measured_floors"])))
+    for table in tables:
+        for row in table["mode_shapes"]:
+            row[column] *= -1
+    return f"floor {tables[0]['measured_floors'][column]}'s"
+
+
+def entry_sign(tables, rng, stories):
+    (table,) = tables
+    shapes = np.array(table["mode_shapes"])
+    large = np.argwhere(np.abs(shapes) > LEAST_ENTRY * np.max(np.abs(shapes), axis=1, keepdims=True))
+    row, column = large[rng.integers(len(large))]
+    table["mode_shapes"][row][column] *= -1
+    return f"floor {table['measured_floors'][column]} in mode {table.get('modes', range(1, 99))[row]}"
+
+
+def floors_from_top(tables, rng, stories):
+    for table in tables:
+        table["mode_shapes"] = [row[::-1] for row in table["mode_shapes"]]
+    return "from the lowest floor up"
+
+
+def mode_order(tables, rng, stories):
+    """The shapes in any other order."""
+    (table,) = tables
+    count = len(table["frequencies"])
+    order = rng.permutation(count)
+    while np.all(order == np.arange(count)):
+        order = rng.permutation(count)
+    table["mode_shapes"] = [table["mode_shapes"][place] for place in order]
+    return "mode_shapes in the places of"
+
+
+def mode_number(tables, rng, stories):
+    """A mode is left out, `modes` says so, and says one number wrong; never such as stand for no number at all."""
+    (table,) = tables
+    while True:
+        count = int(rng.integers(2, stories))
+        numbers = sorted(rng.choice(stories, count, replace=False) + 1)
+        wrong = list(numbers)
+        wrong[rng.integers(count)] = int(rng.integers(1, stories + 1))
+        if wrong == sorted(set(wrong)) and wrong != numbers and wrong != list(range(1, count + 1)):
+            break
+    for key in ("frequencies", "mode_shapes"):
+        table[key] = [table[key][number - 1] for number in numbers]
+    table["modes"] = [int(number) for number in wrong]
+    return f"modes = {[int(number) for number in numbers]}"
+
+
+MAKE = {
+    "missing_mode": missing_mode,
+    "transposed": transposed,
+    "swapped_sensors": swapped_sensors,
+    "sensor_sign": sensor_sign,
+    "entry_sign": entry_sign,
+    "floors_from_top": floors_from_top,
+    "mode_order": mode_order,
+    "mode_number": mode_number,
+}

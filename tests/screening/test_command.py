@@ -1,0 +1,109 @@
+"""The command `check`, and what identify, loop and modes say before they run."""
+
+import json
+
+import numpy as np
+import pytest
+
+from cvxshear.cli import main
+from cvxshear.formats.measurement import write_measurement
+from tests.fe.experiments import simulated
+from tests.mistakes import with_mistake
+
+
+@pytest.fixture
+def run(capsys):
+    def call(*arguments):
+        with pytest.raises(SystemExit) as stopped:
+            main([str(argument) for argument in arguments])
+        shown = capsys.readouterr()
+        return stopped.value.code, shown.out, shown.err
+
+    return call
+
+
+@pytest.fixture
+def swapped(tmp_path):
+    """A file with two sensors exchanged."""
+    declared, _ = simulated(None, stories=4, configurations=1, rng=np.random.default_rng(3))
+    wrong, _, word = with_mistake("swapped_sensors", declared, np.random.default_rng(3))
+    write_measurement(tmp_path / "swapped.toml", wrong)
+    return tmp_path / "swapped.toml", word
+
+
+def test_nothing_looks_wrong_with_the_paper(run):
+    status, out, err = run("check", "paper")
+    assert (status, out, err) == (0, "paper: nothing looks wrong\n", "")
+    assert json.loads(run("check", "paper", "--json", "-")[1]) == {
+        "name": "paper", "refused": False, "findings": [], "record": [],
+    }  # fmt: skip
+
+
+def test_a_mistake_is_status_two_with_what_to_change(run, swapped):
+    file, word = swapped
+    status, out, _ = run("check", file)
+    assert status == 2
+    assert 'MISTAKE: swapped_sensors in configuration "test 1"' in out
+    assert word in out
+    assert 'accept = ["swapped_sensors"]' in out
+    status, out, _ = run("check", file, "--json", "-")
+    assert status == 2
+    (item,) = json.loads(out)["findings"]
+    assert (item["name"], item["configuration"], item["refuses"]) == ("swapped_sensors", "test 1", True)
+
+
+@pytest.mark.parametrize("command", ["identify", "loop"])
+def test_a_mistake_is_refused_before_anything_is_fitted(run, swapped, tmp_path, command):
+    file, word = swapped
+    status, out, err = run(command, file, "--json", tmp_path / "result.json")
+    assert status == 2
+    assert out == ""
+    assert word in err
+    assert 'accept = ["swapped_sensors"]' in err
+    assert not (tmp_path / "result.json").exists()
+
+
+def test_what_is_accepted_is_fitted(run, swapped):
+    file, _ = swapped
+    file.write_text(file.read_text().replace("[frame]", '[frame]\naccept = ["swapped_sensors"]'))
+    status, out, _ = run("check", file)
+    assert status == 0
+    assert "accepted beforehand: swapped_sensors" in out
+    assert run("identify", file)[0] == 0
+
+
+def test_a_doubt_stands_above_the_result(run, tmp_path):
+    declared, _ = simulated(None, stories=3, configurations=1, rng=np.random.default_rng(1))
+    declared["frame"]["gravity"] = 981.0
+    write_measurement(tmp_path / "test.toml", declared)
+    assert run("check", tmp_path / "test.toml")[0] == 0
+    status, out, _ = run("identify", tmp_path / "test.toml")
+    assert status == 0
+    assert out.startswith("WARNING: gravity = 981 m/s2 is not the Earth's")
+    (warning,) = json.loads(run("identify", tmp_path / "test.toml", "--json", "-")[1])["warnings"]
+    assert warning["name"] == "gravity"
+
+
+def test_a_model_that_the_noise_rules_out_says_so_first(run, tmp_path):
+    for effect, begins in ((None, "test:"), ("ground_spring", "RULED OUT:")):
+        declared, _ = simulated(
+            effect, stories=4, configurations=2, rng=np.random.default_rng(2), floor=3 if effect else None
+        )
+        write_measurement(tmp_path / "test.toml", declared)
+        status, out, _ = run("identify", tmp_path / "test.toml")
+        assert status == 0
+        assert out.startswith(begins)
+    assert "'cvxshear loop' on the same file" in out
+
+
+def test_a_file_of_the_other_kind_is_told_what_it_is(run, tmp_path, swapped):
+    record = tmp_path / "record.toml"
+    record.write_text('[record]\nfile = "frf.csv"\n[[channel]]\ncolumn = "floor1"\nfloor = 1\n')
+    status, _, err = run("identify", record)
+    assert status == 2
+    assert "is a record file" in err
+    assert "cvxshear modes" in err
+    status, _, err = run("modes", swapped[0])
+    assert status == 2
+    assert "is a measurement file" in err
+    assert "cvxshear identify" in err

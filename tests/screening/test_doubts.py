@@ -1,0 +1,84 @@
+"""Units that something declared speaks against are warned of, and not refused."""
+
+import numpy as np
+import pytest
+
+from cvxshear import Experiment
+from cvxshear.screening import screen
+from cvxshear.screening.total_mass import implied_total
+from tests.frames import configuration, experiment
+
+MASS = np.array([2.1e5, 2.0e5, 1.9e5])
+STIFFNESS = np.array([3.0e8, 2.6e8, 2.2e8])
+ADDED = [0.0, 0.0, 4e4]
+"""A three-story building, and a load on its roof."""
+
+
+def building(*, frame=None, frequency=1.0, prior=()):
+    tables = [configuration(MASS, STIFFNESS), configuration(MASS, STIFFNESS, ADDED)]
+    for table in tables:
+        table["frequencies"] = [frequency * value for value in table["frequencies"]]
+    return experiment(MASS, STIFFNESS, *tables, frame={"total_mass": float(MASS.sum()), **(frame or {})}, prior=prior)
+
+
+def told(declared):
+    items = screen(Experiment.from_dict(declared))
+    assert not any(item.refuses for item in items)
+    assert all(item.configuration is None for item in items)
+    return [item.name for item in items]
+
+
+def test_a_building_in_si_units_is_not_warned_of():
+    assert told(building(frame={"story_heights": 3.2, "gravity": 9.81})) == []
+
+
+@pytest.mark.parametrize(
+    ("frame", "name"),
+    [
+        ({"story_heights": 3200.0}, "heights"),
+        ({"story_heights": 320.0}, "heights"),
+        ({"gravity": 981.0}, "gravity"),
+        ({"gravity": 32.2}, "gravity"),
+        ({"gravity": 1.0}, "gravity"),
+        ({"total_mass": 600.0}, "masses"),
+        ({"total_mass": 6e8}, "masses"),
+        ({"total_mass": 2.0e6}, "total_mass"),
+        ({"total_mass": 600.0, "story_heights": 3.2}, "masses"),
+    ],
+)
+def test_another_unit_is_warned_of(frame, name):
+    assert told(building(frame=frame)) == [name]
+
+
+def test_masses_in_tons_are_told_from_heights_where_one_configuration_is_all_there_is():
+    declared = building(frame={"total_mass": 600.0, "story_heights": 3.2})
+    declared["configuration"].pop()
+    assert told(declared) == ["masses"]
+
+
+def test_rad_per_second_are_told_from_design_values():
+    design = [
+        {"kind": "nominal", "quantity": "story_stiffness", "values": (1.1 * STIFFNESS).tolist(), "std": 0.2},
+        {"kind": "nominal", "quantity": "floor_mass", "values": MASS.tolist(), "std": 0.1},
+    ]
+    assert told(building(prior=design)) == []
+    assert told(building(prior=design, frequency=2 * np.pi)) == ["angular_frequency"]
+    up_to_scale = [{**item, "free_scale": True} for item in design]
+    assert told(building(prior=up_to_scale, frequency=2 * np.pi)) == []
+
+
+def test_rad_per_second_are_told_from_a_buildings_height():
+    stories = 10
+    mass, stiffness = np.full(stories, 3e5), np.full(stories, 1.2e9)
+    table = configuration(mass, stiffness)
+    assert told(experiment(mass, stiffness, table, frame={"total_mass": 3e6, "story_heights": 3.5})) == []
+    table["frequencies"] = [2 * np.pi * value for value in table["frequencies"]]
+    assert told(experiment(mass, stiffness, table, frame={"total_mass": 3e6, "story_heights": 3.5})) == [
+        "angular_frequency"
+    ]
+
+
+def test_the_total_implied_by_added_masses_is_the_frames():
+    total, std = implied_total(Experiment.from_dict(building()))
+    assert total == pytest.approx(MASS.sum(), rel=1e-3)
+    assert 0 < std < 0.3
