@@ -31,13 +31,12 @@ RULED_OUT = 1e-3
 
 @describe.register
 def _identification(of: Identification, units: Units = AUTOMATIC) -> Document:
-    sections = [*_ruled_out(of), declared(of.experiment, units)]
+    sections = [declared(of.experiment, units)]
     sections += [part_section(of, part, place, units) for place, part in enumerate(of.parts, 1)]
     if of.undetermined:
         open_ones = [Sentence(f"Not determined: {_words(names)}.", "warning") for names in of.undetermined]
         sections.append(Section("undetermined", "What these data cannot tell", tuple(open_ones)))
-    headline = f"{of.experiment.name}: method {of.method}, backend {of.backend}"
-    return Document(of.experiment.name, headline, tuple(sections))
+    return Document(of.experiment.name, _headline(of), tuple(sections))
 
 
 @line.register
@@ -50,18 +49,18 @@ def _line(of: Identification) -> str:
     )
 
 
-def _ruled_out(of: Identification) -> Iterator[Section]:
-    """A word of warning above a fit that its own declared noise rules out."""
+def _headline(of: Identification) -> str:
+    """Whose frame it is and how it was found; a warning before it where the declared noise rules the model out."""
+    how = f"method {of.method}, backend {of.backend}"
     fit = of.parts[0].fit
-    if of.joint and fit.p_value is not None and fit.p_value < RULED_OUT:
-        warning = Sentence(
-            f"RULED OUT: with the declared noise a shear frame would hardly give these data (chi-square "
-            f"{significant(fit.chi2)} on {counted(fit.dof, 'degree')} of freedom, p = {probability(fit.p_value)}): the "
-            "masses and stiffnesses below are those of a wrong model, and their standard deviations too small. "
-            "'cvxshear loop' on the same file looks for what the model lacks.",
-            "warning",
-        )
-        yield Section("ruled-out", "A model that the data rule out", (warning,))
+    if not of.joint or fit.p_value is None or fit.p_value >= RULED_OUT:
+        return f"{of.experiment.name}: {how}"
+    return (
+        f"RULED OUT: with the declared noise a shear frame would hardly give these data (chi-square "
+        f"{significant(fit.chi2)} on {counted(fit.dof, 'degree')} of freedom, p = {probability(fit.p_value)}): the "
+        "masses and stiffnesses below are those of a wrong model, and their standard deviations too small. 'cvxshear "
+        f"loop' on the same file looks for what the model lacks. ({of.experiment.name}: {how})"
+    )
 
 
 def part_section(of: Identification, part: Part, place: int, units: Units) -> Section:
