@@ -25,6 +25,9 @@ PLAIN = (1e-4, 1e6)
 
 MOST_DECIMALS = 6
 
+EXACT = 1e-9
+"""Relative standard deviation of which nobody needs to know."""
+
 UNKNOWN = "not determined"
 
 
@@ -159,7 +162,7 @@ def with_std(value: float | None, std: float | None, unit: str = "", factor: flo
     if factor is None:
         factor, unit = fitting([value], unit)
     value = value / factor
-    if std is None or not math.isfinite(std) or std <= 0:
+    if std is None or not math.isfinite(std) or std <= EXACT * abs(value):
         return f"{significant(value, 5)} {unit}".strip()
     std = std / factor
     largest = max(abs(value), std)

@@ -80,9 +80,10 @@ def _figures(result: Closure, comparison: Comparison) -> dict[str, Markup]:
         "frame": figures.frame(result),
         "shapes": figures.shapes(result),
         "residual": figures.residual(result),
-        "mac": figures.mac(result),
         "backends": figures.backend_differences(comparison),
     }
-    if result.candidates or result.effects:
+    if any(each.measured.any() for each in result.experiment.configurations):
+        drawn["mac"] = figures.mac(result)
+    if result.candidates:
         drawn["ranking"] = figures.ranking(result)
     return {name: Markup(inline_svg(figure, name)) for name, figure in drawn.items()}

@@ -60,11 +60,15 @@ def test_several_effects_make_a_sentence_that_can_be_read(paper):
     two = headline(dataclasses.replace(paper, effects=(effect, other)))
     assert " and 5.0 ± 0.2 kg missing on floor 1 (97.0 % probable); with them " in two
     three = headline(dataclasses.replace(paper, effects=(effect, other, other)))
-    assert "lacks 3 effects: " in three
+    assert f"lacks 3 effects, such as {effect.size.removesuffix(')')}" in three
+    assert len(three) < 250
     rival = Rival(paper.candidates[1].placed, 0.2, False)
     doubtful = dataclasses.replace(other, rivals=(rival,))
     several = headline(dataclasses.replace(paper, verdict="ambiguous", effects=(effect, doubtful)))
     assert f"would explain them as well in place of {effect.placed.label}" in several
+    many = dataclasses.replace(paper, verdict="ambiguous", effects=(effect, doubtful, doubtful))
+    assert "in place of 2 of them something else would explain the data as well" in headline(many)
+    assert repr(many).endswith("and 1 more>")
 
 
 def test_an_unexplained_headline_says_where_the_residual_sits(unexplained):
@@ -99,6 +103,33 @@ def test_probabilities_come_first_and_are_those_of_the_result(ambiguous):
     (effect,) = ambiguous.effects
     shown = [row.cells[1] for row in table(document, "effects-table").rows]
     assert shown == [chance(item.probability) for item in (effect, *effect.rivals)]
+
+
+def test_a_large_set_is_told_by_what_sets_it_apart_from_the_first(paper):
+    placed = [item.placed for item in paper.candidates[:6]]
+    first = dataclasses.replace(paper.models[0], effects=tuple(placed[:4]))
+    sets = (
+        first,
+        dataclasses.replace(first, effects=(*placed[:3], placed[5])),
+        dataclasses.replace(first, effects=tuple(placed[:5])),
+        dataclasses.replace(first, effects=()),
+    )
+    shown = [row.cells[0] for row in table(describe(dataclasses.replace(paper, models=sets)), "models").rows]
+    names = [each.label for each in placed]
+    assert shown == [
+        " + ".join(names[:4]),
+        f"the first, with {names[5]} in place of {names[3]}",
+        f"the first, and {names[4]}",
+        "the shear model alone",
+    ]
+
+
+def test_frequencies_alone_are_described_too(paper):
+    bare = [dataclasses.replace(each, mode_shapes=np.zeros((2, 0)), measured_floors=np.zeros(0, dtype=int))
+            for each in paper.experiment.configurations]  # fmt: skip
+    said = describe(dataclasses.replace(paper.experiment, configurations=tuple(bare)))
+    assert table(said, "modes-1").head == ("mode", "frequency, Hz", "std", "std of the shape")
+    assert table(said, "modes-1").title == "Frequencies alone"
 
 
 def test_the_averaged_frame_stands_beside_the_final_one(paper):
@@ -191,6 +222,7 @@ def test_quantities_have_units_that_fit_their_size():
     assert with_std(4.1e6, 2e4, "N/m") == "4100 ± 20 kN/m"
     assert with_std(1.7e-11, 3e-12, "rad/(N m)") == "(1.70 ± 0.30)e-11 rad/(N m)"
     assert with_std(float("nan"), None, "kg") == "not determined"
+    assert with_std(6.675, 1e-16, "kg") == "6.675 kg"
     assert percent(1.2e-6) == "< 0.01 %"
     assert percents([0.0001, 0.00002, None, 0.0]) == ["0.010 %", "0.002 %", "–", "0.000 %"]
     assert significants([160.94, 9.97, None]) == ["160.9", "10.0", "–"]

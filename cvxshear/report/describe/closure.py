@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from cvxshear.loop import VERDICTS, Closure
-from cvxshear.quantities import AUTOMATIC, Units, capital, chance, counted, significant
+from cvxshear.quantities import AUTOMATIC, Units, capital, chance, counted, listed, significant
 from cvxshear.report.describe.dispatch import describe, line
 from cvxshear.report.describe.errors import before_after, residual_section, steps_section
 from cvxshear.report.describe.evidence import candidates_section, effect_sections, effects_section, sets_section
 from cvxshear.report.describe.experiment import declared, measured_modes
 from cvxshear.report.describe.frame import frame_table
-from cvxshear.report.describe.headline import headline
+from cvxshear.report.describe.headline import NAMED, headline
 from cvxshear.report.describe.vocabulary import Document, Part, Points, Section, Sentence
 
 
@@ -38,8 +38,10 @@ def _closure(of: Closure, units: Units = AUTOMATIC) -> Document:
 
 @line.register
 def _line(of: Closure) -> str:
-    found = ", ".join(f"{item.placed.label} ({chance(item.probability)})" for item in of.effects) or "nothing added"
-    return f"<Closure {of.experiment.name}: {of.verdict}, {found}>"
+    found = [f"{item.placed.label} ({chance(item.probability)})" for item in of.effects]
+    if len(found) > NAMED:
+        found[NAMED:] = [f"{len(found) - NAMED} more"]
+    return f"<Closure {of.experiment.name}: {of.verdict}, {listed(found) or 'nothing added'}>"
 
 
 def verdict_section(of: Closure) -> Section:

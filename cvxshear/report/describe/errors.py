@@ -59,7 +59,7 @@ def not_converged(of: Closure) -> Iterator[Sentence]:
         fit = step.estimate.fit
         if not fit.converged:
             yield Sentence(
-                f"NOT CONVERGED: the fit of {step.action} ({fit.reason}). Its numbers are where it stopped.", "warning"
+                f"NOT CONVERGED: {step.action} ({fit.reason}). Its numbers are where the fit stopped.", "warning"
             )
 
 

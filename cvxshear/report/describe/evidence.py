@@ -6,13 +6,15 @@ from collections.abc import Iterator
 
 from cvxshear.loop import Closure
 from cvxshear.loop.results import AddedEffect, Candidate, EffectSet
-from cvxshear.quantities import Units, capital, chance, probability, significants, with_std
+from cvxshear.quantities import Units, capital, chance, listed, probability, significants, with_std
 from cvxshear.report.describe.consequences import consequences
 from cvxshear.report.describe.vocabulary import Facts, Part, Points, Row, Section, Sentence, Table
 
 BRIEF_SETS = 6
 BRIEF_CANDIDATES = 8
 MOST_CONFOUNDERS = 4
+SPELLED_OUT = 3
+"""Effects of a set up to which all are named; of a larger one, in what it differs from the most probable set."""
 
 
 def effects_section(of: Closure) -> Section:
@@ -65,15 +67,26 @@ def _parameters(of: Closure, item: AddedEffect) -> Iterator[tuple[str, str]]:
 def sets_section(of: Closure) -> Section:
     """The sets of effects with their probabilities."""
     chi2 = significants([item.chi2 for item in of.models])
-    rows = tuple(_set_row(item, shown) for item, shown in zip(of.models, chi2, strict=True))
+    rows = tuple(
+        Row((_set_label(item, of.models[0]), chance(item.probability), shown), exact=(item.probability, item.chi2))
+        for item, shown in zip(of.models, chi2, strict=True)
+    )
     head = ("set", "probability", "chi-square")
     table = Table("models", "Sets of effects, the most probable first", head, rows, brief=BRIEF_SETS)
     return Section("sets", "Which effects together", (table,) if rows else (), below=True)
 
 
-def _set_row(item: EffectSet, chi2: str) -> Row:
-    label = " + ".join(placed.label for placed in item.effects) or "the shear model alone"
-    return Row((label, chance(item.probability), chi2), exact=(item.probability, item.chi2))
+def _set_label(of: EffectSet, first: EffectSet) -> str:
+    """Its effects, or what it has in place of some of the most probable set's."""
+    if not of.effects:
+        return "the shear model alone"
+    if len(of.effects) <= SPELLED_OUT or of is first:
+        return " + ".join(placed.label for placed in of.effects)
+    come = listed([placed.label for placed in of.effects if placed not in first.effects])
+    gone = listed([placed.label for placed in first.effects if placed not in of.effects])
+    if come and gone:
+        return f"the first, with {come} in place of {gone}"
+    return f"the first, and {come}" if come else f"the first, without {gone}"
 
 
 def candidates_section(of: Closure) -> Section:

@@ -50,7 +50,7 @@ def _facts(of: Experiment, units: Units) -> Iterator[tuple[str, str]]:
     for each in of.static:
         yield f'static test "{each.name}"', f"displacements of {counted(int(each.measured.sum()), 'floor')}"
     for prior in of.priors:
-        yield "known beforehand", prior.describe()
+        yield "known beforehand", prior.describe().replace("_", " ")
     for expected in of.expected:
         yield "expected beforehand", expected.name.replace("_", " ")
 
@@ -64,16 +64,23 @@ def _total(of: Experiment, units: Units) -> str:
 
 
 def _test(each: Configuration, units: Units) -> Row:
-    noise = "declared" if each.noise_declared else "not declared"
     return Row(
         (
             each.name,
             str(len(each.frequencies)),
             str(len(each.measured_floors)),
             _added(each.added_mass, units),
-            noise,
+            _noise(each),
         )
     )
+
+
+def _noise(each: Configuration) -> str:
+    """Whether the standard deviations of what was measured are declared."""
+    declared = [each.frequency_std is not None]
+    if each.measured.any():
+        declared.append(each.mode_shape_std is not None)
+    return "declared" if all(declared) else "partly declared" if any(declared) else "not declared"
 
 
 def _added(mass: Floats, units: Units) -> str:
@@ -101,11 +108,11 @@ def measured_modes(of: Experiment, units: Units = AUTOMATIC) -> Section:
 def _modes(each: Configuration, place: int, units: Units) -> Iterator[Part]:
     factor, unit = units.of_mass(each.added_mass.tolist())
     added = listed(each.added_mass, unit, factor) if each.added_mass.any() else "none"
-    doubt = "" if each.noise_declared else " What noise is not declared has default weights."
+    doubt = "" if _noise(each) == "declared" else " Standard deviations that are not declared are the default's."
     yield Sentence(f"{each.name}. Added mass: {added}.{doubt}")
-    largest = np.max(np.abs(np.where(each.measured, each.mode_shapes, 0.0)), axis=1, keepdims=True)
+    largest = np.max(np.abs(np.where(each.measured, each.mode_shapes, 0.0)), axis=1, keepdims=True, initial=0.0)
     scale = np.where(largest > 0, largest, 1.0)
-    shape_std = percents([float(np.max(row)) for row in each.entry_std / scale])
+    shape_std = percents(np.max(each.entry_std / scale, axis=1, initial=0.0).tolist())
     frequency_std = percents([float(std) for std in each.log_frequency_std])
     floors = [f"floor {floor}" for floor in each.measured_floors]
     rows = tuple(
@@ -121,4 +128,5 @@ def _modes(each: Configuration, place: int, units: Units) -> Iterator[Part]:
         for j, mode in enumerate(each.modes)
     )
     head = ("mode", "frequency, Hz", "std", *floors, "std of the shape")
-    yield Table(f"modes-{place}", "Shapes are scaled to a largest entry of 1", head, rows)
+    title = "Shapes are scaled to a largest entry of 1" if floors else "Frequencies alone"
+    yield Table(f"modes-{place}", title, head, rows)

@@ -8,6 +8,9 @@ from cvxshear.loop.results import AddedEffect
 from cvxshear.quantities import chance, listed, percents
 from cvxshear.report.describe.noise import noise_in_words
 
+NAMED = 2
+"""Effects up to which a sentence names them all; more are a matter for the table."""
+
 FELL = 0.9
 """Ratio of an error after to that before below which it fell."""
 
@@ -41,11 +44,17 @@ def _explained(of: Closure) -> str:
 
 
 def _ambiguous(of: Closure) -> str:
+    return f"{_model(of)} lacks {_effects(of.effects)}, but {_doubt(of)}; with {_them(of)} {_change(of)}."
+
+
+def _doubt(of: Closure) -> str:
+    """Why the verdict is ambiguous."""
     doubtful = [item for item in of.effects if item.rivals]
-    rivals = "; ".join(_rivals(item, several=len(of.effects) > 1) for item in doubtful)
-    if not rivals:
-        rivals = "whether it is there at all is less sure than 95 %"
-    return f"{_model(of)} lacks {_effects(of.effects)}, but {rivals}; with {_them(of)} {_change(of)}."
+    if not doubtful:
+        return f"whether {_them(of).replace('them', 'each')} is there at all is less sure than 95 %"
+    if len(of.effects) <= NAMED:
+        return "; ".join(_rivals(item, several=len(of.effects) > 1) for item in doubtful)
+    return f"in place of {len(doubtful)} of them something else would explain the data as well"
 
 
 def _unexplained(of: Closure) -> str:
@@ -64,9 +73,9 @@ def _model(of: Closure) -> str:
 
 def _effects(effects: tuple[AddedEffect, ...]) -> str:
     said = [_sized(item) for item in effects]
-    if len(said) < 3:
+    if len(said) <= NAMED:
         return listed(said)
-    return f"{len(said)} effects: {'; '.join(said[:-1])}; and {said[-1]}"
+    return f"{len(said)} effects, such as {said[0]}"
 
 
 def _sized(item: AddedEffect) -> str:
