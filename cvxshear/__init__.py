@@ -6,14 +6,29 @@
 [25.5, 25.2]
 """
 
-from cvxshear import backends, effects, priors, showing
-from cvxshear.errors import CvxshearError, InfeasibleError, InputError, NoSolutionError, UnsuitableError
-from cvxshear.experiment import Configuration, Experiment, Frame
-from cvxshear.formats.toml import load
-from cvxshear.identification import Identification, identify
-from cvxshear.loop import Closure, close_loop
-from cvxshear.priors import Prior
-from cvxshear.studies.backends import Comparison, compare_backends
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from cvxshear import showing
+from cvxshear.errors import (
+    CvxshearError,
+    InfeasibleError,
+    InputError,
+    LostProcessError,
+    NoModesError,
+    NoSolutionError,
+    UnsuitableError,
+)
+
+if TYPE_CHECKING:
+    from cvxshear import backends, effects, priors
+    from cvxshear.backends import Comparison
+    from cvxshear.experiment import Configuration, Experiment, Frame
+    from cvxshear.formats.toml import load
+    from cvxshear.identification import Identification, compare_backends
+    from cvxshear.identification.identify import identify
+    from cvxshear.loop import Closure, close_loop
+    from cvxshear.priors import Prior
 
 __version__ = "0.1.0"
 
@@ -29,6 +44,8 @@ __all__ = [
     "Identification",
     "InfeasibleError",
     "InputError",
+    "LostProcessError",
+    "NoModesError",
     "NoSolutionError",
     "Prior",
     "UnsuitableError",
@@ -40,3 +57,35 @@ __all__ = [
     "load",
     "priors",
 ]
+
+_HOMES = {
+    "Closure": "cvxshear.loop",
+    "Comparison": "cvxshear.backends",
+    "Configuration": "cvxshear.experiment",
+    "Experiment": "cvxshear.experiment",
+    "Frame": "cvxshear.experiment",
+    "Identification": "cvxshear.identification",
+    "Prior": "cvxshear.priors",
+    "close_loop": "cvxshear.loop",
+    "compare_backends": "cvxshear.identification",
+    "identify": "cvxshear.identification",
+    "load": "cvxshear.formats.toml",
+}
+"""Where the public names come from. They are imported when they are first asked for (PEP 562): the loop alone brings
+scipy.stats and joblib, which take longer to load than many a program that needs neither."""
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name):
+        if name in _HOMES:
+            value = getattr(import_module(_HOMES[name]), name)
+        elif name in __all__:
+            value = import_module(f"cvxshear.{name}")
+        else:
+            raise AttributeError(f"module 'cvxshear' has no attribute {name!r}")
+        globals()[name] = value
+        return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

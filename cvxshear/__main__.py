@@ -1,5 +1,17 @@
-"""python -m cvxshear is the command line."""
+"""python -m cvxshear, and the command cvxshear, are the command line."""
 
-from cvxshear.cli import main
+import sys
 
-main()
+
+def main() -> None:
+    """Run the command line; one that is interrupted while it loads ends as one that is interrupted later."""
+    try:
+        from cvxshear.cli import main as run  # noqa: PLC0415
+
+        run()
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

@@ -7,9 +7,14 @@ and a solver did not deliver.
 
 from __future__ import annotations
 
+from cvxshear.text import printable
+
 
 class CvxshearError(Exception):
-    """Base of every exception raised by cvxshear."""
+    """Base of every exception raised by cvxshear; names of a file stand in its message as `printable` shows them."""
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(printable(str(message)))
 
 
 class InputError(CvxshearError, ValueError):
@@ -26,6 +31,10 @@ class UnsuitableError(InputError):
 
 class NoModesError(CvxshearError, ArithmeticError):
     """A model has no modes: a mass is not positive, or the frame would buckle."""
+
+
+class LostProcessError(CvxshearError, RuntimeError):
+    """A process that worked for this one was ended from outside; the same call may well succeed again."""
 
 
 class NoSolutionError(CvxshearError, RuntimeError):

@@ -8,12 +8,14 @@ every task is a pure function of what it is handed.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
 from joblib import Parallel, cpu_count, delayed
 from threadpoolctl import threadpool_limits
 
 from cvxshear import checks
+from cvxshear.errors import LostProcessError
 
 T = TypeVar("T")
 U = TypeVar("U")
@@ -41,6 +43,8 @@ def each(function: Callable[[T], U], items: Iterable[T], *, jobs: int = 1, progr
 
     Raises
     ------
+    LostProcessError
+        Where a process was killed.
     Exception
         What `function` raises.
     """
@@ -49,11 +53,17 @@ def each(function: Callable[[T], U], items: Iterable[T], *, jobs: int = 1, progr
         checks.whole(jobs, "jobs", least=1, most=MOST_JOBS)
     chunks = _chunks(todo, jobs, seen=progress is not None)
     results: list[U] = []
-    # In the order of the chunks, as they become ready.
-    for part in Parallel(n_jobs=jobs, return_as="generator")(delayed(_done)(function, chunk) for chunk in chunks):
-        results += part
-        if progress is not None:
-            progress(len(results), len(todo))
+    try:
+        # In the order of the chunks, as they become ready.
+        for part in Parallel(n_jobs=jobs, return_as="generator")(delayed(_done)(function, chunk) for chunk in chunks):
+            results += part
+            if progress is not None:
+                progress(len(results), len(todo))
+    except BrokenProcessPool:
+        raise LostProcessError(
+            f"one of the processes was ended from outside, after {len(results)} of {len(todo)} things were done; where "
+            "it was for want of memory, fewer jobs need less of it"
+        ) from None
     return results
 
 

@@ -703,7 +703,7 @@ def test_a_file_too_large(tmp_path, monkeypatch):
     monkeypatch.setattr(toml, "LARGEST_FILE", 2_000_000)
     file = tmp_path / "record.toml"
     file.write_bytes(b"#" * 2_000_001)
-    assert refused_file(file) == f"{file} has more than 2 MB, too many for a measurement file"
+    assert refused_file(file) == f"{file} has more than 2 MB; too many for a measurement file"
 
 
 # Anything else.

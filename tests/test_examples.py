@@ -16,6 +16,8 @@ SHOWN = {
     "own_backend": r"slsqp +m = (.*) kg\nclarabel +m = \1 kg",
     "close_the_loop": r"verdict: explained\nthe shear model lacks gravity: .*\n.*1\.84 % before, 0\.34 % after",
     "modes_from_hammer": r"mode 1: 1\.0336 Hz .*[\s\S]*masses: \['10\.00 kg', '7\.50 kg', '5\.00 kg'\]",
+    "plan_a_test": r"floors \[1, 4, 6, 7\][\s\S]*1 test: .* 0\.00\n.*2 tests: .*\[10\.0, 10\.0\].* 0\.9",
+    "three_shaker_records": r"bare\.toml, bare\.csv: 30720 samples at 256 Hz, stamped 0\.004, .*, 0\.023, \.\.\. s",
     "own_effect": r"brace: b = 39\d ± \d N/m",
 }
 
@@ -25,9 +27,10 @@ def test_every_script_has_its_expectation():
 
 
 @pytest.mark.parametrize("name", SHOWN)
-def test_example_shows_what_it_says(name):
+def test_example_shows_what_it_says(name, tmp_path):
     found = subprocess.run(
-        [sys.executable, "-W", "error", str(EXAMPLES / f"{name}.py")], capture_output=True, text=True, check=False
-    )
+        [sys.executable, "-W", "error", str(EXAMPLES / f"{name}.py")],
+        capture_output=True, text=True, check=False, cwd=tmp_path,
+    )  # fmt: skip
     assert found.returncode == 0, found.stderr
     assert re.search(SHOWN[name], found.stdout), found.stdout

@@ -1,19 +1,79 @@
-"""Importing the library loads neither plotting nor the command line."""
+"""Importing the library, and asking its commands for help, loads nothing that is slow and not needed."""
 
+import importlib
 import subprocess
 import sys
 
+import pytest
+
+import cvxshear
+
+SLOW = (
+    "cvxpy", "qpsolvers", "clarabel", "osqp", "highspy", "piqp", "proxsuite", "quadprog", "daqp", "scs",
+    "joblib", "threadpoolctl", "matplotlib", "jinja2", "pandas", "h5py", "pyuff", "pytest", "scipy.stats",
+)  # fmt: skip
+
 
 def loaded_by(statement):
-    code = f"{statement}\nimport sys\nprint(' '.join(sorted(sys.modules)))"
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    code = f"{statement}\nimport sys\nprint('loaded:', ' '.join(sorted(sys.modules)))"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return set(found.stdout.rpartition("loaded:")[2].split())
 
 
-def test_importing_cvxshear_loads_neither_matplotlib_nor_the_command_line():
-    modules = loaded_by("import cvxshear")
-    assert "cvxshear.identify" in modules
-    for unwanted in ("matplotlib", "typer", "rich", "cvxshear.cli", "pytest"):
-        assert unwanted not in modules
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "import cvxshear",
+        "import cvxshear; dir(cvxshear)",
+        "import cvxshear; cvxshear.Experiment, cvxshear.load",
+    ],
+)
+def test_importing_cvxshear_loads_no_solver_no_plotting_and_no_command_line(statement):
+    modules = loaded_by(statement)
+    assert "cvxshear.errors" in modules
+    assert modules.isdisjoint({*SLOW, "typer", "rich", "cvxshear.cli"})
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["identify", "--help"], ["backends", "--help"], ["--version"]])
+def test_help_loads_the_command_line_alone(arguments):
+    run = f"try:\n    main({arguments})\nexcept SystemExit as end:\n    assert not end.code"
+    modules = loaded_by(f"from cvxshear.cli import main\n{run}")
+    assert "typer" in modules
+    assert modules.isdisjoint({*SLOW, "numpy", "scipy"})
+
+
+def test_the_names_of_the_backends_are_told_without_importing_any():
+    told = "assert 'cvxpy-scs' in backends.available(); backends.get('daqp')"
+    modules = loaded_by(f"from cvxshear import backends; {told}")
+    assert modules.isdisjoint(set(SLOW) - {"scipy.stats"})
+
+
+def test_an_identification_that_the_closed_form_solves_imports_no_solver():
+    modules = loaded_by("import cvxshear\ncvxshear.identify(cvxshear.load('paper'), 'two-stage')")
+    assert modules.isdisjoint(set(SLOW) - {"scipy.stats"})
+
+
+def test_the_public_names_are_what_their_modules_define():
+    assert set(cvxshear.__all__) <= set(dir(cvxshear))
+    for name, home in cvxshear._HOMES.items():
+        assert getattr(cvxshear, name) is getattr(importlib.import_module(home), name)
+    rooms = set(cvxshear.__all__) - set(cvxshear._HOMES)
+    for name in rooms:
+        value = getattr(cvxshear, name)
+        assert value is sys.modules.get(f"cvxshear.{name}", getattr(cvxshear.errors, name, None))
+
+
+def test_a_name_that_does_not_exist_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="module 'cvxshear' has no attribute 'identfy'"):
+        cvxshear.identfy  # noqa: B018
+
+
+def test_every_public_name_is_there_when_asked_for():
+    for name in cvxshear.__all__:
+        assert getattr(cvxshear, name) is not None
+    assert set(cvxshear.__all__) <= set(dir(cvxshear))
+    with pytest.raises(AttributeError, match="no attribute 'identfy'"):
+        _ = cvxshear.identfy
 
 
 def test_importing_cvxshear_changes_no_numpy_setting():

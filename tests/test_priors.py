@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from cvxshear.errors import InfeasibleError, InputError
 from cvxshear.experiment import Experiment, Frame
 from cvxshear.priors import Bounds, Constraints, Monotone, Nominal, Prior, Ratio, Value
-from cvxshear.programs.feasibility import Statement, feasible, refuse_contradictions
+from cvxshear.programs.feasibility import NamedConstraints, feasible, refuse_contradictions
 from cvxshear.programs.rows import statements
 
 AT = np.array([10.0, 7.5, 5.0])
@@ -483,5 +483,5 @@ def test_the_set_named_is_a_smallest_one():
 )
 def test_a_statement_about_something_else(constraints, message):
     with pytest.raises(InputError) as caught:
-        refuse_contradictions([Statement("prior: mine", constraints)], 2)
+        refuse_contradictions([NamedConstraints("prior: mine", constraints)], 2)
     assert str(caught.value) == f"prior: mine: {message}"

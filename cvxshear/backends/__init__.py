@@ -2,7 +2,25 @@
 
 from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
-from cvxshear.backends.registry import available, get, register
-from cvxshear.backends.solution import Certificate, Solution
+from cvxshear.backends.certificate import Certificate
+from cvxshear.backends.comparison import BackendResult, BenchmarkProgram, Comparison, ProgramKind, compare
+from cvxshear.backends.registry import ListedBackend, available, get, listed, register
+from cvxshear.backends.solution import Solution
 
-__all__ = ["Answer", "Backend", "Canonical", "Certificate", "Solution", "available", "get", "register"]
+__all__ = [
+    "Answer",
+    "Backend",
+    "BackendResult",
+    "BenchmarkProgram",
+    "Canonical",
+    "Certificate",
+    "Comparison",
+    "ListedBackend",
+    "ProgramKind",
+    "Solution",
+    "available",
+    "compare",
+    "get",
+    "listed",
+    "register",
+]

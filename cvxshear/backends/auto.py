@@ -9,10 +9,12 @@ Every answer is certified; where it fails the next solver is asked.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
-from cvxshear.backends.base import ACCEPTED, Backend, certify
+from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
+from cvxshear.backends.certificate import Assembled
 from cvxshear.backends.solution import Solution
 from cvxshear.errors import NoSolutionError, UnsuitableError
 
@@ -36,32 +38,25 @@ class Auto(Backend):
         self._singular = tuple(singular)
 
     def answer(self, problem: Canonical) -> Answer:
-        return self.whole_answer(problem)
+        """The closed form's answer; what asks the others is `certified`, since which one is right shows there."""
+        return self._closed_form.answer(problem)
 
-    def whole_answer(self, problem: Canonical, start: Solution | None = None) -> Answer:
+    def certified(self, of: Assembled, problem: Canonical, start: Solution | None = None) -> Solution:
+        return dataclasses.replace(self._first(of, problem, start), backend=self.name)
+
+    def _first(self, of: Assembled, problem: Canonical, start: Solution | None) -> Solution:
+        """The first solution that is certified; where there is none, the first general solver's failure."""
+        failure: NoSolutionError | None = None
         try:
-            return self._closed_form.answer(problem)
+            return self._closed_form.certified(of, problem, start)
         except UnsuitableError:
-            return self._general(problem, start)
+            pass
         except NoSolutionError:
             if not len(problem.F):
                 raise
-            return self._general(problem, start)
-
-    def _general(self, problem: Canonical, start: Solution | None) -> Answer:
-        """The first answer of a general solver whose certificate is good; else the first one's failure or answer."""
-        failure: NoSolutionError | None = None
-        inaccurate: Answer | None = None
         for backend in self._singular if problem.singular else self._definite:
             try:
-                found = backend.whole_answer(problem, start)
+                return backend.certified(of, problem, start)
             except NoSolutionError as error:
                 failure = failure or error
-                continue
-            if certify(problem, found).worst <= ACCEPTED:
-                return found
-            inaccurate = inaccurate or found
-        if inaccurate is not None:
-            # `solve` computes its certificate again, and refuses it with the residuals named.
-            return inaccurate
         raise failure if failure is not None else NoSolutionError(self.name, "there is no general solver")

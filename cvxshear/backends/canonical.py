@@ -20,9 +20,9 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 from scipy.linalg import lapack
 
+from cvxshear.backends.independence import independent_rows
 from cvxshear.backends.solution import Solution
 from cvxshear.errors import InfeasibleError, InputError
 from cvxshear.programs import LeastSquares
@@ -32,7 +32,9 @@ SINGULAR = 1e-12
 """Reciprocal condition number of the scaled rows below which they are taken not to determine the unknowns."""
 
 TOUCHING = 1e-9
-"""Violation of an inequality, in scaled units, that still counts as rounding."""
+ROUNDING = 1e-13
+"""Violation of an inequality that still counts as none: relative to its right side, and in scaled units. Where the
+rows are badly conditioned a right side of order one in its own units is a small number in scaled ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +93,7 @@ class Canonical:
 
     def violated(self, z: Floats) -> Bools:
         """Which inequalities a point violates by more than rounding, shape (g,)."""
-        excess: Bools = self.F @ z - self.f > TOUCHING
+        excess: Bools = self.F @ z - self.f > np.clip(TOUCHING * np.abs(self.f), ROUNDING, TOUCHING)
         return excess
 
     def keeping(self, inequalities: Bools) -> Canonical:
@@ -156,7 +158,7 @@ def canonical(program: LeastSquares) -> Canonical:
     """
     R, s = program.weighted
     A, b = program.equalities
-    independent = _independent_rows(A, b)
+    independent = _consistent_rows(A, b)
     A, b = A[independent], b[independent]
     inverse, C, q, singular = _whitening(R, s, A, b)
     E, e, equality_scale = _unit_rows(A @ inverse, b)
@@ -221,22 +223,14 @@ def _unit_rows(rows: Floats, side: Floats) -> tuple[Floats, Floats, Floats]:
     return rows, side * scale, scale
 
 
-def _independent_rows(A: Floats, b: Floats) -> Bools:
-    """Which equalities to keep, the others following from them."""
-    keep = np.ones(len(A), dtype=bool)
-    if not len(A):
-        return keep
+def _consistent_rows(A: Floats, b: Floats) -> Bools:
+    """Which equalities to keep, the others following from them; raises where they contradict each other."""
     scale = np.linalg.norm(A, axis=1)
-    if len(A) == 1 and scale[0] > 0:
-        return keep
     rows = A / np.where(scale > 0, scale, 1.0)[:, None]
     side = b / np.where(scale > 0, scale, 1.0)
-    _, triangle, order = linalg.qr(rows.T, mode="economic", pivoting=True)
-    diagonal = np.abs(np.diag(triangle))
-    rank = int(np.sum(diagonal > 1e-12 * max(diagonal[0], 1e-300)))
-    if rank == len(A):
+    keep = independent_rows(rows)
+    if np.all(keep):
         return keep
-    keep[order[rank:]] = False
     point = np.linalg.lstsq(rows[keep], side[keep], rcond=None)[0]
     error = np.abs(rows @ point - side)
     if np.any(error > 1e-9 * max(1e-300, float(np.abs(side).max()))):

@@ -11,6 +11,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from importlib.metadata import version
 from typing import Any
 
 import cvxpy as cp
@@ -176,6 +177,6 @@ def _places(data: Mapping[str, Any], count: int) -> Iterator[tuple[str, _Filled]
         yield key, _Filled(array, at, number[at], np.sign(values[at]))
     if not np.all(seen):
         raise UnsuitableError(
-            f"cvxpy {cp.__version__} does not hand the parameters of a problem to its solver as they are; choose a "
+            f"cvxpy {version('cvxpy')} does not hand the parameters of a problem to its solver as they are; choose a "
             "backend that is not cvxpy's, clarabel for one"
         )

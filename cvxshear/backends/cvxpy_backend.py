@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import time
 import warnings
 from typing import Any
 
 import cvxpy as cp
 import numpy as np
 
+from cvxshear.backends import settings
 from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
 from cvxshear.backends.compiled import Compiled, Parametrised
 from cvxshear.errors import NoSolutionError
 
 ACCURATE: dict[str, dict[str, Any]] = {
-    "CLARABEL": {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12},
+    "CLARABEL": settings.accurate("clarabel"),
     # Polishing, on by default in cvxpy, has nothing left to do at this accuracy, and prints that it has not.
-    "OSQP": {"eps_abs": 1e-10, "eps_rel": 1e-10, "max_iter": 200_000, "polishing": False},
-    "SCS": {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iters": 200_000},
+    "OSQP": {**settings.accurate("osqp"), "polishing": False},
+    "SCS": settings.accurate("scs"),
 }
-"""Accuracy settings a solver, as in `qpsolvers_backend`."""
+"""The options of `settings`, by cvxpy's names of the solvers."""
 
 
 class Cvxpy(Backend):
@@ -45,6 +47,13 @@ class Cvxpy(Backend):
         self._options = ACCURATE.get(solver, {}) if options is None else options
         self._compiled: dict[tuple[int, int, int, bool], Compiled] = {}
 
+    @property
+    def tolerance(self) -> float | None:
+        return settings.loosest(self._solver.lower(), self._options)
+
+    def with_tolerance(self, tolerance: float) -> Cvxpy:
+        return type(self)(self._solver, settings.with_tolerance(self._solver.lower(), self._options, tolerance))
+
     def __reduce__(self) -> tuple[type[Cvxpy], tuple[str, dict[str, Any]]]:
         """To another process without what was compiled."""
         return type(self), (self._solver, self._options)
@@ -63,6 +72,7 @@ class Cvxpy(Backend):
             "F": np.concatenate([problem.F, np.zeros((padding, len(problem.q)))]),
             "f": np.concatenate([problem.f, np.ones(padding)]),
         }
+        began = time.perf_counter()
         try:
             with warnings.catch_warnings():
                 # "Solution may be inaccurate" is also the status, which is looked at below.
@@ -71,7 +81,9 @@ class Cvxpy(Backend):
         except cp.SolverError as error:
             raise NoSolutionError(self.name, str(error)) from error
         if found.status != cp.OPTIMAL:
-            raise NoSolutionError(self.name, f"no solution found (its status: {found.status})")
+            seconds = time.perf_counter() - began
+            reason = settings.why_not(self._solver.lower(), self._options, found.status, seconds)
+            raise NoSolutionError(self.name, reason)
         y, w = (found.duals.get(name, np.zeros(0)) for name in ("E", "F"))
         return Answer(found.z, y, w[:inequalities], found.status, found.iterations)
 

@@ -23,7 +23,7 @@ class Kkt(Backend):
 
     name = "kkt"
 
-    def whole_answer(self, problem: Canonical, start: Solution | None = None) -> Answer:
+    def answer_all(self, problem: Canonical, start: Solution | None = None) -> Answer:
         return self.answer(problem)
 
     def answer(self, problem: Canonical) -> Answer:

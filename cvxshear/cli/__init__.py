@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from typing import Annotated, Any
 
 import typer
 
-from cvxshear.cli import check, frames, studies
+from cvxshear.cli import backends, check, frames, new, records, studies
+from cvxshear.cli import plan as planning
 from cvxshear.cli.output import typed
-from cvxshear.errors import CvxshearError, NoSolutionError
+from cvxshear.cli.streams import OutputError, sound_streams
+from cvxshear.errors import CvxshearError, LostProcessError, NoSolutionError
 
 app = typer.Typer(
     name="cvxshear",
@@ -22,9 +25,11 @@ study = typer.Typer(help="Many identifications at once.", no_args_is_help=True)
 for command in (
     frames.identify,
     frames.loop,
-    frames.modes,
+    records.modes,
+    new.new,
     check.check,
-    frames.backends,
+    backends.backends,
+    planning.plan,
     studies.reproduce,
 ):
     app.command()(command)
@@ -54,14 +59,23 @@ def main(arguments: list[str] | None = None) -> None:
     status: Any = 0
     typed[:] = sys.argv[1:] if arguments is None else arguments
     try:
-        status = app(args=arguments, standalone_mode=False)
-    except NoSolutionError as error:
+        with sound_streams():
+            status = app(args=arguments, standalone_mode=False)
+    except (NoSolutionError, LostProcessError) as error:
         _complain(error)
         status = 1
     except CvxshearError as error:
         _complain(error)
         status = 2
-    except typer.Abort:
+    except OutputError as error:
+        # Who reads the first lines only, as `head` does, wants no complaint.
+        if not isinstance(error.__cause__, BrokenPipeError):
+            _complain(f"standard output cannot be written: {error}")
+        status = 1
+    except MemoryError:
+        _complain("the memory of this computer is not enough for it")
+        status = 1
+    except (typer.Abort, KeyboardInterrupt):
         status = 130
     except Exception as error:
         # Typer's own complaints about options know how to show themselves.
@@ -72,5 +86,6 @@ def main(arguments: list[str] | None = None) -> None:
     sys.exit(status if isinstance(status, int) else 0)
 
 
-def _complain(error: CvxshearError) -> None:
-    sys.stderr.write(f"cvxshear: {error}\n")
+def _complain(error: object) -> None:
+    with suppress(OSError):
+        sys.stderr.write(f"cvxshear: {error}\n")

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from cvxshear.cli.frames import measured
 from cvxshear.cli.output import JsonOut, deliver
+from cvxshear.cli.records import measured
 
 MISTAKEN = 2
 
@@ -26,9 +26,9 @@ def check(
     from cvxshear.report import screening_terminal
     from cvxshear.screening import screen
 
-    experiment, modes = measured(file, accept_swapped=True)
+    experiment, tests = measured([file], accept_swapped=True)
     found = screen(experiment)
-    diagnostics = () if modes is None else modes.findings
+    diagnostics = [item for each in tests for item in each.modes.findings]
     refused = any(item.refuses for item in found)
     said = {
         "name": experiment.name,

@@ -1,34 +1,31 @@
-"""The commands for one test of a frame: its modes, its masses and stiffnesses, what the model lacks, the backends."""
+"""The commands for one test of a frame: its modes, its masses and stiffnesses, what the model lacks."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable
 from contextlib import suppress
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
-from rich.console import RenderableType
 
 from cvxshear.cli.output import (
     BackendName,
-    FigureOut,
     File,
+    Files,
     JsonOut,
     Quiet,
+    ReportOut,
     UnitsOption,
     deliver,
-    figures_for,
     names,
+    numbers,
     progress,
     typed,
 )
-from cvxshear.errors import InputError, UnsuitableError
-
-if TYPE_CHECKING:
-    from cvxshear import Experiment
-    from cvxshear.modal import ModalResult
+from cvxshear.cli.pictures import FiguresOut, Pictures
+from cvxshear.cli.records import measured, records_in_json, tables_of
+from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
+from cvxshear.errors import UnsuitableError
 
 
 def identify(
@@ -46,7 +43,9 @@ def identify(
         bool, typer.Option("--accelerate", help="Reach the end of the mass iteration in a few steps (two-stage).")
     ] = False,
     units: UnitsOption = None,
-    figure: FigureOut = None,
+    figure: FiguresOut = None,
+    csv: CsvOut = None,
+    xlsx: XlsxOut = None,
     out: JsonOut = None,
 ) -> None:
     """Identify floor masses and story stiffnesses.
@@ -60,10 +59,11 @@ def identify(
     from cvxshear import load
     from cvxshear.quantities import Units
     from cvxshear.report import screening_terminal, terminal
+    from cvxshear.report.sheets import sheets_of_identification
     from cvxshear.screening import refuse_mistakes
 
-    drawing, display = figures_for(figure), Units.parse(units)
-    experiment, start = load(file), _numbers(initial_mass)
+    pictures, tables, display = Pictures(figure, "identification"), Spreadsheets(csv, xlsx), Units.parse(units)
+    experiment, start = load(file), numbers(initial_mass, "--initial-mass")
     doubts = refuse_mistakes(experiment)
     named = method or ("efficient" if start is None else "two-stage")
     result = run(
@@ -73,30 +73,18 @@ def identify(
     if method is None and named == "efficient" and out != "-":
         with suppress(UnsuitableError):
             beside = run(experiment, method="two-stage", backend=backend)
-    if drawing is not None:
-        drawing.save(drawing.frame(result), figure)
+    files = [*pictures.of(result), *tables.of(lambda: sheets_of_identification(result))]
     said = {**result.to_dict(), "warnings": [item.to_dict() for item in doubts]}
     deliver(
         said,
         out,
         lambda: [*screening_terminal.warnings(doubts), *terminal.identification(result, beside, display)],
+        *files,
     )
 
 
-def _numbers(text: str | None) -> list[float] | None:
-    """The numbers of a comma-separated option."""
-    if text is None:
-        return None
-    try:
-        return [float(part) for part in text.split(",")]
-    except ValueError:
-        raise InputError(
-            f"--initial-mass must be numbers with commas between, such as 9.5,7.5,5.5, not {text!r}"
-        ) from None
-
-
 def loop(
-    file: File,
+    sources: Files,
     effects: Annotated[
         str | None, typer.Option(help="Which effects to look for, commas between; all where not given.")
     ] = None,
@@ -105,11 +93,11 @@ def loop(
     ] = None,
     backend: BackendName = "auto",
     jobs: Annotated[int, typer.Option(help="Processes that fit candidates; -1 takes every core.")] = 1,
-    report: Annotated[
-        str | None, typer.Option("--report", help="Write a report, one HTML file.", metavar="OUT.html")
-    ] = None,
+    report: ReportOut = None,
     units: UnitsOption = None,
-    figure: FigureOut = None,
+    figure: FiguresOut = None,
+    csv: CsvOut = None,
+    xlsx: XlsxOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
 ) -> None:
@@ -120,93 +108,23 @@ def loop(
     from cvxshear import close_loop
     from cvxshear.quantities import Units
     from cvxshear.report import screening_terminal, terminal
+    from cvxshear.report.sheets import sheets_of_closure
     from cvxshear.screening import refuse_mistakes
 
-    drawing, display = figures_for(figure), Units.parse(units)
+    pictures, tables, display = Pictures(figure, "closure"), Spreadsheets(csv, xlsx), Units.parse(units)
     if report is not None:
         from cvxshear.report.html import write_report
-    with progress("closing the loop", quiet):
-        experiment, found = measured(file)
+    with progress("closing the loop", quiet) as advance:
+        experiment, found = measured(sources, jobs=jobs, progress=advance)
         doubts = refuse_mistakes(experiment)
         result = close_loop(experiment, effects=names(effects), assume=names(assume) or (), backend=backend, jobs=jobs)
-    said = {**result.to_dict(), "warnings": [item.to_dict() for item in doubts]}
-    if found is not None:
-        said["modes"] = found.to_dict()
+    said = {**result.to_dict(), "warnings": [item.to_dict() for item in doubts], **records_in_json(found)}
+    files = [*pictures.of(result), *tables.of(lambda: sheets_of_closure(result))]
     if report is not None:
-        write_report(result, report, shlex.join(["cvxshear", *typed]), units=display)
-    if drawing is not None:
-        drawing.save(drawing.residual(result), figure)
+        files.append(lambda: write_report(result, report, shlex.join(["cvxshear", *typed]), units=display))
     deliver(
         said,
         out,
-        lambda: [*_modes_of(found), *screening_terminal.warnings(doubts), *terminal.shown(result, display)],
+        lambda: [*tables_of(found), *screening_terminal.warnings(doubts), *terminal.shown(result, display)],
+        *files,
     )
-
-
-def measured(file: str, *, accept_swapped: bool = False) -> tuple[Experiment, ModalResult | None]:
-    """The experiment of a measurement file, or of the record that a record file names, with its modes."""
-    from cvxshear import Experiment, load
-    from cvxshear.formats.toml import is_record_file
-    from cvxshear.modal import run
-
-    if not is_record_file(file):
-        return load(file), None
-    found, declared = run(file, accept_swapped=accept_swapped)
-    return Experiment.from_dict(declared, name=Path(file).stem), found
-
-
-def _modes_of(found: ModalResult | None) -> Iterable[RenderableType]:
-    from cvxshear.report import terminal
-
-    return () if found is None else (*terminal.shown(found), "")
-
-
-def modes(
-    record: Annotated[str, typer.Argument(help="A record file (TOML).", metavar="RECORD")],
-    output: Annotated[
-        str | None, typer.Option("--output", "-o", help="Write a measurement file here.", metavar="TOML")
-    ] = None,
-    uff: Annotated[str | None, typer.Option(help="Write the modes as a universal file here.", metavar="UFF")] = None,
-    method: Annotated[
-        str | None, typer.Option(help="era, okid, subspace or ssi; what suits the record where none is named.")
-    ] = None,
-    count: Annotated[int | None, typer.Option(help="How many modes; as many as stories where not given.")] = None,
-    correct_clocks: Annotated[bool, typer.Option(help="Take clock offsets between the channels out.")] = False,
-    accept_swapped: Annotated[bool, typer.Option(help="Go on where two channels look swapped.")] = False,
-    quiet: Quiet = False,
-    out: JsonOut = None,
-) -> None:
-    """Identify natural frequencies, damping and mode shapes from a record.
-
-    Example: cvxshear modes record.toml -o test.toml
-    """
-    from cvxshear.modal import run
-    from cvxshear.report import terminal
-
-    with progress("identifying modes", quiet):
-        result, _ = run(
-            record,
-            method=method,
-            count=count,
-            correct_clocks=correct_clocks,
-            accept_swapped=accept_swapped,
-            output=output,
-            uff=uff,
-        )
-    deliver(result.to_dict(), out, lambda: terminal.shown(result))
-
-
-def backends(file: File, figure: FigureOut = None, quiet: Quiet = False, out: JsonOut = None) -> None:
-    """Solve the same programs with every installed backend, and compare them to the closed form.
-
-    Example: cvxshear backends paper
-    """
-    from cvxshear import compare_backends, load
-    from cvxshear.report import terminal
-
-    drawing = figures_for(figure)
-    with progress("comparing backends", quiet):
-        result = compare_backends(load(file))
-    if drawing is not None:
-        drawing.save(drawing.backend_differences(result), figure)
-    deliver(result.to_dict(), out, lambda: terminal.shown(result))

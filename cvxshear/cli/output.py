@@ -6,25 +6,75 @@ import json
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from types import ModuleType
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console, RenderableType
 
+from cvxshear.cli.checked import input_files, output_file
+from cvxshear.cli.streams import printing, takes_unicode
 from cvxshear.errors import InputError
-from cvxshear.report.files import write_whole
-from cvxshear.typing import Json
+from cvxshear.text import printable
+from cvxshear.writing import write_file
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.segment import Segment
+
+    from cvxshear.typing import Json
 
 File = Annotated[
-    str, typer.Argument(help="A measurement file (TOML), or 'paper' for the built-in example.", metavar="FILE")
+    str,
+    typer.Argument(
+        help="A measurement file (TOML), or 'paper' for the built-in example.", metavar="FILE", callback=input_files
+    ),
 ]
+Files = Annotated[
+    list[str],
+    typer.Argument(
+        help="A measurement file (TOML), 'paper' for the built-in example, or record files and patterns of them.",
+        metavar="FILE...",
+        callback=input_files,
+    ),
+]
+Records = Annotated[
+    list[str],
+    typer.Argument(
+        help="Record files (TOML), or patterns such as 'day-1/*.toml'.", metavar="RECORD...", callback=input_files
+    ),
+]
+
+
+def writes(*names: str, what: str, metavar: str = "OUT", endings: Iterable[str] = ()) -> Any:
+    """An option that names a file to write."""
+    return typer.Option(*names, help=what, metavar=metavar, callback=output_file(*endings))
+
+
+FIGURES = (".svg", ".png", ".pdf")
+
 JsonOut = Annotated[
-    str | None,
-    typer.Option("--json", help="Write the result as JSON to this file, '-' for standard output.", metavar="OUT"),
+    str | None, writes("--json", what="Write the result as JSON to this file, '-' for standard output.")
 ]
-FigureOut = Annotated[
-    str | None, typer.Option("--figure", help="Draw into this file: .svg, .png or .pdf.", metavar="OUT")
+FigureOut = Annotated[str | None, writes("--figure", what="Draw into this file: .svg, .png or .pdf.", endings=FIGURES)]
+BoxesOut = Annotated[str | None, writes("--boxes", what="Draw box plots (Fig. 5) into this file.", endings=FIGURES)]
+ReportOut = Annotated[
+    str | None,
+    writes("--report", what="Write a report, one HTML file.", metavar="OUT.html", endings=(".html", ".htm")),
+]
+MeasurementOut = Annotated[
+    str | None,
+    writes(
+        "--output",
+        "-o",
+        what="Write a measurement file here, a configuration each.",
+        metavar="TOML",
+        endings=(".toml",),
+    ),
+]
+UniversalOut = Annotated[
+    str | None,
+    writes("--uff", what="Write the modes as a universal file here.", metavar="UFF", endings=(".uff", ".unv", ".u55")),
 ]
 UnitsOption = Annotated[
     str | None,
@@ -32,7 +82,7 @@ UnitsOption = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")]
 BackendName = Annotated[
-    str, typer.Option("--backend", help="Which solver; 'cvxshear backends FILE' lists them.", metavar="NAME")
+    str, typer.Option("--backend", help="Which solver; 'cvxshear backends' lists them.", metavar="NAME")
 ]
 
 typed: list[str] = []
@@ -40,25 +90,72 @@ typed: list[str] = []
 
 
 def show(parts: Iterable[RenderableType]) -> None:
-    """Print tables; plain and unwrapped where the output is not a terminal."""
-    console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=200, no_color=True)
-    for part in parts:
-        console.print(part)
+    """Print tables; plain and unwrapped where the output is not a terminal.
+
+    Names come from files: nothing in a text is markup, and what would steer the terminal stands as its escape.
+    """
+    from rich.console import Console
+    from rich.segment import Segments
+
+    plain: dict[str, Any] = {} if sys.stdout.isatty() else {"width": 200, "no_color": True}
+    console = Console(highlight=False, markup=False, emoji=False, **plain)
+    with printing():
+        for part in parts:
+            whole = console.render_str(part) if isinstance(part, str) else part
+            console.print(Segments([_harmless(each) for each in console.render(whole)]), end="")
 
 
-def deliver(result: Json, out: str | None, tables: Callable[[], Iterable[RenderableType]]) -> None:
-    """JSON alone on standard output for '-'; else tables for people, and JSON into a file where one is named."""
+def _harmless(segment: Segment) -> Segment:
+    from rich.segment import Segment
+
+    lines = segment.text.split("\n")
+    return Segment("\n".join(map(printable, lines)), segment.style, segment.control)
+
+
+def deliver(
+    result: Json,
+    out: str | None,
+    tables: Callable[[], Iterable[RenderableType]],
+    *files: Callable[[], None],
+) -> None:
+    """Write what was asked for and print the result, the one even where the other fails.
+
+    Parameters
+    ----------
+    result : dict
+    out : str, optional
+        Where its JSON goes; "-" puts it alone on standard output, in place of the tables.
+    tables : callable
+        What people are shown.
+    *files : callable
+        Each writes one more file.
+
+    Raises
+    ------
+    InputError
+        Where a file could not be written, after the result was printed.
+    """
+    writers = list(files)
+    if out is not None and out != "-":
+        writers.append(partial(write_file, out, to_json(result) + "\n"))
+    failures = []
+    for write in writers:
+        try:
+            write()
+        except InputError as error:
+            failures.append(str(error))
     if out == "-":
-        typer.echo(to_json(result))
-        return
-    if out is not None:
-        write_whole(out, to_json(result) + "\n")
-    show(tables())
+        with printing():
+            sys.stdout.write(to_json(result, ascii_only=not takes_unicode()) + "\n")
+    else:
+        show(tables())
+    if failures:
+        raise InputError("; ".join(failures))
 
 
-def to_json(result: Json) -> str:
+def to_json(result: Json, *, ascii_only: bool = False) -> str:
     """The result as JSON; nan cannot stand in JSON and has no place in a result."""
-    return json.dumps(result, indent=2, allow_nan=False, ensure_ascii=False)
+    return json.dumps(result, indent=2, allow_nan=False, ensure_ascii=ascii_only)
 
 
 def figures_for(*paths: str | None) -> ModuleType | None:
@@ -82,6 +179,7 @@ def progress(title: str, quiet: bool) -> Iterator[Callable[[int, int], None] | N
     if quiet or not sys.stderr.isatty():
         yield None
         return
+    from rich.console import Console
     from rich.progress import Progress
 
     with Progress(console=Console(stderr=True), transient=True) as bars:
@@ -92,3 +190,13 @@ def progress(title: str, quiet: bool) -> Iterator[Callable[[int, int], None] | N
 def names(text: str | None) -> list[str] | None:
     """The names of a comma-separated option."""
     return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
+
+
+def numbers(text: str | None, option: str) -> list[float] | None:
+    """The numbers of a comma-separated option."""
+    if text is None:
+        return None
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise InputError(f"{option} must be numbers with commas between, such as 9.5,7.5,5.5, not {text!r}") from None

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import ModuleType
 from typing import Annotated, Any
 
 import typer
 
-from cvxshear.cli.output import BackendName, FigureOut, JsonOut, Quiet, deliver, figures_for, names, progress
+from cvxshear.cli.output import BackendName, BoxesOut, FigureOut, JsonOut, Quiet, deliver, figures_for, names, progress
 
 
 def reproduce(
@@ -30,9 +31,8 @@ def reproduce(
     drawing = figures_for(figure)
     with progress("reproducing the paper", quiet):
         result = run(backend, samples=tuple(sorted({100, samples})), seed=seed)
-    if drawing is not None:
-        drawing.save(_mass_iteration(drawing), figure)
-    deliver(result.to_dict(), out, lambda: [render(result)])
+    files = [] if drawing is None else [lambda: drawing.save(_mass_iteration(drawing), figure)]
+    deliver(result.to_dict(), out, lambda: [render(result)], *files)
 
 
 def _mass_iteration(drawing: ModuleType) -> Any:
@@ -52,7 +52,7 @@ def noise(
     methods: Annotated[str, typer.Option(help="Methods, commas between.")] = "two-stage,one-shot,efficient",
     jobs: Annotated[int, typer.Option(help="Processes; -1 takes every core.")] = 1,
     figure: FigureOut = None,
-    boxes: Annotated[str | None, typer.Option(help="Draw box plots (Fig. 5) into this file.", metavar="OUT")] = None,
+    boxes: BoxesOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
 ) -> None:
@@ -68,8 +68,10 @@ def noise(
         three = noise_study(paper_setups(), tuple(names(methods) or ()), samples, seed, jobs=jobs, progress=advance)
     with progress("six stories", quiet) as advance:
         six = six_story_study(samples, seed, jobs=jobs, progress=advance)
+    files: list[Callable[[], None]] = []
     if drawing is not None and figure is not None:
-        drawing.save(drawing.noise_variation(three), figure)
+        files.append(lambda: drawing.save(drawing.noise_variation(three), figure))
     if drawing is not None and boxes is not None:
-        drawing.save(drawing.noise_boxes(three), boxes)
-    deliver({"three_story": three.to_dict(), "six_story": six.to_dict()}, out, lambda: [render(three), render(six)])
+        files.append(lambda: drawing.save(drawing.noise_boxes(three), boxes))
+    said = {"three_story": three.to_dict(), "six_story": six.to_dict()}
+    deliver(said, out, lambda: [render(three), render(six)], *files)

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 
 from cvxshear import checks
 from cvxshear.errors import InputError
+from cvxshear.formats.stamps import rate_within_rounding, rounding_of
 from cvxshear.typing import Floats, Ints
 
 FEWEST_ROWS = 32
+LIMIT = 100_000_000
+"""Bytes that a file of a record, and the numbers in it, may have where nothing else is said."""
+TOO_LARGE = "cut it into runs, or raise the limit by size_limit, in MB, in the table [record]"
 UNEVEN = 0.25
 """Of the median step: a step further off than that is a gap, a repetition or another rate."""
+
+COARSE = 0.1
+"""Of all steps: so many that differ from the usual one are no handful of gaps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +45,11 @@ class Columns:
     def __post_init__(self) -> None:
         if len(self.values) < FEWEST_ROWS:
             raise InputError(f"{self.source} holds {len(self.values)} samples; at least {FEWEST_ROWS} are needed")
-        for place, name in enumerate(self.names):
-            if name in self.names[:place]:
+        seen: set[str] = set()
+        for name in self.names:
+            if name in seen:
                 raise InputError(f'{self.source} has two columns named "{name}"')
+            seen.add(name)
 
     def at(self, row: int) -> str:
         """The place of a row as a person would name it."""
@@ -57,20 +67,32 @@ class Columns:
             Who asks for it, for messages.
         """
         if name not in self.names:
-            shown = ", ".join(self.names[:12]) + (", ..." if len(self.names) > 12 else "")
-            raise InputError(f'{asked}: {self.source} has no column "{name}"; it has {shown}')
+            shown = ", ".join(each[:60] for each in self.names[:12]) + (", ..." if len(self.names) > 12 else "")
+            raise InputError(f'{asked}: {self.source} has no column "{name[:60]}"; it has {shown}')
         values = self.values[:, self.names.index(name)]
-        bad = np.flatnonzero(~np.isfinite(values))
+        bad = np.flatnonzero(~(np.abs(values) <= checks.LARGEST))
         if bad.size:
             raise InputError(
-                f'{self.at(int(bad[0]))}: channel "{name}" holds {values[bad[0]]} ({bad.size} such values in all); '
-                "mend the record or cut it before that line"
+                f'{self.at(int(bad[0]))}: channel "{name}" holds {values[bad[0]]} ({bad.size} such values in '
+                "all); mend the record or cut it before that line"
             )
         return checks.frozen(values.copy())
 
 
-def sampling_rate_of(time: Floats, columns: Columns, name: str) -> float:
+def sampling_rate_of(time: Floats, columns: Columns, name: str, declared: float | None = None) -> float:
     """The sampling rate that a time column shows, Hz.
+
+    Stamps that a logger has rounded, 0.004, 0.008, 0.012, ... s at 256 Hz, show the rate that all of them fit.
+
+    Parameters
+    ----------
+    time : array, shape (samples,)
+        s.
+    columns : Columns
+    name : str
+        Of the column.
+    declared : float, optional
+        Hz; with it the stamps may be coarser than the samples.
 
     Raises
     ------
@@ -79,15 +101,31 @@ def sampling_rate_of(time: Floats, columns: Columns, name: str) -> float:
     """
     steps = np.diff(time)
     step = float(np.median(steps))
+    odd = np.flatnonzero(np.abs(steps - step) > UNEVEN * abs(step))
+    if step > 0 and not odd.size:
+        return float((len(time) - 1) / (time[-1] - time[0]))
+    rounded = rate_within_rounding(time, declared)
+    if rounded is None:
+        if step <= 0 or odd.size > COARSE * len(steps):
+            _refuse_coarse(time, step, columns, name)
+        _refuse_uneven(steps, step, odd, columns, name)
+    return rounded
+
+
+def _refuse_coarse(time: Floats, step: float, columns: Columns, name: str) -> None:
+    """Refuse stamps that repeat because they are rounded to more than a sample, where they do."""
+    rounding = rounding_of(time)
+    repeats = bool(np.any(np.isclose(step, (0.0, rounding), atol=1e-9))) and bool(np.all(np.diff(time) >= 0))
+    if repeats and time[-1] > time[0]:
+        raise InputError(
+            f'{columns.source}: column "{name}" is rounded to {rounding:g} s, more than a sample, so that stamps '
+            "repeat; give record: sampling_rate, in Hz"
+        )
     if step <= 0:
         raise InputError(f'{columns.source}: column "{name}" must ascend; its median step is {step:g} s')
-    odd = np.flatnonzero(np.abs(steps - step) > UNEVEN * step)
-    if odd.size:
-        _refuse_uneven(steps, step, odd, columns, name)
-    return float((len(time) - 1) / (time[-1] - time[0]))
 
 
-def _refuse_uneven(steps: Floats, step: float, odd: Ints, columns: Columns, name: str) -> None:
+def _refuse_uneven(steps: Floats, step: float, odd: Ints, columns: Columns, name: str) -> NoReturn:
     first = int(odd[0])
     if steps[first] <= 0:
         raise InputError(

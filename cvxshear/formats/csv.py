@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import math
+from array import array
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
+from cvxshear.checks import shown
 from cvxshear.errors import InputError
-from cvxshear.formats.columns import Columns
-from cvxshear.typing import Floats
+from cvxshear.formats.columns import LIMIT, TOO_LARGE, Columns
+from cvxshear.formats.reading import MEGABYTE, read_bytes
 
-LARGEST_FILE = 2_000_000_000
-"""Bytes."""
 SEPARATORS = (";", "\t", ",")
+MOST_COLUMNS = 10_000
 
 
-def read_csv(path: str | Path) -> Columns:
+def read_csv(path: str | Path, limit: float = LIMIT) -> Columns:
     """Read delimited text.
 
     The first line that is neither empty nor a comment (#) is the header. Cells are separated by semicolons,
@@ -26,6 +31,8 @@ def read_csv(path: str | Path) -> Columns:
     Parameters
     ----------
     path : str or Path
+    limit : float, optional
+        Bytes that the file, and the numbers in it, may have.
 
     Returns
     -------
@@ -35,71 +42,85 @@ def read_csv(path: str | Path) -> Columns:
     Raises
     ------
     InputError
-        Where the file is empty, has no header, or a cell is not a number, naming the column and the line.
+        Where the file is empty, too large, has no header, or a cell is not a number, naming the column and the line.
     """
     path = Path(path)
-    numbered = enumerate(_text(path).splitlines(), 1)
-    lines = [(number, text) for number, text in numbered if text.strip() and text.lstrip()[0] != "#"]
-    if not lines:
-        raise InputError(f"{path} is empty; a record has a header that names its columns, and a line a sample")
-    (first, header), *rest = lines
+    where = str(path)
+    numbered = enumerate(_text(path, limit), 1)
+    lines = ((number, line) for number, line in numbered if line.strip() and line.lstrip()[0] != "#")
+    first, header = next(lines, (0, ""))
+    if not header:
+        raise InputError(f"{where} is empty; a record has a header that names its columns, and a line a sample")
     separator = next((mark for mark in SEPARATORS if mark in header), None)
-    names = tuple(cell.strip().strip('"') for cell in header.split(separator))
+    names = tuple(cell.strip() for cell in _cells(header, separator, f"{where}, line {first}"))
     if all(_is_number(name) for name in names):
-        raise InputError(f"{path}, line {first}: the first line must name the columns, it holds numbers")
-    if not rest:
-        raise InputError(f"{path} has a header and no samples")
-    values = _fast(rest, separator, len(names))
-    if values is None:
-        values = np.array([_row(text, separator, names, path, number) for number, text in rest])
-    return Columns(str(path), names, values, np.array([number for number, _ in rest], dtype=np.int64))
+        raise InputError(f"{where}, line {first}: the first line must name the columns, it holds numbers")
+    if len(names) > MOST_COLUMNS:
+        raise InputError(f"{where}, line {first} names {len(names)} columns; {MOST_COLUMNS} are the most that are read")
+    return _columns(lines, separator, names, where, limit)
 
 
-def _text(path: Path) -> str:
+def _columns(
+    lines: Iterator[tuple[int, str]], separator: str | None, names: tuple[str, ...], where: str, limit: float
+) -> Columns:
+    numbers = array("q")
+    values = array("d")
+    for number, text in lines:
+        line = text if separator == "," else text.replace(",", ".")
+        cells = _cells(line, separator, f"{where}, line {number}")
+        if len(cells) != len(names):
+            raise InputError(
+                f"{where}, line {number} has {len(cells)} cells where the header names {len(names)} columns "
+                f'("{names[-1]}" is the last)'
+            )
+        values.extend(_row(cells, line, names, f"{where}, line {number}"))
+        numbers.append(number)
+        if len(values) * values.itemsize > limit:
+            raise InputError(f"{where} holds more than {limit / MEGABYTE:g} MB of numbers; {TOO_LARGE}")
+    if not numbers:
+        raise InputError(f"{where} has a header and no samples")
+    table = np.frombuffer(values, dtype=np.float64).reshape(len(numbers), len(names))
+    return Columns(where, names, table, np.frombuffer(numbers, dtype=np.int64))
+
+
+def _row(cells: list[str], line: str, names: tuple[str, ...], where: str) -> list[float]:
+    # Python's float takes 1_000 for a thousand.
+    if "_" not in line:
+        with suppress(ValueError):
+            return [float(cell) for cell in cells]
+    return [_cell(cell, f'{where}: channel "{name}"') for cell, name in zip(cells, names, strict=True)]
+
+
+def _cells(line: str, separator: str | None, where: str) -> list[str]:
+    if separator is None:
+        return line.split()
     try:
-        if path.is_dir():
-            raise InputError(f"{path} is a folder; name a file in it")
-        if path.stat().st_size > LARGEST_FILE:
-            raise InputError(f"{path} has {path.stat().st_size / 1e6:.0f} MB; cut it into runs")
-        return path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
+        return next(csv.reader([line], delimiter=separator, strict=True, skipinitialspace=True))
+    except csv.Error as error:
+        raise InputError(f"{where} is no line of a table: {error}") from None
+
+
+def _text(path: Path, limit: float) -> Iterable[str]:
+    """The lines of the file."""
+    content = read_bytes(path, limit, TOO_LARGE)
+    try:
+        content.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise InputError(f"{path} is not UTF-8 text (byte {error.start}); is it a CSV file?") from None
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}") from None
-
-
-def _fast(rest: list[tuple[int, str]], separator: str | None, width: int) -> Floats | None:
-    """All rows at once where every cell is a plain number; None where one is not, and rows are looked at singly."""
-    cells = [text.split(separator) for _, text in rest]
-    if any(len(row) != width for row in cells):
-        return None
-    try:
-        return np.array(cells, dtype=np.float64)
-    except ValueError:
-        return None
-
-
-def _row(text: str, separator: str | None, names: tuple[str, ...], path: Path, number: int) -> list[float]:
-    cells = text.split(separator)
-    if len(cells) != len(names):
         raise InputError(
-            f'{path}, line {number} has {len(cells)} cells where the header names {len(names)} columns ("{names[-1]}" '
-            "is the last)"
-        )
-    return [_cell(cell, separator, name, path, number) for cell, name in zip(cells, names, strict=True)]
+            f"{path!s} is not UTF-8 text (byte {error.start}); is it a CSV file, and saved as UTF-8?"
+        ) from None
+    # A list of all lines would take several times the file's size.
+    return io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig")
 
 
-def _cell(cell: str, separator: str | None, name: str, path: Path, number: int) -> float:
-    cell = cell.strip().strip('"')
+def _cell(cell: str, where: str) -> float:
+    cell = cell.strip()
     if not cell:
         return math.nan
-    try:
-        return float(cell.replace(",", ".") if separator != "," else cell)
-    except ValueError:
-        where = f'{path}, line {number}: channel "{name}"'
-        raise InputError(f"{where} holds {cell[:40]!r}, which is not a number") from None
+    if "_" not in cell:
+        with suppress(ValueError):
+            return float(cell)
+    raise InputError(f"{where} holds {shown(cell)}, which is not a number")
 
 
 def _is_number(text: str) -> bool:

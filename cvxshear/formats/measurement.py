@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-import math
-import os
-import tempfile
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomli_w
 
-from cvxshear.errors import InputError
+from cvxshear.text import printable
+from cvxshear.writing import write_file
 
 WIDTH = 110
+DIGITS = 8
+"""Significant ones: no record tells more."""
+
+_NUMBERS = re.compile(r"\[\n((?:\s*[-+.\w]+,\n)+)\s*\]")
+"""A list of numbers with one on each line. No text matches: line breaks in texts are written as escapes."""
 
 
 def write_measurement(path: str | Path, declared: Mapping[str, Any], comments: Iterable[str] = ()) -> None:
@@ -33,23 +38,15 @@ def write_measurement(path: str | Path, declared: Mapping[str, Any], comments: I
     InputError
         Where the file cannot be written.
     """
-    path = Path(path)
-    lines = [f"# {part}" for comment in comments for part in _wrapped(comment)]
-    text = "\n".join([*lines, *([""] if lines else []), *_tables(declared)]) + "\n"
-    try:
-        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        with os.fdopen(descriptor, "w", encoding="utf-8") as handle:
-            handle.write(text)
-        Path(name).chmod(0o644)
-        Path(name).replace(path)
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror}") from None
+    head = [f"# {part}\n" for comment in comments for part in _wrapped(comment)]
+    text = tomli_w.dumps(_plain(declared))
+    write_file(path, "".join([*head, "\n" * bool(head), _NUMBERS.sub(_in_one_line, text)]))
 
 
 def _wrapped(comment: str) -> list[str]:
     """The comment in lines of readable length; a line break in it must not end the comment."""
     lines, current = [], ""
-    for word in comment.split():
+    for word in printable(" ".join(comment.split())).split(" "):
         if current and len(current) + len(word) + 1 > WIDTH:
             lines.append(current)
             current = "  " + word
@@ -58,37 +55,17 @@ def _wrapped(comment: str) -> list[str]:
     return [*lines, current]
 
 
-def _tables(declared: Mapping[str, Any]) -> list[str]:
-    lines: list[str] = []
-    for name, value in declared.items():
-        single = isinstance(value, Mapping)
-        for table in [value] if single else value:
-            lines.append(f"[{name}]" if single else f"[[{name}]]")
-            lines += [*(f"{key} = {_value(item)}" for key, item in table.items()), ""]
-    return lines[:-1]
+def _in_one_line(numbers: re.Match[str]) -> str:
+    """A row of a shape is a line of the file."""
+    return "[" + ", ".join(numbers[1].replace(",", " ").split()) + "]"
 
 
-def _value(item: Any) -> str:
-    if isinstance(item, np.ndarray):
-        item = item.tolist()
-    if isinstance(item, bool | np.bool_):
-        return "true" if item else "false"
-    if isinstance(item, str):
-        return _text(item)
-    if isinstance(item, int | np.integer):
-        return str(int(item))
-    if isinstance(item, float | np.floating):
-        return _number(float(item))
-    return "[" + ", ".join(_value(each) for each in item) + "]"
-
-
-def _number(value: float) -> str:
-    if math.isnan(value):
-        return "nan"
-    text = f"{value:.8g}"
-    return text if any(mark in text for mark in ".en") else text + ".0"
-
-
-def _text(value: str) -> str:
-    escapes = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "\t": "\\t", "\r": "\\r"}
-    return '"' + "".join(escapes.get(c, c if c >= " " and c != "\x7f" else f"\\u{ord(c):04x}") for c in value) + '"'
+def _plain(value: Any) -> Any:
+    """The value in Python's own types, numbers rounded."""
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value

@@ -18,9 +18,10 @@ import numpy as np
 from cvxshear import checks
 from cvxshear.errors import InputError
 from cvxshear.experiment import MOST_STORIES
-from cvxshear.formats.columns import Columns, sampling_rate_of
+from cvxshear.formats.columns import LIMIT, Columns, sampling_rate_of
 from cvxshear.formats.csv import read_csv
 from cvxshear.formats.mat import read_mat
+from cvxshear.formats.reading import MEGABYTE, named_after
 from cvxshear.formats.toml import parse, read_text
 from cvxshear.formats.uff import read_uff
 from cvxshear.modal.record import INPUTS, QUANTITIES, Channel, FrfRecord, FrfRun, Record, Run, TimeRecord
@@ -41,10 +42,12 @@ RECORD_KEYS = (
     "band",
     "exponential_window",
     "truncated",
+    "pick",
+    "size_limit",
 )
 CHANNEL_KEYS = ("column", "floor", "axis", "sign", "calibration", "quantity")
 RUN_KEYS = ("file", "name", "input_floor")
-PASSED_ON = ("frame", "prior", "added_mass")
+PASSED_ON = ("frame", "prior", "added_mass", "state")
 TIME_NAMES = ("time", "time_s", "t", "t_s", "Time", "TIME", "seconds")
 FREQUENCY_NAMES = ("frequency", "frequency_hz", "freq", "f", "f_hz", "Frequency", "hz")
 
@@ -74,12 +77,21 @@ class RecordFile:
         The tables `[[prior]]`, for the measurement file.
     added_mass : list of float, optional
         kg on each floor during the record.
+    state : str, optional
+        The state of the frame that was tested; records of one state share it.
+    pick : list of float, optional
+        Hz; frequencies of the modes, chosen by hand.
+    files : tuple of Path
+        The record file and those it names.
     """
 
     record: Record
     frame: Mapping[str, object] = field(default_factory=dict)
     priors: Sequence[Mapping[str, object]] = ()
     added_mass: Sequence[float] | None = None
+    state: str | None = None
+    pick: Sequence[float] | None = None
+    files: tuple[Path, ...] = ()
 
 
 def read_record(path: str | Path) -> RecordFile:
@@ -101,38 +113,48 @@ def read_record(path: str | Path) -> RecordFile:
     """
     path = Path(path)
     text = read_text(path)
-    declared = parse(text, path)
+    declared, where = parse(text, path), str(path)
     if "configuration" in declared and "record" not in declared:
         raise InputError(
             f"{path} is a measurement file (it has [[configuration]]), not a record file: its modes are found already; "
             f"'cvxshear identify {path}' and 'cvxshear loop {path}' take it"
         )
-    table = checks.keys(declared, ["record", "channel", "run", *PASSED_ON], ["record", "channel"], str(path))
+    table = checks.keys(declared, ["record", "channel", "run", *PASSED_ON], ["record", "channel"], where)
+    frame = table.get("frame", {})
+    priors = table.get("prior", [])
+    tables = isinstance(priors, list) and all(isinstance(prior, Mapping) for prior in priors)
+    if not isinstance(frame, Mapping) or not tables:
+        raise InputError(f"{where}: frame must be a table [frame], prior a list of tables [[prior]]")
+    added = table.get("added_mass")
+    if added is not None:
+        added = checks.vector(added, f"{where}: added_mass", least=0.0).tolist()
+    state = None if table.get("state") is None else checks.text(table["state"], f"{where}: state")
     try:
         record = _record(table, path, _lines_of(text, "channel"))
     except InputError as error:
         message = str(error)
-        raise type(error)(message if message.startswith(str(path.parent)) else f"{path}: {message}") from error
-    frame = table.get("frame", {})
-    priors = table.get("prior", [])
-    if not isinstance(frame, Mapping) or not isinstance(priors, list):
-        raise InputError(f"{path}: frame must be a table [frame], prior a list of tables [[prior]]")
-    added = table.get("added_mass")
-    if added is not None:
-        added = checks.vector(added, f"{path}: added_mass", least=0.0).tolist()
-    return RecordFile(record, frame, priors, added)
+        # What the readers of other files say names those.
+        raise type(error)(message if message.startswith(str(path.parent)) else f"{where}: {message}") from error
+    files = (path, *(path.parent / run["file"] for run in _runs(table, table["record"])))
+    picked = table["record"].get("pick")
+    if picked is not None:
+        picked = checks.vector(picked, f"{where}: record: pick", above=0.0).tolist()
+    return RecordFile(record, frame, priors, added, state, picked, files)
 
 
 def _record(table: Mapping[str, Any], path: Path, lines: list[int]) -> Record:
     declared = checks.keys(table["record"], RECORD_KEYS, [], "record")
     kind = checks.choice(declared.get("kind", "time"), ("time", "frf"), "record: kind")
+    for key in ("time", "frequency", "axis"):
+        if key in declared:
+            checks.text(declared[key], f"record: {key}")
     channels = _channels(table["channel"], declared, path, lines)
     common = {
-        "stories": declared.get("stories", 0),
+        "stories": checks.whole(declared.get("stories", 0), "record: stories", least=0, most=MOST_STORIES),
         "quantity": declared.get("quantity", "acceleration"),
         "band": declared.get("band"),
         "exponential_window": declared.get("exponential_window"),
-        "name": checks.text(declared.get("name", path.stem), "record: name"),
+        "name": checks.text(declared.get("name", named_after(path)), "record: name"),
     }
     runs = _runs(table, declared)
     if kind == "frf":
@@ -156,7 +178,7 @@ def _channels(tables: object, declared: Mapping[str, Any], path: Path, lines: li
         if quantity != "force" and "floor" not in one:
             raise InputError(f"{where}: the key 'floor' is missing (0 for the ground)")
         sign = one.get("sign", 1)
-        if sign not in (1, -1) or isinstance(sign, bool):
+        if not isinstance(sign, int | float) or isinstance(sign, bool) or sign not in (1, -1):
             raise InputError(f"{where}: sign must be 1 or -1, not {checks.shown(sign)}")
         factor = sign * checks.number(one.get("calibration", 1.0), f"{where}: calibration", above=0.0)
         floor = checks.whole(one.get("floor", 0), f"{where}: floor", least=0, most=MOST_STORIES)
@@ -194,19 +216,34 @@ def _runs(table: Mapping[str, Any], declared: Mapping[str, Any]) -> list[Mapping
             raise InputError("give either record: file, or [[run]] tables, not both")
         if not isinstance(table["run"], list) or not table["run"]:
             raise InputError("run must be a list of tables, one [[run]] a file")
-        return [checks.keys(item, RUN_KEYS, ["file"], f"run {place}") for place, item in enumerate(table["run"], 1)]
+        return [_run(item, f"run {place}") for place, item in enumerate(table["run"], 1)]
     if "file" not in declared:
         raise InputError("record: the key 'file' is missing (or [[run]] tables, each with its file)")
-    return [{"file": declared["file"]}]
+    return [_run({"file": declared["file"]}, "record")]
 
 
-def _read(run: Mapping[str, Any], path: Path, place: int) -> Columns:
-    name = checks.text(run["file"], f"run {place}: file")
-    file = path.parent / name
+def _run(item: object, where: str) -> Mapping[str, Any]:
+    run = checks.keys(item, RUN_KEYS, ["file"], where)
+    checks.text(run["file"], f"{where}: file")
+    checks.text(run.get("name", "run"), f"{where}: name")
+    return run
+
+
+def _floor(run: Mapping[str, Any], declared: Mapping[str, Any], otherwise: int | None, place: int) -> int:
+    """Where the force of a run acts."""
+    floor = run.get("input_floor", declared.get("input_floor", otherwise))
+    if floor is None:
+        raise InputError(f"run {place}: the key 'input_floor' is missing: which floor does the force act on?")
+    return checks.whole(floor, f"run {place}: input_floor", least=1, most=MOST_STORIES)
+
+
+def _read(run: Mapping[str, Any], declared: Mapping[str, Any], path: Path) -> Columns:
+    file = path.parent / run["file"]
     suffix = file.suffix.lower()
+    limit = MEGABYTE * checks.number(declared.get("size_limit", LIMIT / MEGABYTE), "record: size_limit (MB)", above=0.0)
     if suffix == ".mat":
-        return read_mat(file)
-    return read_uff(file)[0] if suffix in (".uff", ".unv", ".u58") else read_csv(file)
+        return read_mat(file, limit)
+    return read_uff(file, limit)[0] if suffix in (".uff", ".unv", ".u58") else read_csv(file, limit)
 
 
 def _time_record(
@@ -225,14 +262,12 @@ def _time_record(
     rates: list[tuple[float, str]] = []
     made = []
     for place, run in enumerate(runs, 1):
-        columns = _read(run, path, place)
+        columns = _read(run, declared, path)
         rates.append((_rate(declared, columns), columns.source))
         excitation = None
         if driver is not None:
             excitation = driver.factor * columns.column(driver.column, driver.place or path.name)
-        floor = run.get("input_floor", declared.get("input_floor", driver.floor if driver else 0))
-        if kind == "force" and not floor:
-            raise InputError(f"run {place}: the key 'input_floor' is missing: which floor does the force act on?")
+        floor = 0 if driver is None or kind != "force" else _floor(run, declared, driver.floor or None, place)
         made.append(Run(_table(columns, responses, path), excitation, floor, run.get("name", Path(run["file"]).name)))
     _refuse_two_rates(rates)
     quantity = quantities.pop() if quantities else common["quantity"]
@@ -280,7 +315,7 @@ def _rate(declared: Mapping[str, Any], columns: Columns) -> float:
                 f"record: give sampling_rate, in Hz, or time, the name of the time column of {columns.source}"
             )
         return said
-    rate = sampling_rate_of(columns.column(name, "record: time"), columns, name)
+    rate = sampling_rate_of(columns.column(name, "record: time"), columns, name, said)
     if said is not None:
         if abs(rate - said) > 0.01 * said:
             raise InputError(
@@ -310,14 +345,12 @@ def _frf_record(
         raise InputError('record: frequency response functions have input = "force"')
     made, axes = [], []
     for place, run in enumerate(runs, 1):
-        columns = _read(run, path, place)
+        columns = _read(run, declared, path)
         name = declared.get("frequency") or next((item for item in FREQUENCY_NAMES if item in columns.names), None)
         if name is None:
             raise InputError(f"record: give frequency, the name of the frequency column of {columns.source}")
         axes.append((columns.column(name, "record: frequency"), columns.source))
-        floor = run.get("input_floor", declared.get("input_floor"))
-        if floor is None:
-            raise InputError(f"run {place}: the key 'input_floor' is missing: which floor does the force act on?")
+        floor = _floor(run, declared, None, place)
         responses = np.column_stack([_complex(columns, item, path) for item in channels])
         made.append(FrfRun(responses, floor, run.get("name", Path(run["file"]).name)))
     for axis, source in axes[1:]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tomllib
 from importlib import resources
 from pathlib import Path
@@ -10,12 +11,22 @@ from pathlib import Path
 from cvxshear.checks import shown
 from cvxshear.errors import InputError
 from cvxshear.experiment import Experiment
+from cvxshear.formats.mode_tables import with_modes_read
+from cvxshear.formats.reading import named_after, read_bytes
 
-LARGEST_FILE = 50_000_000
+LARGEST_FILE = 5_000_000
 """Bytes; a larger file is taken for a mistake (a record in place of a measurement file, say)."""
 
 BUILT_IN = {"paper": ("paper", "paper.toml"), "los-alamos": ("builtin", "los-alamos.toml")}
 """Examples that travel with the package, and where they stand in it."""
+
+NAMING_KEYS = ("file", "csv", "xlsx", "uff")
+"""Keys of tables whose values are names of other files."""
+
+LONGEST_KEY = 16
+"""Parts, with dots between; the time that reading a key takes grows with their square."""
+
+_LONG_KEY = re.compile(rf"""(?<![\w-])(?>(?>[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{LONGEST_KEY}}}""")
 
 
 def load(path: str | Path) -> Experiment:
@@ -37,9 +48,9 @@ def load(path: str | Path) -> Experiment:
     InputError
         Naming the file, and the key, the value found and what would be right.
     """
-    if isinstance(path, str) and path in BUILT_IN:
-        text = resources.files("cvxshear").joinpath(*BUILT_IN[path]).read_text(encoding="utf-8")
-        return Experiment.from_dict(tomllib.loads(text), name=path)
+    if is_built_in(path):
+        text = resources.files("cvxshear").joinpath(*BUILT_IN[str(path)]).read_text(encoding="utf-8")
+        return Experiment.from_dict(tomllib.loads(text), name=str(path))
     if not isinstance(path, str | os.PathLike):
         raise InputError(
             f"load takes the name of a measurement file, not {shown(path)}; a dict goes to Experiment.from_dict"
@@ -52,45 +63,43 @@ def load(path: str | Path) -> Experiment:
             f"'cvxshear modes {path} -o test.toml' makes one of it, and 'cvxshear loop {path}' takes it as it is"
         )
     try:
-        return Experiment.from_dict(declared, name=path.stem)
+        return Experiment.from_dict(with_modes_read(declared, path.parent), name=named_after(path))
     except InputError as error:
-        raise type(error)(f"{path}: {error}") from error
+        raise type(error)(f"{path!s}: {error}") from error
+
+
+def is_built_in(path: object) -> bool:
+    """Whether this is the name of an example that travels with the package."""
+    return isinstance(path, str) and path in BUILT_IN
 
 
 def read_text(path: Path) -> str:
     """The text of a file that a user named."""
+    content = read_bytes(
+        path, LARGEST_FILE, "too many for a measurement file", absent=f"the built-in examples are called {' and '.join(BUILT_IN)}"
+    )
     try:
-        if path.is_dir():
-            raise InputError(f"{path} is a folder; name a file in it")
-        # What is no regular file, a pipe say, tells no size beforehand and may never end.
-        with path.open("rb") as file:
-            content = file.read(LARGEST_FILE + 1)
-        if len(content) > LARGEST_FILE:
-            raise InputError(f"{path} has more than {LARGEST_FILE / 1e6:.0f} MB, too many for a measurement file")
         return content.decode("utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file (the built-in example is called 'paper')") from None
     except UnicodeDecodeError as error:
-        raise InputError(f"{path} is not UTF-8 text (byte {error.start}); is it a measurement file?") from None
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}") from None
-    except InputError:
-        raise
-    except ValueError as error:
-        raise InputError(f"{str(path)!r} cannot be the name of a file: {error}") from None
+        raise InputError(f"{path!s} is not UTF-8 text (byte {error.start}); is it a measurement file?") from None
 
 
 def parse(text: str, path: Path) -> dict[str, object]:
     """The tables of a TOML text."""
+    where = str(path)
+    found = _LONG_KEY.search(text)
+    if found is not None:
+        line = text.count("\n", 0, found.start()) + 1
+        raise InputError(f"{where} is not valid TOML: a key of more than {LONGEST_KEY} parts (at line {line})")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path} is not valid TOML: {error}") from None
+        raise InputError(f"{where} is not valid TOML: {error}") from None
     except ValueError:
         # The one that tomllib passes on: Python refuses whole numbers of more than a few thousand digits.
-        raise InputError(f"{path}: a number in it has thousands of digits; is it a measurement file?") from None
+        raise InputError(f"{where}: a number in it has thousands of digits; is it a measurement file?") from None
     except RecursionError:
-        raise InputError(f"{path} is not valid TOML: nested too deeply") from None
+        raise InputError(f"{where} is not valid TOML: nested too deeply") from None
 
 
 def is_record_file(path: str | Path) -> bool:
@@ -99,14 +108,37 @@ def is_record_file(path: str | Path) -> bool:
     Parameters
     ----------
     path : str or Path
-        "paper" is the built-in measurement file, as in `load`.
+        Or the name of a built-in example, as in `load`.
 
     Raises
     ------
     InputError
         Where the file cannot be read or is not TOML.
     """
-    if path == "paper":
+    if is_built_in(path):
         return False
     path = Path(path)
     return "record" in parse(read_text(path), path)
+
+
+def files_of(path: str | Path) -> tuple[Path, ...]:
+    """The files that a measurement or a record file is made of: itself, and those that its tables name.
+
+    Parameters
+    ----------
+    path : str or Path
+        Or the name of a built-in example, made of none.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read or is not TOML.
+    """
+    if is_built_in(path):
+        return ()
+    path = Path(path)
+    tables: list[object] = []
+    for value in parse(read_text(path), path).values():
+        tables += value if isinstance(value, list) else [value]
+    named = [each.get(key) for each in tables if isinstance(each, dict) for key in NAMING_KEYS]
+    return (path, *(path.parent / name for name in named if isinstance(name, str)))

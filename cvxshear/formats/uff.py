@@ -8,37 +8,46 @@ written in ASCII, to a name that does not exist yet.
 from __future__ import annotations
 
 import importlib
-import os
 import tempfile
+import warnings
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cvxshear.errors import InputError
-from cvxshear.formats.columns import Columns
-from cvxshear.modal.record import Complexes
-from cvxshear.modal.result import ModalResult
-from cvxshear.typing import Floats, Json
+from cvxshear.formats.columns import LIMIT, TOO_LARGE, Columns
+from cvxshear.formats.reading import read_bytes
+from cvxshear.text import printable
+from cvxshear.typing import Floats, Ints, Json
+from cvxshear.writing import write_file
+
+if TYPE_CHECKING:
+    from cvxshear.modal.record import Complexes
+    from cvxshear.modal.result import ModalResult
 
 X_TRANSLATION = 1
+AXES = ("", "x", "y", "z", "rx", "ry", "rz")
+"""Of the directions 0 to 6, negative ones the other way."""
 TIME, FRF = 1, 4
 """Function types of data set 58."""
 
 
-def read_uff(path: str | Path) -> tuple[Columns, dict[str, Json]]:
+def read_uff(path: str | Path, limit: float = LIMIT) -> tuple[Columns, dict[str, Json]]:
     """Read the functions (data set 58) of a universal file as columns.
 
     Parameters
     ----------
     path : str or Path
+    limit : float, optional
+        Bytes that the file may have.
 
     Returns
     -------
     columns : Columns
         The abscissa as `time` or `frequency`; each function by its response node and direction, `1x`,
-        `2x-`, ...; a complex function in two columns with `_re` and `_im`. A function whose name is taken
-        already has its place in the file appended, `1x#7`.
+        `2x-`, ... (`1d9` where the direction is none of the format's); a complex function in two
+        columns with `_re` and `_im`. A function whose name is taken already has its place in the file appended, `1x#7`.
     notes : dict
         For each function its `node`, `direction`, `reference_node`, `quantity`, `id`.
 
@@ -47,28 +56,28 @@ def read_uff(path: str | Path) -> tuple[Columns, dict[str, Json]]:
     InputError
         Where the file cannot be read or its functions have different abscissae, naming the function.
     """
-    path = Path(path)
-    functions = [item for item in _sets(path) if item.get("type") == 58]
+    where = str(path)
+    functions = _sets(Path(path), 58, limit)
     if not functions:
-        raise InputError(f"{path} holds no function (data set 58)")
+        raise InputError(f"{where} holds no function (data set 58)")
     axis = np.asarray(functions[0]["x"], dtype=np.float64)
     named: dict[str, Floats] = {"frequency" if int(functions[0]["func_type"]) == FRF else "time": axis}
     notes: dict[str, Json] = {}
     for place, item in enumerate(functions, 1):
         name = _name(item, place, notes)
         other = np.asarray(item["x"], dtype=np.float64)
-        if other.shape != axis.shape or not np.allclose(other, axis, rtol=1e-5, atol=1e-9):
+        values = np.asarray(item["data"])
+        if not (values.shape == other.shape == axis.shape and _close(other, axis)):
             raise InputError(
-                f'{path}: function {place}, channel "{name}", has {len(other)} points in steps of '
+                f'{where}: function {place}, channel "{name}", has {len(other)} points in steps of '
                 f"{_step(other):.6g}, the first has {len(axis)} in steps of {_step(axis):.6g}; one file, one rate"
             )
         notes[name] = _note(item)
-        values = np.asarray(item["data"])
         if np.iscomplexobj(values):
             named[f"{name}_re"], named[f"{name}_im"] = values.real, values.imag
         else:
             named[name] = values.astype(np.float64)
-    return Columns(str(path), tuple(named), np.column_stack(list(named.values()))), notes
+    return Columns(where, tuple(named), np.column_stack(list(named.values()))), notes
 
 
 def write_uff(path: str | Path, result: ModalResult) -> None:
@@ -85,45 +94,45 @@ def write_uff(path: str | Path, result: ModalResult) -> None:
     InputError
         Where pyuff is not installed, a value is not finite, or the file cannot be written.
     """
-    path = Path(path)
     if not (np.all(np.isfinite(result.mode_shapes)) and np.all(np.isfinite(result.frequencies))):
         raise InputError("a universal file cannot hold nan: pyuff would write it as 0")
     pyuff = _pyuff()
-    folder = tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.")
-    written = Path(folder) / "modes.uff"
-    try:
-        file = pyuff.UFF(str(written))
+    # pyuff writes to a name only.
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / "modes.uff"
+        file = pyuff.UFF(str(made))
         file.write_sets(_header(pyuff, result), mode="add")
         for place in range(len(result.frequencies)):
             file.write_sets(_mode(pyuff, result, place), mode="add")
-        written.replace(path)
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror}") from None
-    finally:
-        written.unlink(missing_ok=True)
-        os.rmdir(folder)
+        write_file(path, made.read_bytes())
 
 
-def read_modes(path: str | Path) -> tuple[Floats, Floats, Complexes]:
-    """Frequencies (Hz), viscous damping ratios and shapes of the modes (data set 55) of a universal file.
+def read_modes(path: str | Path) -> tuple[Floats, Floats, Complexes, Ints]:
+    """Frequencies (Hz), viscous damping ratios, shapes and nodes of the modes (data set 55) of a universal file.
 
     Returns
     -------
     frequencies, damping : array, shape (modes,)
     shapes : array of complex, shape (modes, nodes)
         In the x direction, in the order of the file's nodes.
+    nodes : array of int, shape (nodes,)
 
     Raises
     ------
     InputError
         Where the file cannot be read or holds no mode.
     """
-    modes = [item for item in _sets(Path(path)) if item.get("type") == 55]
+    where = str(path)
+    modes = _sets(Path(path), 55, LIMIT)
     if not modes:
-        raise InputError(f"{path} holds no mode (data set 55)")
+        raise InputError(f"{where} holds no mode (data set 55)")
+    shapes = [np.atleast_1d(item["r1"]).astype(np.complex128) for item in modes]
+    nodes = [np.atleast_1d(item["node_nums"]).astype(np.int64) for item in modes]
+    if any("freq" not in item for item in modes) or len({each.tobytes() for each in nodes}) > 1:
+        raise InputError(f"{where}: the sets 55 are not normal modes at the same nodes")
     frequencies = np.array([float(np.real(item["freq"])) for item in modes])
     damping = np.array([float(item.get("modal_damp_vis", 0.0)) for item in modes])
-    return frequencies, damping, np.array([np.asarray(item["r1"], dtype=np.complex128) for item in modes])
+    return frequencies, damping, np.array(shapes), nodes[0]
 
 
 def _pyuff() -> Any:
@@ -133,21 +142,32 @@ def _pyuff() -> Any:
         raise InputError("universal files need pyuff: install cvxshear[uff]") from None
 
 
-def _sets(path: Path) -> list[Json]:
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
+def _sets(path: Path, kind: int, limit: float) -> list[Json]:
+    """The data sets of one kind."""
+    where = str(path)
+    # pyuff opens the file by its name; that it can be read, and how large it is, is told here.
+    read_bytes(path, limit, TOO_LARGE, named=True)
     pyuff = _pyuff()
     try:
-        found = pyuff.UFF(str(path)).read_sets()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            file = pyuff.UFF(str(path))
+            places = [place for place, each in enumerate(file.get_set_types()) if int(each) == kind]
+            found = file.read_sets(places) if places else []
     except Exception as error:
         # pyuff raises whatever its parsing runs into.
-        raise InputError(f"{path} is not a universal file that can be read: {error}") from error
+        raise InputError(f"{where} is not a universal file that can be read: {str(error)[:200]}") from error
     return [found] if isinstance(found, dict) else list(found)
+
+
+def _close(one: Floats, other: Floats) -> bool:
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.allclose(one, other, rtol=1e-5, atol=1e-9))
 
 
 def _name(item: Json, place: int, taken: dict[str, Json]) -> str:
     direction = int(item.get("rsp_dir", X_TRANSLATION))
-    axis = {0: "", 1: "x", 2: "y", 3: "z", 4: "rx", 5: "ry", 6: "rz"}[abs(direction)]
+    axis = AXES[abs(direction)] if abs(direction) < len(AXES) else f"d{abs(direction)}"
     name = f"{int(item.get('rsp_node', 0))}{axis}{'-' if direction < 0 else ''}"
     return f"{name}#{place}" if name in taken else name
 
@@ -169,7 +189,7 @@ def _step(axis: Floats) -> float:
 def _header(pyuff: Any, result: ModalResult) -> list[Json]:
     return [
         pyuff.prepare_151(
-            model_name=result.name[:80],
+            model_name=printable(result.name)[:80],
             description=f"Modes by {result.method}",
             db_app="cvxshear",
             program="cvxshear",
@@ -191,7 +211,7 @@ def _header(pyuff: Any, result: ModalResult) -> list[Json]:
 def _mode(pyuff: Any, result: ModalResult, place: int) -> Json:
     frequency = float(result.frequencies[place])
     mode: Json = pyuff.prepare_55(
-        id1=result.name[:80],
+        id1=printable(result.name)[:80],
         id2=result.uncertainty[:80],
         id3="1/sqrt(kg)" if result.mass_normalized else "largest entry 1",
         id4=f"mode {int(result.modes[place])}",

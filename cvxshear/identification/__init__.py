@@ -1,6 +1,16 @@
 """Identification of floor masses and story stiffnesses."""
 
 from cvxshear.identification.identify import METHODS, identify
+from cvxshear.identification.programs_of import compare_backends, programs_of
 from cvxshear.identification.results import Identification, IdentifiedFrame, Part, Prediction
 
-__all__ = ["METHODS", "Identification", "IdentifiedFrame", "Part", "Prediction", "identify"]
+__all__ = [
+    "METHODS",
+    "Identification",
+    "IdentifiedFrame",
+    "Part",
+    "Prediction",
+    "compare_backends",
+    "identify",
+    "programs_of",
+]

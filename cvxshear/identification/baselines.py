@@ -61,10 +61,17 @@ def berman(of: Setting, backend: Backend, initial_mass: Floats | None = None) ->
     start = start_mass(of, initial_mass)
     M0 = np.diag(start)
     P = normalized(of.shapes, start)
-    inverse = np.linalg.inv(P.T @ M0 @ P)
+    a = P.T @ M0 @ P
+    if not np.linalg.cond(a) < 1 / np.sqrt(np.finfo(np.float64).eps):
+        raise UnsuitableError("method berman needs modes that differ from each other; use efficient")
+    inverse = np.linalg.inv(a)
     # a^-1 (1 - a) a^-1 = a^-2 - a^-1.
     M = M0 + M0 @ P @ (inverse @ inverse - inverse) @ P.T @ M0
     M = 0.5 * (M + M.T)
+    if np.any(np.diag(M) <= 0) or np.linalg.eigvalsh(M)[0] <= 0:
+        raise UnsuitableError(
+            "method berman corrects the mass matrix of these modes to one that is not positive definite; use efficient"
+        )
     added = of.configuration.added_mass
     return finished(
         of,

@@ -12,7 +12,7 @@ from cvxshear.effects.composition import slices
 from cvxshear.experiment import Experiment, Frame
 from cvxshear.identification.gauss_newton import Domain, embedded
 from cvxshear.priors import Constraints
-from cvxshear.programs.feasibility import Statement, refuse_contradictions
+from cvxshear.programs.feasibility import NamedConstraints, refuse_contradictions
 from cvxshear.programs.rows import statements
 from cvxshear.typing import Floats
 
@@ -20,11 +20,13 @@ SMALLEST = 1e-3
 """Of the mean at the start: a smaller mass or stiffness does not count as positive."""
 
 
-def spread(masses: Sequence[Statement], stiffnesses: Sequence[Statement], n: int, size: int) -> list[Statement]:
+def spread(
+    on_mass: Sequence[NamedConstraints], on_stiffness: Sequence[NamedConstraints], n: int, size: int
+) -> list[NamedConstraints]:
     """Statements about the masses and about the stiffnesses as statements about all parameters."""
     return [
-        Statement(part.name, embedded(part.constraints, at, size))
-        for parts, at in ((masses, slice(0, n)), (stiffnesses, slice(n, 2 * n)))
+        NamedConstraints(part.name, embedded(part.constraints, at, size))
+        for parts, at in ((on_mass, slice(0, n)), (on_stiffness, slice(n, 2 * n)))
         for part in parts
     ]
 
@@ -58,16 +60,16 @@ def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) 
         parameters = placed.effect.parameters
         if placed.fixed:
             held = Constraints(A=np.eye(len(parameters)), b=np.array(placed.fixed))
-            parts.append(Statement(f"{placed.label} as assumed", embedded(held, own, size)))
+            parts.append(NamedConstraints(f"{placed.label} as assumed", embedded(held, own, size)))
             continue
         bounds = Constraints(
             lower=np.array([item.lower for item in parameters]), upper=np.array([item.upper for item in parameters])
         )
         interval_std[own] = [(item.upper - item.lower) / np.sqrt(12) for item in parameters]
-        parts.append(Statement(f"bounds of {placed.label}", embedded(bounds, own, size)))
+        parts.append(NamedConstraints(f"bounds of {placed.label}", embedded(bounds, own, size)))
         limits = placed.effect.limits(experiment, placed.place)
         columns = np.concatenate([np.arange(2 * n), np.arange(own.start, own.stop)])
-        parts.append(Statement(f"what {placed.label} can be", embedded(limits, columns, size)))
+        parts.append(NamedConstraints(f"what {placed.label} can be", embedded(limits, columns, size)))
     return Domain(parts, np.where(theta == 0, 1.0, np.abs(theta)), interval_std)
 
 

@@ -19,7 +19,7 @@ from cvxshear.identification.ending import Ending
 from cvxshear.identification.misfit import Evaluation, Misfit
 from cvxshear.priors import Constraints
 from cvxshear.programs import LeastSquares
-from cvxshear.programs.feasibility import Statement
+from cvxshear.programs.feasibility import NamedConstraints
 from cvxshear.programs.rows import constrained
 from cvxshear.typing import Floats, Ints
 
@@ -80,7 +80,7 @@ class Domain:
 
     Parameters
     ----------
-    statements : sequence of Statement
+    statements : sequence of NamedConstraints
         Exact statements about theta.
     scale : ndarray, shape (P,)
         Size of each parameter at the start, to which a change is compared.
@@ -88,7 +88,7 @@ class Domain:
         Standard deviation that a parameter's interval of physical values stands for; infinite where it has none.
     """
 
-    statements: Sequence[Statement]
+    statements: Sequence[NamedConstraints]
     scale: Floats
     interval_std: Floats
 

@@ -13,7 +13,7 @@ from cvxshear.identification.domain import refuse_contradicting
 from cvxshear.identification.misfit import Misfit
 from cvxshear.identification.quality import quality
 from cvxshear.identification.results import IdentifiedFrame, Part, predictions
-from cvxshear.programs.feasibility import Statement
+from cvxshear.programs.feasibility import NamedConstraints
 from cvxshear.programs.rows import statements
 from cvxshear.typing import Floats
 
@@ -37,7 +37,7 @@ class Setting:
         (2 pi f)^2.
     total : float
         kg, with added mass.
-    mass_statements, stiffness_statements : list of Statement
+    mass_statements, stiffness_statements : list of NamedConstraints
         Exact statements about the floor masses without added mass, and about the story stiffnesses.
     shape_std : float
         Relative standard deviation of the shapes, root mean square; soft priors weigh against it.
@@ -50,8 +50,8 @@ class Setting:
     shapes: Floats
     eigenvalues: Floats
     total: float
-    mass_statements: list[Statement]
-    stiffness_statements: list[Statement]
+    mass_statements: list[NamedConstraints]
+    stiffness_statements: list[NamedConstraints]
     shape_std: float
     rows: bool | None = None
 

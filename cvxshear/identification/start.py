@@ -130,9 +130,9 @@ def _from_story_equations(experiment: Experiment, theta: Floats) -> Floats:
     program = LeastSquares(
         R=np.concatenate([*rows, np.diag(ridge)]), s=np.concatenate([*sides, ridge * theta]),
     )  # fmt: skip
-    masses = statements(experiment.priors, "floor_mass", n, experiment.frame)
-    stiffnesses = statements(experiment.priors, "story_stiffness", n)
-    x = backends.get("auto").solve(constrained(program, spread(masses, stiffnesses, n, 2 * n), np.zeros(2 * n))).x
+    on_mass = statements(experiment.priors, "floor_mass", n, experiment.frame)
+    on_stiffness = statements(experiment.priors, "story_stiffness", n)
+    x = backends.get("auto").solve(constrained(program, spread(on_mass, on_stiffness, n, 2 * n), np.zeros(2 * n))).x
     m, k = x[:n], x[n:]
     if m.mean() <= 0 or k.mean() <= 0:
         raise InputError("the story equations have no solution of positive masses and stiffnesses")

@@ -1,10 +1,8 @@
 """Records to modes: what was recorded, how modes are identified from it, and what it got wrong."""
 
-from cvxshear.modal.adapters import from_arrays, from_pyoma
-from cvxshear.modal.diagram import stabilization_diagram
+from cvxshear.modal.adapters import from_arrays, from_pyoma, from_sdypy
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.identify import identify_modes
-from cvxshear.modal.pipeline import run
 from cvxshear.modal.record import Channel, FrfRecord, FrfRun, Record, Run, TimeRecord
 from cvxshear.modal.result import ModalResult
 from cvxshear.modal.stabilization import Criteria
@@ -21,7 +19,6 @@ __all__ = [
     "TimeRecord",
     "from_arrays",
     "from_pyoma",
+    "from_sdypy",
     "identify_modes",
-    "run",
-    "stabilization_diagram",
 ]

@@ -1,4 +1,4 @@
-"""Modes that were identified elsewhere: plain arrays, results of pyOMA2."""
+"""Modes that were identified elsewhere: plain arrays, results of pyOMA2 and of sdypy-EMA."""
 
 from __future__ import annotations
 
@@ -140,6 +140,50 @@ def from_pyoma(
         stories=stories,
         damping_ratios=None if damping is None else np.clip(np.atleast_1d(damping), 0.0, None),
         frequency_std=None if std is None else np.atleast_1d(std) / frequencies,
+        name=name,
+    )
+
+
+def from_sdypy(
+    model: Any, *, floors: ArrayLike | None = None, stories: int | None = None, name: str = "sdypy"
+) -> ModalResult:
+    """Modes of a sdypy-EMA model whose poles have been selected and whose modal constants have been computed.
+
+    Parameters
+    ----------
+    model : sdypy.EMA.Model
+        Anything with `nat_freq` and `nat_xi`, shape (m,), and the modal constants `A`, shape (channels, m), of one
+        driving point.
+    floors : array_like of int, shape (channels,), optional
+        The floor of each channel; 1, 2, ... where None.
+    stories : int, optional
+    name : str, optional
+
+    Returns
+    -------
+    ModalResult
+
+    Raises
+    ------
+    InputError
+        Where no poles have been selected, one of them was not found, or there are no modal constants.
+    """
+    frequencies, constants = getattr(model, "nat_freq", None), getattr(model, "A", None)
+    if frequencies is None or constants is None:
+        raise InputError(
+            "the sdypy model holds no modes (nat_freq, A): select poles first, by select_closest_poles, then call "
+            "get_constants"
+        )
+    values = np.atleast_1d(np.asarray(frequencies, dtype=np.float64))
+    missing = np.flatnonzero(~(values > 0))
+    if missing.size:
+        raise InputError(f"the sdypy model found no pole for mode {missing[0] + 1}: select another frequency for it")
+    return from_arrays(
+        values,
+        np.atleast_2d(np.asarray(constants).T),
+        floors=floors,
+        stories=stories,
+        damping_ratios=np.clip(np.atleast_1d(np.asarray(model.nat_xi, dtype=np.float64)), 0.0, None),
         name=name,
     )
 

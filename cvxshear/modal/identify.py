@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from cvxshear import checks
-from cvxshear.errors import NoSolutionError
+from cvxshear.errors import InputError, NoSolutionError
 from cvxshear.modal import diagnostics
 from cvxshear.modal.assemble import assembled
 from cvxshear.modal.channels import channel_findings, without_dead
 from cvxshear.modal.estimate import Setting, covariance, details
+from cvxshear.modal.functions import measured_functions
 from cvxshear.modal.leakage import settle_truncation
-from cvxshear.modal.picking import Sweep, Values, sweep_orders
+from cvxshear.modal.picking import REACH, Sweep, Values, sweep_orders
 from cvxshear.modal.prepare import BLOCKS, METHODS, default_method, source_of
 from cvxshear.modal.rate import settled
 from cvxshear.modal.realization import Source
@@ -27,6 +30,8 @@ from cvxshear.modal.stabilization import Criteria
 LARGEST_SHAPE_STD = 0.3
 """Of an entry, over the mode's largest: a shape less sure is none."""
 LARGEST_FREQUENCY_STD = 0.05
+SHOWN = 1.5
+"""Times the highest natural frequency: as far the functions of a record are kept."""
 
 
 @dataclass(frozen=True)
@@ -41,11 +46,14 @@ class Options:
     rule: str = "magnitude"
     accept_swapped: bool = False
     seed: int = 0
+    pick: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         checks.choice(self.rule, RULES, "rule")
         if self.method is not None:
             checks.choice(self.method, METHODS, "method")
+        if self.pick and self.count is not None:
+            raise InputError("give either count or pick: the modes picked by hand are as many as they are")
 
 
 def identify_modes(
@@ -60,6 +68,8 @@ def identify_modes(
     correct_clocks: bool = False,
     accept_swapped: bool = False,
     seed: int = 0,
+    pick: Sequence[float] | None = None,
+    functions: bool = False,
 ) -> ModalResult:
     """Identify the sway modes of a frame from a record.
 
@@ -87,6 +97,10 @@ def identify_modes(
         Report channels that look swapped as a finding, not as an error.
     seed : int, optional
         For the surrogates of a record that cannot be cut into pieces.
+    pick : sequence of float, optional
+        Frequencies in Hz, as read off a stabilization diagram: the nearest stable poles, within 3 %, are the modes.
+    functions : bool, optional
+        Whether the result keeps what the record shows over frequency, for figures.
 
     Returns
     -------
@@ -101,11 +115,29 @@ def identify_modes(
     NoSolutionError
         Where no mode of the frame was found.
     """
-    options = Options(method, estimator, blocks, criteria or Criteria(), count, rule, accept_swapped, seed)
+    picked = () if pick is None else tuple(checks.vector(pick, "pick", above=0.0).tolist())
+    options = Options(method, estimator, blocks, criteria or Criteria(), count, rule, accept_swapped, seed, picked)
+    try:
+        # The matrices are small: with all cores, threads wait for each other longer than they compute.
+        with threadpool_limits(1):
+            result, record = _with_clocks(record, options, correct_clocks=correct_clocks)
+            if not functions:
+                return result
+            alive = without_dead(record, list(result.findings))
+            return dataclasses.replace(result, functions=measured_functions(alive, SHOWN * result.frequencies[-1]))
+    except np.linalg.LinAlgError as error:
+        # Records that no frame made, a channel twice or a constant, have no decomposition somewhere.
+        reason = f"the record determines no model ({error}); is one channel a copy of another, or constant?"
+        raise NoSolutionError(options.method or default_method(record), reason) from error
+
+
+def _with_clocks(record: Record, options: Options, *, correct_clocks: bool) -> tuple[ModalResult, Record]:
+    """The result, and the record it is of: with its clocks set right where that was asked for and needed."""
     result = _identified(record, options)
     if not correct_clocks or not any(finding.kind == "clock offset" for finding in result.findings):
-        return result
-    return _with_first_findings(result, _identified(shifted(record, result.clock_offsets), options))
+        return result, record
+    record = shifted(record, result.clock_offsets)
+    return _with_first_findings(result, _identified(record, options)), record
 
 
 def _identified(record: Record, options: Options) -> ModalResult:
@@ -113,17 +145,24 @@ def _identified(record: Record, options: Options) -> ModalResult:
     record = without_dead(record, findings)
     method = options.method or default_method(record)
     shift = 0.0 if record.exponential_window is None else 1.0 / record.exponential_window
-    most = record.stories
-    wanted = most if options.count is None else checks.whole(options.count, "count", least=1, most=most)
+    wanted = _wanted(record, options)
 
     def attempt(record: Record) -> tuple[Source, Sweep]:
         source = source_of(record, method, estimator=options.estimator, blocks=options.blocks)
         by_signs = len(record.channels) == record.stories > 1
         return source, sweep_orders(
-            source, options.criteria, count=wanted, by_signs=by_signs, band=record.band, shift=shift
+            source,
+            options.criteria,
+            count=wanted,
+            by_signs=by_signs,
+            band=record.band,
+            shift=shift,
+            picked=options.pick,
         )
 
     source, sweep = settled(record, wanted, attempt)
+    if len(sweep.chosen) < len(options.pick):
+        raise InputError(_out_of_reach(sweep, options.pick))
     if not sweep.chosen:
         raise NoSolutionError(method, _nothing(sweep))
     base = not isinstance(record, FrfRecord) and record.input == "base"
@@ -133,7 +172,8 @@ def _identified(record: Record, options: Options) -> ModalResult:
         full = details(setting, _chosen(sweep), None)
         spread, how, lost = covariance(setting, full, options.seed)
         result = assembled(record, setting, full, spread, method=method, uncertainty=how)
-        sweep = _reproducible(result, sweep)
+        # What was picked by hand stays; its standard deviations say how sure it is.
+        sweep = sweep if options.pick else _reproducible(result, sweep)
         if not sweep.chosen:
             raise NoSolutionError(method, _nothing(sweep))
         if len(sweep.chosen) == len(result.frequencies):
@@ -142,6 +182,24 @@ def _identified(record: Record, options: Options) -> ModalResult:
     findings += of_leakage
     findings += diagnostics.modal_findings(record, result, setting, full, lost, accept_swapped=options.accept_swapped)
     return dataclasses.replace(result, findings=tuple(findings))
+
+
+def _wanted(record: Record, options: Options) -> int:
+    """How many modes would be all."""
+    most = record.stories
+    if len(options.pick) > most:
+        raise InputError(f"pick names {len(options.pick)} modes; a frame of {most} stories has no more than {most}")
+    if options.pick:
+        return len(options.pick)
+    return most if options.count is None else checks.whole(options.count, "count", least=1, most=most)
+
+
+def _out_of_reach(sweep: Sweep, picked: tuple[float, ...]) -> str:
+    near = [item.frequency for item in sweep.chosen]
+    missing = [f for f in picked if not any(abs(f - other) <= REACH * f for other in near)]
+    named = ", ".join(f"{f:g}" for f in missing or picked)
+    there = ", ".join(f"{item.frequency:.4g}" for item in sweep.candidates)
+    return f"pick: no stable pole of its own within {100 * REACH:g} % of {named} Hz; there are {there or 'none'} Hz"
 
 
 def _reproducible(result: ModalResult, sweep: Sweep) -> Sweep:

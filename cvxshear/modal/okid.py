@@ -12,12 +12,15 @@ zero beyond p.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
 from scipy import linalg
 
+from cvxshear.errors import NoSolutionError
 from cvxshear.modal.realization import Impulse, block_hankel, left_factor
+from cvxshear.modal.record import Complexes
 from cvxshear.typing import Bools, Floats, Ints
 
 LAGS = 20
@@ -114,8 +117,21 @@ def _system_markov(direct: Floats, inputs: Floats, outputs: Floats, count: int) 
     transition[:, :rows] = outputs.reshape(lags * rows, rows)
     drive = (inputs + outputs @ direct).reshape(lags * rows, columns)
     values, vectors = linalg.eig(transition)
-    weights = linalg.solve(vectors, drive.astype(np.complex128))
+    weights = _in_vectors(vectors, drive.astype(np.complex128))
     kept = np.abs(values) < LARGEST_GROWTH
     powers = np.cumprod(np.vstack([np.ones(kept.sum()), np.tile(values[kept], (count - 1, 1))]), axis=0)
     later = np.einsum("ks,os,si->koi", powers, vectors[:rows, kept], weights[kept], optimize=True)
     return np.concatenate([direct[None], later.real])
+
+
+def _in_vectors(vectors: Complexes, drive: Complexes) -> Complexes:
+    """The drive in the eigenvectors of F; where these fall together the powers of F are no sum over eigenvalues."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", linalg.LinAlgWarning)
+        try:
+            return np.asarray(linalg.solve(vectors, drive))
+        except (linalg.LinAlgError, linalg.LinAlgWarning):
+            raise NoSolutionError(
+                "okid",
+                "the observer of this record has no separate poles; is one channel a copy of another, or constant?",
+            ) from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +29,8 @@ from cvxshear.typing import Bools, Floats
 
 MOST_CANDIDATES = 8
 """Candidates for one mode that are weighed against those for the others."""
+REACH = 0.03
+"""Relative; a pole picked by hand is looked for so far around the frequency given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +97,7 @@ def sweep_orders(
     by_signs: bool,
     band: tuple[float, float] | None = None,
     shift: float = 0.0,
+    picked: Sequence[float] = (),
 ) -> Sweep:
     """Sweep the orders, cluster the stable poles and choose the frame's modes.
 
@@ -111,6 +115,8 @@ def sweep_orders(
         Hz.
     shift : float, optional
         Decay that an exponential window added, 1/s.
+    picked : sequence of float, optional
+        Frequencies in Hz whose nearest stable poles are the modes, whatever else would choose them.
 
     Returns
     -------
@@ -130,6 +136,8 @@ def sweep_orders(
     found.sort(key=lambda item: item.frequency)
     found = _weighed(_distinct(_within(found, band), criteria), source.data(), source.sampling_rate)
     found = _collinear(found, criteria)
+    if picked:
+        return Sweep(poles, stable, tuple(found), tuple(_by_hand(found, picked)))
     usable = [item for item in found if item.physical]
     chosen = _by_signs(usable, count) if by_signs else _by_energy(usable, count)
     if by_signs and not _grows(chosen):
@@ -188,6 +196,20 @@ def _collinear(found: list[Candidate], criteria: Criteria) -> list[Candidate]:
         else:
             result.append(item)
     return result
+
+
+def _by_hand(found: list[Candidate], picked: Sequence[float]) -> list[Candidate]:
+    """The candidate nearest to each frequency; none where none is within reach, or it is taken."""
+    chosen: list[Candidate] = []
+    for frequency in sorted(picked):
+        near = [
+            item
+            for item in found
+            if abs(item.frequency - frequency) <= REACH * frequency and not any(item is other for other in chosen)
+        ]
+        if near:
+            chosen.append(min(near, key=lambda item: abs(item.frequency - frequency)))
+    return sorted(chosen, key=lambda item: item.frequency)
 
 
 def _by_energy(usable: list[Candidate], count: int) -> list[Candidate]:

@@ -131,7 +131,7 @@ def _mapped(record: TimeRecord, change: Callable[[Floats], Floats], rate: float)
 
 
 def _hits(record: TimeRecord, estimator: str) -> FrfSource:
-    record = _without_offset(record)
+    record = without_offset(record)
     spectra, samples = hit_spectra(record)
     lines = reached_lines(spectra)
     if record.band is not None:
@@ -142,13 +142,13 @@ def _hits(record: TimeRecord, estimator: str) -> FrfSource:
     return FrfSource(spectra, 2 * (lines - 1) * step, samples, estimator)
 
 
-def _without_offset(record: TimeRecord) -> TimeRecord:
+def without_offset(record: TimeRecord) -> TimeRecord:
     """A decay must not lose its slow part to a fitted line: only the median goes, which a blow does not move."""
     return _mapped(record, lambda values: values - np.median(values, axis=0), record.sampling_rate)
 
 
 def _decays(record: TimeRecord) -> DecaySource:
-    record = decimated(_without_offset(record))
+    record = decimated(without_offset(record))
     starts = [_release(run.responses) for run in record.runs]
     samples = min(run.samples - start for run, start in zip(record.runs, starts, strict=True))
     pieces = [run.responses[start : start + samples] for run, start in zip(record.runs, starts, strict=True)]

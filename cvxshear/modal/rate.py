@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
-from cvxshear.errors import InputError
+from cvxshear.errors import InputError, NoSolutionError
 from cvxshear.modal.picking import Sweep
 from cvxshear.modal.realization import Source
 from cvxshear.modal.record import Record
@@ -45,8 +45,8 @@ def settled(record: Record, wanted: int, attempt: Attempt) -> tuple[Source, Swee
         band = (0.0, record.sampling_rate / (2.5 * factor))
         try:
             trial = attempt(dataclasses.replace(record, band=band))
-        except InputError:
-            # Too short to be decimated any further: what was found before stands.
+        except (InputError, NoSolutionError):
+            # Too short to be decimated any further, or without a model then: what was found before stands.
             break
         if len(trial[1].chosen) < len(best[1].chosen):
             break

@@ -82,7 +82,7 @@ class Run:
         responses = _matrix(self.responses, f"{self.name}: responses", np.float64)
         object.__setattr__(self, "responses", responses)
         if self.excitation is not None:
-            excitation = np.array(self.excitation, dtype=np.float64)
+            excitation = np.asarray(_matrix([self.excitation], f"{self.name}: excitation", np.float64)[0])
             if excitation.shape != (len(responses),):
                 raise InputError(
                     f"{self.name}: excitation has {excitation.size} samples, the responses have {len(responses)}"
@@ -310,14 +310,17 @@ Record = TimeRecord | FrfRecord
 
 
 def _matrix(value: Any, where: str, dtype: type) -> Any:
-    result: NDArray[Any] = np.array(value, dtype=dtype)
+    try:
+        result: NDArray[Any] = np.array(value, dtype=dtype)
+    except (TypeError, ValueError):
+        raise InputError(f"{where} must be a table of numbers, samples by channels") from None
     if result.ndim != 2 or 0 in result.shape:
         raise InputError(f"{where} must be a table of samples by channels, not of shape {result.shape}")
     return checks.frozen(result)
 
 
 def _refuse_nonfinite(values: NDArray[Any], where: str) -> None:
-    bad = np.flatnonzero(~np.isfinite(values))
+    bad = np.flatnonzero(~(np.abs(values) <= checks.LARGEST))
     if bad.size:
         raise InputError(f"{where} holds {values[bad[0]]} at sample {bad[0] + 1} ({bad.size} such in all)")
 

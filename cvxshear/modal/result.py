@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from scipy.optimize import nnls
 
-from cvxshear.experiment import Experiment
-from cvxshear.formats.measurement import write_measurement
 from cvxshear.modal.findings import Finding
+from cvxshear.modal.functions import Functions
 from cvxshear.modal.picking import Sweep
 from cvxshear.modal.record import Complexes
 from cvxshear.showing import Shown
@@ -69,6 +67,8 @@ class ModalResult(Shown):
     findings : tuple of Finding
     sweep : Sweep, optional
         For the stabilization diagram.
+    functions : Functions, optional
+        What the record shows over frequency, for the figures.
     """
 
     name: str
@@ -92,6 +92,7 @@ class ModalResult(Shown):
     uncertainty: str
     findings: tuple[Finding, ...] = ()
     sweep: Sweep | None = None
+    functions: Functions | None = None
 
     def to_dict(self) -> Json:
         """The result as plain values."""
@@ -118,9 +119,11 @@ class ModalResult(Shown):
             "findings": [finding.to_dict() for finding in self.findings],
         }
 
-    def configuration(self, *, added_mass: Sequence[float] | None = None) -> Json:
+    def configuration(self, *, added_mass: Sequence[float] | None = None, state: str | None = None) -> Json:
         """The table `[[configuration]]` of a measurement file that these modes make."""
         result: Json = {"name": self.name}
+        if state is not None:
+            result["state"] = state
         if added_mass is not None:
             result["added_mass"] = [float(mass) for mass in added_mass]
         result |= {
@@ -142,6 +145,7 @@ class ModalResult(Shown):
         *,
         priors: Sequence[Mapping[str, object]] = (),
         added_mass: Sequence[float] | None = None,
+        state: str | None = None,
     ) -> Json:
         """A dict of the measurement file's shape, for `Experiment.from_dict`.
 
@@ -153,6 +157,8 @@ class ModalResult(Shown):
             The tables `[[prior]]`.
         added_mass : sequence of float, shape (N,), optional
             kg on each floor during the record.
+        state : str, optional
+            The state of the frame that was tested.
 
         Returns
         -------
@@ -161,8 +167,8 @@ class ModalResult(Shown):
         Notes
         -----
         Where neither the shapes nor the frame nor a prior say how heavy the frame is, the total mass is set
-        to 1 kg: masses and stiffnesses then come out per kilogram of the frame. A comment in the file that
-        `write` makes, and a finding of the result, say so.
+        to 1 kg: masses and stiffnesses then come out per kilogram of the frame. The measurement file that is
+        written of the result says so in a comment at its head.
         """
         table = {"stories": self.stories, **(frame or {})}
         if self.needs_mass(table, priors):
@@ -170,7 +176,7 @@ class ModalResult(Shown):
         result: Json = {"frame": table}
         if priors:
             result["prior"] = [dict(prior) for prior in priors]
-        result["configuration"] = [self.configuration(added_mass=added_mass)]
+        result["configuration"] = [self.configuration(added_mass=added_mass, state=state)]
         return result
 
     def needs_mass(self, frame: Mapping[str, object], priors: Sequence[Mapping[str, object]]) -> bool:
@@ -180,35 +186,6 @@ class ModalResult(Shown):
             for prior in priors
         )
         return not (self.mass_normalized or "total_mass" in frame or "floor_masses" in frame or fixed)
-
-    def write(
-        self,
-        path: str | Path,
-        frame: Mapping[str, object] | None = None,
-        *,
-        priors: Sequence[Mapping[str, object]] = (),
-        added_mass: Sequence[float] | None = None,
-    ) -> None:
-        """Write the measurement file, the findings as comments at its head.
-
-        Parameters
-        ----------
-        path : str or Path
-        frame, priors, added_mass
-            As for `to_experiment`.
-
-        Raises
-        ------
-        InputError
-            Where the modes do not make a measurement that `cvxshear.load` would take; nothing is written.
-        """
-        declared = self.to_experiment(frame, priors=priors, added_mass=added_mass)
-        Experiment.from_dict(declared, name=self.name)
-        comments = [f"Modes of {self.name} by {self.method}; standard deviations: {self.uncertainty}"]
-        if self.needs_mass(frame or {}, priors) and not any(finding.kind == "scale" for finding in self.findings):
-            comments.append("scale: total_mass = 1 stands for a mass nobody gave; masses and stiffnesses are relative")
-        comments.extend(f"{finding.kind}: {finding.message}" for finding in self.findings)
-        write_measurement(path, declared, comments)
 
 
 def independent_std(covariance: Floats, shape: Floats) -> Floats:

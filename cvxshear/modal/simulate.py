@@ -119,6 +119,26 @@ def base_record(
     return _record(frame, [run], sampling_rate, "base")
 
 
+def shaker_record(
+    frame: KnownFrame,
+    seed: int,
+    *,
+    noise: float,
+    floor: int,
+    duration: float = 240.0,
+    sampling_rate: float = 20.0,
+    name: str = "shaker",
+) -> TimeRecord:
+    """A shaker's white force of 10 N at one floor, measured, and the accelerations of all; noise on every sensor."""
+    random = np.random.default_rng(seed)
+    step = 1 / (sampling_rate * OVERSAMPLING)
+    force = 10.0 * _white(int(duration * sampling_rate) * OVERSAMPLING, random)
+    forces = np.zeros((len(force), len(frame.masses)))
+    forces[:, floor - 1] = force
+    run = _sensed(np.column_stack([force, frame.accelerations(forces, step)]), noise, random, floor, name)
+    return _record(frame, [run], sampling_rate, "force")
+
+
 def ambient_record(
     frame: KnownFrame, seed: int, *, noise: float, duration: float = 1200.0, sampling_rate: float = 20.0
 ) -> TimeRecord:

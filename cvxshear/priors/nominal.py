@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from scipy.linalg import helmert
 
 from cvxshear import checks
 from cvxshear.errors import InputError
@@ -18,8 +19,8 @@ class Nominal(Prior):
     """x = values, or x = c values with any c > 0; exact or soft.
 
     Soft, r_i = (x_i / v_i - 1) / std. With a free scale r is log(x_i / v_i) / std less its mean over the
-    floors, expressed in an orthonormal basis of the N - 1 directions that change the distribution, so that
-    it counts as N - 1 statements.
+    floors, expressed in an orthonormal basis of the N - 1 directions that change the distribution (the
+    Helmert contrasts), so that it counts as N - 1 statements.
 
     Parameters
     ----------
@@ -73,20 +74,10 @@ class Nominal(Prior):
             return super().residual(x)
         if not self.free_scale:
             return (x / self.values - 1.0) / self.std, np.diag(1.0 / (self.values * self.std))
-        basis = _distribution_basis(len(x)) / self.std
+        basis = helmert(len(x)) / self.std
         return basis @ np.log(x / self.values), basis / x
 
     def describe(self) -> str:
         """The statement in words."""
         scale = " up to a common factor" if self.free_scale else ""
         return f"{self.quantity} is {listed(self.values)} {UNITS[self.quantity]}{scale}{certainty(self.std)}"
-
-
-def _distribution_basis(n: int) -> Floats:
-    """Orthonormal rows, shape (n - 1, n), each orthogonal to (1, ..., 1): the Helmert contrasts."""
-    rows = np.zeros((n - 1, n))
-    for i in range(1, n):
-        rows[i - 1, :i] = 1.0
-        rows[i - 1, i] = -i
-        rows[i - 1] /= np.sqrt(i * (i + 1.0))
-    return rows

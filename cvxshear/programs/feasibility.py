@@ -14,14 +14,14 @@ from cvxshear.typing import Floats
 
 
 @dataclass(frozen=True, eq=False)
-class Statement:
+class NamedConstraints:
     """Exact statements about one vector, and their name for a message."""
 
     name: str
     constraints: Constraints
 
 
-def _stacked(parts: Sequence[Statement], size: int) -> tuple[Floats, Floats, Floats, Floats]:
+def _stacked(parts: Sequence[NamedConstraints], size: int) -> tuple[Floats, Floats, Floats, Floats]:
     """G, h, A, b of all the statements, bounds as rows of G."""
     eye = np.eye(size)
     G, h, A, b = [np.zeros((0, size))], [np.zeros(0)], [np.zeros((0, size))], [np.zeros(0)]
@@ -48,7 +48,7 @@ def _scaled(rows: Floats, sides: Floats) -> tuple[Floats, Floats]:
     return rows / largest[:, None], sides / largest
 
 
-def _refuse_malformed(part: Statement, size: int) -> None:
+def _refuse_malformed(part: NamedConstraints, size: int) -> None:
     """Raise where a statement, perhaps from a prior of the caller's own, is not about a vector of that size."""
     said = part.constraints
     for name in ("lower", "upper", "G", "h", "A", "b"):
@@ -63,7 +63,7 @@ def _refuse_malformed(part: Statement, size: int) -> None:
             raise InputError(f"{part.name}: its {name} must hold finite numbers, not {np.asarray(value)[wrong][0]}")
 
 
-def feasible(parts: Sequence[Statement], size: int) -> bool:
+def feasible(parts: Sequence[NamedConstraints], size: int) -> bool:
     """Whether some vector keeps every statement."""
     G, h, A, b = _stacked(parts, size)
     scale = max(1e-300, float(np.max(np.abs(np.concatenate([h, b])), initial=0.0)))
@@ -79,7 +79,7 @@ def feasible(parts: Sequence[Statement], size: int) -> bool:
     return bool(found.status != 2)
 
 
-def _plainly_feasible(parts: Sequence[Statement], size: int) -> bool:
+def _plainly_feasible(parts: Sequence[NamedConstraints], size: int) -> bool:
     """Whether the statements are lower bounds and at most one weighted sum that is greater than theirs.
 
     Then a point that keeps them all is at hand, and no linear program need be solved.
@@ -102,7 +102,7 @@ def _plainly_feasible(parts: Sequence[Statement], size: int) -> bool:
     return bool(np.all(row > 0) and np.all(np.isfinite(lower)) and row @ lower < side)
 
 
-def refuse_contradictions(parts: Sequence[Statement], size: int) -> None:
+def refuse_contradictions(parts: Sequence[NamedConstraints], size: int) -> None:
     """Raise where the statements cannot all be true.
 
     A statement that the others contradict without each other's help is kept, the rest are dropped one by

@@ -14,6 +14,8 @@ from cvxshear.typing import Floats
 def pair_products(columns: Floats, *, diagonal: bool = True) -> Floats:
     """Rows p_i o p_j for the column pairs i <= j, or i < j without the diagonal.
 
+    scipy.linalg.khatri_rao forms every pair twice, and these rows are most of the memory of a program.
+
     Parameters
     ----------
     columns : ndarray, shape (N, m)
@@ -28,8 +30,8 @@ def pair_products(columns: Floats, *, diagonal: bool = True) -> Floats:
 
 def normalized(shapes: Floats, M: Floats) -> Floats:
     """The columns scaled to phi_j' M phi_j = 1 (Eq. 3); M is a vector of masses or a full matrix."""
-    heavy = M[:, None] * shapes if M.ndim == 1 else M @ shapes
-    scaled: Floats = shapes / np.sqrt(np.sum(shapes * heavy, axis=0))
+    weighted = M[:, None] * shapes if M.ndim == 1 else M @ shapes
+    scaled: Floats = shapes / np.sqrt(np.sum(shapes * weighted, axis=0))
     return scaled
 
 

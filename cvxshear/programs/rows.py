@@ -8,14 +8,14 @@ import numpy as np
 
 from cvxshear.experiment import Frame
 from cvxshear.priors import Constraints, Prior
-from cvxshear.programs.feasibility import Statement
+from cvxshear.programs.feasibility import NamedConstraints
 from cvxshear.programs.least_squares import LeastSquares, remaining
 from cvxshear.typing import Floats
 
 
 def statements(
     priors: Sequence[Prior], quantity: str, stories: int, frame: Frame | None = None, least: float = 0.0
-) -> list[Statement]:
+) -> list[NamedConstraints]:
     """The exact statements about one quantity: its positivity, what the frame declares, and the priors.
 
     Parameters
@@ -29,27 +29,27 @@ def statements(
     least : float, optional
         What counts as positive, kg or N/m: a mass or stiffness of zero has no modes.
     """
-    result = [Statement(f"{quantity} is positive", Constraints(lower=np.full(stories, least)))]
+    result = [NamedConstraints(f"{quantity} is positive", Constraints(lower=np.full(stories, least)))]
     if quantity == "floor_mass" and frame is not None:
         if frame.floor_masses is not None:
-            result.append(Statement("floor_masses", Constraints(A=np.eye(stories), b=frame.floor_masses)))
+            result.append(NamedConstraints("floor_masses", Constraints(A=np.eye(stories), b=frame.floor_masses)))
         elif frame.total_mass is not None:
             known = Constraints(A=np.ones((1, stories)), b=np.array([frame.total_mass]))
-            result.append(Statement(f"total_mass = {frame.total_mass:g} kg", known))
+            result.append(NamedConstraints(f"total_mass = {frame.total_mass:g} kg", known))
     return result + [
-        Statement(f"prior: {prior.describe()}", prior.constraints(stories))
+        NamedConstraints(f"prior: {prior.describe()}", prior.constraints(stories))
         for prior in priors
         if prior.quantity == quantity
     ]
 
 
-def constrained(program: LeastSquares, parts: Sequence[Statement], origin: Floats) -> LeastSquares:
+def constrained(program: LeastSquares, parts: Sequence[NamedConstraints], origin: Floats) -> LeastSquares:
     """The program, its unknown x being a change of a quantity from `origin`, kept within the statements.
 
     Parameters
     ----------
     program : LeastSquares
-    parts : sequence of Statement
+    parts : sequence of NamedConstraints
         About origin + x.
     origin : ndarray, shape (n,)
     """

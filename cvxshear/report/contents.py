@@ -9,12 +9,12 @@ from collections.abc import Iterator
 from importlib import metadata
 
 import cvxshear
+from cvxshear.backends import Comparison
 from cvxshear.loop import Closure
 from cvxshear.quantities import AUTOMATIC, Units, capital
 from cvxshear.report import motion
 from cvxshear.report.describe import describe
 from cvxshear.report.describe.headline import headline
-from cvxshear.studies.backends import Comparison
 from cvxshear.typing import Json
 
 PACKAGES = (

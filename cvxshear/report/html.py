@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from cvxshear.backends import Comparison
 from cvxshear.errors import CvxshearError
+from cvxshear.identification import compare_backends
 from cvxshear.loop import Closure
 from cvxshear.quantities import AUTOMATIC, Units
-from cvxshear.report.files import write_whole
-from cvxshear.studies.backends import Comparison, compare_backends
+from cvxshear.writing import write_file
 
 try:
     from markupsafe import Markup
@@ -50,7 +51,7 @@ def write_report(
     InputError
         Where the file cannot be written.
     """
-    write_whole(path, render(result, command, comparison, units))
+    write_file(path, render(result, command, comparison, units))
 
 
 def render(result: Closure, command: str, comparison: Comparison | None = None, units: Units = AUTOMATIC) -> str:

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from rich.console import Console, RenderableType
 from rich.table import Table as Grid
 from rich.text import Text
 
+from cvxshear.backends import ListedBackend
 from cvxshear.identification import Identification
 from cvxshear.quantities import AUTOMATIC, Units
 from cvxshear.report.describe import Document, Facts, Points, Section, Sentence, Table, describe
 from cvxshear.report.house_table import HouseTable, plain_table
 from cvxshear.text import printable
 
-__all__ = ["HouseTable", "identification", "plain_table", "rendered", "shown", "text"]
+__all__ = ["HouseTable", "identification", "listed_backends", "plain_table", "rendered", "shown", "text"]
 
 STYLES = {"strong": "bold", "warning": "yellow", "": ""}
 
@@ -53,6 +54,21 @@ def identification(
         for section in describe(beside, units).sections:
             if section.key.startswith("part-"):
                 yield from _section(section)
+
+
+def listed_backends(listed: Sequence[ListedBackend]) -> Iterator[RenderableType]:
+    """Which backends are installed, with the version of their solver, and how to get the others."""
+    there = plain_table("installed", "backend", "solver", "version", "called by")
+    missing = plain_table("not installed", "backend", "how to get it", words=(0, 1))
+    for each in listed:
+        if each.installed:
+            there.add_row(each.name, each.solver or "this library", each.version or "–", each.through or "–")
+        else:
+            missing.add_row(each.name, each.how_to_get)
+    yield there
+    if missing.row_count:
+        yield Text("")
+        yield missing
 
 
 def text(result: object, width: int = PAGE) -> str:

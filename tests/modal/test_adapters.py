@@ -1,4 +1,4 @@
-"""Modes identified elsewhere, and the figure."""
+"""Modes identified elsewhere, and results as plain values."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 import cvxshear
 from cvxshear.errors import InputError
-from cvxshear.modal import from_arrays, from_pyoma, identify_modes, stabilization_diagram
+from cvxshear.modal import from_arrays, from_pyoma, from_sdypy, identify_modes
 from cvxshear.modal.simulate import PAPER_FRAME, base_record
 
 SHAPES = [[1.0, -0.6], [0.5, 1.0]]
@@ -65,26 +65,24 @@ def test_pyoma_algorithm():
         from_pyoma(SimpleNamespace(result=SimpleNamespace(Fn=None, Phi=None)))
 
 
+def test_sdypy_model():
+    """Modal constants of the force at floor 2: each shape times its own entry there, over 2i w."""
+    shapes = np.array([[0.5, 1.0], [1.0, -0.6]])
+    constants = shapes * shapes[:, [1]] / (2j * 2 * np.pi * np.array([[3.0], [9.0]]))
+    model = SimpleNamespace(nat_freq=[3.0, 9.0], nat_xi=[0.01, 0.02], A=constants.T)
+    result = from_sdypy(model)
+    ratios = result.mode_shapes[:, 0] / result.mode_shapes[:, 1]
+    np.testing.assert_allclose(ratios, [0.5, -1 / 0.6], rtol=1e-12)
+    np.testing.assert_allclose(result.damping_ratios, [0.01, 0.02])
+    with pytest.raises(InputError, match="then call get_constants"):
+        from_sdypy(SimpleNamespace(nat_freq=[3.0]))
+    with pytest.raises(InputError, match="found no pole for mode 2"):
+        from_sdypy(SimpleNamespace(nat_freq=[3.0, 0.0], nat_xi=[0.01, 0.0], A=constants.T))
+
+
 @pytest.fixture(scope="module")
 def result():
     return identify_modes(base_record(PAPER_FRAME, 0, noise=0.01, duration=150.0))
-
-
-def test_stabilization_diagram(result, tmp_path):
-    pytest.importorskip("matplotlib")
-    figure = stabilization_diagram(result)
-    lines = {line.get_label(): line for line in figure.axes[0].get_lines()}
-    frequencies, orders = lines["of a mode"].get_data()
-    assert set(np.round(frequencies, 1)) == {1.0, 2.2, 3.3}
-    assert max(orders) == 30
-    assert len(lines["pole"].get_xdata()) > 20
-    figure.savefig(tmp_path / "a.png")
-    assert (tmp_path / "a.png").stat().st_size > 5000
-
-
-def test_no_diagram_without_a_sweep():
-    with pytest.raises(InputError, match="no order sweep"):
-        stabilization_diagram(from_arrays([3.0, 9.0], SHAPES))
 
 
 def test_result_as_plain_values(result):

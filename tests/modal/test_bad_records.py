@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from cvxshear.errors import CvxshearError, InputError, NoSolutionError, UnsuitableError
+from cvxshear.formats.modes import modes_from_file
 from cvxshear.formats.record import read_record
-from cvxshear.modal import Channel, FrfRecord, FrfRun, Run, TimeRecord, identify_modes, run
+from cvxshear.modal import Channel, FrfRecord, FrfRun, Run, TimeRecord, identify_modes
 from cvxshear.modal.simulate import PAPER_FRAME, base_record
 from tests.modal.shared import csv
 
@@ -52,13 +53,13 @@ def written(folder, values, more="", names=NAMES, text=RECORD):
 
 def refused(path) -> str:
     with pytest.raises(InputError) as caught:
-        run(path, output=path.parent / "out.toml")
+        modes_from_file(path, output=path.parent / "out.toml")
     assert not (path.parent / "out.toml").exists()
     return str(caught.value)
 
 
 def test_the_good_one_is_read(tmp_path, good):
-    result, _ = run(written(tmp_path, good))
+    result, _ = modes_from_file(written(tmp_path, good))
     np.testing.assert_allclose(result.frequencies, PAPER_FRAME.modes()[0], rtol=1e-3)
 
 
@@ -70,7 +71,7 @@ def test_swapped_channels(tmp_path, good):
     assert "swapped" in message
     assert "line 11 of record.toml" in message
     assert "line 15 of record.toml" in message
-    accepted, _ = run(path, accept_swapped=True)
+    accepted, _ = modes_from_file(path, accept_swapped=True)
     assert "swapped channels" in {finding.kind for finding in accepted.findings}
 
 

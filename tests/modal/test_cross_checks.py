@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cvxshear.modal import Channel, Run, TimeRecord, from_pyoma, identify_modes, run
+from cvxshear.formats.modes import modes_from_file
+from cvxshear.modal import Channel, Run, TimeRecord, from_pyoma, from_sdypy, identify_modes
 from cvxshear.modal.shapes import mac
 from cvxshear.modal.simulate import PAPER_FRAME, ambient_record, base_record
 from tests.modal.shared import DATA, needs_southampton, southampton
@@ -75,10 +76,14 @@ def test_sdypy_ema(tmp_path):
     model = ema.Model(functions, table[:, 0], lower=5, upper=60, pol_order_high=60, frf_type="accelerance")
     model.get_poles(show_progress=False)
     model.select_closest_poles([6.51, 17.46, 26.50], f_window=2)
-    ours, _ = run(southampton(tmp_path))
+    ours, _ = modes_from_file(southampton(tmp_path))
     found = np.array(model.nat_freq) > 0
     assert found.any()
     # Which of its many orders the library picks a pole from changes with the last digits of the linear algebra; the
     # poles of all orders lie within one line of the functions, 1/32 Hz.
     np.testing.assert_allclose(np.array(model.nat_freq)[found], ours.frequencies[found], rtol=0, atol=1 / 32)
     np.testing.assert_allclose(np.array(model.nat_xi)[found], ours.damping_ratios[found], rtol=0.15)
+    if found.all():
+        model.get_constants()
+        theirs = from_sdypy(model, floors=[1, 2, 3])
+        assert min(mac(a, b) for a, b in zip(theirs.mode_shapes, ours.mode_shapes, strict=True)) > 0.99

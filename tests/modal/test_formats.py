@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from cvxshear.errors import InputError
 from cvxshear.formats.csv import read_csv
 from cvxshear.formats.mat import read_mat
 from cvxshear.formats.measurement import write_measurement
+from cvxshear.formats.modes import write_modes
 from cvxshear.formats.record import read_record
 from cvxshear.formats.uff import read_modes, read_uff, write_uff
 from cvxshear.modal import from_arrays
@@ -159,11 +162,18 @@ def test_modes_to_a_universal_file_and_back(tmp_path):
     given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]], damping_ratios=[0.01, 0.02], name="pair")
     write_uff(tmp_path / "modes.uff", given)
     write_uff(tmp_path / "modes.uff", given)
-    frequencies, damping, shapes = read_modes(tmp_path / "modes.uff")
+    frequencies, damping, shapes, _ = read_modes(tmp_path / "modes.uff")
     np.testing.assert_allclose(frequencies, [3.0, 9.0], rtol=1e-5)
     np.testing.assert_allclose(damping, [0.01, 0.02], rtol=1e-5)
     np.testing.assert_allclose(shapes, given.mode_shapes, rtol=1e-5)
     assert [path.name for path in tmp_path.iterdir()] == ["modes.uff"]
+
+
+def test_a_name_does_not_end_a_data_set(tmp_path):
+    pytest.importorskip("pyuff")
+    given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]], name="a\n    -1\n    -1\n    58\nb\x00ä" * 9)
+    write_uff(tmp_path / "modes.uff", given)
+    np.testing.assert_allclose(read_modes(tmp_path / "modes.uff")[0], [3.0, 9.0], rtol=1e-5)
 
 
 def test_what_is_no_universal_file(tmp_path):
@@ -206,7 +216,7 @@ def test_frame_and_priors_pass_through(tmp_path, values):
     path.write_text("added_mass = [0.0, 1.5]\n" + path.read_text())
     found = read_record(path)
     given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]])
-    given.write(tmp_path / "out.toml", found.frame, priors=found.priors, added_mass=found.added_mass)
+    write_modes(tmp_path / "out.toml", given, found.frame, priors=found.priors, added_mass=found.added_mass)
     experiment = cvxshear.load(tmp_path / "out.toml")
     assert experiment.frame.total_mass == 20.0
     assert len(experiment.priors) == 1
@@ -216,12 +226,44 @@ def test_frame_and_priors_pass_through(tmp_path, values):
 def test_a_file_that_would_be_refused_is_not_written(tmp_path):
     given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]])
     with pytest.raises(InputError, match="floor_masses"):
-        given.write(tmp_path / "out.toml", {"floor_masses": [1.0, -2.0]})
+        write_modes(tmp_path / "out.toml", given, {"floor_masses": [1.0, -2.0]})
     assert not list(tmp_path.iterdir())
 
 
 def test_an_unknown_mass_is_said(tmp_path):
     given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]])
-    given.write(tmp_path / "out.toml")
+    write_modes(tmp_path / "out.toml", given)
     assert "total_mass = 1 stands for a mass nobody gave" in (tmp_path / "out.toml").read_text()
     assert cvxshear.load(tmp_path / "out.toml").frame.total_mass == 1.0
+
+
+def test_modes_are_identified_without_a_reader_or_a_writer():
+    """`formats` makes records of `modal`, so `modal` imports nothing of it, not even inside a function."""
+    for path in (Path(cvxshear.__file__).parent / "modal").glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            names += [each.name for each in node.names] if isinstance(node, ast.Import) else []
+            assert not any(name.startswith("cvxshear.formats") for name in names), path.name
+
+
+@pytest.mark.parametrize("direction", [100, -100])
+def test_a_direction_that_the_universal_file_does_not_know_has_its_number(tmp_path, values, direction):
+    universal(tmp_path / "a.uff", values[:, [2]], [(1, 1)])
+    text = (tmp_path / "a.uff").read_text()
+    lines = text.splitlines()
+    head = lines[7]
+    assert head[41:55] == "         1   1"
+    lines[7] = f"{head[:51]}{direction:4d}{head[55:]}"
+    (tmp_path / "a.uff").write_text("\n".join(lines) + "\n")
+    assert read_uff(tmp_path / "a.uff")[0].names == ("time", "1d100" if direction > 0 else "1d100-")
+
+
+def test_rows_of_a_shape_are_lines_of_the_file(tmp_path):
+    shapes = [[0.1234567891, float("nan")], [1.0, -2.5e-7]]
+    declared = {"configuration": [{"name": "a [\n1,\n] b", "frequencies": [3, 9.5], "mode_shapes": shapes}]}
+    write_measurement(tmp_path / "a.toml", declared, ["said\n of\x1b it"])
+    text = (tmp_path / "a.toml").read_text(encoding="utf-8")
+    assert text.startswith("# said of\\x1b it\n\n")
+    assert "frequencies = [3, 9.5]\n" in text
+    assert "    [0.12345679, nan],\n    [1.0, -2.5e-07],\n" in text
+    assert tomllib.loads(text)["configuration"][0]["name"] == "a [\n1,\n] b"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.modal import run
+from cvxshear.formats.modes import modes_from_file
 from tests.modal.shared import mini_table, needs_mini_table, needs_southampton, southampton
 
 FLEXIBLE = ([3.68, 11.12, 16.60], [(0.427, 0.810, 1), (1, 0.372, -0.773), (-0.745, 1, -0.537)])
@@ -21,7 +21,7 @@ STIFF = ([7.82, 25.05, 39.75], [(0.429, 0.831, 1), (1, 0.251, -0.792), (-0.680, 
 def mini(name, **options):
     """The result for one record of the mini table; several tests ask for the same."""
     with tempfile.TemporaryDirectory() as folder:
-        return run(mini_table(Path(folder), name), **options)[0]
+        return modes_from_file(mini_table(Path(folder), name), **options)[0]
 
 
 @needs_mini_table
@@ -79,7 +79,7 @@ def test_frequencies_that_depend_on_amplitude_are_found():
 
 @needs_southampton
 def test_southampton(tmp_path):
-    result, declared = run(southampton(tmp_path), output=tmp_path / "test.toml")
+    result, declared = modes_from_file(southampton(tmp_path), output=tmp_path / "test.toml")
     np.testing.assert_allclose(result.frequencies, [6.512, 17.461, 26.502], rtol=3e-4)
     np.testing.assert_allclose(result.damping_ratios, [0.0017, 0.0024, 0.0022], atol=1e-4)
     scaled = result.mode_shapes / np.max(np.abs(result.mode_shapes), axis=1, keepdims=True)
@@ -94,7 +94,7 @@ def test_southampton(tmp_path):
 
 @needs_southampton
 def test_southampton_is_not_reciprocal(tmp_path):
-    result, _ = run(southampton(tmp_path))
+    result, _ = modes_from_file(southampton(tmp_path))
     violations = [finding for finding in result.findings if finding.kind == "reciprocity"]
     largest = max(violations, key=lambda finding: finding.numbers["largest"])
     assert largest.numbers["floors"] == [1, 3]
@@ -104,11 +104,11 @@ def test_southampton_is_not_reciprocal(tmp_path):
 @needs_southampton
 def test_southampton_was_cut_off(tmp_path):
     """Mode 1 rings on after 32 s, exp(-0.0017 * 2 pi 6.51 * 32) = 0.11; the masses depend on how that is read."""
-    result, _ = run(southampton(tmp_path))
+    result, _ = modes_from_file(southampton(tmp_path))
     leak = next(finding for finding in result.findings if finding.kind == "leakage")
     assert leak.numbers["left"] == pytest.approx(0.108, abs=0.01)
     assert leak.numbers["truncated"] is True
-    other, _ = run(southampton(tmp_path, "truncated = false"))
+    other, _ = modes_from_file(southampton(tmp_path, "truncated = false"))
     np.testing.assert_allclose(other.frequencies, result.frequencies, rtol=1e-9)
     np.testing.assert_allclose(other.damping_ratios, result.damping_ratios, rtol=1e-9)
     of_diagonal = []

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from cvxshear.backends import Comparison, ProgramKind
+from cvxshear.backends.comparison import BackendResult
 from cvxshear.quantities import AUTOMATIC, Units, counted, exponential, significant
 from cvxshear.report.describe.dispatch import describe, line
 from cvxshear.report.describe.vocabulary import Document, Part, Points, Row, Section, Sentence, Table
-from cvxshear.studies.backends import Comparison
-from cvxshear.studies.backends import Row as BackendResult
 
 
 @describe.register
 def _comparison(of: Comparison, units: Units = AUTOMATIC) -> Document:
-    kinds = list(dict.fromkeys(row.kind for row in of.rows))
-    tables: list[Part] = [part for kind in kinds for part in _kind(of, kind)]
+    tables: list[Part] = [part for kind in of.kinds for part in _kind(of, kind)]
     if of.left_out:
         tables.insert(0, Sentence(f"Without the paper's programs: {of.left_out}."))
     return Document(
@@ -31,26 +30,39 @@ def _line(of: Comparison) -> str:
 
 def _headline(of: Comparison) -> str:
     backends = len({row.backend for row in of.rows})
-    kinds = len({row.kind for row in of.rows})
-    return f"{counted(backends, 'backend')} on {counted(kinds, 'kind')} of programs"
+    return f"{counted(backends, 'backend')} on {counted(len(of.kinds), 'kind')} of programs"
 
 
-def _kind(of: Comparison, kind: str) -> Iterator[Part]:
-    rows = [row for row in of.rows if row.kind == kind]
-    name = kind.replace(" ", "-")
-    title = f"{kind} ({counted(rows[0].programs, 'program')}, against the {rows[0].reference})"
-    head = ("backend", "difference", "primal", "dual", "gap", "iterations", "time / kkt")
+def _kind(of: Comparison, kind: ProgramKind) -> Iterator[Part]:
+    rows = [row for row in of.rows if row.kind == kind.kind]
+    name = kind.kind.replace(" ", "-")
+    title = f"{programs(kind)}, against the {rows[0].reference}"
+    head = ("backend", "difference", "primal", "dual", "gap", "error", "iterations", "told", "time", "time / kkt")
     yield Table(f"kind-{name}", title, head, tuple(Row(tuple(_cells(row))) for row in rows if not row.failure))
     failures = tuple(f"{row.backend}: {short(row.failure)}" for row in rows if row.failure)
     if failures:
         yield Points(f"failures-{name}", failures)
 
 
+def programs(kind: ProgramKind) -> str:
+    """A kind of program and its size in words."""
+    sizes = (
+        counted(kind.unknowns, "unknown"),
+        counted(kind.rows, "row"),
+        counted(kind.equalities, "equality"),
+        counted(kind.inequalities, "inequality"),
+    )
+    condition = "singular" if kind.condition is None else f"condition {significant(kind.condition, 2)}"
+    return f"{kind.kind}: {counted(kind.programs, 'program')}, {', '.join(sizes)}, {condition}"
+
+
 def _cells(row: BackendResult) -> Iterator[str]:
     yield row.backend
-    for value in (row.difference, row.primal_residual, row.dual_residual, row.duality_gap):
+    for value in (row.difference, row.primal_residual, row.dual_residual, row.duality_gap, row.error_bound):
         yield "–" if value is None else exponential(value)
     yield "–" if row.iterations is None else str(row.iterations)
+    yield "–" if row.tolerance is None else exponential(row.tolerance, 1)
+    yield "–" if row.seconds is None else f"{significant(1e3 * row.seconds, 3)} ms"
     yield significant(row.relative_time, 2)
 
 

@@ -6,22 +6,32 @@ Needs matplotlib (`pip install cvxshear[plot]`).
 from cvxshear.report.figures.backends import backend_differences
 from cvxshear.report.figures.convergence import convergence
 from cvxshear.report.figures.frame import frame
+from cvxshear.report.figures.functions import coherence, functions
 from cvxshear.report.figures.mac import mac
+from cvxshear.report.figures.modal_shapes import modal_mac, modal_shapes
 from cvxshear.report.figures.noise import noise_boxes, noise_variation
 from cvxshear.report.figures.output import save
+from cvxshear.report.figures.plan import plan
 from cvxshear.report.figures.ranking import ranking
 from cvxshear.report.figures.residual import residual
 from cvxshear.report.figures.shapes import shapes
+from cvxshear.report.figures.stabilization import stabilization
 
 __all__ = [
     "backend_differences",
+    "coherence",
     "convergence",
     "frame",
+    "functions",
     "mac",
+    "modal_mac",
+    "modal_shapes",
     "noise_boxes",
     "noise_variation",
+    "plan",
     "ranking",
     "residual",
     "save",
     "shapes",
+    "stabilization",
 ]

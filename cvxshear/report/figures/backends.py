@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from cvxshear.backends import Comparison
 from cvxshear.report.figures.style import COLOURS, MARKERS, PAGE_WIDTH, assorted, logarithmic, new_figure, styled
-from cvxshear.studies.backends import Comparison
 
 SAME = 1e-17
 """Where an answer without any difference is drawn: below what a number of 64 bits can tell."""
@@ -27,7 +27,7 @@ def backend_differences(comparison: Comparison) -> Figure:
     """
     names = list(dict.fromkeys(row.backend for row in comparison.rows))
     kinds = list(dict.fromkeys(row.kind for row in comparison.rows))
-    figure = new_figure(PAGE_WIDTH, 0.27 * len(names) + 1.5)
+    figure = new_figure(PAGE_WIDTH, 0.27 * len(names) + 1.7)
     left, right = figure.subplots(1, 2, sharey=True)
     marks = zip(kinds, assorted(COLOURS, len(kinds)), assorted(MARKERS, len(kinds)), strict=True)
     offsets = np.linspace(-0.28, 0.28, len(kinds)) if len(kinds) > 1 else np.zeros(1)
@@ -52,5 +52,5 @@ def backend_differences(comparison: Comparison) -> Figure:
     left.set_yticks(range(len(names)), names)
     left.set_ylim(len(names) - 0.4, -0.6)
     handles, labels = left.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 6))
+    figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 4))
     return figure

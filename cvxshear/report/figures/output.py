@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from cvxshear.errors import InputError
 from cvxshear.report.figures.style import settings
-from cvxshear.report.files import write_whole
+from cvxshear.writing import write_file
 
 KINDS = ("svg", "png", "pdf")
 ENLARGED = 1.4
@@ -36,7 +36,7 @@ def save(figure: Figure, path: str | Path) -> None:
     InputError
         Where the ending is another, or the file cannot be written.
     """
-    write_whole(path, encoded(figure, kind_of(path)))
+    write_file(path, encoded(figure, kind_of(path)))
 
 
 def kind_of(path: str | Path) -> str:

@@ -30,7 +30,7 @@ AFTER = "#0072B2"
 QUIET = "#767676"
 PALE = "#DCE9F2"
 COLOURS = (AFTER, BEFORE, "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-MARKERS = ("o", "s", "D", "^", "v", "P")
+MARKERS = ("o", "s", "D", "^", "v", "P", "X")
 HATCHES = ("", "////", "....", "xxxx", "\\\\\\\\", "oo")
 LINES = ("-", "--", "-.", ":")
 

@@ -1,0 +1,196 @@
+"""How well an answer meets the optimality conditions of the program that the caller handed in.
+
+Nothing of the scaling that the solver worked on enters here, so that a mistake in it, or on the way back from it,
+shows. Each residual is a difference of terms and is compared to their sizes, which makes it free of units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cvxshear.programs import LeastSquares
+from cvxshear.typing import Floats
+
+NEAR_ZERO = 1e-3
+"""Part of what an unknown could be, were the whole answer its own, that is added to its size: a bound at zero is kept
+to an accuracy relative to something."""
+
+NEAR_NOTHING = 1e-7
+"""Part of what the right side could make of an unknown that is added too: a step of an iteration that has converged is
+nothing but rounding, a violation of it as well."""
+
+
+@dataclass(frozen=True)
+class Certificate:
+    r"""How well a solution meets the optimality conditions, computed here from the program and the solution.
+
+    Parameters
+    ----------
+    primal_residual : float
+        Largest violation of a constraint.
+    dual_residual : float
+        Largest entry of the Lagrangian's gradient, and largest multiplier of the wrong sign.
+    duality_gap : float
+        Primal less dual objective.
+    error_bound : float or None
+        Largest error of an unknown, relative to its size. None where the data and the active constraints leave a
+        direction open, along which x could lie anywhere.
+
+    Notes
+    -----
+    All four are of the program as it was handed in, and none changes with the units of unknowns, rows or weights. With
+    R and s the weighted rows, the size of an unknown is
+
+    .. math:: X_j = |x_j| + (10^{-3} \sqrt{\textstyle\sum_k |R_k|^2 x_k^2} + 10^{-7} |s|) / |R_j|,
+
+    and what is set in relation is
+
+    * a violation of :math:`a'x \le b` to :math:`|b| + \sum_j |a_j| X_j`;
+    * entry j of the gradient to :math:`|R_j| r + \sum_i |A_{ij} y_i| + \sum_i |G_{ij} w_i|` with
+      :math:`r = \sum_k |R_k x_k| + |s|`, the sizes of what the residual Rx - s is made of;
+    * the gap to :math:`r^2 / 2 + \sum_i |y_i b_i| + \sum_i |w_i h_i|`;
+    * the error of unknown j to :math:`X_j`.
+
+    The error is the distance to the minimizer on the active constraints, of which it was checked that no other
+    inequality is violated there and no multiplier has the wrong sign, and to first order the rounding in that
+    minimizer itself,
+
+    .. math:: 4 \sqrt n \, \varepsilon \, |e_j' Z (RZ)^+| \, (r + |(RZ)^+| \, |Rx - s|),
+
+    with the columns of Z a basis of the null space of the active constraints: the smaller the smallest singular value
+    of RZ, the greater.
+    """
+
+    primal_residual: float
+    dual_residual: float
+    duality_gap: float
+    error_bound: float | None = None
+
+    @property
+    def worst(self) -> float:
+        """The largest of the three residuals; nan where one is nan."""
+        return float(np.max([self.primal_residual, self.dual_residual, self.duality_gap]))
+
+    def to_dict(self) -> dict[str, float | None]:
+        """The figures by their names; an error bound that is not finite is None."""
+        bound = self.error_bound
+        return {
+            "primal_residual": self.primal_residual,
+            "dual_residual": self.dual_residual,
+            "duality_gap": self.duality_gap,
+            "error_bound": bound if bound is not None and np.isfinite(bound) else None,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """An answer to a program as it was handed in.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+    y : ndarray, shape (a,)
+        Multipliers of the equalities.
+    w : ndarray, shape (g,)
+        Multipliers of the rows of `LeastSquares.inequalities`.
+    """
+
+    x: Floats
+    y: Floats
+    w: Floats
+
+
+class Assembled:
+    """A program's arrays, bounds among the inequalities, with the lengths of its columns.
+
+    Parameters
+    ----------
+    program : LeastSquares
+
+    Attributes
+    ----------
+    R, s : ndarray, shapes (r, n) and (r,)
+        Weighted.
+    A, b, G, h : ndarray
+        Equalities A x = b and inequalities G x <= h.
+    lengths : ndarray, shape (n,)
+        Of the columns of R; one where a column is zero.
+    """
+
+    def __init__(self, program: LeastSquares) -> None:
+        self.R, self.s = program.weighted
+        self.A, self.b = program.equalities
+        self.G, self.h = program.inequalities
+        lengths = np.sqrt(np.einsum("ij,ij->j", self.R, self.R))
+        self.lengths: Floats = np.where(lengths > 0, lengths, 1.0)
+
+    @cached_property
+    def inequality_lengths(self) -> Floats:
+        """Lengths of the rows of G once the columns of R have unit length; one where a row is zero."""
+        return self.row_lengths(self.G)
+
+    def row_lengths(self, rows: Floats) -> Floats:
+        """The same of any rows."""
+        scaled = rows / self.lengths
+        lengths = np.sqrt(np.einsum("ij,ij->i", scaled, scaled))
+        return np.asarray(np.where(lengths > 0, lengths, 1.0))
+
+    @cached_property
+    def absolute(self) -> tuple[Floats, Floats]:
+        """Absolute values of A and G."""
+        return np.abs(self.A), np.abs(self.G)
+
+    def size(self, x: Floats) -> Floats:
+        """Size of each unknown, see `Certificate`."""
+        reach = NEAR_ZERO * np.linalg.norm(self.lengths * x) + NEAR_NOTHING * np.linalg.norm(self.s)
+        return np.asarray(np.abs(x) + reach / self.lengths)
+
+    def magnitude(self, x: Floats) -> float:
+        """The sizes of what is added up to R x - s: the columns times the unknowns, and s."""
+        return float(self.lengths @ np.abs(x) + np.linalg.norm(self.s))
+
+    def distance(self, x: Floats, other: Floats) -> float:
+        """How far apart two points are for the rows, relative to what these are made of."""
+        return largest_relative(
+            np.array(np.linalg.norm(self.R @ (x - other))),
+            np.array(np.linalg.norm(self.R @ other) + np.linalg.norm(self.s)),
+        )
+
+
+def certify(of: Assembled, point: Point) -> Certificate:
+    """The residuals of a program's optimality conditions at a point; no bound on its error yet.
+
+    Parameters
+    ----------
+    of : Assembled
+    point : Point
+    """
+    x, y, w = point.x, point.y, point.w
+    absolute_A, absolute_G = of.absolute
+    size, magnitude = of.size(x), of.magnitude(x)
+    equality, slack = of.A @ x - of.b, of.h - of.G @ x
+    gradient = of.R.T @ (of.R @ x - of.s) + of.A.T @ y + of.G.T @ w
+    gradient_size = of.lengths * magnitude + absolute_A.T @ np.abs(y) + absolute_G.T @ np.abs(w)
+    wrong_sign = np.max(absolute_G * np.maximum(-w, 0.0)[:, None], axis=0, initial=0.0)
+    # At a point where the Lagrangian's gradient vanishes the dual objective is the Lagrangian itself, so the
+    # gap is what the constraints contribute to it.
+    gap = abs(float(w @ slack) - float(y @ equality))
+    return Certificate(
+        primal_residual=max(
+            largest_relative(np.abs(equality), np.abs(of.b) + absolute_A @ size),
+            largest_relative(np.maximum(-slack, 0.0), np.abs(of.h) + absolute_G @ size),
+        ),
+        dual_residual=largest_relative(np.maximum(np.abs(gradient), wrong_sign), gradient_size),
+        duality_gap=largest_relative(
+            np.array(gap), 0.5 * magnitude**2 + np.abs(y) @ np.abs(of.b) + np.abs(w) @ np.abs(of.h)
+        ),
+    )
+
+
+def largest_relative(difference: Floats, size: Floats) -> float:
+    """The largest difference relative to the size of its terms; nothing is no difference of nothing."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.max(np.where(difference == 0, 0.0, difference / size), initial=0.0))

@@ -1,0 +1,130 @@
+"""Programs as files: as they are, and as a test set of qpbenchmark (github.com/qpsolvers/qpbenchmark)."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cvxshear.backends.canonical import canonical
+from cvxshear.backends.comparison import BenchmarkProgram
+from cvxshear.errors import InputError
+from cvxshear.programs import LeastSquares
+
+TEST_SET = "cvxshear_programs.py"
+"""qpbenchmark looks in a file of this name for a class of the same one in capitals."""
+
+TEST_SET_SOURCE = '''\
+"""Least-squares programs of cvxshear, for `qpbenchmark cvxshear_programs.py run`.
+
+Each stands twice: as it is stated, with P = R'R and q = -R's, and scaled, as cvxshear hands it to its solvers.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import qpbenchmark
+
+
+class CvxshearPrograms(qpbenchmark.TestSet):
+    description = "Masses and stiffnesses of shear-type frames from their modes."
+    sparse_only = False
+    title = "cvxshear programs"
+
+    def __iter__(self):
+        for path in sorted(Path(__file__).parent.glob("*.npz")):
+            yield qpbenchmark.Problem.load(str(path))
+'''
+
+
+def export(programs: Sequence[BenchmarkProgram], folder: str | Path) -> list[Path]:
+    """Write programs into a new folder.
+
+    Parameters
+    ----------
+    programs : sequence of BenchmarkProgram
+    folder : str or Path
+        Gets a file KIND-NUMBER.npz a program, with the arrays of `LeastSquares` that it has and the `origin`; and a
+        folder qpbenchmark with a test set: each program in the format of `qpsolvers.Problem.load`, stated and scaled,
+        and the Python file that qpbenchmark takes.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+
+    Raises
+    ------
+    InputError
+        Where the folder has something in it already or cannot be written; nothing is left behind then.
+    """
+    folder = Path(folder)
+    try:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise InputError(f"{folder} is there already and not empty; name a new folder for the programs")
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        beside = Path(tempfile.mkdtemp(prefix=folder.name, dir=folder.parent))
+        try:
+            written = _written(programs, beside)
+            # A folder made for one's own eyes alone is not what somebody who names one expects.
+            beside.chmod(0o777 & ~_umask())
+            beside.replace(folder)
+        except BaseException:
+            shutil.rmtree(beside, ignore_errors=True)
+            raise
+    except OSError as error:
+        raise InputError(f"{folder} cannot be written: {error.strerror}") from None
+    return [folder / path.relative_to(beside) for path in written]
+
+
+def _umask() -> int:
+    """The process's mask of permissions, which can only be read by setting it."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _written(programs: Sequence[BenchmarkProgram], folder: Path) -> list[Path]:
+    written = []
+    benchmark = folder / "qpbenchmark"
+    benchmark.mkdir()
+    counts: dict[str, int] = {}
+    for each in programs:
+        counts[each.kind] = counts.get(each.kind, 0) + 1
+        name = f"{each.kind.replace(' ', '-')}-{counts[each.kind]}.npz"
+        np.savez(folder / name, allow_pickle=False, origin=each.origin, **_arrays(each.program))
+        _save_stated(each.program, benchmark / name)
+        _save_scaled(each.program, benchmark / name.replace(".npz", "-scaled.npz"))
+        written += [folder / name, benchmark / name, benchmark / name.replace(".npz", "-scaled.npz")]
+    (benchmark / TEST_SET).write_text(TEST_SET_SOURCE, encoding="utf-8")
+    return [*written, benchmark / TEST_SET]
+
+
+def _arrays(program: LeastSquares) -> dict[str, Any]:
+    """The arrays of a program that it has and that say something."""
+    found = {name: getattr(program, name) for name in ("R", "s", "W", "A", "b", "G", "h", "lower", "upper")}
+    return {name: array for name, array in found.items() if array is not None and np.isfinite(array).any()}
+
+
+def _save_stated(program: LeastSquares, path: Path) -> None:
+    import qpsolvers  # noqa: PLC0415 - imports every solver
+
+    R, s = program.weighted
+    arrays = _arrays(program)
+    G, h, A, b, lower, upper = (arrays.get(name) for name in ("G", "h", "A", "b", "lower", "upper"))
+    qpsolvers.Problem(R.T @ R, -R.T @ s, G, h, A, b, lower, upper).save(str(path))
+
+
+def _save_scaled(program: LeastSquares, path: Path) -> None:
+    import qpsolvers  # noqa: PLC0415
+
+    scaled = canonical(program)
+    inequalities = (scaled.F, scaled.f) if len(scaled.f) else (None, None)
+    equalities = (scaled.E, scaled.e) if len(scaled.e) else (None, None)
+    P, q = scaled.C.T @ scaled.C, -scaled.C.T @ scaled.q
+    qpsolvers.Problem(P, q, *inequalities, *equalities).save(str(path))

@@ -1,0 +1,87 @@
+"""Files that a command reads and writes, checked against each other before it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from cvxshear.errors import InputError
+from cvxshear.writing import check_output, same_file
+
+OTHERS_ENDINGS = (".toml", ".csv", ".xlsx", ".mat", ".uff", ".html", ".htm", ".svg", ".png", ".pdf")
+"""What a file of JSON must not be called, lest a slip of the keyboard replace something else."""
+
+
+WRITTEN, READ = f"{__name__}.written", f"{__name__}.read"
+"""Under which a command's context notes its files; options are checked in the order in which they were typed."""
+
+
+def output_file(*endings: str) -> Callable[[typer.Context, typer.CallbackParam, str | None], str | None]:
+    """The check of an option that names a file to write, made before the command runs.
+
+    Parameters
+    ----------
+    *endings : str
+        Those that such a file has; where none is named, it is JSON, which goes by any name but another kind's.
+    """
+
+    def check(context: typer.Context, option: typer.CallbackParam, path: str | None) -> str | None:
+        if path is not None and path != "-" and not context.resilient_parsing:
+            claim(context, option.opts[0], path, endings)
+        return path
+
+    return check
+
+
+def claim(context: typer.Context, name: str, path: str, endings: Sequence[str]) -> None:
+    """Note a file that a command is to write, once it can be, and refuse one that it reads or writes besides.
+
+    Parameters
+    ----------
+    context : typer.Context
+    name : str
+        The option that names it.
+    path : str
+    endings : sequence of str
+        As for `output_file`.
+
+    Raises
+    ------
+    InputError
+        Naming the option.
+    """
+    try:
+        check_output(path, endings=endings)
+        if not endings and Path(path).suffix.lower() in OTHERS_ENDINGS:
+            raise InputError(f"{path} has the ending of another kind of file; JSON is written to a .json")
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+    written = context.meta.setdefault(WRITTEN, {})
+    for other, place in written.items():
+        if same_file(path, place):
+            raise InputError(f"{name} and {other} name the same file, {path}")
+    written[name] = path
+    _refuse_overlap(written, context.meta.get(READ, ()))
+
+
+def input_files(context: typer.Context, files: Any) -> Any:
+    """Note what a command reads, one file or several, and refuse to write over it."""
+    if context.resilient_parsing:
+        return files
+    from cvxshear.formats.toml import files_of
+
+    for file in [files] if isinstance(files, str) else files:
+        # What a pipe holds can be read once; a file that is not there is for the command to complain of.
+        context.meta[READ] = (*context.meta.get(READ, ()), *(files_of(file) if Path(file).is_file() else ()))
+    _refuse_overlap(context.meta.get(WRITTEN, {}), context.meta[READ])
+    return files
+
+
+def _refuse_overlap(written: dict[str, str], read: Iterable[Path]) -> None:
+    for source in read:
+        for option, path in written.items():
+            if same_file(path, source):
+                raise InputError(f"{option}: {path} would be written over {source}, which is read; name another file")

@@ -1,0 +1,132 @@
+"""A commented measurement file to fill in."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from cvxshear import checks
+from cvxshear.checks import MOST_STORIES
+from cvxshear.errors import InputError
+from cvxshear.formats.mode_tables import READERS
+from cvxshear.typing import Floats
+
+ENDINGS = {".csv": "csv", ".txt": "csv", ".xlsx": "xlsx", ".uff": "uff", ".unv": "uff", ".u55": "uff"}
+
+HEAD = """\
+# What is known of a frame, and what was measured on it. Replace the numbers below by your own and leave out what you
+# do not know; a line that begins with # is not read. SI units, frequencies in Hz; floor 1 is the first above ground,
+# story 1 the one below it; lists begin at the bottom.
+
+[frame]
+stories = {stories}
+total_mass = {total}  # kg, all floors without added mass; not needed with two different added masses
+# story_heights = {heights}  # m, one number or one a story; effects such as gravity need them
+# floor_masses = {masses}  # kg, where they are known, in place of total_mass
+# reference = "bare"  # the state that is the frame itself
+
+[[configuration]]  # one tested state of the frame; repeat the table for each
+name = "bare"
+{modes}
+# added_mass = {added}  # kg on each floor in this test
+# state = "bare"  # tests of one state, before or after a change, share its name
+frequency_std = 0.002  # relative: how much repeated tests scatter
+mode_shape_std = 0.01  # of an entry, relative to the largest of its mode
+"""
+
+LISTS = """\
+# measured_floors = {floors}  # where sensors stood, where it is not every floor
+frequencies = {frequencies}  # Hz, ascending
+mode_shapes = [  # one row a mode, one entry a measured floor; any scale; nan where not measured
+{rows}
+]"""
+
+TAIL = """
+# [[prior]]  # what is known beforehand; any number
+# kind = "bounds"
+# quantity = "story_stiffness"  # or "floor_mass"
+# lower = 1e3  # N/m
+"""
+
+
+def template(stories: int = 3) -> str:
+    """A measurement file of a frame of equal stories, with every key explained.
+
+    Parameters
+    ----------
+    stories : int, optional
+
+    Returns
+    -------
+    str
+        TOML that `cvxshear.load` takes as it stands.
+    """
+    checks.whole(stories, "stories", least=1, most=MOST_STORIES)
+    frequencies, shapes = _uniform(stories)
+    lists = LISTS.format(
+        floors=_listed(np.arange(1, stories + 1), "d"),
+        frequencies=_listed(frequencies, ".4f"),
+        rows="\n".join(f"    {_listed(shape, '.4f')}," for shape in shapes),
+    )
+    return _filled(lists, stories)
+
+
+def template_from(modes: str | Path, folder: str | Path = ".") -> str:
+    """A measurement file whose modes are read from a table or a universal file.
+
+    Parameters
+    ----------
+    modes : str or Path
+        Ending in .csv, .txt, .xlsx, .uff, .unv or .u55.
+    folder : str or Path, optional
+        Where the measurement file will stand; it names the other from there.
+
+    Returns
+    -------
+    str
+        TOML that `cvxshear.load` takes as it stands.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read.
+    """
+    key = ENDINGS.get(Path(modes).suffix.lower())
+    if key is None:
+        raise InputError(f"{modes!s}: modes are read from files that end in {', '.join(ENDINGS)}")
+    found = READERS[key](modes)
+    name = os.path.relpath(modes, folder)
+    quoted = name.replace("\\", "/").replace('"', '\\"')
+    text = _filled(f'{key} = "{quoted}"  # frequencies and mode shapes', max(found["measured_floors"]))
+    for given in ("frequency_std", "mode_shape_std"):
+        # What the table says itself need not be said here.
+        text = text.replace(f"\n{given} =", f"\n# {given} =") if given in found else text
+    return text
+
+
+def _filled(modes: str, stories: int) -> str:
+    return (
+        HEAD.format(
+            stories=stories,
+            total=f"{10.0 * stories:.1f}",
+            heights=_listed(np.full(stories, 3.0), ".1f"),
+            masses=_listed(np.full(stories, 10.0), ".1f"),
+            added=_listed(np.zeros(stories), ".1f"),
+            modes=modes,
+        )
+        + TAIL
+    )
+
+
+def _uniform(stories: int) -> tuple[Floats, Floats]:
+    """Modes of equal floors of 10 kg on equal stories of 10 kN/m: sine waves, in closed form."""
+    angle = (2 * np.arange(1, stories + 1) - 1) * np.pi / (2 * stories + 1)
+    shapes = np.sin(np.outer(angle, np.arange(1, stories + 1)))
+    frequencies = np.sqrt(10e3 / 10.0) * 2 * np.sin(angle / 2) / (2 * np.pi)
+    return frequencies, shapes / np.abs(shapes).max(axis=1, keepdims=True)
+
+
+def _listed(values: Floats | np.ndarray, shown: str) -> str:
+    return "[" + ", ".join(format(value, shown) for value in values) + "]"

@@ -1,0 +1,206 @@
+"""What a record shows over frequency: measured functions and their coherence.
+
+Driven records have frequency response functions, H1 with the spectra averaged over hits or over Welch's segments;
+ambient ones have half-spectra, the transforms of the covariances at positive lags, which are sums of the same
+poles (Peeters and Van der Auweraer 2005).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import signal
+
+from cvxshear.modal.frf import Spectra, hit_spectra, table_spectra
+from cvxshear.modal.prepare import detrended, impulsive, without_offset
+from cvxshear.modal.record import Complexes, FrfRecord, Record, TimeRecord
+from cvxshear.typing import Floats, Ints
+
+LINES = 512
+"""Lines of a continuous record over the range that is shown: fine enough to see, averaged as often as that allows."""
+FEWEST_SEGMENTS = 8
+"""Of a continuous record; with fewer averages its coherence says nothing."""
+LAG_WINDOW = 0.01
+"""What is left of a covariance at the last lag, an exponential window against its noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Functions:
+    """Functions of frequency that a record shows.
+
+    Parameters
+    ----------
+    frequencies : array, shape (lines,)
+        Hz, above zero.
+    values : array of complex, shape (lines, outputs, inputs)
+        Response over force or over base acceleration; half-spectra against the reference floors where no input was
+        measured.
+    floors : array of int, shape (outputs,)
+    inputs : array of int, shape (inputs,)
+        Floor of each force, 0 the ground; for half-spectra the reference floors.
+    driven : bool
+        Whether an input was measured.
+    coherence : array, shape (lines, outputs, inputs), or None
+        Of each response with the input or, where none was measured, with the reference; None where nothing was
+        averaged.
+    quantity : str
+        What the responses are.
+    decay : float
+        What an exponential window added to the decay rate of every pole in these functions, 1/s.
+    """
+
+    frequencies: Floats
+    values: Complexes
+    floors: Ints
+    inputs: Ints
+    driven: bool
+    coherence: Floats | None
+    quantity: str
+    decay: float = 0.0
+
+    def up_to(self, highest: float) -> Functions:
+        """The same functions without the lines above a frequency, Hz."""
+        kept = self.frequencies <= highest
+        coherence = None if self.coherence is None else self.coherence[kept]
+        return dataclasses.replace(
+            self, frequencies=self.frequencies[kept], values=self.values[kept], coherence=coherence
+        )
+
+    @property
+    def indicator(self) -> Floats:
+        """Complex mode indicator function, shape (lines, min(outputs, inputs)): the singular values at each line.
+
+        Shih, Tsuei, Allemang and Brown 1988. For half-spectra the singular values of their Hermitian part stand
+        for those of the spectra (Brincker, Zhang and Andersen 2001).
+        """
+        return np.asarray(np.linalg.svd(self.values, compute_uv=False))
+
+
+def measured_functions(record: Record, highest: float) -> Functions:
+    """The functions that a record shows.
+
+    Parameters
+    ----------
+    record : TimeRecord or FrfRecord
+    highest : float
+        Hz; lines above it are left out.
+
+    Returns
+    -------
+    Functions
+    """
+    if isinstance(record, FrfRecord):
+        spectra, _ = table_spectra(record)
+        lines = record.step * np.arange(len(spectra[0].force_force), dtype=np.float64)
+        found = _of_spectra(record, spectra, lines, averaged=False)
+    elif record.input == "force" and all(impulsive(run) for run in record.runs):
+        spectra, samples = hit_spectra(without_offset(record))
+        found = _of_spectra(record, spectra, _lines(samples, record.sampling_rate), averaged=True)
+    elif record.input in ("force", "base"):
+        found = _of_driven(detrended(record), _segment(record, highest))
+    else:
+        found = _of_undriven(detrended(record), _segment(record, highest))
+    return found.up_to(highest)
+
+
+def _of_spectra(record: Record, spectra: list[Spectra], lines: Floats, *, averaged: bool) -> Functions:
+    floors = np.unique([item.floor for item in spectra])
+    several = averaged and min(sum(item.floor == floor for item in spectra) for floor in floors) > 1
+    values, coherence = [], []
+    for floor in floors:
+        hits = [item for item in spectra if item.floor == floor]
+        cross = np.sum([hit.response_force for hit in hits], axis=0)
+        force = np.sum([hit.force_force for hit in hits], axis=0)[:, None]
+        response = np.sum([hit.response_response for hit in hits], axis=0)
+        values.append(cross / force)
+        coherence.append(_ratio(np.abs(cross) ** 2, force * response))
+    decay = 0.0 if record.exponential_window is None else 1.0 / record.exponential_window
+    return Functions(
+        lines[1:],
+        np.stack(values, axis=2)[1:],
+        record.floors,
+        floors.astype(np.int64),
+        True,
+        np.stack(coherence, axis=2)[1:] if several else None,
+        record.quantity,
+        decay,
+    )
+
+
+def _of_driven(record: TimeRecord, segment: int) -> Functions:
+    floors = np.unique([run.floor for run in record.runs])
+    values, coherence = [], []
+    for floor in floors:
+        runs = [run for run in record.runs if run.floor == floor]
+        spectra = [
+            _welch(np.column_stack([_known(run.excitation), run.responses]), 0, record.sampling_rate, segment)
+            for run in runs
+        ]
+        cross, power = (np.sum([item[part] for item in spectra], axis=0) for part in (0, 1))
+        values.append(cross[:, 1:] / power[:, :1])
+        coherence.append(_ratio(np.abs(cross[:, 1:]) ** 2, power[:, :1] * power[:, 1:]))
+    lines = _lines(segment, record.sampling_rate)
+    return Functions(
+        lines[1:],
+        np.stack(values, axis=2)[1:],
+        record.floors,
+        floors.astype(np.int64),
+        True,
+        np.stack(coherence, axis=2)[1:],
+        record.quantity,
+    )
+
+
+def _of_undriven(record: TimeRecord, segment: int) -> Functions:
+    """Half-spectra and coherence against the highest floor."""
+    reference = len(record.channels) - 1
+    spectra = [_welch(run.responses, reference, record.sampling_rate, segment) for run in record.runs]
+    cross, power = (np.sum([item[part] for item in spectra], axis=0) for part in (0, 1))
+    lags = np.fft.irfft(cross, axis=0)[: segment // 2]
+    # Positive lags alone, the sharp cut at the end softened; the zero lag counts half.
+    lags[0] *= 0.5
+    decay = -np.log(LAG_WINDOW) / len(lags)
+    window = np.exp(-decay * np.arange(len(lags)))
+    halves = np.fft.rfft(lags * window[:, None], n=segment, axis=0)
+    coherence = _ratio(np.abs(cross) ** 2, power[:, [reference]] * power)
+    coherence[:, reference] = np.nan
+    return Functions(
+        _lines(segment, record.sampling_rate)[1:],
+        halves[1:, :, None],
+        record.floors,
+        record.floors[[reference]],
+        False,
+        coherence[1:, :, None],
+        record.quantity,
+        float(decay * record.sampling_rate),
+    )
+
+
+def _lines(samples: int, rate: float) -> Floats:
+    return rate / samples * np.arange(samples // 2 + 1, dtype=np.float64)
+
+
+def _segment(record: TimeRecord, highest: float) -> int:
+    """Samples of a segment: an even number, of which the runs hold enough."""
+    samples = min(run.samples for run in record.runs)
+    wanted = LINES * record.sampling_rate / min(highest, record.sampling_rate / 2)
+    return max(64, int(min(wanted, 2 * samples / FEWEST_SEGMENTS))) // 2 * 2
+
+
+def _welch(columns: Floats, reference: int, rate: float, segment: int) -> tuple[Complexes, Floats]:
+    """Cross-spectra of all columns with one, and their own spectra, each of shape (lines, columns)."""
+    part = min(segment, len(columns))
+    _, cross = signal.csd(columns[:, [reference]], columns, rate, nperseg=part, nfft=segment, axis=0)
+    _, power = signal.welch(columns, rate, nperseg=part, nfft=segment, axis=0)
+    return np.asarray(cross), np.asarray(power)
+
+
+def _ratio(above: Floats, below: Floats) -> Floats:
+    return np.asarray(np.divide(above, below, out=np.zeros_like(above), where=below > 0))
+
+
+def _known(excitation: Floats | None) -> Floats:
+    assert excitation is not None
+    return excitation

@@ -1,0 +1,148 @@
+"""What each candidate, a floor to measure or a test to make, adds to what is known of the frame.
+
+The information of the parameters is a sum over the candidates that are chosen,
+
+    M(w) = M_0 + sum over j of w_j G_j,   G_j = J_j' J_j,
+
+with w_j = 1 for what is chosen. The free scale of every measured shape would spoil the sum if it were eliminated from
+each shape; it is a parameter of its own here, and what is asked is always a covariance with the others marginalised.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import linalg
+
+from cvxshear.errors import InputError
+from cvxshear.typing import Floats, Ints
+
+NEGLIGIBLE = 1e-12
+"""Length of a row of the question, each parameter in its own size, below which the parameter is known exactly."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """What is known and what each candidate would add, in coordinates in which it is well scaled.
+
+    In these coordinates z the parameters asked for are x = F z_a, z_a the first of them, and the information of equal
+    shares of all candidates is the identity.
+
+    Parameters
+    ----------
+    base : ndarray, shape (p, p)
+        Information without any candidate.
+    rows : ndarray, shape (n, d, p)
+        J_j of each candidate.
+    asked : ndarray, shape (s, a)
+        F.
+    """
+
+    base: Floats
+    rows: Floats
+    asked: Floats
+
+    @cached_property
+    def atoms(self) -> Floats:
+        """Information that each candidate adds, G_j, shape (n, p, p)."""
+        return self.rows.transpose(0, 2, 1) @ self.rows
+
+    @property
+    def count(self) -> int:
+        """How many candidates there are."""
+        return len(self.rows)
+
+    def information(self, shares: Floats) -> Floats:
+        """M(w), shape (..., p, p), for shares w of shape (..., n)."""
+        result: Floats = self.base + np.tensordot(shares, self.atoms, axes=1)
+        return result
+
+    def subset(self, chosen: Ints | list[int]) -> Floats:
+        """The information of the chosen candidates, shape (p, p)."""
+        result: Floats = self.base + self.atoms[chosen].sum(axis=0)
+        return result
+
+    def own(self, information: Floats) -> Floats:
+        """Covariance of z_a with all others marginalised, shape (..., a, a)."""
+        a = self.asked.shape[1]
+        result: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)[..., :a, :a]
+        return result
+
+    def own_with_each(self, chosen: Ints | list[int], others: Ints | list[int]) -> Floats:
+        """Covariance of z_a with the chosen candidates and one of the others, for each of these; shape (k, a, a).
+
+        C - C J' (1 + J C J')^-1 J C: one inverse for all of them.
+        """
+        a = self.asked.shape[1]
+        covariance = np.linalg.inv(self.subset(chosen))
+        J = self.rows[others]
+        seen = J @ covariance
+        inner = np.eye(J.shape[1]) + seen @ J.transpose(0, 2, 1)
+        columns = seen[:, :, :a]
+        result: Floats = covariance[:a, :a] - columns.transpose(0, 2, 1) @ np.linalg.solve(inner, columns)
+        return result
+
+    def covariance(self, own: Floats) -> Floats:
+        """Covariance of the parameters asked for, shape (..., s, s), from that of z_a."""
+        result: Floats = self.asked @ own @ self.asked.T
+        return result
+
+    def slopes(self, information: Floats, weight: Floats) -> Floats:
+        """Derivatives of tr(weight C_aa) by the shares, C the whole covariance: -tr(weight C_a. G_j C_.a), shape (n,).
+
+        Parameters
+        ----------
+        information : ndarray, shape (p, p)
+        weight : ndarray, shape (a, a)
+        """
+        a = self.asked.shape[1]
+        columns = np.linalg.inv(information)[:, :a]
+        spread = columns @ weight @ columns.T
+        result: Floats = -np.tensordot(self.atoms, spread, axes=2)
+        return result
+
+
+def candidates(known: Floats, fixed: Floats, rows: Floats, question: Floats, shares: float) -> Candidates:
+    """Candidates in coordinates in which they are well scaled.
+
+    Parameters
+    ----------
+    known : ndarray, shape (k, p)
+        Rows of what is known without any candidate, in standard deviations: K'K is its information.
+    fixed : ndarray, shape (e, p)
+        Rows on which every change is zero: what is known exactly.
+    rows : ndarray, shape (n, d, p)
+        For each candidate its data's derivatives in standard deviations.
+    question : ndarray, shape (s, p)
+        Rows that make the parameters asked for of all p.
+    shares : float
+        The share that every candidate has in the information that is the identity.
+
+    Raises
+    ------
+    InputError
+        Where all that is asked for is known exactly.
+    """
+    free = linalg.null_space(fixed, rcond=1e-12) if len(fixed) else np.eye(question.shape[1])
+    left, sizes, right = np.linalg.svd(question @ free)
+    rank = int(np.sum(sizes > NEGLIGIBLE * max(1.0, sizes[0] if len(sizes) else 1.0)))
+    if not rank or sizes[0] <= NEGLIGIBLE:
+        raise InputError("what the plan is for is known exactly already; plan for something that is not")
+    basis = free @ right.T
+    known, rows = known @ basis, rows @ basis
+    whole = np.concatenate([known, np.sqrt(shares) * rows.reshape(-1, rows.shape[2])])
+    scale = _lower(whole)
+    known, rows = known @ scale, rows @ scale
+    asked = left[:, :rank] * sizes[:rank] @ scale[:rank, :rank]
+    return Candidates(known.T @ known, rows, asked)
+
+
+def _lower(whole: Floats) -> Floats:
+    """The lower triangular L with (whole L)'(whole L) = 1: the first coordinates depend on the first of z alone."""
+    # QR of the columns in reverse order gives whole' whole = U U' with U upper triangular; L is U^-T.
+    triangle = np.asarray(np.linalg.qr(whole[:, ::-1], mode="r"))
+    upper = triangle.T[::-1, ::-1]
+    result: Floats = linalg.solve_triangular(upper, np.eye(len(upper))).T
+    return result

@@ -1,0 +1,171 @@
+"""Results as plain tables, for spreadsheets: one sheet a table in XLSX, the first table in CSV."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import io
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cvxshear.errors import InputError
+from cvxshear.experiment import Experiment
+from cvxshear.identification import Identification
+from cvxshear.loop import Closure
+from cvxshear.modal import ModalResult
+from cvxshear.typing import Json
+from cvxshear.writing import write_file
+
+Cell = str | float | int | None
+
+FRAME = ("floor / story", "floor mass, kg", "floor mass std, kg", "story stiffness, N/m", "story stiffness std, N/m")
+LONGEST_TITLE = 31
+"""Letters that a sheet's title may have in a workbook."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """One table.
+
+    Parameters
+    ----------
+    title : str
+    header : tuple of str
+    rows : list of tuple
+        None stands for what is not known.
+    """
+
+    title: str
+    header: tuple[str, ...]
+    rows: list[tuple[Cell, ...]]
+
+
+def sheets_of_modes(results: Sequence[ModalResult]) -> list[Sheet]:
+    """One sheet a record, as `csv` and `xlsx` of a configuration read it."""
+    return [_modes(result) for result in results]
+
+
+def sheets_of_identification(result: Identification) -> list[Sheet]:
+    """The identified frame, or frames, and the modes that it has beside those measured."""
+    said = result.to_dict()
+    parts = [("", said)] if result.joint else [(part["name"], part) for part in said["configurations"]]
+    several = len(parts) > 1
+    header = ("configuration", *FRAME) if several else FRAME
+    rows = [(name, *row) if several else row for name, part in parts for row in _frame_rows(part["frame"])]
+    predicted = [item for _, part in parts for item in part["predictions"]]
+    return [Sheet("frame", header, rows), _frequencies(result.experiment, predicted)]
+
+
+def sheets_of_closure(result: Closure) -> list[Sheet]:
+    """The identified frame, the effects added, the errors before and after, and the modes."""
+    said = result.to_dict()
+    errors: list[tuple[Cell, ...]] = [(key, said["before"][key], said["after"][key]) for key in said["before"]]
+    return [
+        Sheet("frame", FRAME, list(_frame_rows(said["frame"]))),
+        Sheet("effects", ("effect", "floor", "story", "configuration", "parameter", "value", "std"), _effects(said)),
+        Sheet("errors", ("error", "before", "after"), errors),
+        _frequencies(result.experiment, said["predictions"]),
+    ]
+
+
+def write_csv(path: str | Path, sheets: Sequence[Sheet]) -> None:
+    """Write the first table; of several with one header all of them, each row led by its table's title.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    alike = [sheet for sheet in sheets if sheet.header == sheets[0].header]
+    if len(alike) > 1:
+        writer.writerow(["configuration", *alike[0].header])
+        writer.writerows([sheet.title, *row] for sheet in alike for row in sheet.rows)
+    else:
+        writer.writerow(sheets[0].header)
+        writer.writerows(sheets[0].rows)
+    write_file(path, text.getvalue())
+
+
+def write_xlsx(path: str | Path, sheets: Sequence[Sheet]) -> None:
+    """Write every table to a sheet of its own.
+
+    Raises
+    ------
+    InputError
+        Where openpyxl (the extra `xlsx`) is not installed, or the file cannot be written.
+    """
+    openpyxl = load_openpyxl()
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    for sheet in sheets:
+        # What a title must not hold, and openpyxl gives a number to a title that is taken.
+        page = book.create_sheet(re.sub(r"[\\/*?:\[\]]", " ", sheet.title)[:LONGEST_TITLE].strip() or "sheet")
+        page.append(sheet.header)
+        for row in sheet.rows:
+            page.append(row)
+        page.freeze_panes = "A2"
+    content = io.BytesIO()
+    book.save(content)
+    write_file(path, content.getvalue())
+
+
+def load_openpyxl() -> Any:
+    """The package that writes workbooks.
+
+    Raises
+    ------
+    InputError
+        Where it is not installed.
+    """
+    try:
+        return importlib.import_module("openpyxl")
+    except ImportError:
+        raise InputError("workbooks need openpyxl: install cvxshear[xlsx]") from None
+
+
+def _modes(result: ModalResult) -> Sheet:
+    floors = result.floors.tolist()
+    header = ["mode", "frequency, Hz", "frequency std", "damping"]
+    header += [f"floor {floor}" for floor in floors] + [f"floor {floor} std" for floor in floors]
+    rows = [
+        (
+            int(mode),
+            *(float(values[row]) for values in (result.frequencies, result.frequency_std, result.damping_ratios)),
+            *result.mode_shapes[row].tolist(),
+            *result.entry_std[row].tolist(),
+        )
+        for row, mode in enumerate(result.modes)
+    ]
+    return Sheet(result.name, tuple(header), rows)
+
+
+def _frame_rows(frame: Json) -> Iterator[tuple[Cell, ...]]:
+    columns = [frame[key] for key in ("floor_mass", "floor_mass_std", "story_stiffness", "story_stiffness_std")]
+    for place in range(len(columns[0])):
+        yield (place + 1, *(None if column is None else column[place] for column in columns))
+
+
+def _frequencies(experiment: Experiment, predictions: Sequence[Json]) -> Sheet:
+    """Every measured frequency beside the model's."""
+    rows: list[tuple[Cell, ...]] = []
+    for item in predictions:
+        configuration = next(each for each in experiment.configurations if each.name == item["configuration"])
+        for mode, measured in zip(configuration.modes.tolist(), configuration.frequencies.tolist(), strict=True):
+            modelled = item["frequencies"][mode - 1]
+            error = None if math.isnan(modelled) else modelled / measured - 1
+            rows.append((configuration.name, mode, measured, modelled, error))
+    return Sheet("modes", ("configuration", "mode", "measured, Hz", "model, Hz", "relative error"), rows)
+
+
+def _effects(said: Json) -> list[tuple[Cell, ...]]:
+    return [
+        (found["name"], found["floor"], found["story"], found["configuration"], name, value, found["std"][name])
+        for found in said["effects"]
+        for name, value in found["parameters"].items()
+    ]

@@ -1,0 +1,33 @@
+"""What the whole suite shares: its options, and the command line run in this process."""
+
+import pytest
+
+from cvxshear.cli import main
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--fuzz-budget",
+        type=int,
+        default=60,
+        metavar="N",
+        help="mutated files that each reader is tried with; those that it takes go on to identify, loop and modes",
+    )
+
+
+@pytest.fixture(scope="session")
+def fuzz_budget(request):
+    return request.config.getoption("--fuzz-budget")
+
+
+@pytest.fixture
+def run(capsys):
+    """Status, standard output and standard error of a command."""
+
+    def call(*arguments):
+        with pytest.raises(SystemExit) as stopped:
+            main(list(arguments))
+        shown = capsys.readouterr()
+        return stopped.value.code, shown.out, shown.err
+
+    return call

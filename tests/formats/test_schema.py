@@ -1,0 +1,86 @@
+"""The published JSON schemas hold for what is written, and refuse what is not."""
+
+from __future__ import annotations
+
+import copy
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cvxshear
+from cvxshear.campaign import IdentifiedRecord, merged
+from cvxshear.cli.records import _said
+from cvxshear.errors import InputError
+from cvxshear.formats.template import template
+from cvxshear.modal import from_arrays, identify_modes
+from cvxshear.modal.simulate import PAPER_FRAME, base_record
+from tests.frames import EXAMPLES
+
+jsonschema = pytest.importorskip("jsonschema")
+SCHEMAS = Path(__file__).parents[2] / "docs" / "schema"
+
+
+def validator(name):
+    schema = json.loads((SCHEMAS / f"{name}.json").read_text(encoding="utf-8"))
+    jsonschema.Draft202012Validator.check_schema(schema)
+    return jsonschema.Draft202012Validator(schema)
+
+
+def test_every_schema_is_one():
+    assert {path.stem for path in SCHEMAS.glob("*.json")} == {"measurement", "identify", "loop", "modes", "backends"}
+    for path in SCHEMAS.glob("*.json"):
+        validator(path.stem)
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.stem)
+def test_measurement_files(path):
+    validator("measurement").validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    validator("measurement").validate(cvxshear.load(path).to_dict())
+
+
+def test_a_new_file_and_a_merged_one():
+    validator("measurement").validate(tomllib.loads(template(4)))
+    modes = [from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]], name=name) for name in ("a", "b")]
+    frame = {"total_mass": 20.0, "reference": "bare"}
+    tests = [IdentifiedRecord(f"{each.name}.toml", each, frame, (), [0.0, 1.0], "bare") for each in modes]
+    validator("measurement").validate(merged(tests))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("frequencies", ["2.0"]), ("added_mass", [-1.0]), ("damping_ratios", 2.0), ("frequency", [2.0]), ("csv", "a.csv")],
+)
+def test_the_schema_refuses_what_the_reader_refuses(key, value):
+    declared = cvxshear.load(EXAMPLES / "three_story.toml").to_dict()
+    declared["configuration"][0][key] = value
+    assert not validator("measurement").is_valid(declared)
+    with pytest.raises(InputError):
+        cvxshear.Experiment.from_dict(declared)
+
+
+@pytest.mark.parametrize("method", ["efficient", "two-stage", "one-shot", "berman"])
+def test_identifications(method):
+    validator("identify").validate(cvxshear.identify(cvxshear.load(EXAMPLES / "paper.toml"), method=method).to_dict())
+
+
+def test_loop_and_backends():
+    said = cvxshear.close_loop(cvxshear.load("paper")).to_dict()
+    validator("loop").validate(said)
+    broken = copy.deepcopy(said)
+    broken["verdict"] = "perhaps"
+    assert not validator("loop").is_valid(broken)
+    three = cvxshear.load(EXAMPLES / "three_story.toml")
+    validator("backends").validate(cvxshear.compare_backends(three, names=["kkt", "clarabel"]).to_dict())
+
+
+def test_modes_of_one_record_and_of_several():
+    result = identify_modes(base_record(PAPER_FRAME, 0, noise=0.01, duration=150.0))
+    validator("modes").validate(json.loads(json.dumps(result.to_dict())))
+    found = [IdentifiedRecord("a.toml", result, {}), InputError("b.toml: empty")]
+    said = _said(["a.toml", "b.toml"], found)
+    validator("modes").validate(said)
+    assert said["failed"] == [{"file": "b.toml", "reason": "b.toml: empty"}]
+    assert np.isfinite(said["records"][0]["frequencies"]).all()

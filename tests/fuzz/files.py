@@ -1,0 +1,110 @@
+"""Sound files of every kind that a reader takes, to be damaged."""
+
+from __future__ import annotations
+
+import gc
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import io
+
+from cvxshear.modal.simulate import PAPER_FRAME, base_record
+from tests.frames import EXAMPLES
+from tests.modal.shared import csv
+
+CHANNELS = """
+[[channel]]
+column = "{ground}"
+floor = 0
+
+[[channel]]
+column = "{names[0]}"
+floor = 1
+
+[[channel]]
+column = "{names[1]}"
+floor = 2
+sign = -1
+calibration = 9.81
+
+[[channel]]
+column = "{names[2]}"
+floor = 3
+
+[frame]
+total_mass = 22.5
+
+[[prior]]
+kind = "monotone"
+quantity = "story_stiffness"
+direction = "decreasing"
+"""
+
+
+def columns() -> np.ndarray:
+    """Time, ground and three floors of the paper's frame shaken for half a minute."""
+    record = base_record(PAPER_FRAME, 0, noise=0.01, duration=30.0)
+    time = np.arange(record.runs[0].samples) / record.sampling_rate
+    return np.column_stack([time, record.runs[0].excitation, record.runs[0].responses])
+
+
+def measurement() -> bytes:
+    return (EXAMPLES / "three_story.toml").read_bytes()
+
+
+def record_text(file: str, ground: str = "ground", names: tuple[str, ...] = ("a1", "a2", "a3"), more: str = "") -> str:
+    head = f'added_mass = [0.0, 0.0, 0.0]\n[record]\nname = "r"\ninput = "base"\nfile = "{file}"\n{more}\n'
+    return head + CHANNELS.format(ground=ground, names=names)
+
+
+def table(folder: Path) -> bytes:
+    return csv(folder / "sound.csv", ["t", "ground", "a1", "a2", "a3"], columns()[:200]).read_bytes()
+
+
+def _variables(values: np.ndarray) -> dict[str, object]:
+    inner = {"deep": values[:, 2] + 1j * values[:, 3], "text": "name", "cell": np.array([1.0, "x"], dtype=object)}
+    single = values[:, 2].astype(np.float32)
+    return {"t": values[:, 0], "ground": values[:, 1], "a": values[:, 2:], "run": inner, "b": single, "n": 3}
+
+
+def mat5(folder: Path, *, compressed: bool) -> bytes:
+    """With compression several variables, without it a single one, whose element can be compressed anew."""
+    held = _variables(columns()[:200])
+    io.savemat(folder / "sound.mat", held if compressed else {"all": held}, do_compression=compressed)
+    return (folder / "sound.mat").read_bytes()
+
+
+def mat73(folder: Path) -> bytes:
+    h5py = pytest.importorskip("h5py")
+    values = columns()[:200]
+    with h5py.File(folder / "sound73.mat", "w", userblock_size=512) as file:
+        file.create_dataset("t", data=values[:, [0]].T)
+        file.create_dataset("a", data=values[:, 2:].T, chunks=(3, 64), compression="gzip", shuffle=True)
+        file.create_dataset("run/ground", data=values[:, [1]].T, chunks=(1, 64), compression="gzip", fletcher32=True)
+        file.create_dataset("h", data=np.zeros((1, 200), dtype=[("real", "f8"), ("imag", "f8")]))
+    content = (folder / "sound73.mat").read_bytes()
+    return b"MATLAB 7.3 MAT-file".ljust(512) + content[512:]
+
+
+def universal(folder: Path, *, binary: bool) -> bytes:
+    pyuff = pytest.importorskip("pyuff")
+    values = columns()[:200]
+    path = folder / "sound.uff"
+    path.unlink(missing_ok=True)
+    sets = [
+        pyuff.prepare_58(
+            binary=int(binary), func_type=1, rsp_node=node, rsp_dir=1, ref_node=2, ref_dir=1, data=column,
+            x=values[:, 0], id1=f"channel {node}", ver_num=0, load_case_id=0, rsp_ent_name="NONE",
+            ref_ent_name="NONE", abscissa_spacing=1, abscissa_inc=0.05, abscissa_spec_data_type=17,
+            ordinate_spec_data_type=12, orddenom_spec_data_type=0,
+        )
+        for node, column in zip((9, 1, 2, 3), values.T[1:], strict=True)
+    ]  # fmt: skip
+    with warnings.catch_warnings():
+        # pyuff leaves the file to the garbage collector.
+        warnings.simplefilter("ignore", ResourceWarning)
+        pyuff.UFF(str(path)).write_sets(sets, mode="add")
+        gc.collect()
+    return path.read_bytes()

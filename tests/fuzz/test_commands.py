@@ -1,0 +1,149 @@
+"""What the readers take goes through the commands: a result in finite numbers, or a message; status 0, 1 or 2."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, Phase, assume, given, seed, settings
+from hypothesis import strategies as st
+
+from cvxshear.cli import main
+from cvxshear.errors import CvxshearError
+from cvxshear.formats.record import read_record
+from cvxshear.formats.toml import load
+from tests.fuzz import files
+from tests.fuzz.mutations import JUNK, PLACES, WORD, apply, damaged
+from tests.modal.shared import csv
+
+SHARE = 5
+"""One mutated file in so many of the budget is tried; a command takes far longer than a reader."""
+
+VALUES = (0.0, -1.0, 1e-30, 1e30, 1e-12, 1e12, 0.5, 2.0, 100.0, 1e6)
+
+
+def many(budget: int, share: int = SHARE):
+    return settings(
+        max_examples=max(3, budget // share),
+        deadline=None,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+        phases=(Phase.generate,),
+    )
+
+
+def numbers(value):
+    if isinstance(value, dict):
+        for each in value.values():
+            yield from numbers(each)
+    elif isinstance(value, list):
+        for each in value:
+            yield from numbers(each)
+    elif isinstance(value, float):
+        yield value
+
+
+def run(capsys, *arguments: str) -> int:
+    """The status of a command, once what it printed is known to be sound."""
+    with pytest.raises(SystemExit) as stopped:
+        main([*arguments, "--json", "-"])
+    status, shown = stopped.value.code, capsys.readouterr()
+    assert status in (0, 1, 2)
+    if status == 0:
+        assert all(math.isfinite(each) for each in numbers(json.loads(shown.out)))
+        assert not shown.err
+    else:
+        assert shown.err.startswith("cvxshear: ")
+        assert shown.err.count("\n") == 1
+    return status
+
+
+def with_value(content: bytes, place: float, value: float) -> bytes:
+    """The text with one of its numbers multiplied or replaced."""
+    words = [found for found in WORD.finditer(content) if found.group().replace(b".", b"").isdigit()]
+    found = words[int(place * len(words))]
+    text = f"{float(found.group()) * value:.9g}" if value > 0 else f"{value:.9g}"
+    return content[: found.start()] + text.encode() + content[found.end() :]
+
+
+METHODS = (("base", "okid"), ("base", "subspace"), ("none", "ssi"), ("free_decay", "era"))
+
+CHANGES = st.lists(st.tuples(PLACES, st.sampled_from(VALUES)), min_size=1, max_size=3)
+
+
+@pytest.mark.parametrize("command", ["identify", "loop"])
+def test_a_measurement_that_is_read_is_identified_or_refused(command, fuzz_budget, tmp_path, capsys):
+    path = tmp_path / "x.toml"
+    options = {"identify": [["--method", each] for each in ("efficient", "two-stage", "one-shot", "berman", "qi")]}
+    choices = options.get(command, [["--effects", "ground_spring,story_change"]])
+
+    @seed(5)
+    @many(fuzz_budget, SHARE if command == "identify" else 4 * SHARE)
+    @given(CHANGES, damaged(1), st.booleans(), st.sampled_from(choices))
+    def check(changes, edits, as_bytes, chosen):
+        content = files.measurement()
+        for place, value in changes:
+            content = with_value(content, place, value)
+        path.write_bytes(apply(content, edits) if as_bytes else content)
+        try:
+            load(path)
+        except CvxshearError:
+            assume(False)
+        run(capsys, command, str(path), *chosen)
+
+    check()
+
+
+def test_a_record_that_is_read_has_modes_or_is_refused(fuzz_budget, tmp_path, capsys):
+    path = tmp_path / "x.toml"
+    sound = files.columns()
+    kinds = ("constant", "huge", "tiny", "spike", "step", "repeat", "zeros", "copy", "integers")
+    column = st.tuples(st.sampled_from(kinds), st.integers(1, 4), PLACES)
+
+    @seed(6)
+    @many(fuzz_budget, 2 * SHARE)
+    @given(st.lists(column, min_size=1, max_size=3), st.sampled_from(METHODS), st.integers(128, 600))
+    def check(changes, how, length):
+        driven, method = how
+        values = sound[:length].copy()
+        for kind, place, share in changes:
+            values[:, place] = _spoilt(values[:, place], kind, share, values[:, 1 + place % 4])
+        csv(tmp_path / "x.csv", ["t", "ground", "a1", "a2", "a3"], values)
+        path.write_text(files.record_text("x.csv").replace("base", driven))
+        run(capsys, "modes", str(path), "--method", method, "--quiet")
+
+    check()
+
+
+def _spoilt(column: np.ndarray, kind: str, share: float, other: np.ndarray) -> np.ndarray:
+    at = int(share * len(column))
+    result = column.copy()
+    if kind in ("constant", "zeros"):
+        return np.full(len(column), 0.0 if kind == "zeros" else 3.0)
+    if kind in ("huge", "tiny"):
+        return column * (1e25 if kind == "huge" else 1e-25)
+    if kind == "spike":
+        result[at] = 1e20
+    if kind == "step":
+        result[at:] += 1e6
+    if kind == "repeat":
+        return np.resize(column[: 2 + at % 7], len(column))
+    return {"copy": other, "integers": np.round(column)}.get(kind, result)
+
+
+@pytest.mark.parametrize("key", ["name", "kind", "input", "file", "axis", "stories", "band", "sampling_rate", "time"])
+def test_a_record_with_junk_in_its_head_is_refused(key, tmp_path, capsys):
+    files.table(tmp_path)
+    path = tmp_path / "x.toml"
+    for junk in JUNK:
+        path.write_bytes(
+            files.record_text("sound.csv")
+            .encode()
+            .replace(b"[record]", b"[record]\n" + key.encode() + b" = " + junk, 1)
+        )
+        try:
+            read_record(path)
+        except CvxshearError as error:
+            assert str(error).isprintable()  # noqa: PT017

@@ -1,0 +1,88 @@
+"""Whatever a file holds, its reader gives finite numbers or refuses it with a message.
+
+`pytest tests/fuzz --fuzz-budget 20000` tries that many mutations a reader. A warning is an error here too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, Phase, given, seed, settings
+
+from cvxshear.errors import CvxshearError, InputError
+from cvxshear.formats.columns import Columns
+from cvxshear.formats.csv import read_csv
+from cvxshear.formats.mat import read_mat
+from cvxshear.formats.record import read_record
+from cvxshear.formats.toml import load
+from cvxshear.formats.uff import read_uff
+from tests.fuzz import files
+from tests.fuzz.mutations import apply, damaged, deflated
+
+
+def finite(columns: Columns) -> None:
+    for name in columns.names:
+        try:
+            assert np.isfinite(columns.column(name, "the test")).all()
+        except InputError:
+            continue
+
+
+def measured(path: Path) -> None:
+    experiment = load(path)
+    for each in experiment.configurations:
+        assert np.isfinite(each.frequencies).all()
+        assert np.isfinite(each.mode_shapes[each.measured]).all()
+
+
+def recorded(path: Path) -> None:
+    for each in read_record(path).record.runs:
+        assert np.isfinite(each.responses).all()
+
+
+READERS: dict[str, tuple[str, Callable[[Path], bytes], Callable[[Path], object], Callable]] = {
+    "MAT 5, compressed": ("x.mat", lambda at: files.mat5(at, compressed=True), lambda x: finite(read_mat(x)), apply),
+    "MAT 5, inflated": ("x.mat", lambda at: files.mat5(at, compressed=False), lambda x: finite(read_mat(x)), deflated),
+    "MAT 7.3": ("x.mat", files.mat73, lambda x: finite(read_mat(x)), apply),
+    "UFF": ("x.uff", lambda at: files.universal(at, binary=False), lambda x: finite(read_uff(x)[0]), apply),
+    "UFF, binary": ("x.uff", lambda at: files.universal(at, binary=True), lambda x: finite(read_uff(x)[0]), apply),
+    "CSV": ("x.csv", files.table, lambda x: finite(read_csv(x)), apply),
+    "TOML, measurement": ("x.toml", lambda _: files.measurement(), measured, apply),
+    "TOML, record": ("x.toml", lambda _: files.record_text("sound.csv").encode(), recorded, apply),
+}
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_a_mutated_file_is_read_or_refused(kind, fuzz_budget, tmp_path):
+    name, make, read, mutate = READERS[kind]
+    files.table(tmp_path)
+    sound = make(tmp_path)
+    path = tmp_path / name
+    path.write_bytes(sound)
+    read(path)
+    counts = {"read": 0, "refused": 0}
+
+    @seed(13)
+    @settings(
+        max_examples=fuzz_budget,
+        deadline=None,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+        phases=(Phase.generate, Phase.shrink),
+    )
+    @given(damaged())
+    def check(edits):
+        path.write_bytes(mutate(sound, edits))
+        try:
+            read(path)
+            counts["read"] += 1
+        except CvxshearError as error:
+            assert str(error).isprintable()  # noqa: PT017
+            counts["refused"] += 1
+
+    check()
+    print(f"{kind}: {counts['read']} read, {counts['refused']} refused")
+    assert sum(counts.values()) >= fuzz_budget

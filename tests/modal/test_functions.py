@@ -1,0 +1,102 @@
+"""Measured functions against the dynamic stiffness, coherence against its closed form, and poles picked by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cvxshear.errors import InputError
+from cvxshear.modal import Channel, Run, TimeRecord, from_arrays, identify_modes
+from cvxshear.modal.functions import measured_functions
+from cvxshear.modal.simulate import PAPER_FRAME, ambient_record, hammer_record, shaker_record
+from cvxshear.modal.synthesis import band_of, synthesized
+
+
+@pytest.fixture(scope="module")
+def hammer():
+    return identify_modes(hammer_record(PAPER_FRAME, 0, noise=0.005, hits=2), functions=True)
+
+
+def accelerance(lines):
+    """Of the paper's frame by its dynamic stiffness, shape (lines, outputs, inputs)."""
+    frequencies, shapes = PAPER_FRAME.modes()
+    mass = np.diag(PAPER_FRAME.masses)
+    damper = mass @ shapes.T @ np.diag(4 * np.pi * PAPER_FRAME.damping * frequencies) @ shapes @ mass
+    w = 2 * np.pi * lines
+    return np.array([-(x**2) * np.linalg.inv(PAPER_FRAME.stiffness - x**2 * mass + 1j * x * damper) for x in w])
+
+
+def test_functions_of_hits_are_those_of_the_frame(hammer):
+    seen = hammer.functions
+    within = band_of(seen.frequencies, hammer.frequencies)
+    exact = accelerance(seen.frequencies[within])
+    error = np.abs(seen.values[within] - exact) / np.sqrt(np.mean(np.abs(exact) ** 2))
+    assert np.sqrt(np.mean(error**2)) < 0.03
+    np.testing.assert_array_equal(seen.inputs, [1, 2, 3])
+
+
+def test_the_modes_make_the_same_functions(hammer):
+    seen = hammer.functions
+    within = band_of(seen.frequencies, hammer.frequencies)
+    exact = accelerance(seen.frequencies[within])
+    error = np.abs(synthesized(hammer)[within] - exact) / np.sqrt(np.mean(np.abs(exact) ** 2))
+    assert np.sqrt(np.mean(error**2)) < 0.03
+
+
+def test_the_indicator_peaks_at_the_modes(hammer):
+    seen = hammer.functions
+    largest = seen.indicator[:, 0]
+    peaks = seen.frequencies[1:-1][(largest[1:-1] > largest[:-2]) & (largest[1:-1] > largest[2:])]
+    for frequency in hammer.frequencies:
+        assert np.abs(peaks - frequency).min() < 0.02
+
+
+def test_half_spectra_of_an_ambient_record_are_made_of_its_modes():
+    result = identify_modes(ambient_record(PAPER_FRAME, 0, noise=0.01, duration=600.0), functions=True)
+    seen = result.functions
+    assert not seen.driven
+    within = band_of(seen.frequencies, result.frequencies)
+    left = synthesized(result)[within] - seen.values[within]
+    assert np.linalg.norm(left) < 0.15 * np.linalg.norm(seen.values[within])
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.5, 1.0])
+def test_coherence_is_the_share_of_the_response_that_the_input_makes(noise):
+    random = np.random.default_rng(3)
+    force = random.standard_normal(40_000)
+    response = 2.0 * force + 2.0 * noise * random.standard_normal(len(force))
+    record = TimeRecord(
+        (Channel("a", 1),), runs=(Run(response[:, None], force, 1),), sampling_rate=50.0, input="force"
+    )
+    seen = measured_functions(record, 20.0)
+    assert np.mean(seen.coherence) == pytest.approx(1 / (1 + noise**2), abs=0.02)
+    assert np.mean(seen.values.real) == pytest.approx(2.0, rel=0.02)
+    assert seen.frequencies.max() <= 20.0
+
+
+def test_a_continuous_force_carries_the_masses():
+    result = identify_modes(shaker_record(PAPER_FRAME, 0, noise=0.01, floor=3))
+    assert result.mass_normalized
+    frequencies, shapes = PAPER_FRAME.modes()
+    np.testing.assert_allclose(result.frequencies, frequencies, rtol=1e-3)
+    np.testing.assert_allclose(np.abs(result.mode_shapes), np.abs(shapes), atol=0.005)
+
+
+def test_modes_picked_by_hand():
+    record = hammer_record(PAPER_FRAME, 1, noise=0.005, hits=2)
+    result = identify_modes(record, pick=[3.3, 1.03])
+    np.testing.assert_allclose(result.frequencies, PAPER_FRAME.modes()[0][[0, 2]], rtol=1e-3)
+    np.testing.assert_array_equal(result.modes, [1, 3])
+    for pick, count, expected in (
+        ([1.03, 2.6], None, r"no stable pole of its own within 3 % of 2\.6 Hz; there are"),
+        ([1.0, 2.2, 3.2, 4.0], None, "pick names 4 modes; a frame of 3 stories has no more than 3"),
+        ([1.03], 2, "give either count or pick"),
+        ([-1.0], None, "pick"),
+    ):
+        with pytest.raises(InputError, match=expected):
+            identify_modes(record, pick=pick, count=count)
+
+
+def test_what_was_not_kept_is_said():
+    with pytest.raises(InputError, match="holds no functions"):
+        synthesized(from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]]))

@@ -1,0 +1,62 @@
+"""Designs that the tests plan for, and their information made another way."""
+
+import numpy as np
+
+from cvxshear.planning.design import Design
+from cvxshear.planning.model import Model
+from cvxshear.planning.noise import Declared
+from tests.frames import modes_of
+
+NOISE = Declared(frequency_std=0.002, mode_shape_std=0.02)
+
+
+def design(mass, stiffness, *, mass_std=0.02, stiffness_std=0.1, frame=None):
+    priors = [
+        {"kind": "nominal", "quantity": "floor_mass", "values": list(mass), "std": mass_std},
+        {"kind": "nominal", "quantity": "story_stiffness", "values": list(stiffness), "std": stiffness_std},
+    ]
+    return Design.of_file({"frame": frame or {}, "prior": priors}, "test")
+
+
+def tapered(stories, **keys):
+    """A frame whose stories soften upwards, with floors that are not all alike."""
+    rng = np.random.default_rng(stories)
+    mass = 2e4 * rng.uniform(0.8, 1.2, stories)
+    stiffness = 1e8 * np.linspace(1.5, 0.8, stories) * rng.uniform(0.8, 1.2, stories)
+    return design(mass, stiffness, **keys)
+
+
+def frame_model(of, modes=3, noise=NOISE, quantities=("floor_mass", "story_stiffness")):
+    return Model(of, (), quantities, np.arange(modes), noise)
+
+
+def log_data(sizes, added, floors, modes):
+    """Logarithms of frequencies, and shapes at some floors, each of unit modal mass: what the scale is free of."""
+    n = len(sizes) // 2
+    frequencies, shapes = modes_of(sizes[:n] + added, sizes[n:])
+    return np.log(frequencies[:modes]), shapes[:modes][:, floors]
+
+
+def slow_covariance(of, added, floors, modes, noise, *, mass_std, stiffness_std):
+    """Covariance of relative masses and stiffnesses by central differences, a free scale a mode and test."""
+    n, sizes = of.stories, of.sizes
+    rows = [np.diag(1.0 / np.concatenate([np.full(n, mass_std), np.full(n, stiffness_std)]))]
+    scales = np.zeros((2 * n, len(added) * modes))
+    blocks = [np.hstack([rows[0], scales])]
+    for t, masses in enumerate(added):
+        step = 1e-5
+        moved = [
+            [log_data(sizes * (1 + sign * step * unit), masses, floors, modes) for sign in (1, -1)]
+            for unit in np.eye(2 * n)
+        ]
+        frequency = np.array([(up[0] - down[0]) / (2 * step) for up, down in moved]).T
+        shape = np.array([(up[1] - down[1]) / (2 * step) for up, down in moved])
+        here = log_data(sizes, masses, np.arange(n), modes)[1][:, floors]
+        wide = np.zeros((modes, len(added) * modes))
+        blocks.append(np.hstack([frequency / noise.frequency_std, wide]))
+        for mode in range(modes):
+            column = np.zeros((len(floors), len(added) * modes))
+            column[:, t * modes + mode] = here[mode]
+            blocks.append(np.hstack([shape[:, mode].T, column]) / noise.mode_shape_std)
+    J = np.vstack(blocks)
+    return np.linalg.inv(J.T @ J)[: 2 * n, : 2 * n]

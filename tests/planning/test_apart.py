@@ -1,0 +1,82 @@
+"""Probabilities of the right verdict: against integrals, and in the limits."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from cvxshear.effects import Gravity, GroundSpring, JointRotation, Place, Placed, Scale
+from cvxshear.errors import InputError
+from cvxshear.experiment import Frame
+from cvxshear.planning.apart import NONE, apart, evidence_of
+from cvxshear.planning.targets import Target, target
+
+ROTATION = Target(Placed(JointRotation()), 0.05)
+SPRING = Target(Placed(GroundSpring(), Place(floor=3)), 10.0)
+GRAVITY = Target(Placed(Gravity()), 1.1)
+FRAME = Frame(stories=3, story_heights=np.full(3, 0.4))
+SCALE = Scale(10.0, 2000.0, np.full(3, 0.4))
+
+
+@pytest.mark.parametrize(("of", "y"), [(ROTATION, 3.0), (ROTATION, -2.0), (SPRING, 9.0), (GRAVITY, 12.0)])
+def test_the_evidence_is_the_integral_over_the_effects_values(of, y):
+    own = 11.0
+
+    def likely(x):
+        density = np.exp(-(((x - of.mean) / of.spread) ** 2) / 2) / (of.spread * np.sqrt(2 * np.pi))
+        return density * (2.0 if of.side else 1.0) * np.exp(y * x - own * x**2 / 2)
+
+    low = 0.0 if of.side else of.mean - 12 * of.spread
+    integral = quad(likely, low, of.mean + 12 * of.spread, limit=200)[0]
+    assert evidence_of(of, own, np.array(y)) == pytest.approx(np.log(integral), abs=1e-8)
+
+
+def test_a_sure_test_gives_the_right_verdict_and_an_empty_one_none():
+    sure = apart([ROTATION, SPRING], np.diag([1e-3, 1e-3]))
+    assert [each.label for each in sure] == [NONE, "joint rotation", "ground spring at floor 3"]
+    assert min(each.probability for each in sure) > 0.9
+    empty = apart([ROTATION, SPRING], np.diag([50.0, 50.0]))
+    assert max(each.probability for each in empty[1:]) < 0.01
+
+
+def test_an_effect_that_mimics_another_is_its_nearest_rival():
+    information = np.array([[25.0, 24.0], [24.0, 25.0]])
+    found = apart([ROTATION, SPRING], np.linalg.inv(information))
+    assert found[1].nearest == "ground spring at floor 3"
+    assert found[1].nearest_distance == pytest.approx(np.sqrt(25 - 24**2 / 25))
+    assert found[1].distance == pytest.approx(5.0)
+
+
+def test_an_effect_that_could_only_be_mimicked_the_wrong_way_round_is_told_from_none_alone():
+    information = np.array([[25.0, -24.0], [-24.0, 25.0]])
+    found = apart([ROTATION, SPRING], np.linalg.inv(information))
+    assert found[1].nearest_distance == pytest.approx(5.0)
+
+
+def test_effects_are_named_with_place_and_size():
+    found = target("ground_spring@3=200", FRAME, SCALE)
+    assert (found.placed.label, found.size) == ("ground spring at floor 3", 200.0)
+    assert target("gravity", FRAME, SCALE).size == pytest.approx(1.1)
+    assert target("joint_rotation", FRAME, SCALE).size == pytest.approx(0.5)
+    assert target("ground_spring@2", FRAME, SCALE).size == pytest.approx(0.1 * SCALE.story_stiffness)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("gravitty", "did you mean 'gravity'"),
+        ("gravity@2", "has no place of its own"),
+        ("ground_spring", "write which, such as ground_spring@2"),
+        ("ground_spring@9=3", "must lie between 2 and 3"),
+        ("ground_spring@2=stiff", "must be a number"),
+        ("ground_spring@2=-3", "must be greater than 0"),
+        ("story_change@1=0.1", "sits in a single state"),
+    ],
+)
+def test_a_wrong_effect_is_refused(text, message):
+    with pytest.raises(InputError, match=message):
+        target(text, FRAME, SCALE)
+
+
+def test_an_effect_that_needs_heights_says_so():
+    with pytest.raises(InputError, match="needs frame: story_heights"):
+        target("gravity", Frame(stories=3), SCALE)

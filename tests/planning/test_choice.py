@@ -1,0 +1,114 @@
+"""The convex program and the choice: bounds that hold, solvers that agree, exchange beside all choices."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from scipy.optimize import check_grad
+
+from cvxshear.errors import InputError
+from cvxshear.planning.choice import choose, exchanged, exhaustive, values_of
+from cvxshear.planning.criteria import CRITERIA, criterion_named
+from cvxshear.planning.relaxation import relaxed
+from cvxshear.planning.study import OTHERS, beside_others, floors_of, random_frame
+from tests.planning.common import frame_model, tapered
+
+NAMES = tuple(CRITERIA)
+
+
+def floors(stories, number, modes=3, **keys):
+    model = frame_model(tapered(stories, **keys), modes)
+    return model.sensors([model.expected(np.zeros(stories))], number)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_criterion_is_what_it_says(name):
+    of = floors(5, 3)
+    information = of.subset([0, 2, 4])
+    covariance = of.covariance(of.own(information))
+    eigenvalues = np.linalg.eigvalsh(covariance)
+    expected = {
+        "D": np.exp(np.mean(np.log(eigenvalues)) / 2),
+        "A": np.sqrt(np.mean(np.diag(covariance))),
+        "E": np.sqrt(eigenvalues[-1]),
+        "worst": np.sqrt(np.max(np.diag(covariance))),
+    }
+    assert CRITERIA[name].value(of, information) == pytest.approx(expected[name], rel=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_smooth_functions_gradient_is_that_of_differences(name):
+    of = floors(6, 3)
+    smooth = partial(CRITERIA[name].smooth, of)
+    shares = np.random.default_rng(1).uniform(0.2, 0.9, 6)
+    error = check_grad(lambda w: smooth(w)[0], lambda w: smooth(w)[1], shares, epsilon=1e-6)
+    assert error < 1e-4 * np.linalg.norm(smooth(shares)[1])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_choice_is_below_the_bound(name):
+    """Ten choose four: every choice is looked at, from rough shares too."""
+    of = floors(10, 4)
+    by = CRITERIA[name]
+    best, chosen = exhaustive(of, 4, by)
+    found = choose(of, 4, by, enumerate_up_to=0)
+    assert found.bound <= best <= found.value * (1 + 1e-9)
+    assert found.value <= 1.001 * best
+    assert 1 - found.bound / best < 0.3
+    rough = np.random.default_rng(2).uniform(0, 1, 10)
+    assert by.bound(of, rough * 4 / rough.sum(), 4) <= best
+    assert choose(of, 4, by).bound == choose(of, 4, by).value == pytest.approx(best)
+    assert list(choose(of, 4, by).chosen) == chosen
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_program_finds_what_descent_with_every_direction_finds(name):
+    """The bound is within a thousandth of the value at the shares: neither can then be improved by more."""
+    of = floors(10, 4)
+    by = CRITERIA[name]
+    found = relaxed(of, 4, by)
+    assert found.shares.sum() == pytest.approx(4.0, abs=1e-4)
+    at_shares = float(by.value(of, of.information(found.shares)))
+    slack = 3e-2 if name in ("E", "worst") else 1e-3
+    assert found.bound <= at_shares <= (1 + slack) * found.bound
+
+
+def test_the_solvers_agree():
+    of = floors(6, 3)
+    for name in ("D", "A"):
+        bounds = [relaxed(of, 3, CRITERIA[name], solver).bound for solver in ("clarabel", "scs")]
+        assert bounds[0] == pytest.approx(bounds[1], rel=1e-3)
+
+
+def test_every_floor_needs_no_program():
+    of = floors(5, 5)
+    found = choose(of, 5, criterion_named("D"))
+    assert found.gap == 0.0
+    assert list(found.chosen) == [0, 1, 2, 3, 4]
+
+
+def test_a_tall_frames_gap_is_small():
+    of, _ = floors_of(random_frame(np.random.default_rng(40), 40), 10)
+    assert choose(of, 10, criterion_named("D")).gap < 0.05
+
+
+def test_an_exchange_takes_the_best_neighbour():
+    of, by = floors(7, 3), criterion_named("A")
+    value, chosen = exchanged(of, [0, 1, 2], by)
+    neighbours = [sorted({*chosen} - {out} | {into}) for out in chosen for into in range(7) if into not in chosen]
+    assert value <= values_of(of, neighbours, by).min() * (1 + 1e-9)
+    assert value == pytest.approx(float(by.value(of, of.subset(chosen))))
+
+
+def test_the_choice_is_never_worse_than_the_others():
+    pytest.importorskip("pysensors")
+    for name, ratios in beside_others(frames=2, seed=3, tallest=8).items():
+        assert ratios.shape == (2, len(OTHERS))
+        assert ratios.min() >= 1 - 1e-9, name
+
+
+def test_an_unknown_criterion_or_solver_is_refused():
+    with pytest.raises(InputError, match="criterion must be one of D, A, E, worst"):
+        criterion_named("G")
+    with pytest.raises(InputError, match="solver must be one of clarabel, scs"):
+        relaxed(floors(4, 2), 2, criterion_named("D"), "osqp")

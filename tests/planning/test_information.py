@@ -1,0 +1,79 @@
+"""The information of floors and tests: against differences of another eigenvalue solver, and what must hold for it."""
+
+import numpy as np
+import pytest
+
+from cvxshear.errors import InputError
+from cvxshear.planning.candidates import candidates
+from cvxshear.planning.design import Design
+from cvxshear.planning.model import VAGUE
+from tests.planning.common import NOISE, design, frame_model, slow_covariance, tapered
+
+FLOORS = np.array([0, 2, 4])
+
+
+@pytest.mark.parametrize("added", [[np.zeros(5)], [np.zeros(5), np.array([0, 4e3, 0, 0, 9e3])]])
+def test_the_covariance_is_that_of_numerical_derivatives_with_a_free_scale_a_mode(added):
+    of = tapered(5)
+    model = frame_model(of)
+    tests = [model.expected(masses) for masses in added]
+    slow = slow_covariance(of, added, FLOORS, 3, NOISE, mass_std=0.02, stiffness_std=0.1)
+    found = model.covariance(tests, FLOORS)
+    np.testing.assert_allclose(np.sqrt(np.diag(found)), np.sqrt(np.diag(slow)), rtol=2e-4)
+
+
+def test_floors_add_up_with_the_scales_as_parameters_as_shapes_do_with_the_scales_eliminated():
+    model = frame_model(tapered(6))
+    tests = [model.expected(np.zeros(6)), model.expected(np.full(6, 3e3))]
+    of = model.sensors(tests, 3)
+    added_up = of.covariance(of.own(of.subset(FLOORS)))
+    eliminated = model.covariance(tests, FLOORS)
+    # The scales are not quite free: each has the standard deviation of what nothing is known of.
+    np.testing.assert_allclose(added_up, eliminated, rtol=1e-4, atol=1e-9)
+
+
+def test_one_test_more_can_be_a_candidate_as_well():
+    model = frame_model(tapered(4))
+    tests = [model.expected(np.zeros(4)), model.expected(np.array([0, 0, 0, 8e3]))]
+    of = model.choices(tests, FLOORS[:2], 1)
+    np.testing.assert_allclose(
+        of.covariance(of.own(of.subset([1]))), model.covariance(tests[1:], FLOORS[:2]), rtol=1e-8
+    )
+
+
+def test_equal_shares_of_all_candidates_are_the_unit_of_information():
+    model = frame_model(tapered(6))
+    of = model.sensors([model.expected(np.zeros(6))], 2)
+    np.testing.assert_allclose(of.information(np.full(6, 2 / 6)), np.eye(len(of.base)), atol=1e-8)
+
+
+def test_a_single_sensor_tells_nothing_of_a_shape_whose_scale_is_free():
+    model = frame_model(tapered(5))
+    tests = [model.expected(np.zeros(5))]
+    alone = model.covariance(tests, np.array([4]))
+    np.testing.assert_allclose(alone, model.covariance(tests, np.array([1])), rtol=1e-9)
+
+
+def test_a_known_total_takes_a_direction_away():
+    mass = [9.0, 7.0, 5.0]
+    of = design(mass, [2e3, 1.5e3, 1e3], frame={"total_mass": 21.0})
+    model = frame_model(of)
+    covariance = model.covariance([model.expected(np.zeros(3))], np.arange(3))
+    total = np.concatenate([mass, np.zeros(3)])
+    assert total @ covariance @ total == pytest.approx(0.0, abs=1e-12)
+    assert np.sqrt(covariance[0, 0]) > 1e-4
+
+
+def test_known_masses_are_no_part_of_the_question():
+    priors = [{"kind": "nominal", "quantity": "story_stiffness", "values": [2e3, 1e3], "std": 0.1}]
+    of = Design.of_file({"frame": {"floor_masses": [9.0, 7.0]}, "prior": priors}, "test")
+    assert frame_model(of, modes=2).question.shape == (2, 4)
+    with pytest.raises(InputError, match="known exactly already"):
+        frame_model(of, modes=2, quantities=("floor_mass",)).sensors([], 1)
+
+
+def test_what_nothing_is_known_of_keeps_the_vague_standard_deviation():
+    question = np.eye(2)
+    of = candidates(np.eye(2) / VAGUE, np.zeros((0, 2)), np.array([[[1e3, 0.0]]]), question, 1.0)
+    std = np.sqrt(np.diag(of.covariance(of.own(of.subset([0])))))
+    np.testing.assert_allclose(std, [1e-3, VAGUE], rtol=1e-6)

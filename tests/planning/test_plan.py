@@ -1,0 +1,261 @@
+"""Plans as a user makes them: choices, masses within limits, files, simulated tests that keep what was promised."""
+
+import json
+
+import numpy as np
+import pytest
+
+import cvxshear
+from cvxshear.cli import main
+from cvxshear.errors import InputError
+from cvxshear.planning import Declared, Limits, Recorded, best_test, plan, predicted, read_design, write_template
+from cvxshear.planning.criteria import criterion_named
+from cvxshear.planning.masses import value_of
+from cvxshear.planning.simulation import right_verdicts, scatter
+from cvxshear.planning.study import paper_design
+from cvxshear.report import figures
+from tests.frames import configuration, experiment
+from tests.planning.common import NOISE, design, tapered
+from tests.report.test_figures import assert_readable
+
+DESIGN = """
+[frame]
+story_heights = 3.0
+
+[[prior]]
+kind = "nominal"
+quantity = "floor_mass"
+values = [20.0, 20.0, 18.0, 15.0]
+std = 0.02
+
+[[prior]]
+kind = "nominal"
+quantity = "story_stiffness"
+values = [30e3, 28e3, 25e3, 20e3]
+std = 0.1
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "design.toml"
+    path.write_text(DESIGN)
+    return path
+
+
+@pytest.fixture(scope="module")
+def paper():
+    return plan("paper", tests="declared", goal="gravity")
+
+
+def test_a_file_of_design_values_is_planned_for(file):
+    found = plan(file, sensors=2, modes=3)
+    assert len(found.sensors) == 2
+    assert found.gap == 0.0
+    assert len(found.fewer.floors) == 1
+    assert len(found.more.floors) == 3
+    order = [found.fewer, found.chosen, found.more, found.everywhere]
+    assert [each.objective for each in order] == sorted((each.objective for each in order), reverse=True)
+    assert np.all(found.chosen.floor_mass_std <= 0.02 * np.array([20.0, 20.0, 18.0, 15.0]) * (1 + 1e-9))
+
+
+def test_the_papers_three_structures_can_show_gravity(paper):
+    """The loop finds it in the measured data with noise of 0.2 and 1 % assumed: 12 standard deviations were there."""
+    gravity = paper.apart[1]
+    assert gravity.distance > 10
+    assert gravity.probability > 0.99
+    assert [list(test) for test in paper.tests] == [[13.5, 8.6], [27.5, 22.6], [41.0, 36.1]]
+
+
+def test_one_structure_cannot_show_gravity_whatever_it_carries_but_bare_and_ten_kilograms_can():
+    alone = plan("paper", tests=1, goal="gravity", fresh=True, added_mass=41.0)
+    assert alone.apart[1].probability < 0.01
+    pair = plan("paper", tests=2, goal="gravity", fresh=True, added_mass=10.0)
+    assert pair.apart[1].probability > 0.9
+    assert list(pair.tests[0]) == [0.0, 0.0]
+
+
+def test_one_structure_can_show_gravity_where_the_design_stiffness_is_known_well_enough():
+    """Gravity takes 1.1 P / h, in the upper story 1.1 x 9.81 x (m + 41) / 0.39 N/m, of a stiffness known to 2 %."""
+    found = plan(paper_design(0.02), tests=1, goal="gravity", added_mass=41.0)
+    assert found.apart[1].distance > 5
+    assert plan(paper_design(0.05), tests=1, goal="gravity", added_mass=41.0).apart[1].distance < 4
+
+
+def test_what_was_measured_before_counts_unless_told_otherwise():
+    before = plan("paper", goal="masses")
+    fresh = plan("paper", goal="masses", fresh=True)
+    assert before.objective < fresh.objective
+
+
+def test_masses_stay_within_what_can_be_carried_and_beat_the_grid():
+    of = tapered(5, stiffness_std=0.3)
+    found = plan(of, 3, 2, modes=3, noise=NOISE, added_mass=4e3, added_mass_total=7e3)
+    for test in found.tests:
+        assert np.all((test >= 0) & (test <= 4e3))
+        assert test.sum() <= 7e3 * (1 + 1e-9)
+    limits = Limits.of(4e3, 7e3, 5)
+    by = criterion_named("D")
+    floors = found.chosen.floors - 1
+    grid = [found.model.expected(test) for test in limits.grid()]
+    pairs = [value_of(found.model, [grid[i], grid[j]], floors, by) for i in range(len(grid)) for j in range(i)]
+    assert found.objective <= min(pairs) * (1 + 1e-9)
+    assert found.tests_bound <= min(pairs) * (1 + 1e-9)
+
+
+def test_a_floor_that_can_carry_nothing_carries_nothing():
+    found = plan(tapered(3), tests=2, added_mass=[0.0, 4e3, 0.0], noise=NOISE, modes=2)
+    assert all(test[0] == test[2] == 0.0 for test in found.tests)
+
+
+def test_simulated_tests_scatter_as_planned():
+    """Forty samples of eight parameters: the root mean square of the ratio is known to 4 to 11 %."""
+    of = design([10.0, 8.0, 7.0, 5.0], [24e3, 20e3, 16e3, 9e3], stiffness_std=0.05)
+    found = plan(of, 3, 2, modes=3, noise=Declared(0.001, 0.005), added_mass=3.0)
+    seen = scatter(found, 40, seed=5)
+    assert seen.ratio == pytest.approx(1.0, abs=0.15)
+
+
+def test_simulated_tests_give_the_right_verdict_as_often_as_planned():
+    of = design([10.0, 7.5, 5.0], [1800.0, 1200.0, 600.0], stiffness_std=0.05, frame={"story_heights": 1.0})
+    found = plan(of, modes=3, noise=Declared(0.001, 0.005), goal="joint_rotation=0.05")
+    seen = right_verdicts(found, 30, seed=3)["joint_rotation"]
+    assert 0.5 < found.apart[1].probability < 1.0
+    assert seen == pytest.approx(found.apart[1].probability, abs=0.2)
+
+
+def test_the_file_to_fill_in_is_the_plan(file, tmp_path):
+    found = plan(file, sensors=3, tests=2, modes=2, added_mass=6.0)
+    out = tmp_path / "plan.toml"
+    write_template(out, found)
+    with pytest.raises(InputError, match="frequencies"):
+        cvxshear.load(out)
+    exact = predicted(found)
+    text = out.read_text()
+    for each in exact.configurations:
+        text = text.replace("frequencies = [nan, nan]", f"frequencies = {each.frequencies.tolist()}", 1)
+        nan = "mode_shapes = [[nan, nan, nan], [nan, nan, nan]]"
+        text = text.replace(nan, f"mode_shapes = {each.mode_shapes.tolist()}", 1)
+    out.write_text(text)
+    filled = cvxshear.load(out)
+    assert [each.measured_floors.tolist() for each in filled.configurations] == [found.sensors] * 2
+    frame = cvxshear.identify(filled).frame
+    np.testing.assert_allclose(frame.floor_mass, [20, 20, 18, 15], rtol=1e-4)
+    np.testing.assert_allclose(frame.floor_mass_std, found.chosen.floor_mass_std, rtol=5e-3)
+    np.testing.assert_allclose(frame.story_stiffness_std, found.chosen.story_stiffness_std, rtol=5e-3)
+
+
+def test_an_earlier_results_json_is_what_is_known(tmp_path):
+    result = cvxshear.identify(cvxshear.load("paper"))
+    path = tmp_path / "paper.json"
+    path.write_text(json.dumps(result.to_dict()))
+    of = read_design(path)
+    np.testing.assert_allclose(of.floor_mass, result.frame.floor_mass)
+    assert plan(path, modes=2).chosen.floor_mass_std[0] <= result.frame.floor_mass_std[0]
+    path.write_text('{"verdict": "adequate"}')
+    with pytest.raises(InputError, match="holds no frame with standard deviations"):
+        read_design(path)
+    path.write_text("[")
+    with pytest.raises(InputError, match="is not valid JSON"):
+        read_design(path)
+
+
+def test_rivals_are_told_apart_by_the_proposed_test():
+    """Gravity or none, of which two floors tell nothing in a single test: masses part them, and better floors more."""
+    mass, stiffness = [10.0, 10.0, 9.0, 8.0], [24e3, 20e3, 16e3, 10e3]
+    tested = configuration(mass, stiffness, measured_floors=[1, 4], modes=[1, 2])
+    declared = experiment(mass, stiffness, tested, frame={"total_mass": 37.0, "story_heights": 0.4})
+    declared["prior"] = [
+        {"kind": "nominal", "quantity": "story_stiffness", "values": stiffness, "std": 0.05},
+        {"kind": "nominal", "quantity": "floor_mass", "values": mass, "std": 0.05},
+    ]
+    measured = cvxshear.Experiment.from_dict(declared)
+    rivals = [cvxshear.close_loop(measured, effects=[], assume=assumed).estimate for assumed in ([], ["gravity"])]
+    limits = Limits.of(8.0, None, 4)
+    kept, chosen = best_test(rivals, limits), best_test(rivals, limits, sensors=2)
+    assert list(kept.measured_floors) == [1, 4]
+    assert chosen.standard_deviations >= kept.standard_deviations > 1
+    assert chosen.to_dict()["standard_deviations"] == chosen.standard_deviations
+    assert kept.added_mass.sum() > 0
+    assert best_test(rivals[:1] * 2, limits) is None
+    with pytest.raises(InputError, match="needs two of them"):
+        best_test(rivals[:1], limits)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"sensors": 5}, "sensors = 5 must lie between 1 and 4"),
+        ({"tests": 0}, "tests = 0 must lie between 1"),
+        ({"tests": "some"}, "tests must be a whole number or 'declared'"),
+        ({"tests": "declared"}, "declares no tests"),
+        ({"tests": 30, "added_mass": 3.0}, "tests = 30 are more than the"),
+        ({"modes": 5}, "modes = 5 must lie between 1 and 4"),
+        ({"modes": [2, 1]}, "modes must be ascending"),
+        ({"goal": "weights"}, "effect must be one of"),
+        ({"goal": " "}, "must be a text that is not empty"),
+        ({"criterion": "d"}, "criterion must be one of"),
+        ({"added_mass": -1.0}, "added_mass = -1 must not be less than 0"),
+        ({"added_mass_total": 3.0}, "needs one of each floor"),
+        ({"solver": "osqp"}, "solver must be one of"),
+        ({"noise": Recorded("ambient", 1.0)}, "periods of the lowest mode"),
+    ],
+)
+def test_a_wrong_option_is_refused(file, options, message):
+    with pytest.raises(InputError, match=message):
+        plan(file, **options)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('quantity = "story_stiffness"', 'quantity = "floor_mass"', "no story stiffness is expected"),
+        ("[20.0, 20.0, 18.0, 15.0]", "[20.0, 20.0, 18.0]", "must agree"),
+        ("story_heights", "story_height", "did you mean 'story_heights'"),
+        ("[[prior]]", "[[priors]]", "unknown key 'priors'"),
+    ],
+)
+def test_a_wrong_file_of_design_values_is_refused(file, old, new, message):
+    file.write_text(DESIGN.replace(old, new))
+    with pytest.raises(InputError, match=message):
+        plan(file)
+
+
+def test_the_command_prints_writes_and_draws(file, tmp_path, capsys):
+    out, drawn = tmp_path / "plan.toml", tmp_path / "plan.svg"
+    with pytest.raises(SystemExit) as ended:
+        main(["plan", str(file), "--sensors", "2", "--modes", "1,2", "-o", str(out), "--figure", str(drawn)])
+    assert ended.value.code == 0
+    said = capsys.readouterr().out
+    assert said.startswith("Measure floors ")
+    assert "none is better" in said
+    assert out.exists()
+    assert drawn.read_bytes().startswith(b"<?xml")
+    with pytest.raises(SystemExit):
+        main(["plan", str(file), "--sensors", "2", "--modes", "1,2", "--json", "-"])
+    result = json.loads(capsys.readouterr().out)
+    assert len(result["sensors"]) == 2
+    assert result["tests"] == [{"name": "planned test 1", "added_mass": [0.0] * 4}]
+    assert result["gap"] == 0.0
+    assert result["modes"] == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--modes", "a"], "--modes must be a number of modes"),
+        (["--added-mass", "1,x"], "--added-mass must be kg"),
+        (["--damping", "0.1"], "need --duration"),
+        (["--duration", "600", "--frequency-std", "0.1"], "give --duration"),
+    ],
+)
+def test_a_wrong_option_of_the_command_ends_with_2(file, capsys, arguments, message):
+    with pytest.raises(SystemExit) as ended:
+        main(["plan", str(file), *arguments])
+    assert ended.value.code == 2
+    assert message in capsys.readouterr().err
+
+
+def test_the_figure_is_readable(paper, file):
+    assert_readable(figures.plan(paper))
+    assert_readable(figures.plan(plan(file, 2, 2, added_mass=5.0, noise=Recorded("shaker", 600.0))))

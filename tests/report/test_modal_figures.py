@@ -1,0 +1,125 @@
+"""Figures of identified modes: nothing overlaps, and what is drawn is what was found."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import cvxshear
+from cvxshear.errors import InputError
+from cvxshear.modal import from_arrays, identify_modes
+from cvxshear.modal.simulate import PAPER_FRAME, KnownFrame, hammer_record, shaker_record
+from cvxshear.report import figures
+from cvxshear.report.figures.residual import _decades
+from cvxshear.report.shapes import mode_shapes
+from tests.frames import chain
+from tests.report.test_figures import assert_readable
+
+OF_RECORDS = (
+    figures.stabilization,
+    figures.functions,
+    figures.coherence,
+    figures.modal_shapes,
+    figures.modal_mac,
+)
+MASSES = np.array([10.0, 7.5, 5.0])
+STIFFNESSES = np.array([36e3, 24e3, 12e3])
+
+
+@pytest.fixture(scope="module")
+def hammer():
+    return identify_modes(hammer_record(PAPER_FRAME, 0, noise=0.01, hits=2), functions=True)
+
+
+@pytest.fixture(scope="module")
+def shaker():
+    two = KnownFrame(np.array([2.0, 1.0]), np.array([4000.0, 1500.0]), 0.01)
+    record = shaker_record(two, 0, noise=0.01, floor=2, sampling_rate=40.0, duration=120.0)
+    name = 'a "long" name of a record: $x_1$ & 结构 ' * 2
+    return dataclasses.replace(identify_modes(record, functions=True), name=name)
+
+
+@pytest.fixture(scope="module")
+def twenty(hammer):
+    """Twenty modes, close to one another, at twenty floors."""
+    angle = (2 * np.arange(1, 21) - 1) * np.pi / 41
+    shapes = np.sin(np.outer(angle, np.arange(1, 21)))
+    found = from_arrays(3.2 * np.sin(angle / 2), shapes, frequency_std=0.001, mode_shape_std=0.01, name="twenty")
+    return dataclasses.replace(found, sweep=hammer.sweep)
+
+
+@pytest.mark.parametrize("draw", OF_RECORDS, ids=lambda draw: draw.__name__)
+def test_no_text_overlaps_or_is_cut_off(draw, hammer, shaker):
+    assert_readable(draw(hammer, shaker))
+    assert_readable(draw(shaker))
+
+
+@pytest.mark.parametrize("draw", [figures.stabilization, figures.modal_shapes, figures.modal_mac])
+def test_nor_with_twenty_modes(draw, twenty):
+    assert_readable(draw(twenty))
+
+
+def test_the_poles_of_the_modes_are_drawn_at_their_frequencies(hammer):
+    axes = figures.stabilization(hammer).axes[0]
+    lines = {line.get_label(): line for line in axes.get_lines()}
+    frequencies, orders = lines["of a mode"].get_data()
+    assert set(np.round(frequencies, 1)) == {1.0, 2.2, 3.3}
+    assert max(orders) == 30
+    assert len(lines["pole"].get_xdata()) > 20
+    assert [text.get_text() for text in axes.texts] == ["1: 1.034 Hz", "2: 2.21 Hz", "3: 3.281 Hz"]
+
+
+def test_a_mode_faces_one_way_in_every_record(hammer):
+    turned = dataclasses.replace(hammer, mode_shapes=-hammer.mode_shapes, name="turned")
+    drawn = [axes.get_lines()[1].get_xdata() for axes in figures.modal_shapes(hammer, turned).axes]
+    for first, second in zip(drawn[:3], drawn[3:], strict=True):
+        np.testing.assert_allclose(first, second)
+
+
+def test_a_deviation_that_nobody_stated_is_not_drawn(hammer):
+    assert "±" in figures.modal_shapes(hammer).axes[0].get_title(loc="left")
+    given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]])
+    assert "±" not in figures.modal_shapes(given).axes[0].get_title(loc="left")
+
+
+def test_what_is_lacking_is_said():
+    given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]], name="given")
+    with pytest.raises(InputError, match="given: not identified from a record here"):
+        figures.stabilization(given)
+    for draw in (figures.functions, figures.coherence):
+        with pytest.raises(InputError, match="given: the functions of the record were not kept"):
+            draw(given)
+    single = identify_modes(hammer_record(PAPER_FRAME, 0, noise=0.01, hits=1), functions=True)
+    with pytest.raises(InputError, match="coherence takes two hits or more at each floor"):
+        figures.coherence(single)
+
+
+def test_the_same_mode_of_two_configurations_faces_one_way():
+    """The second mode's largest entry moves from the top to the middle floor with a counterweight on the top."""
+    configurations = []
+    for name, added in (("bare", 0.0), ("loaded", 2.5)):
+        weights = np.array([0.0, 0.0, added])
+        mass, stiffness = chain(MASSES + weights, STIFFNESSES)
+        values, vectors = np.linalg.eigh(np.diag(np.diag(mass) ** -0.5) @ stiffness @ np.diag(np.diag(mass) ** -0.5))
+        shapes = (np.diag(np.diag(mass) ** -0.5) @ vectors).T
+        scaled = shapes / shapes[np.arange(3), np.argmax(np.abs(shapes), axis=1)][:, None]
+        frequencies = (np.sqrt(values) / (2 * np.pi)).tolist()
+        noise = {"frequency_std": 0.001, "mode_shape_std": 0.01}
+        modes = {"frequencies": frequencies, "mode_shapes": scaled.tolist()}
+        configurations.append({"name": name, "added_mass": weights.tolist(), **modes, **noise})
+    experiment = cvxshear.Experiment.from_dict({"configuration": configurations})
+    drawn = mode_shapes(cvxshear.close_loop(experiment, effects=["story_change"]).estimate)
+    for first, second in zip(drawn[:3], drawn[3:], strict=True):
+        assert first.modelled @ second.modelled > 0
+        assert first.measured @ second.measured > 0
+        assert np.nanmax(np.abs(second.measured)) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("largest", [30.0, 900.0, 2e4, 5e9])
+def test_labels_on_either_side_of_zero_are_few(largest):
+    ticks = _decades(largest)
+    assert ticks == [-tick for tick in reversed(ticks)]
+    assert 3 <= len(ticks) <= 5
+    assert min(tick for tick in ticks if tick > 0) == 10.0

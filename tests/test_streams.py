@@ -1,0 +1,182 @@
+"""Standard output as it may be, names as they may be, and commands that are interrupted or lose a process."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from cvxshear.cli import main
+from cvxshear.errors import InputError, LostProcessError
+from cvxshear.experiment import Experiment
+from cvxshear.formats.toml import load
+from cvxshear.identification import identify
+from cvxshear.parallel import each
+from cvxshear.text import printable
+from tests.fuzz import files
+
+COMMAND = [sys.executable, "-W", "error", "-m", "cvxshear"]
+NAME = "[red]A[/red]\x1b[31m\nB\u202e\u0000 :smile: $\\frac{$ <b>&amp; ±"
+SHOWN = r"[red]A[/red]\x1b[31m\nB\u202e\x00 :smile: $\frac{$ <b>&amp; ±"
+
+
+def test_what_would_steer_a_terminal_stands_as_its_escape():
+    assert printable(NAME) == SHOWN
+    assert printable("x\u2028y\x9b\udcff\u200f\r\t") == r"x\u2028y\x9b\udcff\u200f\r\t"
+    assert printable("Gebäude 中 ±") == "Gebäude 中 ±"
+    assert str(InputError("a\x1bb")) == r"a\x1bb"
+
+
+@pytest.fixture
+def named(tmp_path):
+    """A measurement whose configuration, and whose file, has a name as bad as it can be."""
+    text = files.measurement().decode().replace('name = "', f"name = {json.dumps(NAME)} # ", 1)
+    assert load_text(tmp_path, text).configurations[0].name == NAME
+    path = os.fsencode(tmp_path) + b"/evil\x1b[31m[bold]\xff.toml"
+    with open(path, "w", encoding="utf-8") as file:
+        file.write(text)
+    return os.fsdecode(path)
+
+
+def load_text(folder, text):
+    (folder / "plain.toml").write_text(text, encoding="utf-8")
+    return load(folder / "plain.toml")
+
+
+@pytest.mark.parametrize("command", [["identify"], ["loop", "--effects", "ground_spring,story_change"]])
+def test_a_name_reaches_the_terminal_as_text(command, named, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main([command[0], named, *command[1:]])
+    shown = capsys.readouterr()
+    assert stopped.value.code == 0, shown.err
+    assert SHOWN in shown.out
+    assert r"evil\x1b[31m[bold]" in shown.out
+    assert not any(not each.isprintable() for each in shown.out.replace("\n", ""))
+
+
+def test_a_name_reaches_a_figure_and_json_as_it_is(named, tmp_path, capsys):
+    drawn, said = tmp_path / "a.svg", tmp_path / "a.json"
+    with pytest.raises(SystemExit) as stopped:
+        main(["loop", named, "--effects", "ground_spring", "--figure", str(drawn), "--json", str(said)])
+    assert stopped.value.code == 0, capsys.readouterr().err
+    assert drawn.read_text(encoding="utf-8").startswith("<?xml")
+    assert json.loads(said.read_text(encoding="utf-8"))["predictions"][0]["configuration"] == NAME
+
+
+def test_a_name_in_a_complaint_is_text(tmp_path, capsys):
+    path = tmp_path / "x.toml"
+    path.write_text(f"[[configuration]]\nname = {json.dumps(NAME)}\nfrequencies = [1]\nmode_shapes = [[0]]\n")
+    with pytest.raises(SystemExit):
+        main(["identify", str(path)])
+    shown = capsys.readouterr().err
+    assert SHOWN in shown
+    assert shown.count("\n") == 1
+
+
+def test_a_terminal_without_the_letters(named):
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    shown = subprocess.run([*COMMAND, "identify", named], capture_output=True, env=environment, check=True)
+    assert not shown.stderr
+    assert "<b>&amp; +-" in shown.stdout.decode("ascii")
+    json_of = subprocess.run(
+        [*COMMAND, "identify", named, "--json", "-"], capture_output=True, env=environment, check=True
+    )
+    assert json.loads(json_of.stdout)["predictions"][0]["configuration"] == NAME
+
+
+def shell(command: str) -> tuple[int, str, str]:
+    line = " ".join(
+        [sys.executable, "-W", "error", "-m", "cvxshear", "identify", "paper", "--method", "two-stage", command]
+    )
+    found = subprocess.run(["bash", "-c", f"set -o pipefail; {line}"], capture_output=True, text=True, check=False)
+    return found.returncode, found.stdout, found.stderr
+
+
+FULL = "cvxshear: standard output cannot be written: No space left on device\n"
+STREAMS = {
+    "closed": (">&-", 0, ""),
+    "both closed": (">&- 2>&-", 0, ""),
+    "closed at the other end": ("| exec true", 1, ""),
+    "full": ("> /dev/full", 1, FULL),
+    "full, JSON": ("--json - > /dev/full", 1, FULL),
+}
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+@pytest.mark.parametrize("kind", STREAMS)
+def test_a_standard_output_that_takes_nothing(kind):
+    command, status, complaint = STREAMS[kind]
+    found = shell(command)
+    # Whether a reader that ends at once has ended in time is chance.
+    assert found[0] == status or (kind == "closed at the other end" and found[0] == 0)
+    assert found[2] == complaint
+
+
+def test_the_file_is_written_where_standard_output_takes_nothing(tmp_path):
+    status, _, complaint = shell(f"--json {tmp_path}/a.json > /dev/full")
+    assert (status, complaint) == (1, FULL)
+    assert json.loads((tmp_path / "a.json").read_text())["method"] == "two-stage"
+
+
+INTERRUPTED = """
+import runpy, sys
+
+class Interrupting:
+    def find_spec(self, name, *_):
+        if name == sys.argv[1]:
+            raise KeyboardInterrupt
+
+sys.meta_path.insert(0, Interrupting())
+runpy.run_module("cvxshear", run_name="__main__")
+"""
+
+
+@pytest.mark.parametrize("module", ["rich.console", "cvxshear.loop"])
+def test_an_interruption_while_loading_has_no_traceback(module):
+    """As Ctrl-C does it, at the import of the command line and at that of what a command needs."""
+    code = INTERRUPTED.replace("sys.argv[1]", repr(module))
+    code = f"import sys; sys.argv[1:] = ['loop', 'paper']\n{code}"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (found.returncode, found.stdout, found.stderr) == (130, "", "")
+
+
+def test_a_killed_process_is_told(capsys, monkeypatch):
+    with pytest.raises(LostProcessError, match="one of the processes was ended from outside, after 0 of 4 things"):
+        each(os._exit, [1, 1, 1, 1], jobs=2)
+
+    def lose(*_, **__):
+        raise LostProcessError("one of the processes was ended from outside")
+
+    monkeypatch.setattr("cvxshear.loop.close_loop", lose)
+    monkeypatch.setattr("cvxshear.close_loop", lose)
+    with pytest.raises(SystemExit) as stopped:
+        main(["loop", "paper", "--jobs", "2"])
+    assert stopped.value.code == 1
+    assert capsys.readouterr().err == "cvxshear: one of the processes was ended from outside\n"
+
+
+def test_berman_refuses_modes_that_hardly_differ():
+    table = {
+        "frame": {"total_mass": 30.0},
+        "configuration": [{"frequencies": [2.0, 5.0], "mode_shapes": [[0.6, 1.0], [0.6 + 1e-5, 1.0]]}],
+    }
+    with pytest.raises(InputError, match="method berman needs modes that differ from each other"):
+        identify(Experiment.from_dict(table), "berman")
+    table["configuration"][0]["mode_shapes"] = [[0.61, 1.0], [-1.65, 1.0]]
+    found = identify(Experiment.from_dict(table), "berman")
+    assert np.all(found.frame.floor_mass > 0)
+
+
+def test_nothing_is_said_of_a_reader_that_has_gone():
+    running = subprocess.Popen(
+        [*COMMAND, "identify", "paper"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    running.stdout.close()
+    with contextlib.closing(running.stderr):
+        assert running.stderr.read() == ""
+    assert running.wait() == 1

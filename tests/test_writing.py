@@ -1,0 +1,331 @@
+"""How files are written: whole or not at all, in no other file's place, and refused before there is a result."""
+
+from __future__ import annotations
+
+import ast
+import errno
+import json
+import os
+import stat
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+import cvxshear
+from cvxshear.errors import InputError
+from cvxshear.writing import check_output, same_file, write_file
+from tests.fuzz import files
+
+PACKAGE = Path(cvxshear.__file__).parent
+WRITING = {
+    "write_text",
+    "write_bytes",
+    "savefig",
+    "savetxt",
+    "savez",
+    "savemat",
+    "rename",
+    "replace",
+    "mkstemp",
+    "dump",
+}
+
+
+def content_of(folder: Path) -> dict[str, bytes]:
+    return {each.name: each.read_bytes() for each in folder.iterdir() if each.is_file()}
+
+
+def test_a_file_is_written_and_written_again(tmp_path):
+    path = tmp_path / "a.json"
+    write_file(path, "ä\n")
+    path.chmod(0o640)
+    write_file(path, b"b")
+    assert content_of(tmp_path) == {"a.json": b"b"}
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+
+
+def test_a_new_file_has_the_rights_of_every_other_new_file(tmp_path):
+    (tmp_path / "b").write_text("")
+    write_file(tmp_path / "a", "")
+    assert (tmp_path / "a").stat().st_mode == (tmp_path / "b").stat().st_mode
+
+
+def test_half_a_surrogate_pair_stands_as_its_escape(tmp_path):
+    write_file(tmp_path / "a", "x\udcff")
+    assert (tmp_path / "a").read_bytes() == b"x\\udcff"
+
+
+def test_a_link_is_replaced_and_what_it_points_to_is_left(tmp_path):
+    (tmp_path / "other").write_text("mine")
+    (tmp_path / "a").symlink_to(tmp_path / "other")
+    write_file(tmp_path / "a", "new")
+    assert (tmp_path / "other").read_text() == "mine"
+    assert not (tmp_path / "a").is_symlink()
+    assert (tmp_path / "a").read_text() == "new"
+
+
+def test_a_link_that_waits_where_the_new_file_is_made_is_not_followed(tmp_path, monkeypatch):
+    (tmp_path / "other").write_text("mine")
+    monkeypatch.setattr("secrets.token_hex", lambda _: "guessed")
+    (tmp_path / ".guessed.part").symlink_to(tmp_path / "other")
+    with pytest.raises(InputError, match="cannot be written: File exists"):
+        write_file(tmp_path / "a", "new")
+    assert (tmp_path / "other").read_text() == "mine"
+
+
+def test_the_names_of_new_files_differ(tmp_path, monkeypatch):
+    seen = []
+    replace = os.replace
+    monkeypatch.setattr(os, "replace", lambda a, b: (seen.append(str(a)), replace(a, b)))
+    for _ in range(3):
+        write_file(tmp_path / "a", "x")
+    assert len(set(seen)) == 3
+    assert all(len(Path(each).name) > 16 for each in seen)
+
+
+@pytest.mark.parametrize("step", ["fsync", "replace"])
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])
+def test_a_failure_leaves_the_old_file_and_nothing_beside_it(tmp_path, monkeypatch, step, error):
+    path = tmp_path / "a"
+    path.write_text("old")
+
+    def fail(*_):
+        raise error
+
+    monkeypatch.setattr(os, step, fail)
+    expected = InputError if isinstance(error, OSError) else KeyboardInterrupt
+    with pytest.raises(expected):
+        write_file(path, "new")
+    assert content_of(tmp_path) == {"a": b"old"}
+
+
+def test_what_is_written_has_reached_the_disk_before_it_takes_the_place(tmp_path, monkeypatch):
+    order = []
+    fsync, replace = os.fsync, os.replace
+    monkeypatch.setattr(os, "fsync", lambda file: (order.append("flushed"), fsync(file)))
+    monkeypatch.setattr(os, "replace", lambda a, b: (order.append("renamed"), replace(a, b)))
+    write_file(tmp_path / "a", "x")
+    assert order == ["flushed", "renamed"]
+
+
+def test_a_pipe_is_written_to(tmp_path):
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    heard = []
+    reader = threading.Thread(target=lambda: heard.append(path.read_bytes()))
+    reader.start()
+    write_file(path, "x")
+    reader.join()
+    assert heard == [b"x"]
+    assert stat.S_ISFIFO(path.stat().st_mode)
+
+
+@pytest.fixture
+def terminal():
+    """Both ends of a terminal, a device that nothing else uses."""
+    pty = pytest.importorskip("pty")
+    ours, theirs = pty.openpty()
+    yield ours, os.ttyname(theirs)
+    os.close(ours)
+    os.close(theirs)
+
+
+def test_a_device_is_written_to(tmp_path, terminal):
+    ours, name = terminal
+    (tmp_path / "link").symlink_to(name)
+    for place in (name, tmp_path / "link"):
+        check_output(place, endings=(".html",))
+        write_file(place, "x")
+        assert os.read(ours, 10) == b"x"
+    assert stat.S_ISCHR(Path(name).stat().st_mode)
+    assert (tmp_path / "link").is_symlink()
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="no /proc here")
+def test_an_open_file_of_the_process_is_written_on_from_where_it_stands(tmp_path):
+    code = "import sys; from cvxshear.writing import write_file; print('a', flush=True); write_file('/dev/stdout', 'b')"
+    with (tmp_path / "out").open("w") as out:
+        subprocess.run([sys.executable, "-c", code], stdout=out, check=True)
+    assert content_of(tmp_path) == {"out": b"a\nb"}
+    (tmp_path / "circle").symlink_to(tmp_path / "circle")
+    write_file(tmp_path / "circle", "x")
+    assert (tmp_path / "circle").read_text() == "x"
+
+
+PLACES = {
+    "nothing": ("", "the name of the file to write is empty"),
+    "a folder": (".", ". is a folder; name a file in it"),
+    "no such folder": ("none/a.json", "none/a.json cannot be written: there is no folder none"),
+    "a file for a folder": ("file/a.json", "file/a.json cannot be written: there is no folder file"),
+    "no name at all": ("a\0b", "'a\\x00b' cannot be the name of a file: "),
+    "too long a name": ("x" * 300, f"{'x' * 300} cannot be written: File name too long"),
+    "read-only": ("frozen", "frozen is read-only; name another file, or make it writable"),
+    "no folder to write in": ("/proc/a.json", "/proc/a.json cannot be written: "),
+}
+
+
+@pytest.mark.parametrize("kind", PLACES)
+def test_a_place_that_cannot_be_written_to(kind, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("file").write_text("")
+    Path("frozen").write_text("")
+    Path("frozen").chmod(0o444)
+    place, message = PLACES[kind]
+    for function in (check_output, lambda path: write_file(path, "x")):
+        with pytest.raises(InputError) as caught:
+            function(place)
+        assert str(caught.value).startswith(message)
+    assert sorted(os.listdir()) == ["file", "frozen"]
+
+
+def test_what_the_content_was_made_from_is_kept(tmp_path):
+    (tmp_path / "a").write_text("mine")
+    (tmp_path / "b").hardlink_to(tmp_path / "a")
+    (tmp_path / "c").symlink_to(tmp_path / "a")
+    for name in "abc":
+        with pytest.raises(InputError, match=r"would be written over .*, which it is made from; name another"):
+            write_file(tmp_path / name, "x", keep=[tmp_path / "a"])
+    assert (tmp_path / "a").read_text() == "mine"
+    assert same_file(tmp_path / "new", tmp_path / "x" / ".." / "new")
+
+
+def test_no_other_module_writes():
+    """A call that writes a file is found in `writing` alone."""
+    found = set()
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call):
+                continue
+            name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            owner = getattr(getattr(node.func, "value", None), "id", "")
+            modes = [each.value for each in node.args if isinstance(each, ast.Constant) and isinstance(each.value, str)]
+            if (name in {"open", "fdopen"} and {"w", "wb", "a", "x"} & set(modes)) or (
+                name in WRITING and owner in {"os", "np", "io", "shutil", "json", "tempfile"}
+            ):
+                found.add((path.relative_to(PACKAGE).as_posix(), name))
+            if name in {"write_text", "write_bytes"}:
+                found.add((path.relative_to(PACKAGE).as_posix(), name))
+    # A standard stream that was closed is given the null device.
+    assert found == {("writing.py", "fdopen"), ("writing.py", "replace"), ("cli/streams.py", "open")}
+
+
+KILLED = """
+import json, os, signal, sys
+from pathlib import Path
+from matplotlib.figure import Figure
+from cvxshear.cli.output import deliver
+from cvxshear.formats.modes import write_modes
+from cvxshear.formats.uff import write_uff
+from cvxshear.modal import from_arrays
+from cvxshear.report import figures, html
+
+# Writing is what is tried, not what is written.
+html.render = lambda *_: "page"
+modes = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]])
+writers = {
+    "json": lambda path: deliver({"a": 1}, path, lambda: []),
+    "toml": lambda path: write_modes(path, modes),
+    "uff": lambda path: write_uff(path, modes),
+    "html": lambda path: html.write_report(None, path, "cvxshear"),
+    "svg": lambda path: figures.save(Figure((1, 1)), path),
+}
+folder = Path(sys.argv[1])
+
+def killed(step, write, path):
+    child = os.fork()
+    if child == 0:
+        def die(*arguments):
+            if step == "fdopen":
+                # Half of it is on its way.
+                os.write(arguments[0], b"half")
+            os.kill(os.getpid(), signal.SIGKILL)
+        setattr(os, step, die)
+        write(str(path))
+        os._exit(0)
+    return os.waitpid(child, 0)[1]
+
+result = {}
+for kind, write in writers.items():
+    path = folder / f"a.{kind}"
+    for step in ("fdopen", "fsync", "replace"):
+        path.write_text("old")
+        status = killed(step, write, path)
+        after = path.read_text()
+        write(str(path))
+        result[f"{kind} {step}"] = [status, after, path.read_text() != "old"]
+print(json.dumps(result))
+"""
+
+
+def test_killed_in_the_middle_of_every_writer(tmp_path):
+    """Signal 9 at each step leaves the old file, and what it leaves beside it is in no later writer's way."""
+    for extra in ("pyuff", "jinja2", "matplotlib"):
+        pytest.importorskip(extra)
+    found = subprocess.run(
+        [sys.executable, "-c", KILLED, str(tmp_path)], capture_output=True, text=True, check=True
+    ).stdout
+    result = json.loads(found)
+    assert len(result) == 15
+    assert set(map(tuple, result.values())) == {(9, "old", True)}
+    assert {each.name for each in tmp_path.iterdir() if each.suffix != ".part"} == {
+        f"a.{kind}" for kind in ("json", "toml", "uff", "html", "svg")
+    }
+
+
+# The commands.
+
+
+REFUSED = {
+    "an empty name": (["identify", "paper", "--json", ""], "--json: the name of the file to write is empty"),
+    "a folder": (["identify", "paper", "--json", "."], "--json: . is a folder; name a file in it"),
+    "a report that is no page": (["loop", "paper", "--report", "a.pdf"], "--report: a.pdf must end in .html or .htm"),
+    "a figure that is none": (["loop", "paper", "--figure", "a.doc"], "--figure: a.doc must end in .svg or .png or"),
+    "a measurement file that is none": (["modes", "r.toml", "-o", "a.csv"], "--output: a.csv must end in .toml"),
+    "a universal file that is none": (["modes", "r.toml", "--uff", "a.txt"], "--uff: a.txt must end in .uff"),
+    "JSON under another's name": (
+        ["identify", "paper", "--json", "m.toml"], "--json: m.toml has the ending of another kind of file",
+    ),
+    "no folder": (["loop", "paper", "--report", "none/a.html"], "--report: none/a.html cannot be written: there is no"),
+    "the input, by a link": (["identify", "m.toml", "--json", "link.json"], "--json: link.json would be written over"),
+    "the record": (["modes", "r.toml", "-o", "r.toml"], "--output: r.toml would be written over r.toml, which is read"),
+    "the raw record": (["modes", "r.toml", "--json", "raw.json"], "--json: raw.json would be written over sound.csv"),
+    "one file twice": (["loop", "paper", "--figure", "a.svg", "--json", "twin.json"], "--json and --figure name"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_a_bad_output_is_refused_before_the_run(kind, run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("cvxshear.identification.identify", lambda *_, **__: pytest.fail("it ran"))
+    monkeypatch.setattr("cvxshear.loop.close_loop", lambda *_, **__: pytest.fail("it ran"))
+    monkeypatch.setattr("cvxshear.formats.modes.identify_modes", lambda *_, **__: pytest.fail("it ran"))
+    Path("m.toml").write_bytes(files.measurement())
+    files.table(tmp_path)
+    Path("r.toml").write_text(files.record_text("sound.csv"))
+    Path("link.json").hardlink_to("m.toml")
+    Path("raw.json").symlink_to("sound.csv")
+    Path("a.svg").write_text("")
+    Path("twin.json").symlink_to("a.svg")
+    before = content_of(tmp_path)
+    arguments, message = REFUSED[kind]
+    status, out, err = run(*arguments)
+    assert status == 2
+    assert err.startswith(f"cvxshear: {message}")
+    assert out == ""
+    assert content_of(tmp_path) == before
+
+
+def test_the_result_is_printed_where_a_file_cannot_be_written_after_all(run, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    path = tmp_path / "a.json"
+    status, out, err = run("identify", "paper", "--method", "two-stage", "--json", str(path))
+    assert status == 2
+    assert "13.045" in out
+    assert err == f"cvxshear: {path} cannot be written: No space left on device\n"
+    assert not content_of(tmp_path)
