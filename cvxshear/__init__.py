@@ -9,6 +9,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from cvxshear import showing
 from cvxshear.errors import (
     CvxshearError,
     InfeasibleError,
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
+showing.shown_by("cvxshear.report.show")
+
 __all__ = [
     "Closure",
     "Comparison",
@@ -43,7 +46,6 @@ __all__ = [
     "InputError",
     "LostProcessError",
     "NoModesError",
-    "LostProcessError",
     "NoSolutionError",
     "Prior",
     "UnsuitableError",

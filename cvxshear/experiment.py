@@ -19,6 +19,7 @@ from cvxshear.configuration import Configuration
 from cvxshear.errors import InputError
 from cvxshear.expected_effect import ExpectedEffect
 from cvxshear.priors import Prior, check_quantity
+from cvxshear.showing import Shown
 from cvxshear.static_test import StaticTest
 from cvxshear.typing import Floats, Json
 
@@ -155,8 +156,8 @@ class Frame:
         return dataclasses.replace(self, stories=stories)
 
 
-@dataclass(frozen=True, eq=False)
-class Experiment:
+@dataclass(frozen=True, eq=False, repr=False)
+class Experiment(Shown):
     """A frame, the configurations it was tested in, and what is known beforehand.
 
     Parameters

@@ -23,9 +23,11 @@ def test_identify_prints_the_papers_answer(run):
 def test_without_a_method_the_papers_answers_stand_beside_the_efficient_ones(run):
     _, out, _ = run("identify", "paper")
     assert "method efficient" in out
-    for printed in ("12.49 ± 0.63", "13.045", "25.517", "24.054", "23.842"):
+    for printed in ("For comparison: method two-stage", "13.045", "25.517", "24.054", "23.842"):
         assert printed in out
-    assert json.loads(run("identify", "paper", "--json", "-")[1])["method"] == "efficient"
+    result = json.loads(run("identify", "paper", "--json", "-")[1])
+    assert result["method"] == "efficient"
+    assert f"{result['frame']['floor_mass'][0]:.2f} ± {result['frame']['floor_mass_std'][0]:.2f}" in out
 
 
 def test_incomplete_data_have_no_comparison(run, tmp_path):
@@ -35,7 +37,7 @@ def test_incomplete_data_have_no_comparison(run, tmp_path):
     file.write_text(table.replace(", 3.28118804]", "]") + f"mode_shapes = {shapes}\n")
     status, out, _ = run("identify", str(file))
     assert status == 0
-    assert "for comparison" not in out
+    assert "For comparison" not in out
 
 
 def test_an_initial_mass_means_the_papers_method(run):
@@ -70,8 +72,24 @@ def test_json_into_a_file_comes_with_the_tables(run, tmp_path):
 
 def test_the_loop_tells_its_story(run):
     _, out, _ = run("loop", "paper")
-    for said in ("the shear model lacks gravity", "residual", "steps", "before", "after", "held-out", "rivals: none"):
+    for said in (
+        "the shear model lacks the weight",
+        "99.9 % probable",
+        "before",
+        "after",
+        "predicted from",
+        "rivals: none",
+    ):
         assert said in out
+
+
+def test_quantities_are_shown_in_the_units_that_were_asked_for(run):
+    _, out, _ = run("identify", "paper", "--method", "two-stage", "--units", "t,kN,mm")
+    assert "mass, t  stiffness, kN/mm" in out
+    assert "0.013045          0.025517" in out
+    status, out, err = run("loop", "paper", "--units", "lb")
+    assert (status, out) == (2, "")
+    assert "there is no display unit 'lb'" in err
 
 
 def test_effects_can_be_restricted_and_assumed(run):

@@ -15,6 +15,7 @@ from cvxshear.backends.registry import available, get
 from cvxshear.backends.solution import Solution
 from cvxshear.errors import CvxshearError
 from cvxshear.programs import LeastSquares
+from cvxshear.showing import Shown
 from cvxshear.typing import Floats, Json
 
 REPEATS = 3
@@ -110,8 +111,8 @@ class BackendResult:
     failure: str
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Shown):
     """Backends on the same programs.
 
     Parameters
@@ -128,12 +129,6 @@ class Comparison:
     kinds: tuple[ProgramKind, ...]
     rows: tuple[BackendResult, ...]
     left_out: str = ""
-
-    def _repr_html_(self) -> str | None:
-        """What a notebook shows."""
-        from cvxshear.report.notebook import comparison_html  # noqa: PLC0415 - loaded by a notebook only
-
-        return comparison_html(self)
 
     def to_dict(self) -> Json:
         """The kinds and the rows as dicts."""

@@ -56,7 +56,7 @@ def backends(
         result = compare_backends(experiment, names(only), repeats=repeat, tolerance=tolerance)
     if drawing is not None:
         drawing.save(drawing.backend_differences(result), figure)
-    deliver(result.to_dict(), out, lambda: terminal.comparison(result))
+    deliver(result.to_dict(), out, lambda: terminal.shown(result))
 
 
 def _list(out: str | None) -> None:
@@ -64,4 +64,4 @@ def _list(out: str | None) -> None:
     from cvxshear.report import terminal
 
     found = listed()
-    deliver({"backends": [each.to_dict() for each in found]}, out, lambda: terminal.backends(found))
+    deliver({"backends": [each.to_dict() for each in found]}, out, lambda: terminal.listed_backends(found))

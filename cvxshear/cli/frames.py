@@ -10,14 +10,13 @@ import typer
 
 from cvxshear.cli.output import (
     BackendName,
-    FigureOut,
     File,
     Files,
     JsonOut,
     Quiet,
     ReportOut,
+    UnitsOption,
     deliver,
-    figures_for,
     names,
     numbers,
     progress,
@@ -43,6 +42,7 @@ def identify(
     accelerate: Annotated[
         bool, typer.Option("--accelerate", help="Reach the end of the mass iteration in a few steps (two-stage).")
     ] = False,
+    units: UnitsOption = None,
     figure: FiguresOut = None,
     csv: CsvOut = None,
     xlsx: XlsxOut = None,
@@ -57,11 +57,12 @@ def identify(
     # The solvers load slowly, and help needs none of them.
     from cvxshear import identify as run
     from cvxshear import load
+    from cvxshear.quantities import Units
     from cvxshear.report import screening_terminal, terminal
     from cvxshear.report.sheets import sheets_of_identification
     from cvxshear.screening import refuse_mistakes
 
-    pictures, tables = Pictures(figure, "identification"), Spreadsheets(csv, xlsx)
+    pictures, tables, display = Pictures(figure, "identification"), Spreadsheets(csv, xlsx), Units.parse(units)
     experiment, start = load(file), numbers(initial_mass, "--initial-mass")
     doubts = refuse_mistakes(experiment)
     named = method or ("efficient" if start is None else "two-stage")
@@ -75,7 +76,10 @@ def identify(
     files = [*pictures.of(result), *tables.of(lambda: sheets_of_identification(result))]
     said = {**result.to_dict(), "warnings": [item.to_dict() for item in doubts]}
     deliver(
-        said, out, lambda: [*screening_terminal.warnings(doubts), *terminal.identification(result, beside)], *files
+        said,
+        out,
+        lambda: [*screening_terminal.warnings(doubts), *terminal.identification(result, beside, display)],
+        *files,
     )
 
 
@@ -90,6 +94,7 @@ def loop(
     backend: BackendName = "auto",
     jobs: Annotated[int, typer.Option(help="Processes that fit candidates; -1 takes every core.")] = 1,
     report: ReportOut = None,
+    units: UnitsOption = None,
     figure: FiguresOut = None,
     csv: CsvOut = None,
     xlsx: XlsxOut = None,
@@ -101,11 +106,12 @@ def loop(
     Example: cvxshear loop paper
     """
     from cvxshear import close_loop
-    from cvxshear.report import loop_terminal, screening_terminal
+    from cvxshear.quantities import Units
+    from cvxshear.report import screening_terminal, terminal
     from cvxshear.report.sheets import sheets_of_closure
     from cvxshear.screening import refuse_mistakes
 
-    pictures, tables = Pictures(figure, "closure"), Spreadsheets(csv, xlsx)
+    pictures, tables, display = Pictures(figure, "closure"), Spreadsheets(csv, xlsx), Units.parse(units)
     if report is not None:
         from cvxshear.report.html import write_report
     with progress("closing the loop", quiet) as advance:
@@ -115,11 +121,10 @@ def loop(
     said = {**result.to_dict(), "warnings": [item.to_dict() for item in doubts], **records_in_json(found)}
     files = [*pictures.of(result), *tables.of(lambda: sheets_of_closure(result))]
     if report is not None:
-        files.append(lambda: write_report(result, report, shlex.join(["cvxshear", *typed])))
+        files.append(lambda: write_report(result, report, shlex.join(["cvxshear", *typed]), units=display))
     deliver(
         said,
         out,
-        lambda: [*tables_of(found), *screening_terminal.warnings(doubts), *loop_terminal.closure(result)],
+        lambda: [*tables_of(found), *screening_terminal.warnings(doubts), *terminal.shown(result, display)],
         *files,
     )
-

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-
 from cvxshear.cli.checked import input_files, output_file
 from cvxshear.cli.streams import printing, takes_unicode
 from cvxshear.errors import InputError
@@ -76,6 +75,10 @@ MeasurementOut = Annotated[
 UniversalOut = Annotated[
     str | None,
     writes("--uff", what="Write the modes as a universal file here.", metavar="UFF", endings=(".uff", ".unv", ".u55")),
+]
+UnitsOption = Annotated[
+    str | None,
+    typer.Option("--units", help="Units that quantities are shown in, such as t,kN,mm.", metavar="MASS,FORCE,LENGTH"),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")]
 BackendName = Annotated[

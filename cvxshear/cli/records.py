@@ -135,10 +135,10 @@ def measured(
 def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
     """The modes of each record."""
     from cvxshear.campaign.merge import UNKNOWN_SCALE, scale_unknown
-    from cvxshear.report import modal_terminal
+    from cvxshear.report import terminal
 
     for test in tests:
-        yield from modal_terminal.modes(test.modes)
+        yield from terminal.shown(test.modes)
         yield ""
     if tests and scale_unknown(tests):
         yield f"scale: {UNKNOWN_SCALE}"

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cvxshear.data import Model
+from cvxshear.dataframe import data_frame
 from cvxshear.experiment import Configuration, Experiment
 from cvxshear.identification.ending import Ending
 from cvxshear.identification.quality import Quality
+from cvxshear.showing import Shown
 from cvxshear.typing import Floats, Json
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def plain(values: Floats | None) -> list[object] | None:
@@ -39,6 +45,17 @@ class IdentifiedFrame:
     story_stiffness: Floats
     floor_mass_std: Floats | None = None
     story_stiffness_std: Floats | None = None
+
+    @property
+    def columns(self) -> dict[str, list[float]]:
+        """The fields by name, floor by floor from the lowest; nan where there is no standard deviation."""
+        unknown = np.full(len(self.floor_mass), np.nan)
+        return {
+            "floor_mass": self.floor_mass.tolist(),
+            "floor_mass_std": (unknown if self.floor_mass_std is None else self.floor_mass_std).tolist(),
+            "story_stiffness": self.story_stiffness.tolist(),
+            "story_stiffness_std": (unknown if self.story_stiffness_std is None else self.story_stiffness_std).tolist(),
+        }
 
     def to_dict(self) -> Json:
         """The fields as lists."""
@@ -139,8 +156,8 @@ class Part:
         return result
 
 
-@dataclass(frozen=True, eq=False)
-class Identification:
+@dataclass(frozen=True, eq=False, repr=False)
+class Identification(Shown):
     """The result of `identify`.
 
     Parameters
@@ -186,11 +203,27 @@ class Identification:
         """Whether every part converged."""
         return all(part.converged for part in self.parts)
 
-    def _repr_html_(self) -> str | None:
-        """What a notebook shows."""
-        from cvxshear.report.notebook import identification_html  # noqa: PLC0415 - loaded by a notebook only
+    def to_dataframe(self) -> pd.DataFrame:
+        """The identified masses and stiffnesses as a table of pandas.
 
-        return identification_html(self)
+        Returns
+        -------
+        DataFrame
+            One row a floor of each part: configuration (empty for all together), floor, floor_mass (kg),
+            floor_mass_std, story_stiffness (N/m, of the story below that floor), story_stiffness_std.
+
+        Raises
+        ------
+        InputError
+            Where pandas is not installed.
+        """
+        floors = range(1, self.experiment.stories + 1)
+        named: dict[str, list[object]] = {
+            "configuration": [part.name for part in self.parts for _ in floors],
+            "floor": [floor for _ in self.parts for floor in floors],
+        }
+        frames = [part.frame.columns for part in self.parts]
+        return data_frame(named | {key: [value for each in frames for value in each[key]] for key in frames[0]})
 
     def to_dict(self) -> Json:
         """The documented JSON."""

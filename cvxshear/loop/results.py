@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cvxshear.dataframe import data_frame
 from cvxshear.effects import Placed
 from cvxshear.experiment import Experiment
 from cvxshear.identification.efficient import Estimate
@@ -14,7 +17,11 @@ from cvxshear.identification.results import IdentifiedFrame
 from cvxshear.loop.next_test import NextTest
 from cvxshear.loop.posterior import Rival
 from cvxshear.loop.residual import by_floor, by_part
+from cvxshear.showing import Shown
 from cvxshear.typing import Json
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 VERDICTS = {
     "adequate": "The shear model explains the data; nothing was added.",
@@ -163,8 +170,8 @@ class EffectSet:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Closure:
+@dataclass(frozen=True, eq=False, repr=False)
+class Closure(Shown):
     """The result of `close_loop`.
 
     Parameters
@@ -238,6 +245,24 @@ class Closure:
     def noise(self) -> NoiseEstimate:
         """The noise that was estimated."""
         return self.estimate.noise
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The masses and stiffnesses of the verdict's set, and those averaged over all sets, as a table of pandas.
+
+        Returns
+        -------
+        DataFrame
+            One row a floor: floor, floor_mass (kg), floor_mass_std, story_stiffness (N/m, of the story below that
+            floor), story_stiffness_std, and the same four with `averaged_` before their names.
+
+        Raises
+        ------
+        InputError
+            Where pandas is not installed.
+        """
+        columns: dict[str, Sequence[object]] = {"floor": range(1, self.experiment.stories + 1), **self.frame.columns}
+        columns |= {f"averaged_{key}": values for key, values in self.averaged.columns.items()}
+        return data_frame(columns)
 
     def to_dict(self) -> Json:
         """The documented JSON."""

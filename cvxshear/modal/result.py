@@ -13,6 +13,7 @@ from cvxshear.modal.knowledge import entry_std, frequency_std
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.picking import Sweep
 from cvxshear.modal.record import Complexes
+from cvxshear.showing import Shown
 from cvxshear.typing import Floats, Ints, Json
 
 DRAWN = 0.3
@@ -21,8 +22,8 @@ LEAST_STD = 1e-6
 """Relative; no record is that good, and a zero would weigh infinitely."""
 
 
-@dataclass(frozen=True, eq=False)
-class ModalResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class ModalResult(Shown):
     """Modes of one record.
 
     Parameters

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 
 from cvxshear.backends import Comparison
 from cvxshear.errors import CvxshearError
 from cvxshear.identification import compare_backends
 from cvxshear.loop import Closure
+from cvxshear.quantities import AUTOMATIC, Units
 from cvxshear.writing import write_file
 
 try:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
 
     from cvxshear.report import figures
     from cvxshear.report.figures.output import inline_svg
+    from cvxshear.report.pages import environment
 except ImportError as error:
     raise CvxshearError(
         f"the report needs {error.name}, which is not installed: pip install 'cvxshear[report]'"
@@ -25,7 +25,13 @@ except ImportError as error:
 from cvxshear.report.contents import contents
 
 
-def write_report(result: Closure, path: str | Path, command: str, comparison: Comparison | None = None) -> None:
+def write_report(
+    result: Closure,
+    path: str | Path,
+    command: str,
+    comparison: Comparison | None = None,
+    units: Units = AUTOMATIC,
+) -> None:
     """Write the report of a closed loop.
 
     Parameters
@@ -37,16 +43,18 @@ def write_report(result: Closure, path: str | Path, command: str, comparison: Co
         What makes this report again, as it was typed.
     comparison : Comparison, optional
         Of the backends; made where not given.
+    units : Units, optional
+        In which quantities are shown.
 
     Raises
     ------
     InputError
         Where the file cannot be written.
     """
-    write_file(path, render(result, command, comparison))
+    write_file(path, render(result, command, comparison, units))
 
 
-def render(result: Closure, command: str, comparison: Comparison | None = None) -> str:
+def render(result: Closure, command: str, comparison: Comparison | None = None, units: Units = AUTOMATIC) -> str:
     """The report of a closed loop as HTML.
 
     Parameters
@@ -54,6 +62,7 @@ def render(result: Closure, command: str, comparison: Comparison | None = None) 
     result : Closure
     command : str
     comparison : Comparison, optional
+    units : Units, optional
 
     Returns
     -------
@@ -63,20 +72,7 @@ def render(result: Closure, command: str, comparison: Comparison | None = None) 
     if comparison is None:
         comparison = compare_backends(result.experiment)
     page = environment().get_template("report.html")
-    return page.render(**contents(result, comparison, command), figure=_figures(result, comparison))
-
-
-@cache
-def environment() -> Environment:
-    """The templates of the reports."""
-    # Escapes every text, whatever the template is called: names and priors come from files.
-    return Environment(
-        loader=PackageLoader("cvxshear.report", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    return page.render(**contents(result, comparison, command, units), figure=_figures(result, comparison))
 
 
 def _figures(result: Closure, comparison: Comparison) -> dict[str, Markup]:
@@ -85,9 +81,10 @@ def _figures(result: Closure, comparison: Comparison) -> dict[str, Markup]:
         "frame": figures.frame(result),
         "shapes": figures.shapes(result),
         "residual": figures.residual(result),
-        "mac": figures.mac(result),
         "backends": figures.backend_differences(comparison),
     }
-    if result.candidates or result.effects:
+    if any(each.measured.any() for each in result.experiment.configurations):
+        drawn["mac"] = figures.mac(result)
+    if result.candidates:
         drawn["ranking"] = figures.ranking(result)
     return {name: Markup(inline_svg(figure, name)) for name, figure in drawn.items()}

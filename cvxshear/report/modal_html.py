@@ -8,11 +8,11 @@ from pathlib import Path
 from markupsafe import Markup
 
 from cvxshear.modal import ModalResult
+from cvxshear.quantities import percent, significant, with_std
 from cvxshear.report.contents import readable_json, versions
 from cvxshear.report.figures import kinds
 from cvxshear.report.figures.output import inline_svg
-from cvxshear.report.html import environment
-from cvxshear.quantities import percent, significant, with_std
+from cvxshear.report.pages import environment
 from cvxshear.typing import Json
 from cvxshear.writing import write_file
 

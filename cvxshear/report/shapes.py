@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.effects import compose
-from cvxshear.experiment import Experiment
+from cvxshear.data import Model, Shapes
+from cvxshear.data.pairing import mac
+from cvxshear.experiment import Configuration, Experiment
 from cvxshear.identification import Identification
 from cvxshear.identification.efficient import Estimate
 from cvxshear.loop import Closure
@@ -46,39 +47,53 @@ class ModeShape:
 
 
 def mode_shapes(estimate: Estimate) -> list[ModeShape]:
-    """Every measured mode of every configuration beside what the fit makes of it."""
-    result = []
+    """Every measured mode of every configuration beside what the fit makes of it, a mode with one sign in all."""
+    models = {id(model.state.tested): model for model in estimate.fit.at.models}
+    laid = {id(datum.tested): datum for datum in estimate.misfit.data if isinstance(datum, Shapes)}
     facing: dict[int, Floats] = {}
-    scale = estimate.noise_scale if np.isfinite(estimate.noise_scale) and estimate.noise_scale > 0 else 1.0
-    for target, match in zip(estimate.misfit.targets, estimate.fit.at.matches, strict=True):
-        configuration = target.configuration
-        gain = compose(estimate.experiment, configuration, estimate.effects, estimate.theta).gain
-        std = scale * np.broadcast_to(configuration.entry_std, target.shapes.shape)
-        for j, mode in enumerate(target.modes):
-            known = target.weights[j] > 0
-            full = match.modes.shapes[:, match.paired[j]] * gain
-            seen = full[target.floors]
-            # The modelled shape was scaled to the measured one; the same factor holds at the floors without a sensor.
-            factor = float(match.seen[j] @ seen / (seen @ seen)) if seen.any() else 1.0
-            if not known.any():
-                factor = 1.0 / full[np.argmax(np.abs(full))]
-            entries = target.shapes[j, known]
-            unit = entries[np.argmax(np.abs(entries))] if known.any() else 1.0
+    result = []
+    for configuration in estimate.experiment.configurations:
+        model, datum = models[id(configuration)], laid.get(id(configuration))
+        modelled = _modelled(configuration, model, datum)
+        noise = estimate.misfit.noise.of(Shapes.noise) if datum is not None and not datum.declared else 1.0
+        for j, mode in enumerate(configuration.modes.tolist()):
+            unit = _unit(configuration, j)
             # Which entry is largest may change with the configuration; the mode keeps its sign.
-            unit = -unit if facing.setdefault(int(mode), full * factor / unit) @ (full * factor / unit) < 0 else unit
+            unit = -unit if facing.setdefault(mode, modelled[j] / unit) @ modelled[j] / unit < 0 else unit
             result.append(
                 ModeShape(
                     configuration.name,
-                    int(mode) + 1,
-                    target.floors + 1,
-                    np.where(known, target.shapes[j] / unit, np.nan),
-                    std[j] / abs(unit),
-                    full * factor / unit,
-                    float(np.exp(target.log_frequencies[j])),
-                    float(match.modes.frequencies[match.paired[j]]),
+                    mode,
+                    configuration.measured_floors,
+                    np.where(configuration.measured[j], configuration.mode_shapes[j] / unit, np.nan),
+                    noise * configuration.entry_std[j] / abs(unit),
+                    modelled[j] / unit,
+                    float(configuration.frequencies[j]),
+                    float(model.modes.frequencies[model.paired[j]]),
                 )
             )
     return result
+
+
+def _modelled(configuration: Configuration, model: Model, datum: Shapes | None) -> Floats:
+    """The shapes at all floors as sensors would show them, on the measured ones' scale, shape (m, N).
+
+    The factor that lays a shape on the measured entries holds at the floors without a sensor too.
+    """
+    full = model.modes.shapes[model.paired] * model.state.gain
+    factor = 1.0 / full[np.arange(len(full)), np.argmax(np.abs(full), axis=1)]
+    if datum is not None:
+        at_sensors = full[datum.kept][:, configuration.measured_floors - 1]
+        length = np.sum(at_sensors**2, axis=1)
+        factor[datum.kept] = np.where(length > 0, np.sum(datum.seen(model) * at_sensors, axis=1) / length, 1.0)
+    laid: Floats = factor[:, None] * full
+    return laid
+
+
+def _unit(configuration: Configuration, j: int) -> float:
+    """The largest measured entry of a mode, with its sign; 1 where none was measured."""
+    entries = configuration.mode_shapes[j, configuration.measured[j]]
+    return float(entries[np.argmax(np.abs(entries))]) if entries.size else 1.0
 
 
 def mac_tables(result: Closure | Identification) -> list[tuple[str, Floats]]:
@@ -86,13 +101,12 @@ def mac_tables(result: Closure | Identification) -> list[tuple[str, Floats]]:
 
     A row of nan belongs to a mode that has no shape at two floors or more.
     """
+    if isinstance(result, Closure):
+        found = result.estimate.predictions
+        gains = {model.state.tested.name: model.state.gain for model in result.estimate.fit.at.models}
+    else:
+        found, gains = tuple(item for part in result.parts for item in part.predictions), {}
     experiment = result.experiment
-    found = (
-        result.estimate.predictions
-        if isinstance(result, Closure)
-        else tuple(item for part in result.parts for item in part.predictions)
-    )
-    gains = _gains(result)
     return [
         (
             item.configuration,
@@ -102,25 +116,12 @@ def mac_tables(result: Closure | Identification) -> list[tuple[str, Floats]]:
     ]
 
 
-def _gains(result: Closure | Identification) -> dict[str, Floats]:
-    """What the sensors make of the shapes, by configuration."""
-    if not isinstance(result, Closure):
-        return {}
-    estimate = result.estimate
-    return {
-        each.name: compose(estimate.experiment, each, estimate.effects, estimate.theta).gain
-        for each in estimate.experiment.configurations
-    }
-
-
 def _mac(experiment: Experiment, name: str, modelled: Floats) -> Floats:
     configuration = next(each for each in experiment.configurations if each.name == name)
     model = modelled[:, configuration.measured_floors - 1]
     table = np.full((len(configuration.frequencies), len(model)), np.nan)
     for row, (shape, known) in enumerate(zip(configuration.mode_shapes, configuration.measured, strict=True)):
-        if known.sum() < 2:
-            continue
-        a, b = shape[known] / np.max(np.abs(shape[known])), model[:, known]
-        length = np.sum(b**2, axis=1)
-        table[row] = np.where(length > 0, (b @ a) ** 2 / (np.where(length > 0, length, 1.0) * (a @ a)), 0.0)
+        if known.sum() >= 2:
+            measured = shape[known] / np.max(np.abs(shape[known]))
+            table[row] = [mac(measured, each[known]) if each[known].any() else 0.0 for each in model]
     return table

@@ -18,6 +18,7 @@ from cvxshear import checks
 from cvxshear.errors import InputError, NoSolutionError
 from cvxshear.identification import METHODS, identify
 from cvxshear.parallel import Progress, each
+from cvxshear.showing import Shown
 from cvxshear.studies.batch import one_shot_batch, two_stage_batch
 from cvxshear.studies.cramer_rao import bound
 from cvxshear.studies.scatter import Scatter
@@ -34,8 +35,8 @@ LARGEST_SEED = 2**63
 COMPARED = ("two-stage", "one-shot", "efficient")
 
 
-@dataclass(frozen=True, eq=False)
-class NoiseStudy:
+@dataclass(frozen=True, eq=False, repr=False)
+class NoiseStudy(Shown):
     """What `noise_study` returns.
 
     Parameters

@@ -31,12 +31,12 @@ class Block:
 
 def render(study: NoiseStudy) -> RenderableType:
     """The study as rich tables, one a noise level."""
-    return Group(*(_rich(block) for block in _blocks(study)), Text(_note(study)))
+    return Group(*(_rich(block) for block in blocks(study)), Text(note(study)))
 
 
 def markdown(study: NoiseStudy) -> str:
     """The study as Markdown tables, one a noise level."""
-    return "\n\n".join([*(_markdown(block) for block in _blocks(study)), _note(study)])
+    return "\n\n".join([*(_markdown(block) for block in blocks(study)), note(study)])
 
 
 def percent(values: Floats, decimals: int = 2) -> Line:
@@ -62,7 +62,8 @@ def _markdown(block: Block) -> str:
     return "\n".join([f"{block.title}\n", head, rule, *body])
 
 
-def _blocks(study: NoiseStudy) -> Iterator[Block]:
+def blocks(study: NoiseStudy) -> Iterator[Block]:
+    """One block a noise level."""
     for setup, scatters in groupby(study.scatters, key=lambda each: each.setup):
         alike = list(scatters)
         least = ("least possible", "Cramér-Rao bound, %", *percent(alike[0].relative_bound))
@@ -93,7 +94,8 @@ def _lines(scatter: Scatter) -> Iterator[Line]:
         yield "", "truth in the 95 % interval, %", *percent(scatter.coverage, 1)
 
 
-def _note(study: NoiseStudy) -> str:
+def note(study: NoiseStudy) -> str:
+    """What chance alone does to these figures."""
     ratio = 100 / np.sqrt(2 * study.samples)
     held = 100 * np.sqrt(0.95 * 0.05 / study.samples)
     return (

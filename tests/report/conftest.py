@@ -27,7 +27,10 @@ def paper():
 
 @pytest.fixture(scope="session")
 def eight():
-    return cvxshear.close_loop(cvxshear.Experiment.from_dict(experiment("base_rocking", 8), name="eight stories"))
+    return cvxshear.close_loop(
+        cvxshear.Experiment.from_dict(experiment("base_rocking", 8), name="eight stories"),
+        effects=["base_rocking", "gravity", "axial_columns"],
+    )
 
 
 @pytest.fixture(scope="session")
@@ -45,6 +48,26 @@ def twenty():
         cvxshear.Experiment.from_dict(experiment("base_rocking", 20, 1, modes=10), name="twenty stories"),
         effects=["base_rocking"],
     )
+
+
+@pytest.fixture(scope="session")
+def nine():
+    """Nine configurations, the fifth with a mass that nobody declared."""
+    return cvxshear.close_loop(
+        cvxshear.Experiment.from_dict(experiment("added_mass", 3, 9), name="nine states"),
+        effects=["added_mass", "gravity"],
+    )
+
+
+@pytest.fixture(scope="session")
+def ambiguous():
+    """One configuration, in which columns that stretch look like joints that turn."""
+    result = cvxshear.close_loop(
+        cvxshear.Experiment.from_dict(experiment("axial_columns", 3, 1, noise=0.002), name="one test"),
+        effects=["axial_columns", "joint_rotation", "mass_coupling"],
+    )
+    assert result.verdict == "ambiguous"
+    return result
 
 
 @pytest.fixture(scope="session")

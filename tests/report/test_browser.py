@@ -10,8 +10,8 @@ import shutil
 
 import pytest
 
+from cvxshear.report.describe import describe
 from cvxshear.report.html import write_report
-from cvxshear.quantities import percent, probability, significant
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 FLAGS = (
@@ -20,13 +20,6 @@ FLAGS = (
 )  # fmt: skip
 DESKTOP, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
 A4 = {"width": 680, "height": 1000}
-
-WRITTEN = {
-    "min_mac": lambda value: significant(value, 6),
-    "chi2": significant,
-    "dof": str,
-    "p_value": probability,
-}
 
 
 def missing(what):
@@ -93,14 +86,18 @@ def test_the_page_says_what_the_json_says(opened, reports, name):
     assert json.loads(page.text_content("#result")) == result
     rows = page.query_selector_all("#errors tbody tr")
     keys = [row.get_attribute("data-key") for row in rows]
-    assert set(keys) == set(result["before"])
-    for key, row in zip(keys, rows, strict=True):
-        for side, cell in zip(("before", "after"), row.query_selector_all("td"), strict=True):
+    known = {key for key in result["before"] if (result["before"][key], result["after"][key]) != (None, None)}
+    assert set(keys) == known
+    (table,) = [
+        part for part in describe(reports[1][name])["before-after"].parts if getattr(part, "key", "") == "errors"
+    ]
+    for key, row, said in zip(keys, rows, table.rows, strict=True):
+        for side, cell, written in zip(("before", "after"), row.query_selector_all("td"), said.cells[1:], strict=True):
             assert json.loads(cell.get_attribute("data-exact")) == result[side][key]
-            assert cell.inner_text() == WRITTEN.get(key, percent)(result[side][key])
+            assert cell.inner_text() == written
     assert len(page.query_selector_all("#identified tbody tr")) == len(result["frame"]["floor_mass"])
     for effect in result["effects"]:
-        assert effect["name"] in page.inner_text("#headline")
+        assert effect["size"].removesuffix(")") in page.inner_text("#headline")
 
 
 @EVERY

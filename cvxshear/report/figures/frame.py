@@ -10,8 +10,8 @@ from matplotlib.patches import Rectangle
 from cvxshear.experiment import Experiment
 from cvxshear.identification import Identification, IdentifiedFrame
 from cvxshear.loop import Closure
+from cvxshear.quantities import fitting, with_std
 from cvxshear.report.figures.style import AFTER, PALE, QUIET, grid_of, letters, new_figure, panels, spread, styled
-from cvxshear.quantities import scaled, with_std
 from cvxshear.typing import Floats
 
 LINE = 0.17
@@ -106,7 +106,8 @@ def _draw(axes: Axes, experiment: Experiment, found: IdentifiedFrame, title: str
 
 def _labels(axes: Axes, found: IdentifiedFrame, z: Floats, heights: Floats, gap: float) -> None:
     """Stiffnesses to the left at the stories, masses to the right at the floors, apart from one another."""
-    factor, unit = scaled(found.story_stiffness.tolist(), "N/m")
+    factor, unit = fitting(found.story_stiffness.tolist(), "N/m")
+    mass_factor, mass_unit = fitting(found.floor_mass.tolist(), "kg")
     stiffness_std, mass_std = _known(found.story_stiffness_std, z), _known(found.floor_mass_std, z)
     top = float(z[-1])
     middle = z - heights / 2
@@ -115,7 +116,7 @@ def _labels(axes: Axes, found: IdentifiedFrame, z: Floats, heights: Floats, gap:
         _leader(axes, (LEFT, at), (LEFT - GAP + 0.01, shown))
         axes.text(LEFT - GAP, shown, f"story {i + 1}:  {text}", ha="right", va="center")
     for i, (at, shown) in enumerate(zip(z, spread(z, gap, 0.0, top), strict=True)):
-        text = with_std(float(found.floor_mass[i]), mass_std[i], "kg")
+        text = with_std(float(found.floor_mass[i]), mass_std[i], mass_unit, mass_factor)
         _leader(axes, (RIGHT + 0.02, at), (RIGHT + GAP - 0.01, shown))
         axes.text(RIGHT + GAP, shown, f"floor {i + 1}:  {text}", ha="left", va="center")
 

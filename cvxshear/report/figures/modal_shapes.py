@@ -9,6 +9,7 @@ from matplotlib.ticker import MaxNLocator
 
 from cvxshear.modal import ModalResult
 from cvxshear.modal.shapes import mac, scaled_to_one
+from cvxshear.quantities import significant
 from cvxshear.report.figures.mac import draw_matrix
 from cvxshear.report.figures.style import (
     AFTER,
@@ -21,7 +22,6 @@ from cvxshear.report.figures.style import (
     panels,
     styled,
 )
-from cvxshear.quantities import significant
 from cvxshear.typing import Floats
 
 MOST_COLUMNS = 5

@@ -1,4 +1,4 @@
-"""The residual by configuration and mode, in standard deviations, before and after."""
+"""The residual part by part, in standard deviations, before and after."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 
-from cvxshear.identification.efficient import Estimate
+from cvxshear.data import Deviation
 from cvxshear.loop import Closure
-from cvxshear.loop.residual import ModeResidual, by_mode
+from cvxshear.loop.residual import by_part
 from cvxshear.report.figures.style import AFTER, BEFORE, PAGE_WIDTH, QUIET, letters, new_figure, power_of_ten, styled
 from cvxshear.typing import Floats
 
@@ -26,13 +26,17 @@ COMPRESSED = 25.0
 MOST_DECADES = 2
 """Labels on either side of zero."""
 
+ROW, ROOM = 0.19, 1.5
+"""inch, of a row, and of legend and axis."""
+
+Pair = tuple[Deviation, Deviation]
+
 
 @styled
 def residual(result: Closure) -> Figure:
-    """How far the model is from each measured frequency and shape, in standard deviations, before and after.
+    """How far the model is from each part of the measurement, in standard deviations, before and after.
 
-    Both are counted in the noise of the final model: where it is estimated, the first model's own residual would
-    pass for noise otherwise.
+    Both are counted in the noise of the final model.
 
     Parameters
     ----------
@@ -41,53 +45,37 @@ def residual(result: Closure) -> Figure:
     Returns
     -------
     Figure
+        One panel a kind of data.
     """
-    before, after = by_mode(result.before.estimate), by_mode(result.estimate)
-    figure = new_figure(PAGE_WIDTH, 0.19 * len(after) + 1.5)
-    left, right = figure.subplots(1, 2, sharey=True)
-    ratio = common_scale(result)
-    places = np.arange(len(after), dtype=float)
-    _dumbbells(
-        left,
-        places,
-        [ratio * item.frequency_deviation for item in before],
-        [item.frequency_deviation for item in after],
-    )
-    shapes = [_or_nan(item.shape_deviation) for item in after]
-    _dumbbells(right, places, [ratio * _or_nan(item.shape_deviation) for item in before], shapes)
-    left.axvspan(-USUAL, USUAL, color="#EFEFEF", zorder=0, lw=0)
-    right.axvspan(0, USUAL, color="#EFEFEF", zorder=0, lw=0)
-    left.axvline(0, color=QUIET, lw=0.8)
-    left.set_xlabel("frequency, model less measurement,\nstandard deviations")
-    right.set_xlabel("mode shape, rms over the floors,\nstandard deviations")
-    right.set_xlim(left=0)
-    left.set_yticks(places, [_named(item) for item in after])
-    left.set_ylim(len(after) - 0.4, -0.6)
-    for axes in (left, right):
-        axes.grid(axis="x")
-        axes.tick_params(axis="y", length=0)
-    handles, labels = left.get_legend_handles_labels()
+    pairs = list(zip(by_part(result.before.estimate), by_part(result.estimate), strict=True))
+    kinds = list(dict.fromkeys(after.noise for _, after in pairs))
+    rows = list(dict.fromkeys((after.configuration, after.place) for _, after in pairs))
+    figure = new_figure(PAGE_WIDTH, ROW * len(rows) + ROOM)
+    drawn = figure.subplots(1, len(kinds), sharey=True, squeeze=False)[0]
+    for axes, kind in zip(drawn, kinds, strict=True):
+        _panel(axes, rows, [pair for pair in pairs if pair[1].noise == kind])
+    drawn[0].set_yticks(range(len(rows)), [f"{letters(name, 20)}, {place}" for name, place in rows])
+    drawn[0].set_ylim(len(rows) - 0.4, -0.6)
+    handles, labels = drawn[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=2)
     return figure
 
 
-def common_scale(result: Closure) -> float:
-    """What turns the first model's standard deviations into those of the final model."""
-    first, last = _scale(result.before.estimate), _scale(result.estimate)
-    return first / last
-
-
-def _scale(estimate: Estimate) -> float:
-    scale = estimate.noise_scale
-    return scale if np.isfinite(scale) and scale > 0 else 1.0
-
-
-def _or_nan(value: float | None) -> float:
-    return float("nan") if value is None else value
-
-
-def _named(item: ModeResidual) -> str:
-    return f"{letters(item.configuration, 20)}, mode {item.mode}"
+def _panel(axes: Axes, rows: Sequence[tuple[str, str]], pairs: Sequence[Pair]) -> None:
+    """One kind of data: with their sign where they are single numbers, else the root mean square of each part."""
+    signed = all(after.entries == 1 for _, after in pairs)
+    places = np.array([rows.index((after.configuration, after.place)) for _, after in pairs], dtype=float)
+    axes.axvspan(-USUAL if signed else 0, USUAL, color="#EFEFEF", zorder=0, lw=0)
+    _dumbbells(axes, places, [before.deviations for before, _ in pairs], [after.deviations for _, after in pairs])
+    what = pairs[0][1].noise.replace("_", " ")
+    if signed:
+        axes.axvline(0, color=QUIET, lw=0.8)
+        axes.set_xlabel(f"{what}, model less measurement,\nstandard deviations")
+    else:
+        axes.set_xlabel(f"{what}, root mean square,\nstandard deviations")
+        axes.set_xlim(left=0)
+    axes.grid(axis="x")
+    axes.tick_params(axis="y", length=0)
 
 
 def _dumbbells(axes: Axes, places: Floats, before: Sequence[float], after: Sequence[float]) -> None:
@@ -102,6 +90,7 @@ def _dumbbells(axes: Axes, places: Floats, before: Sequence[float], after: Seque
         axes.xaxis.set_minor_formatter(FuncFormatter(lambda value, at: ""))
         axes.set_xlim(-2 * largest, 2 * largest)
     else:
+        axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
         axes.set_xlim(-1.15 * max(largest, USUAL), 1.15 * max(largest, USUAL))
 
 

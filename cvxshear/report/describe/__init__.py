@@ -1,0 +1,23 @@
+"""Results in words: one description each, which terminal, report, notebook and `print` arrange."""
+
+from cvxshear.report.describe import closure, comparison, experiment, identification, modal, noise_study
+from cvxshear.report.describe.dispatch import describe, line
+from cvxshear.report.describe.vocabulary import Document, Facts, Points, Row, Section, Sentence, Table
+
+__all__ = [
+    "Document",
+    "Facts",
+    "Points",
+    "Row",
+    "Section",
+    "Sentence",
+    "Table",
+    "closure",
+    "comparison",
+    "describe",
+    "experiment",
+    "identification",
+    "line",
+    "modal",
+    "noise_study",
+]

@@ -1,0 +1,98 @@
+"""Backends on the same programs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from cvxshear.backends import Comparison, ProgramKind
+from cvxshear.backends.comparison import BackendResult
+from cvxshear.quantities import AUTOMATIC, Units, counted, exponential, significant
+from cvxshear.report.describe.dispatch import describe, line
+from cvxshear.report.describe.vocabulary import Document, Part, Points, Row, Section, Sentence, Table
+
+
+@describe.register
+def _comparison(of: Comparison, units: Units = AUTOMATIC) -> Document:
+    tables: list[Part] = [part for kind in of.kinds for part in _kind(of, kind)]
+    if of.left_out:
+        tables.insert(0, Sentence(f"Without the paper's programs: {of.left_out}."))
+    return Document(
+        of.experiment,
+        f"{of.experiment}: {_headline(of)}",
+        (Section("programs", "Programs", tuple(tables)), Section("worst", "All programs", (worst(of),), detail=True)),
+    )
+
+
+@line.register
+def _line(of: Comparison) -> str:
+    return f"<Comparison {of.experiment}: {_headline(of)}>"
+
+
+def _headline(of: Comparison) -> str:
+    backends = len({row.backend for row in of.rows})
+    return f"{counted(backends, 'backend')} on {counted(len(of.kinds), 'kind')} of programs"
+
+
+def _kind(of: Comparison, kind: ProgramKind) -> Iterator[Part]:
+    rows = [row for row in of.rows if row.kind == kind.kind]
+    name = kind.kind.replace(" ", "-")
+    title = f"{programs(kind)}, against the {rows[0].reference}"
+    head = ("backend", "difference", "primal", "dual", "gap", "error", "iterations", "told", "time", "time / kkt")
+    yield Table(f"kind-{name}", title, head, tuple(Row(tuple(_cells(row))) for row in rows if not row.failure))
+    failures = tuple(f"{row.backend}: {short(row.failure)}" for row in rows if row.failure)
+    if failures:
+        yield Points(f"failures-{name}", failures)
+
+
+def programs(kind: ProgramKind) -> str:
+    """A kind of program and its size in words."""
+    sizes = (
+        counted(kind.unknowns, "unknown"),
+        counted(kind.rows, "row"),
+        counted(kind.equalities, "equality"),
+        counted(kind.inequalities, "inequality"),
+    )
+    condition = "singular" if kind.condition is None else f"condition {significant(kind.condition, 2)}"
+    return f"{kind.kind}: {counted(kind.programs, 'program')}, {', '.join(sizes)}, {condition}"
+
+
+def _cells(row: BackendResult) -> Iterator[str]:
+    yield row.backend
+    for value in (row.difference, row.primal_residual, row.dual_residual, row.duality_gap, row.error_bound):
+        yield "–" if value is None else exponential(value)
+    yield "–" if row.iterations is None else str(row.iterations)
+    yield "–" if row.tolerance is None else exponential(row.tolerance, 1)
+    yield "–" if row.seconds is None else f"{significant(1e3 * row.seconds, 3)} ms"
+    yield significant(row.relative_time, 2)
+
+
+def worst(of: Comparison) -> Table:
+    """For each backend its worst figures over all programs that it takes."""
+    names = dict.fromkeys(row.backend for row in of.rows)
+    head = ("backend", "programs solved", "largest difference", "largest certificate residual", "remark")
+    rows = tuple(_worst(name, [row for row in of.rows if row.backend == name]) for name in names)
+    return Table("backends-table", "Worst figures of each backend over all programs", head, rows, words=(0, 4))
+
+
+def _worst(name: str, rows: list[BackendResult]) -> Row:
+    solved = [row for row in rows if not row.failure]
+    residuals = [each for row in solved for each in (row.primal_residual, row.dual_residual, row.duality_gap)]
+    return Row(
+        (
+            name,
+            f"{sum(row.programs for row in solved)} of {sum(row.programs for row in rows)}",
+            _largest([row.difference for row in solved]),
+            _largest(residuals),
+            "; ".join(sorted({short(row.failure) for row in rows if row.failure})),
+        )
+    )
+
+
+def _largest(values: list[float | None]) -> str:
+    known = [value for value in values if value is not None]
+    return exponential(max(known)) if known else "–"
+
+
+def short(failure: str) -> str:
+    """A failure that every reader of these tables knows, in a few words."""
+    return "takes no active bound" if "takes equalities only" in failure else failure

@@ -1,0 +1,132 @@
+"""What was measured and declared."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from cvxshear.experiment import Configuration, Experiment
+from cvxshear.quantities import AUTOMATIC, Units, counted, percents, significant
+from cvxshear.report.describe.dispatch import describe, line
+from cvxshear.report.describe.vocabulary import Document, Facts, Part, Row, Section, Sentence, Table
+from cvxshear.typing import Floats
+
+
+@describe.register
+def _experiment(of: Experiment, units: Units = AUTOMATIC) -> Document:
+    return Document(of.name, f"{of.name}: {_headline(of)}", (declared(of, units), measured_modes(of, units)))
+
+
+@line.register
+def _line(of: Experiment) -> str:
+    return f"<Experiment {of.name}: {_headline(of)}>"
+
+
+def _headline(of: Experiment) -> str:
+    tests = [counted(len(of.configurations), "configuration")]
+    if of.static:
+        tests.append(counted(len(of.static), "static test"))
+    return f"{counted(of.stories, 'story')}, {', '.join(tests)}"
+
+
+def declared(of: Experiment, units: Units = AUTOMATIC) -> Section:
+    """What was declared of the frame, and each test in a line."""
+    facts = Facts(tuple(_facts(of, units)))
+    head = ("configuration", "modes", "floors", "added mass", "noise")
+    rows = tuple(_test(each, units) for each in of.configurations)
+    tests = Table("tests", "What was tested", head, rows, words=(0, 4))
+    return Section("declared", "Measured and declared", (facts, tests))
+
+
+def _facts(of: Experiment, units: Units) -> Iterator[tuple[str, str]]:
+    frame = of.frame
+    yield "test", of.name
+    yield "stories", str(of.stories)
+    yield "story heights", "not declared" if frame.story_heights is None else listed(frame.story_heights, "m")
+    yield "total mass", f"{_total(of, units)}, without added mass" if frame.known_total else "not declared"
+    if frame.reference is not None:
+        yield "reference state", frame.reference
+    for each in of.static:
+        yield f'static test "{each.name}"', f"displacements of {counted(int(each.measured.sum()), 'floor')}"
+    for prior in of.priors:
+        yield "known beforehand", prior.describe().replace("_", " ")
+    for expected in of.expected:
+        yield "expected beforehand", expected.name.replace("_", " ")
+
+
+def _total(of: Experiment, units: Units) -> str:
+    total = of.frame.known_total
+    assert total is not None
+    factor, unit = units.of_mass([total])
+    off = "" if of.frame.total_mass_std is None else f" ± {100 * of.frame.total_mass_std:g} %"
+    return f"{total / factor:g} {unit}{off}"
+
+
+def _test(each: Configuration, units: Units) -> Row:
+    return Row(
+        (
+            each.name,
+            str(len(each.frequencies)),
+            str(len(each.measured_floors)),
+            _added(each.added_mass, units),
+            _noise(each),
+        )
+    )
+
+
+def _noise(each: Configuration) -> str:
+    """Whether the standard deviations of what was measured are declared."""
+    declared = [each.frequency_std is not None]
+    if each.measured.any():
+        declared.append(each.mode_shape_std is not None)
+    return "declared" if all(declared) else "partly declared" if any(declared) else "not declared"
+
+
+def _added(mass: Floats, units: Units) -> str:
+    if not mass.any():
+        return "none"
+    factor, unit = units.of_mass(mass.tolist())
+    return f"{mass.sum() / factor:g} {unit}"
+
+
+def listed(values: Floats, unit: str, factor: float = 1.0) -> str:
+    """The values, or the one value that all have."""
+    shown = [f"{value / factor:g}" for value in values]
+    same = len(set(shown)) == 1 and len(shown) > 1
+    return f"{shown[0]} {unit} each" if same else f"{', '.join(shown)} {unit}"
+
+
+def measured_modes(of: Experiment, units: Units = AUTOMATIC) -> Section:
+    """The measured modes of every configuration."""
+    parts: list[Part] = []
+    for place, each in enumerate(of.configurations, 1):
+        parts += _modes(each, place, units)
+    return Section("modes", "Measured modes", tuple(parts), detail=True, below=True)
+
+
+def _modes(each: Configuration, place: int, units: Units) -> Iterator[Part]:
+    factor, unit = units.of_mass(each.added_mass.tolist())
+    added = listed(each.added_mass, unit, factor) if each.added_mass.any() else "none"
+    doubt = "" if _noise(each) == "declared" else " Standard deviations that are not declared are the default's."
+    yield Sentence(f"{each.name}. Added mass: {added}.{doubt}")
+    largest = np.max(np.abs(np.where(each.measured, each.mode_shapes, 0.0)), axis=1, keepdims=True, initial=0.0)
+    scale = np.where(largest > 0, largest, 1.0)
+    shape_std = percents(np.max(each.entry_std / scale, axis=1, initial=0.0).tolist())
+    frequency_std = percents([float(std) for std in each.log_frequency_std])
+    floors = [f"floor {floor}" for floor in each.measured_floors]
+    rows = tuple(
+        Row(
+            (
+                str(mode),
+                significant(float(each.frequencies[j]), 5),
+                frequency_std[j],
+                *("–" if np.isnan(value) else f"{value:+.4f}" for value in each.mode_shapes[j] / scale[j]),
+                shape_std[j] if each.measured[j].any() else "–",
+            )
+        )
+        for j, mode in enumerate(each.modes)
+    )
+    head = ("mode", "frequency, Hz", "std", *floors, "std of the shape")
+    title = "Shapes are scaled to a largest entry of 1" if floors else "Frequencies alone"
+    yield Table(f"modes-{place}", title, head, rows)

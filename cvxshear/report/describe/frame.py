@@ -1,0 +1,39 @@
+"""A frame's masses and stiffnesses, as every result shows them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cvxshear.identification import IdentifiedFrame
+from cvxshear.quantities import UNKNOWN, Units, significants, with_std
+from cvxshear.report.describe.vocabulary import Table, columns
+from cvxshear.typing import Floats
+
+
+def frame_table(
+    frame: IdentifiedFrame,
+    title: str,
+    units: Units,
+    *,
+    key: str = "identified",
+    averaged: IdentifiedFrame | None = None,
+) -> Table:
+    """Floor masses and story stiffnesses, the top of the frame first, and beside them those averaged over models."""
+    mass_factor, mass_unit = units.of_mass(frame.floor_mass.tolist())
+    factor, unit = units.of_stiffness(frame.story_stiffness.tolist())
+    head = ["floor / story", f"mass, {mass_unit}", f"stiffness, {unit}"]
+    shown = [frame] if averaged is None else [frame, averaged]
+    if averaged is not None:
+        head += [f"averaged mass, {mass_unit}", f"averaged stiffness, {unit}"]
+    cells = [[str(i) for i in range(1, len(frame.floor_mass) + 1)]]
+    for each in shown:
+        cells.append(_column(each.floor_mass, each.floor_mass_std, mass_factor))
+        cells.append(_column(each.story_stiffness, each.story_stiffness_std, factor))
+    return Table(key, title, tuple(head), tuple(reversed(columns(*cells))))
+
+
+def _column(values: Floats, stds: Floats | None, factor: float) -> list[str]:
+    if stds is None or np.all(np.isnan(stds)):
+        written = significants((values / factor).tolist(), 5)
+        return [UNKNOWN if np.isnan(value) else text for value, text in zip(values, written, strict=True)]
+    return [with_std(value, std, factor=factor) for value, std in zip(values.tolist(), stds.tolist(), strict=True)]

@@ -1,0 +1,162 @@
+"""The words that a description of a result is made of: plain data, which terminals, pages and notebooks arrange."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+Exact = float | int | str | None
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """A sentence or a short paragraph.
+
+    Parameters
+    ----------
+    text : str
+    tone : str
+        "strong", "warning", or empty.
+    """
+
+    kind: ClassVar[str] = "sentence"
+    text: str
+    tone: str = ""
+
+
+@dataclass(frozen=True)
+class Points:
+    """Sentences that stand each by itself.
+
+    Parameters
+    ----------
+    key : str
+        Names it in a page.
+    texts : tuple of str
+    """
+
+    kind: ClassVar[str] = "points"
+    key: str
+    texts: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Names with what is known of them.
+
+    Parameters
+    ----------
+    pairs : tuple of (str, str)
+    """
+
+    kind: ClassVar[str] = "facts"
+    pairs: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of a table.
+
+    Parameters
+    ----------
+    cells : tuple of str
+        As people read them.
+    key : str
+        Names it in a page.
+    exact : tuple
+        The numbers behind the cells from the second on; empty where nobody asks for them.
+    """
+
+    cells: tuple[str, ...]
+    key: str = ""
+    exact: tuple[Exact, ...] = ()
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table.
+
+    Parameters
+    ----------
+    key : str
+        Names it in a page.
+    title : str
+    head : tuple of str
+    rows : tuple of Row
+    words : tuple of int
+        Columns that hold words, zero-based; the others hold numbers.
+    brief : int or None
+        How many rows suffice where there is little room; all where None.
+    """
+
+    kind: ClassVar[str] = "table"
+    key: str
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[Row, ...]
+    words: tuple[int, ...] = (0,)
+    brief: int | None = None
+
+
+Part = Sentence | Points | Facts | Table
+
+
+@dataclass(frozen=True)
+class Section:
+    """What belongs together.
+
+    Parameters
+    ----------
+    key : str
+        Names it in a page.
+    title : str
+    parts : tuple
+    detail : bool
+        Whether a full report alone has it.
+    below : bool
+        Whether it belongs to the section before it.
+    """
+
+    key: str
+    title: str
+    parts: tuple[Part, ...]
+    detail: bool = False
+    below: bool = False
+
+
+@dataclass(frozen=True)
+class Document:
+    """The description of a result.
+
+    Parameters
+    ----------
+    title : str
+        Whose result it is.
+    headline : str
+        What came out, in a sentence.
+    sections : tuple of Section
+    """
+
+    title: str
+    headline: str
+    sections: tuple[Section, ...]
+
+    def __getitem__(self, key: str) -> Section:
+        """The section of a key."""
+        return next(section for section in self.sections if section.key == key)
+
+    @property
+    def brief(self) -> Iterator[Section]:
+        """The sections without those of a full report."""
+        return (section for section in self.sections if not section.detail and section.parts)
+
+
+def plain_rows(cells: Iterable[Sequence[str]]) -> tuple[Row, ...]:
+    """Rows of nothing but cells."""
+    return tuple(Row(tuple(row)) for row in cells)
+
+
+def columns(*texts: Sequence[str]) -> tuple[Row, ...]:
+    """Rows from whole columns, all of one length."""
+    return plain_rows(zip(*texts, strict=True))

@@ -1,0 +1,64 @@
+"""How results are shown is asked of whoever has said how: a result itself knows nothing of it."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Renderers:
+    """What makes a result visible.
+
+    Parameters
+    ----------
+    line : callable
+        The result in one short line.
+    text : callable
+        Its tables as plain text.
+    html : callable
+        Its tables for a notebook; None where that cannot be made.
+    """
+
+    line: Callable[[Any], str]
+    text: Callable[[Any], str]
+    html: Callable[[Any], str | None]
+
+
+_home: list[str] = []
+_renderers: list[Renderers] = []
+
+
+def shown_by(module: str) -> None:
+    """Name the module that calls `register` when it is imported, which is when a result is first looked at."""
+    _home[:] = [module]
+
+
+def register(renderers: Renderers) -> None:
+    """Show results in this way from now on."""
+    _renderers[:] = [renderers]
+
+
+def _found() -> Renderers | None:
+    if not _renderers and _home:
+        importlib.import_module(_home[0])
+    return _renderers[0] if _renderers else None
+
+
+class Shown:
+    """A result that a prompt shows in a line, `print` as tables, and a notebook as HTML."""
+
+    def __repr__(self) -> str:
+        renderers = _found()
+        return object.__repr__(self) if renderers is None else renderers.line(self)
+
+    def __str__(self) -> str:
+        renderers = _found()
+        return object.__repr__(self) if renderers is None else renderers.text(self)
+
+    def _repr_html_(self) -> str | None:
+        """What a notebook shows."""
+        renderers = _found()
+        return None if renderers is None else renderers.html(self)

@@ -1,0 +1,280 @@
+"""One description of a result: what it says, and that terminal, prompt, page and notebook show the same of it."""
+
+import dataclasses
+import sys
+
+import numpy as np
+import pytest
+from rich.cells import cell_len
+
+import cvxshear
+from cvxshear.errors import InputError
+from cvxshear.identification.ending import Ending
+from cvxshear.identification.results import IdentifiedFrame
+from cvxshear.loop.posterior import Rival
+from cvxshear.quantities import Units, chance, percent, percents, significant, significants, with_std
+from cvxshear.report import terminal
+from cvxshear.report.describe import describe
+from cvxshear.report.describe.headline import change_in_words, headline
+from cvxshear.report.describe.vocabulary import Table
+from cvxshear.report.house_table import plain_table
+from tests.report.conftest import NASTY
+
+EVERY = ["paper", "eight", "unexplained", "twenty", "nine", "ambiguous"]
+
+
+def tables(document):
+    return [part for section in document.sections for part in section.parts if isinstance(part, Table)]
+
+
+def table(document, key):
+    return next(each for each in tables(document) if each.key == key)
+
+
+def test_the_headline_of_an_explained_frame_names_size_probability_and_errors(paper):
+    (effect,) = paper.effects
+    said = headline(paper)
+    assert said.startswith("the shear model lacks the weight that the columns carry (gravity, gamma = 1.200 ±")
+    assert f"; {100 * effect.probability:.1f} % probable); with it the largest frequency error falls from" in said
+    before, after = (step.estimate.quality.max_frequency_error for step in (paper.before, paper.after))
+    assert said.endswith(f"from {100 * before:.2f} % to {100 * after:.2f} %.")
+
+
+def test_an_ambiguous_headline_names_the_rivals_with_their_probabilities(ambiguous):
+    said = headline(ambiguous)
+    (effect,) = ambiguous.effects
+    assert effect.rivals
+    for rival in effect.rivals:
+        assert f"{rival.placed.label} ({chance(rival.probability)})" in said
+    assert "in its place" in said
+    twin = dataclasses.replace(effect.rivals[0], twin=True)
+    said = headline(dataclasses.replace(ambiguous, effects=(dataclasses.replace(effect, rivals=(twin,)),)))
+    assert f"these data cannot tell it from {twin.placed.label}" in said
+    alone = dataclasses.replace(ambiguous, effects=(dataclasses.replace(effect, rivals=()),))
+    assert "whether it is there at all is less sure than 95 %" in headline(alone)
+
+
+def test_several_effects_make_a_sentence_that_can_be_read(paper):
+    (effect,) = paper.effects
+    other = dataclasses.replace(effect, size="5.0 ± 0.2 kg missing on floor 1", probability=0.97)
+    two = headline(dataclasses.replace(paper, effects=(effect, other)))
+    assert " and 5.0 ± 0.2 kg missing on floor 1 (97.0 % probable); with them " in two
+    three = headline(dataclasses.replace(paper, effects=(effect, other, other)))
+    assert f"lacks 3 effects, such as {effect.size.removesuffix(')')}" in three
+    assert len(three) < 250
+    rival = Rival(paper.candidates[1].placed, 0.2, False)
+    doubtful = dataclasses.replace(other, rivals=(rival,))
+    several = headline(dataclasses.replace(paper, verdict="ambiguous", effects=(effect, doubtful)))
+    assert f"would explain them as well in place of {effect.placed.label}" in several
+    many = dataclasses.replace(paper, verdict="ambiguous", effects=(effect, doubtful, doubtful))
+    assert "in place of 2 of them something else would explain the data as well" in headline(many)
+    assert repr(many).endswith("and 1 more>")
+
+
+def test_an_unexplained_headline_says_where_the_residual_sits(unexplained):
+    assert unexplained.remains[0] in headline(unexplained)
+    assert "no effect that was looked for accounts for it" in headline(unexplained)
+
+
+def test_an_adequate_headline_says_within_which_noise(paper):
+    adequate = dataclasses.replace(paper, verdict="adequate", effects=(), steps=paper.steps[-1:])
+    factor = paper.noise.to_dict()["frequency"]["factor"]
+    assert f"within an estimated noise of {0.2 * factor:.2f} % of frequencies" in headline(adequate)
+    assert "gravity is the most probable" in headline(adequate)
+
+
+def test_a_change_that_only_shapes_show_is_told_of_the_shapes(paper):
+    before = dataclasses.replace(paper.before.estimate.quality, max_frequency_error=0.002, max_shape_error=0.08)
+    after = dataclasses.replace(before, max_shape_error=0.01)
+    assert change_in_words(before, after) == "the largest mode-shape error falls from 8.00 % to 1.00 %"
+    assert change_in_words(before, before) == "the largest frequency error stays at 0.20 %"
+    worse = dataclasses.replace(before, max_frequency_error=0.03)
+    assert change_in_words(before, worse) == "the largest frequency error rises from 0.20 % to 3.00 %"
+
+
+def test_probabilities_come_first_and_are_those_of_the_result(ambiguous):
+    document = describe(ambiguous)
+    keys = [section.key for section in document.sections]
+    assert keys[:4] == ["verdict", "effects", "sets", "candidates"]
+    found = [row.exact[0] for row in table(document, "models").rows]
+    assert found == [item.probability for item in ambiguous.models]
+    rows = table(document, "candidates-table").rows
+    assert [row.exact[:2] for row in rows] == [(item.prior, item.probability) for item in ambiguous.candidates]
+    (effect,) = ambiguous.effects
+    shown = [row.cells[1] for row in table(document, "effects-table").rows]
+    assert shown == [chance(item.probability) for item in (effect, *effect.rivals)]
+
+
+def test_a_large_set_is_told_by_what_sets_it_apart_from_the_first(paper):
+    placed = [item.placed for item in paper.candidates[:6]]
+    first = dataclasses.replace(paper.models[0], effects=tuple(placed[:4]))
+    sets = (
+        first,
+        dataclasses.replace(first, effects=(*placed[:3], placed[5])),
+        dataclasses.replace(first, effects=tuple(placed[:5])),
+        dataclasses.replace(first, effects=()),
+    )
+    shown = [row.cells[0] for row in table(describe(dataclasses.replace(paper, models=sets)), "models").rows]
+    names = [each.label for each in placed]
+    assert shown == [
+        " + ".join(names[:4]),
+        f"the first, with {names[5]} in place of {names[3]}",
+        f"the first, and {names[4]}",
+        "the shear model alone",
+    ]
+
+
+def test_frequencies_alone_are_described_too(paper):
+    bare = [dataclasses.replace(each, mode_shapes=np.zeros((2, 0)), measured_floors=np.zeros(0, dtype=int))
+            for each in paper.experiment.configurations]  # fmt: skip
+    said = describe(dataclasses.replace(paper.experiment, configurations=tuple(bare)))
+    assert table(said, "modes-1").head == ("mode", "frequency, Hz", "std", "std of the shape")
+    assert table(said, "modes-1").title == "Frequencies alone"
+
+
+def test_the_averaged_frame_stands_beside_the_final_one(paper):
+    identified = table(describe(paper), "identified")
+    lowest = identified.rows[-1].cells
+    assert lowest[0] == "1"
+    for column, frame in ((1, paper.frame), (3, paper.averaged)):
+        assert float(lowest[column].split(" ± ")[0]) == pytest.approx(frame.floor_mass[0], rel=1e-3)
+        assert float(lowest[column + 1].split(" ± ")[0]) == pytest.approx(frame.story_stiffness[0] / 1000, rel=1e-3)
+
+
+def test_the_noise_is_told_in_percent_and_as_a_factor(paper, unexplained):
+    said = terminal.text(paper)
+    factor, std = (paper.noise.to_dict()["mode_shape"][key] for key in ("factor", "std"))
+    assert f"{factor:.2f} ± {std:.2f} % (estimated: {factor:.2f} ± {std:.2f} times the default)" in said
+    assert "noise of frequencies  as declared" in terminal.text(unexplained)
+
+
+def test_a_fit_that_did_not_converge_is_said_wherever_its_numbers_are_shown(paper):
+    fit = dataclasses.replace(paper.estimate.fit, reason=Ending.STEP_LIMIT)
+    step = dataclasses.replace(paper.after, estimate=dataclasses.replace(paper.estimate, fit=fit))
+    document = describe(dataclasses.replace(paper, steps=(paper.before, step)))
+    for key in ("before-after", "frame"):
+        assert any("NOT CONVERGED" in getattr(part, "text", "") for part in document[key].parts)
+    found = cvxshear.identify(paper.experiment)
+    stopped = dataclasses.replace(found, parts=(dataclasses.replace(found.parts[0], reason=Ending.STEP_LIMIT),))
+    assert "NOT CONVERGED. " in str(stopped)
+    assert "not converged" in repr(stopped)
+
+
+@pytest.mark.parametrize("result", EVERY)
+def test_print_shows_the_terminals_summary_folded_at_eighty_columns(result, request):
+    found = request.getfixturevalue(result)
+    said = str(found)
+    assert max(cell_len(line) for line in said.splitlines()) <= 80
+    assert said.startswith(f"{found.verdict.upper()}: ")
+    assert len(said) < 20_000
+    assert "nan" not in said.replace("resonan", "")
+
+
+@pytest.mark.parametrize("result", EVERY)
+def test_a_prompt_shows_one_short_line(result, request):
+    found = request.getfixturevalue(result)
+    for each in (found, found.experiment):
+        assert "\n" not in repr(each)
+        assert len(repr(each)) < 250
+        assert each._repr_html_().count("<table") >= 1
+
+
+def test_the_other_results_show_themselves(paper, study, comparison):
+    assert repr(cvxshear.identify(paper.experiment, "two-stage")).startswith(
+        "<Identification paper: two-stage, 2 stories"
+    )
+    assert repr(comparison).startswith(f"<Comparison paper: {len(cvxshear.backends.available())} backends on 6 kinds")
+    assert repr(study).startswith("<NoiseStudy 5 setups, 50 samples each, by two-stage, one-shot")
+    for each in (study, comparison):
+        assert max(map(cell_len, str(each).splitlines())) <= 80
+        assert "<table" in each._repr_html_()
+
+
+def test_a_wide_table_is_folded_and_loses_nothing():
+    numbers = [f"{value:.5f}" for value in np.linspace(0, 1, 40)]
+    wide = plain_table("title", "mode", *(f"floor {i}" for i in range(1, 41)))
+    wide.add_row("1", *numbers)
+    console = terminal.Console(width=60, color_system=None)
+    with console.capture() as captured:
+        console.print(wide)
+    shown = captured.get()
+    assert max(map(cell_len, shown.splitlines())) <= 60
+    assert all(number in shown for number in numbers)
+    blocks = shown.removeprefix("title\n").split("\n\n")
+    assert len(blocks) > 3
+    assert all("mode" in block and "floor" in block for block in blocks)
+
+
+def test_names_are_data(unexplained):
+    steering = "a[bold]b\x1b[31m\r\n\u202ec"
+    renamed = dataclasses.replace(unexplained.experiment, name=steering)
+    for said in (str(renamed), repr(renamed), renamed._repr_html_()):
+        assert "\x1b" not in said
+        assert "\u202e" not in said
+        assert "a[bold]b\\x1b[31m\\r\\n\\u202ec" in said
+    joined = " ".join(line.strip() for line in str(unexplained).splitlines())
+    assert NASTY in joined
+
+
+def test_quantities_have_units_that_fit_their_size():
+    assert with_std(18_500.0, 120.0, "kg") == "18.50 ± 0.12 t"
+    assert with_std(3.01, 0.03, "kg") == "3.010 ± 0.030 kg"
+    assert with_std(4.1e6, 2e4, "N/m") == "4100 ± 20 kN/m"
+    assert with_std(1.7e-11, 3e-12, "rad/(N m)") == "(1.70 ± 0.30)e-11 rad/(N m)"
+    assert with_std(float("nan"), None, "kg") == "not determined"
+    assert with_std(6.675, 1e-16, "kg") == "6.675 kg"
+    assert percent(1.2e-6) == "< 0.01 %"
+    assert percents([0.0001, 0.00002, None, 0.0]) == ["0.010 %", "0.002 %", "–", "0.000 %"]
+    assert significants([160.94, 9.97, None]) == ["160.9", "10.0", "–"]
+    assert [significant(value, 2) for value in (110.0, 3.75, 1e-7)] == ["110", "3.8", "1.0e-07"]
+    assert [chance(value) for value in (0.0, 0.218, 0.9986, 1.0)] == ["< 0.1 %", "21.8 %", "99.9 %", "> 99.9 %"]
+
+
+def test_units_can_be_chosen():
+    units = Units.parse("t, kN,mm")
+    assert units.of_mass([12.0]) == (1000.0, "t")
+    factor, unit = units.of_stiffness([25_000.0])
+    # 25 kN/m are 0.025 kN/mm.
+    assert (25_000.0 / factor, unit) == (pytest.approx(0.025), "kN/mm")
+    factor, unit = Units.parse("mm").of_stiffness([25_000.0])
+    assert (25_000.0 / factor, unit) == (pytest.approx(25.0), "N/mm")
+    assert Units.parse(None).of_stiffness([25_000.0]) == (1000.0, "kN/m")
+    with pytest.raises(InputError, match="no display unit 'lb'; there are g, kg, t"):
+        Units.parse("lb")
+    with pytest.raises(InputError, match="t and kg are both of mass"):
+        Units.parse("t,kg")
+
+
+def test_results_become_tables_of_pandas(paper):
+    pandas = pytest.importorskip("pandas")
+    apart = cvxshear.identify(paper.experiment, "two-stage").to_dataframe()
+    assert isinstance(apart, pandas.DataFrame)
+    assert apart["configuration"].tolist() == [name for i in (1, 2, 3) for name in [f"Structure {i}"] * 2]
+    assert apart["floor_mass"].iloc[:2].tolist() == pytest.approx([13.045, 18.285], abs=5e-4)
+    assert apart["floor_mass_std"].isna().all()
+    closed = paper.to_dataframe()
+    assert closed["story_stiffness"].tolist() == paper.frame.story_stiffness.tolist()
+    assert closed["averaged_floor_mass_std"].tolist() == paper.averaged.floor_mass_std.tolist()
+
+
+def test_without_pandas_the_extra_is_named(paper, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match=r"pip install 'cvxshear\[pandas\]'"):
+        paper.to_dataframe()
+
+
+def test_without_jinja2_a_notebook_shows_the_text(paper, monkeypatch):
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    monkeypatch.delitem(sys.modules, "cvxshear.report.pages", raising=False)
+    shown = paper._repr_html_()
+    assert shown.startswith("<pre>EXPLAINED: ")
+    assert "Structure 1" in shown
+
+
+def test_masses_in_tonnes_are_told_so(paper):
+    heavy = IdentifiedFrame(1000 * paper.frame.floor_mass, 1000 * paper.frame.story_stiffness)
+    found = cvxshear.identify(paper.experiment, "two-stage")
+    parts = tuple(dataclasses.replace(part, frame=heavy) for part in found.parts)
+    first = table(describe(dataclasses.replace(found, parts=parts)), "identified-1")
+    assert first.head == ("floor / story", "mass, t", "stiffness, MN/m")
+    assert [float(row.cells[1]) for row in first.rows] == pytest.approx(paper.frame.floor_mass[::-1], rel=1e-3)
