@@ -87,9 +87,11 @@ class Posterior:
         """
         best = self.best.effects
         families = {placed: [placed, *(rival.placed for rival in self.rivals(placed))] for placed in best}
-        held = [
-            max(family, key=lambda each: self.of_effects[each]) for family in families.values() if self._enough(family)
-        ]
+        held: list[Placed] = []
+        for family in families.values():
+            if self._enough(family):
+                free = [each for each in family if each not in held]
+                held.append(max(free or family, key=lambda each: self.of_effects[each]))
         # A rival of what is added is there in its place, not besides it.
         passed = {each for family in families.values() for each in family}
         more = [placed for placed in self.of_effects if placed not in passed and self._enough([placed])]
