@@ -20,9 +20,11 @@ from cvxshear.errors import InputError
 from cvxshear.priors import Prior, check_quantity
 from cvxshear.typing import Floats, Json
 
-__all__ = ["MOST_STORIES", "Configuration", "Experiment", "Frame", "Prior"]
+__all__ = ["DAMPING_KINDS", "MOST_STORIES", "Configuration", "Damping", "Experiment", "Frame", "Prior"]
 
 T = TypeVar("T")
+
+DAMPING_KINDS = ("modal", "story", "rayleigh")
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +123,31 @@ class Frame:
 
 
 @dataclass(frozen=True, eq=False)
+class Damping:
+    """How the damping of the frame is modelled.
+
+    Parameters
+    ----------
+    kind : str, optional
+        "modal": a damping ratio a mode; "story": dashpots between the floors; "rayleigh": a combination of mass and
+        stiffness.
+    priors : sequence of Prior, optional
+        About the story dashpots, of the quantity "story_damping".
+    """
+
+    kind: str = "modal"
+    priors: tuple[Prior, ...] = ()
+
+    def __post_init__(self) -> None:
+        checks.choice(self.kind, DAMPING_KINDS, "damping: kind")
+
+    @staticmethod
+    def from_dict(declared: object) -> Damping:
+        """The damping that the table `[damping]` of a measurement file declares."""
+        return Damping(**checks.keys(declared, ["kind"], [], "damping"))
+
+
+@dataclass(frozen=True, eq=False)
 class Experiment:
     """A frame, the configurations it was tested in, and what is known beforehand.
 
@@ -132,6 +159,7 @@ class Experiment:
     priors : sequence of Prior, optional
     name : str, optional
         For reports; the file's name where it was read from one.
+    damping : Damping, optional
 
     Raises
     ------
@@ -143,6 +171,7 @@ class Experiment:
     configurations: tuple[Configuration, ...]
     priors: tuple[Prior, ...] = ()
     name: str = "experiment"
+    damping: Damping = Damping()
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -157,11 +186,21 @@ class Experiment:
         stories = self._count_stories()
         put(self, "frame", self.frame._completed(stories))
         put(self, "configurations", tuple(each.in_frame(stories) for each in self.configurations))
-        for place, prior in enumerate(self.priors, 1):
+        for place, prior in enumerate((*self.priors, *self.damping.priors), 1):
             with _named(place):
                 check_quantity(prior)
                 prior.check(stories)
+        self._part_priors()
         self._check_scale()
+
+    def _part_priors(self) -> None:
+        """Keep those about masses and stiffnesses; what is known of the dashpots belongs to the damping."""
+        dashpots = tuple(prior for prior in self.priors if prior.quantity == "story_damping")
+        if dashpots:
+            others = tuple(prior for prior in self.priors if prior.quantity != "story_damping")
+            damping = dataclasses.replace(self.damping, priors=(*self.damping.priors, *dashpots))
+            object.__setattr__(self, "priors", others)
+            object.__setattr__(self, "damping", damping)
 
     def _check_names(self) -> None:
         seen: set[str] = set()
@@ -231,7 +270,7 @@ class Experiment:
         """
         frame_keys = {item.name: "[frame]" for item in dataclasses.fields(Frame)}
         tested_keys = {item.name: "[[configuration]]" for item in dataclasses.fields(Configuration)}
-        tables = ["frame", "configuration", "prior"]
+        tables = ["frame", "configuration", "prior", "damping"]
         table = checks.keys(declared, tables, [], "the measurement file", elsewhere={**tested_keys, **frame_keys})
         if table.get("configuration") is None:
             raise InputError("at least one [[configuration]] is needed: none was found")
@@ -244,13 +283,16 @@ class Experiment:
         for place, item in enumerate(_tables(table.get("prior"), "prior"), 1):
             with _named(place):
                 priors.append(Prior.from_dict(item))
-        return Experiment(frame, configurations, tuple(priors), name)
+        damping = Damping() if table.get("damping") is None else Damping.from_dict(table["damping"])
+        return Experiment(frame, configurations, tuple(priors), name, damping)
 
     def to_dict(self) -> Json:
         """The dict of the measurement file's shape that declares this experiment."""
         result: Json = {"frame": self.frame.to_dict()}
-        if self.priors:
-            result["prior"] = [prior.to_dict() for prior in self.priors]
+        if self.damping.kind != Damping().kind:
+            result["damping"] = {"kind": self.damping.kind}
+        if self.priors or self.damping.priors:
+            result["prior"] = [prior.to_dict() for prior in (*self.priors, *self.damping.priors)]
         result["configuration"] = [each.to_dict() for each in self.configurations]
         return result
 
