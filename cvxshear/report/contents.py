@@ -18,6 +18,7 @@ from cvxshear.loop.results import Found
 from cvxshear.report import effect_size, motion
 from cvxshear.report.loop_terminal import headline
 from cvxshear.report.numbers import percent, probability, scaled, significant, with_std
+from cvxshear.response.fitted import without_nan
 from cvxshear.studies.backends import Comparison
 from cvxshear.typing import Json
 
@@ -87,7 +88,7 @@ def contents(result: Closure, comparison: Comparison, command: str) -> Json:
         "backend": result.backend,
         "effort": (result.fits, result.programs),
         "command": command,
-        "experiment_json": readable_json(_without_nan(result.experiment.to_dict())),
+        "experiment_json": readable_json(without_nan(result.experiment.to_dict())),
         "result_json": readable_json(result.to_dict()),
     }
 
@@ -99,15 +100,6 @@ def _sentence(text: str) -> str:
 def readable_json(value: object) -> str:
     """JSON that a person can read."""
     return json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False)
-
-
-def _without_nan(value: object) -> object:
-    """JSON knows no nan; null stands for an entry that was not measured."""
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_without_nan(item) for item in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def _measured(result: Closure) -> list[tuple[str, str]]:

@@ -1,0 +1,171 @@
+"""Story dashpots from modal damping, by programs of the form that every backend solves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.backends import Backend
+from cvxshear.errors import NoSolutionError
+from cvxshear.frame import Modes, stiffness_matrix
+from cvxshear.priors import Prior
+from cvxshear.programs import LeastSquares
+from cvxshear.programs.feasibility import refuse_contradictions
+from cvxshear.programs.mass import pair_products
+from cvxshear.programs.rows import constrained, softened, statements
+from cvxshear.response.poles import coupled, modal_damping
+from cvxshear.response.ratios import Ratios
+from cvxshear.typing import Bools, Floats
+
+QUANTITY = "story_damping"
+
+LOOSE = 10.0
+"""Standard deviation, relative, of the statement that the dashpots are in proportion to the stiffnesses: it decides
+only what neither the ratios nor the priors do."""
+
+LEAST_RATIO = 1e-3
+"""A ratio measured as smaller is no better known than one of this size."""
+
+MOST_ROUNDS = 40
+UNCHANGED = 1e-9
+"""Relative change of the dashpots at which the ratios of the poles count as met as well as they can be."""
+
+OPEN = 1e-6
+"""A combination of dashpots that changes the data by less, each in units of its own effect, is left open by them."""
+
+TAKES_PART = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Dashpots:
+    """Story dashpots.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+        N s/m.
+    open : tuple of str
+        Combinations that the measured ratios and the priors leave open, in words.
+    determined : ndarray of bool, shape (N,)
+        Which stories take part in none of them.
+    """
+
+    values: Floats
+    open: tuple[str, ...]
+    determined: Bools
+
+
+def story_dashpots(
+    of: Modes,
+    stiffness: Floats,
+    ratios: Ratios,
+    backend: Backend,
+    priors: Sequence[Prior] = (),
+    start: Floats | None = None,
+) -> Dashpots:
+    """Dashpots c >= 0 between the floors with which the frame has the measured damping ratios.
+
+    With real modes x = T' phi, x_i o x_j' c = 2 zeta_i omega_i delta_ij. The rows i = j are the measurement, each
+    divided by 2 omega_i and by the deviation of its zeta_i. The rows i /= j say that the modes do not couple, which
+    nobody measured; of a matrix that only dissipates, an entry is at most sqrt(zeta_i zeta_j) in these units, and a
+    uniform distribution up to there has a standard deviation of sqrt(zeta_i zeta_j / 3).
+
+    Dashpots that do couple the modes change the ratios of the poles in second order. So the program is solved again
+    with the ratios of the complex modes and their derivatives, ds/dc_k = -s y_k^2 / a with the drifts y of the
+    complex shape, until nothing changes: ratios of the frame's own complex modes are then met, too.
+
+    Parameters
+    ----------
+    of : Modes
+        Undamped, all N of them.
+    stiffness : ndarray, shape (N,)
+        N/m; the dashpots are sought as c = d k, which is the same for all stories where nothing else is known.
+    ratios : Ratios
+    backend : Backend
+    priors : sequence of Prior, optional
+        Of the quantity "story_damping".
+    start : ndarray, shape (N,), optional
+        Dashpots near the answer.
+
+    Raises
+    ------
+    InfeasibleError
+        Where exact priors contradict each other.
+    NoSolutionError
+        Where the backend does not solve a program, or the dashpots do not settle.
+    """
+    n = len(stiffness)
+    where = statements(priors, QUANTITY, n)
+    refuse_contradictions(where, n)
+    seen = np.flatnonzero(ratios.measured)
+    zeta = ratios.values[seen]
+    floor = np.maximum(zeta, LEAST_RATIO)
+    std = ratios.std[seen] * floor
+    statement = _statement(of, seen, floor, stiffness)
+    c = np.zeros(n) if start is None else start
+    for _ in range(MOST_ROUNDS):
+        found, J = _pole_ratios(of, c, seen)
+        R = np.concatenate([J / std[:, None], statement])
+        s = np.concatenate([(zeta - found) / std, -statement @ c])
+        program = LeastSquares(R, s, names=tuple(f"{QUANTITY} {i + 1}" for i in range(n)))
+        program = softened(program, priors, QUANTITY, np.maximum(c, 1e-12 * stiffness), 1.0, step=True)
+        step = backend.solve(constrained(program, where, c)).x
+        c = c + step
+        if np.max(np.abs(step)) <= UNCHANGED * np.max(np.abs(c), initial=1e-300):
+            data = np.concatenate([program.R[: len(seen)], program.R[len(R) :], program.equalities[0]])
+            return Dashpots(np.maximum(c, 0.0), *_left_open(data))
+    raise NoSolutionError(
+        backend.name, f"the story dashpots did not settle in {MOST_ROUNDS} rounds; use modal damping in their place"
+    )
+
+
+def _statement(of: Modes, seen: Floats, zeta: Floats, stiffness: Floats) -> Floats:
+    """Rows that are zero for what is assumed: modes that do not couple, dashpots in proportion to the stiffnesses."""
+    n = len(stiffness)
+    omega = np.sqrt(of.eigenvalues[seen])
+    drifts = np.diff(of.shapes[:, seen], axis=0, prepend=0.0)
+    i, j = np.triu_indices(len(seen), k=1)
+    unit = 2 * np.sqrt(omega[i] * omega[j]) * np.sqrt(zeta[i] * zeta[j] / 3)
+    uncoupled = pair_products(drifts, diagonal=False) / unit[:, None]
+    # c_k / k_k less the mean of all, in units of the proportion that gives the mean ratio at the first mode.
+    typical = 2 * float(np.mean(zeta)) / float(np.sqrt(of.eigenvalues[0]))
+    proportion = (np.eye(n) - 1.0 / n) / stiffness / (typical * LOOSE)
+    return np.concatenate([uncoupled, proportion])
+
+
+def _pole_ratios(of: Modes, c: Floats, seen: Floats) -> tuple[Floats, Floats]:
+    """Damping ratios of the measured modes' poles, shape (m,), and their derivatives by the dashpots, (m, N)."""
+    if not np.any(c):
+        drifts = np.diff(of.shapes[:, seen], axis=0, prepend=0.0)
+        return np.zeros(len(seen)), (drifts**2 / (2 * np.sqrt(of.eigenvalues[seen]))).T
+    gamma = modal_damping(of, stiffness_matrix(c))
+    found = coupled(of, gamma)
+    swinging = np.flatnonzero(found.values.imag > 0)
+    # Each pole's share of each real mode, by its modal coordinates; the largest tells which mode it is.
+    share = np.abs(np.linalg.solve(of.shapes, found.shapes[:, swinging]))
+    share = share / np.linalg.norm(share, axis=0)
+    own = swinging[np.argmax(share[seen], axis=1)]
+    s, a = found.values[own], found.scales[own]
+    drifts = np.diff(found.shapes[:, own], axis=0, prepend=0.0)
+    ds = -(s * drifts**2 / a).T
+    size = np.abs(s)[:, None]
+    toward = np.real(np.conj(s)[:, None] * ds)
+    return -s.real / np.abs(s), -ds.real / size + s.real[:, None] * toward / size**3
+
+
+def _left_open(data: Floats) -> tuple[tuple[str, ...], Bools]:
+    """The combinations of dashpots that rows leave open, in words, and which stories take part in none."""
+    length = np.linalg.norm(data, axis=0)
+    unit = 1.0 / np.where(length > 0, length, 1.0)
+    _, values, right = np.linalg.svd(data * unit, full_matrices=True)
+    rank = int(np.sum(values > OPEN * values[0]))
+    null = right[rank:]
+    part = np.linalg.norm(null, axis=0) if len(null) else np.zeros(data.shape[1])
+    words = []
+    for direction in np.abs(null):
+        order = np.argsort(-direction, kind="stable")
+        names = [str(k + 1) for k in order if direction[k] > TAKES_PART * direction[order[0]]]
+        words.append(f"the dashpots of stories {', '.join(names)}" if len(names) > 1 else f"the dashpot of {names[0]}")
+    return tuple(words), part < 1e-4

@@ -1,0 +1,124 @@
+"""A fitted frame in one state, its parameters and damping ratios uncertain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear import checks
+from cvxshear.backends import Backend
+from cvxshear.effects import compose
+from cvxshear.experiment import DAMPING_KINDS, Configuration
+from cvxshear.frame import Modes, modes, stiffness_matrix
+from cvxshear.response.dashpots import Dashpots, story_dashpots
+from cvxshear.response.fitted import Fitted
+from cvxshear.response.model import DampedModel
+from cvxshear.response.ratios import Ratios, damping_ratios
+from cvxshear.response.rayleigh import rayleigh
+from cvxshear.typing import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Damped:
+    """A model with its damping, and what the damping is made of.
+
+    Parameters
+    ----------
+    model : DampedModel
+    dashpots : Dashpots or None
+    rayleigh : ndarray, shape (2,), optional
+        a (1/s) and b (s) of C = a M + b K.
+    """
+
+    model: DampedModel
+    dashpots: Dashpots | None = None
+    rayleigh: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class UncertainFrame:
+    """A fitted model in one state, of uncertain parameters and damping ratios.
+
+    Its uncertainty is that of independent standard normal numbers xi: theta + L xi for masses, stiffnesses and
+    effects, zeta exp(std xi) for the damping ratios. Whatever is computed of the frame is a function of xi.
+
+    Parameters
+    ----------
+    fitted : Fitted
+    configuration : Configuration
+        The state: added mass, and which effects are in it.
+    ratios : Ratios
+    kind : str
+        "modal", "story" or "rayleigh".
+    backend : Backend
+    """
+
+    fitted: Fitted
+    configuration: Configuration
+    ratios: Ratios
+    kind: str
+    backend: Backend
+
+    @staticmethod
+    def of(fitted: Fitted, configuration: Configuration, kind: str | None, backend: Backend) -> UncertainFrame:
+        """With the damping ratios that the experiment declares, and its kind of damping where none is named."""
+        experiment = fitted.experiment
+        named = experiment.damping.kind if kind is None else checks.choice(kind, DAMPING_KINDS, "damping")
+        return UncertainFrame(fitted, configuration, damping_ratios(experiment, configuration), named, backend)
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether anything tells how uncertain the parameters are."""
+        return self.fitted.covariance is not None
+
+    @property
+    def size(self) -> int:
+        """How many standard normal numbers there are."""
+        return int(self.fitted.root.shape[1]) + len(self.ratios.values)
+
+    def at(self, xi: Floats, near: Damped | None = None) -> Damped:
+        """The damped model at one value of xi.
+
+        Parameters
+        ----------
+        xi : ndarray, shape (size,)
+        near : Damped, optional
+            Whose dashpots the programs start from.
+
+        Raises
+        ------
+        InputError
+            Where the frame has no modes there.
+        """
+        root = self.fitted.root
+        theta = self.fitted.theta + root @ xi[: root.shape[1]]
+        zeta = self.ratios.values * np.exp(self.ratios.std * xi[root.shape[1] :])
+        return self.damped(theta, Ratios(zeta, self.ratios.std, self.ratios.measured, self.ratios.declared), near)
+
+    def damped(self, theta: Floats, ratios: Ratios, near: Damped | None = None) -> Damped:
+        """The damped model of given parameters and ratios."""
+        experiment = self.fitted.experiment
+        state = compose(experiment, self.configuration, self.fitted.effects, theta, derivatives=False)
+        M, K = state.system.M, state.system.K
+        of = modes(M, K)
+        dashpots, factors = None, None
+        if self.kind == "story":
+            start = None if near is None or near.dashpots is None else near.dashpots.values
+            priors = experiment.damping.priors
+            dashpots = story_dashpots(of, state.story_stiffness, ratios, self.backend, priors, start)
+            C = stiffness_matrix(dashpots.values)
+        elif self.kind == "rayleigh":
+            factors = rayleigh(of, ratios, self.backend)
+            C = factors[0] * M + factors[1] * K
+        else:
+            C = modal_matrix(M, of, ratios.values)
+        heights = experiment.frame.story_heights
+        model = DampedModel(M, C, K, state.gain, heights, self.fitted.mass_known)
+        return Damped(model, dashpots, factors)
+
+
+def modal_matrix(M: Floats, of: Modes, ratios: Floats) -> Floats:
+    """C = M Phi diag(2 zeta omega) Phi' M, with which the modes have these damping ratios and do not couple."""
+    turned = M @ of.shapes
+    return (turned * (2 * ratios * np.sqrt(of.eigenvalues))) @ turned.T
