@@ -9,6 +9,7 @@ import typer
 
 from cvxshear.cli import frames, studies
 from cvxshear.cli.output import typed
+from cvxshear.cli.predict import predict
 from cvxshear.errors import CvxshearError, NoSolutionError
 
 app = typer.Typer(
@@ -22,6 +23,7 @@ study = typer.Typer(help="Many identifications at once.", no_args_is_help=True)
 for command in (
     frames.identify,
     frames.loop,
+    predict,
     frames.modes,
     frames.backends,
     studies.reproduce,

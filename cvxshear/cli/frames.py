@@ -28,6 +28,7 @@ from cvxshear.errors import InputError, UnsuitableError
 if TYPE_CHECKING:
     from cvxshear import Experiment
     from cvxshear.modal import ModalResult
+    from cvxshear.response import IdentifiedDamping
 
 
 def identify(
@@ -57,6 +58,7 @@ def identify(
     from cvxshear import identify as run
     from cvxshear import load
     from cvxshear.report import terminal
+    from cvxshear.response import Fitted, damping_of
 
     drawing = figures_for(figure)
     experiment, start = load(file), _numbers(initial_mass)
@@ -68,9 +70,12 @@ def identify(
     if method is None and named == "efficient" and out != "-":
         with suppress(UnsuitableError):
             beside = run(experiment, method="two-stage", backend=backend)
+    fitted = Fitted.of_identification(result)
+    damping = None if fitted is None else damping_of(experiment, fitted, backend)
     if drawing is not None:
         drawing.save(drawing.frame(result), figure)
-    deliver(result.to_dict(), out, lambda: terminal.identification(result, beside))
+    said = {**result.to_dict(), "damping": None if damping is None else damping.to_dict()}
+    deliver(said, out, lambda: [*terminal.identification(result, beside), *_damping_of(damping)])
 
 
 def _numbers(text: str | None) -> list[float] | None:
@@ -98,6 +103,10 @@ def loop(
     report: Annotated[
         str | None, typer.Option("--report", help="Write a report, one HTML file.", metavar="OUT.html")
     ] = None,
+    validate: Annotated[
+        str | None,
+        typer.Option(help="A record file: predict it by the models before and after.", metavar="RECORD"),
+    ] = None,
     figure: FigureOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
@@ -107,7 +116,8 @@ def loop(
     Example: cvxshear loop paper
     """
     from cvxshear import close_loop
-    from cvxshear.report import loop_terminal
+    from cvxshear.report import loop_terminal, response_terminal
+    from cvxshear.response import damping_of, models_of_loop, predict
 
     drawing = figures_for(figure)
     if report is not None:
@@ -115,12 +125,20 @@ def loop(
     with progress("closing the loop", quiet):
         experiment, found = _measured(file)
         result = close_loop(experiment, effects=names(effects), assume=names(assume) or (), backend=backend, jobs=jobs)
+        models = models_of_loop(result, mass_known=not _needs_mass(found))
+        damping = damping_of(experiment, models.after, backend)
+        tried = None if validate is None else predict(models, validate, backend)
     said = result.to_dict() if found is None else {**result.to_dict(), "modes": found.to_dict()}
+    said |= {"damping": None if damping is None else damping.to_dict(), "model": models.to_dict()}
+    if tried is not None:
+        said["validation"] = tried.to_dict()
     if report is not None:
         write_report(result, report, shlex.join(["cvxshear", *typed]))
     if drawing is not None:
         drawing.save(drawing.residual(result), figure)
-    deliver(said, out, lambda: [*_modes_of(found), *loop_terminal.closure(result)])
+    rest = () if tried is None else ("", *response_terminal.prediction(tried))
+    tables = (*loop_terminal.closure(result), *(() if tried is not None else _damping_of(damping)), *rest)
+    deliver(said, out, lambda: [*_modes_of(found), *tables])
 
 
 def _measured(file: str) -> tuple[Experiment, ModalResult | None]:
@@ -139,6 +157,17 @@ def _modes_of(found: ModalResult | None) -> Iterable[RenderableType]:
     from cvxshear.report import modal_terminal
 
     return () if found is None else (*modal_terminal.modes(found), "")
+
+
+def _needs_mass(found: ModalResult | None) -> bool:
+    """Whether a total mass of 1 kg stands for one that nobody gave."""
+    return found is not None and any(finding.kind == "scale" for finding in found.findings)
+
+
+def _damping_of(found: IdentifiedDamping | None) -> Iterable[RenderableType]:
+    from cvxshear.report import response_terminal
+
+    return () if found is None else ("", *response_terminal.damping(found))
 
 
 def modes(

@@ -86,6 +86,12 @@ def described(frame: UncertainFrame, damped: Damped, std: Floats) -> IdentifiedD
         f"the measured damping ratios leave open {names}; it is set in proportion to the story stiffness"
         for names in damped.dashpots.open
     ]
+    if damped.dashpots.missed:
+        modes = ", ".join(str(mode) for mode in damped.dashpots.missed)
+        remarks.append(
+            f"dashpots between the floors cannot give the measured damping ratio{'s' if ',' in modes else ''} of mode "
+            f"{modes}; modal or Rayleigh damping can"
+        )
     dashpot_std = np.where(damped.dashpots.determined, own, np.nan)
     return IdentifiedDamping(
         frame.kind, damped.model.ratios, ratios, damped.dashpots.values, dashpot_std, remarks=tuple(remarks)
@@ -94,7 +100,7 @@ def described(frame: UncertainFrame, damped: Damped, std: Floats) -> IdentifiedD
 
 def damping_of(
     experiment: Experiment,
-    estimate: Estimate,
+    estimate: Estimate | Fitted,
     backend: str | Backend = "auto",
     *,
     kind: str | None = None,
@@ -105,7 +111,7 @@ def damping_of(
     Parameters
     ----------
     experiment : Experiment
-    estimate : Estimate
+    estimate : Estimate or Fitted
         Of `identification.efficient`, or of a closed loop.
     backend : str or Backend, optional
     kind : str, optional
@@ -130,6 +136,7 @@ def damping_of(
     names = [each.name for each in experiment.configurations if each.damping_ratios is not None]
     name = names[0] if configuration is None else checks.choice(configuration, names, "configuration")
     state = next(each for each in experiment.configurations if each.name == name)
-    frame = UncertainFrame.of(Fitted.of(estimate), state, kind, backends.get(backend))
+    fitted = estimate if isinstance(estimate, Fitted) else Fitted.of(estimate)
+    frame = UncertainFrame.of(fitted, state, kind, backends.get(backend))
     centre, std = propagated(frame, parts_of)
     return described(frame, centre, std)

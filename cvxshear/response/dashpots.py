@@ -17,7 +17,7 @@ from cvxshear.programs.mass import pair_products
 from cvxshear.programs.rows import constrained, softened, statements
 from cvxshear.response.poles import coupled, modal_damping
 from cvxshear.response.ratios import Ratios
-from cvxshear.typing import Bools, Floats
+from cvxshear.typing import Bools, Floats, Ints
 
 QUANTITY = "story_damping"
 
@@ -36,6 +36,13 @@ OPEN = 1e-6
 """A combination of dashpots that changes the data by less, each in units of its own effect, is left open by them."""
 
 TAKES_PART = 0.1
+"""Share of the largest entry from which on a story is named as part of a combination."""
+
+FAR = 2.0
+"""Standard deviations by which a ratio counts as missed."""
+
+ZERO = 1e-9
+"""Of the largest dashpot: a smaller one is zero to within what solvers deliver."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +57,14 @@ class Dashpots:
         Combinations that the measured ratios and the priors leave open, in words.
     determined : ndarray of bool, shape (N,)
         Which stories take part in none of them.
+    missed : tuple of int
+        Modes whose measured ratio no dashpots of these kinds come near: they would have to be negative.
     """
 
     values: Floats
     open: tuple[str, ...]
     determined: Bools
+    missed: tuple[int, ...]
 
 
 def story_dashpots(
@@ -115,13 +125,15 @@ def story_dashpots(
         c = c + step
         if np.max(np.abs(step)) <= UNCHANGED * np.max(np.abs(c), initial=1e-300):
             data = np.concatenate([program.R[: len(seen)], program.R[len(R) :], program.equalities[0]])
-            return Dashpots(np.maximum(c, 0.0), *_left_open(data))
+            met = np.abs(zeta - found) <= FAR * std
+            c = np.where(c > ZERO * c.max(), c, 0.0)
+            return Dashpots(c, *_left_open(data), tuple((seen[~met] + 1).tolist()))
     raise NoSolutionError(
         backend.name, f"the story dashpots did not settle in {MOST_ROUNDS} rounds; use modal damping in their place"
     )
 
 
-def _statement(of: Modes, seen: Floats, zeta: Floats, stiffness: Floats) -> Floats:
+def _statement(of: Modes, seen: Ints, zeta: Floats, stiffness: Floats) -> Floats:
     """Rows that are zero for what is assumed: modes that do not couple, dashpots in proportion to the stiffnesses."""
     n = len(stiffness)
     omega = np.sqrt(of.eigenvalues[seen])
@@ -135,7 +147,7 @@ def _statement(of: Modes, seen: Floats, zeta: Floats, stiffness: Floats) -> Floa
     return np.concatenate([uncoupled, proportion])
 
 
-def _pole_ratios(of: Modes, c: Floats, seen: Floats) -> tuple[Floats, Floats]:
+def _pole_ratios(of: Modes, c: Floats, seen: Ints) -> tuple[Floats, Floats]:
     """Damping ratios of the measured modes' poles, shape (m,), and their derivatives by the dashpots, (m, N)."""
     if not np.any(c):
         drifts = np.diff(of.shapes[:, seen], axis=0, prepend=0.0)

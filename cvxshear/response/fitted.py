@@ -14,6 +14,7 @@ from cvxshear import checks
 from cvxshear.effects import Place, Placed, named
 from cvxshear.errors import InputError
 from cvxshear.experiment import Experiment
+from cvxshear.identification import Identification
 from cvxshear.identification.efficient import Estimate
 from cvxshear.typing import Floats, Json
 
@@ -58,6 +59,19 @@ class Fitted:
             estimate.uncertainty.null_directions,
             mass_known,
         )
+
+    @staticmethod
+    def of_identification(result: Identification) -> Fitted | None:
+        """What a joint identification says; None of others, and of one that left values open."""
+        frame = result.frame
+        if not result.joint or frame is None or result.correlation is None:
+            return None
+        theta = np.concatenate([frame.floor_mass, frame.story_stiffness])
+        if frame.floor_mass_std is None or frame.story_stiffness_std is None or not np.isfinite(theta).all():
+            return None
+        std = np.concatenate([frame.floor_mass_std, frame.story_stiffness_std])
+        covariance = np.nan_to_num(result.correlation) * np.outer(std, std) if np.isfinite(std).all() else None
+        return Fitted(result.experiment, (), theta, covariance, result.undetermined)
 
     @property
     def label(self) -> str:

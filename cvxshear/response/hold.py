@@ -37,7 +37,8 @@ def hold(s: Complexes, step: float) -> tuple[Complexes, Complexes, Complexes]:
     safe = np.where(small, 1.0, x)
     first = np.where(small, _series(x, 1), (E - 1) / safe)
     second = np.where(small, _series(x, 2), (E - 1 - x) / safe**2)
-    return E, step * second, step * (first - second)
+    now: Complexes = np.asarray(step * second, dtype=np.complex128)
+    return np.asarray(E), now, np.asarray(step * first, dtype=np.complex128) - now
 
 
 def _series(x: Complexes, order: int) -> Complexes:

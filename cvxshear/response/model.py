@@ -53,7 +53,8 @@ class DampedModel:
         """Damping ratio of each mode, shape (N,): of its pole, of Phi' C Phi where a mode is overdamped."""
         if len(self.poles.values) == len(self.M) and np.all(self.poles.values.imag > 0):
             return self.poles.ratios
-        return np.diag(modal_damping(self.modes, self.C)) / (2 * np.sqrt(self.modes.eigenvalues))
+        ratios: Floats = np.diag(modal_damping(self.modes, self.C)) / (2 * np.sqrt(self.modes.eigenvalues))
+        return ratios
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +143,7 @@ def response(model: DampedModel, drive: Drive, step: float) -> Response:
         forces[:, drive.floor - 1] = p
     unbalanced = forces - acceleration @ model.M
     return Response(
-        time=step * np.arange(len(p)),
+        time=step * np.arange(len(p), dtype=np.float64),
         acceleration=acceleration,
         displacement=displacement,
         story_force=np.cumsum(unbalanced[:, ::-1], axis=1)[:, ::-1],
@@ -155,7 +156,10 @@ def _load(model: DampedModel, floor: int) -> Floats:
     """b of the forces b p(t): -M 1 for a base acceleration, a unit vector for a force."""
     n = len(model.M)
     if floor == 0:
-        return -model.M.sum(axis=1)
+        total: Floats = model.M.sum(axis=1)
+        return -total
     if floor > n:
         raise InputError(f"the force acts on floor {floor} of a frame of {n} stories")
-    return np.eye(n)[floor - 1]
+    unit = np.zeros(n)
+    unit[floor - 1] = 1.0
+    return unit

@@ -96,7 +96,7 @@ def classical(real: Modes, own: Floats) -> Poles:
     which = np.concatenate([np.arange(len(omega)), np.flatnonzero(over)])
     order = np.argsort(np.abs(values), kind="stable")
     values, which = values[order], which[order]
-    return Poles(values, real.shapes[:, which].astype(np.complex128), 2 * values + own[which])
+    return Poles(values, real.shapes[:, which].astype(np.complex128), np.asarray(2 * values + own[which]))
 
 
 def coupled(real: Modes, gamma: Floats) -> Poles:
@@ -114,6 +114,7 @@ def coupled(real: Modes, gamma: Floats) -> Poles:
     values, states = values.astype(np.complex128), states.astype(np.complex128)
     kept = np.flatnonzero(values.imag >= 0)
     kept = kept[np.argsort(np.abs(values[kept]), kind="stable")]
-    s, q = values[kept], states[:n, kept] / omega[:, None]
+    s: Complexes = np.asarray(values[kept], dtype=np.complex128)
+    q = states[:n, kept] / omega[:, None]
     scales = 2 * s * np.sum(q * q, axis=0) + np.sum(q * (gamma @ q), axis=0)
     return Poles(s, real.shapes @ q, scales)

@@ -40,23 +40,31 @@ def models_of(source: ModelSource, backend: Backend) -> Models:
     InputError
         Where a file cannot be read, or is none of these.
     """
-    if isinstance(source, Models):
-        return source
-    if isinstance(source, Closure):
-        return models_of_loop(source)
-    if isinstance(source, Estimate):
-        return Models(None, Fitted.of(source))
-    if isinstance(source, Experiment):
-        return models_of_loop(close_loop(source, backend=backend))
-    if not isinstance(source, str | Path):
-        raise InputError(
-            "the model of a prediction is a file, an Experiment, a Closure, an Estimate or Models, not "
-            f"{shown(source)}"
-        )
-    if str(source) != "paper" and Path(source).suffix.lower() == ".json":
+    match source:
+        case Models():
+            found = source
+        case Closure():
+            found = models_of_loop(source)
+        case Estimate():
+            found = Models(None, Fitted.of(source))
+        case Experiment():
+            found = models_of_loop(close_loop(source, backend=backend))
+        case str() | Path():
+            found = _of_file(source, backend)
+        case _:
+            raise InputError(
+                "the model of a prediction is a file, an Experiment, a Closure, an Estimate or Models, not "
+                + shown(source)
+            )
+    return found
+
+
+def _of_file(source: str | Path, backend: Backend) -> Models:
+    """The models of a measurement file, a record file, or what `loop --json` wrote."""
+    if Path(source).suffix.lower() == ".json":
         return _of_json(Path(source))
     if not is_record_file(source):
-        return models_of(load(source), backend)
+        return models_of_loop(close_loop(load(source), backend=backend))
     found, declared = run(source)
     experiment = Experiment.from_dict(declared, name=Path(source).stem)
     mass_known = not any(finding.kind == "scale" for finding in found.findings)

@@ -94,7 +94,7 @@ def transfer(excitations: Sequence[Floats], responses: Sequence[Floats], rate: f
 def around(frequencies: Floats, natural: Floats, mode: int) -> Bools:
     """The lines near one natural frequency and nearer to it than to any other, shape (lines,)."""
     own = natural[mode]
-    near = np.abs(frequencies - own) <= AROUND * own
+    near: Bools = np.abs(frequencies - own) <= AROUND * own
     others = np.delete(natural, mode)
     if others.size:
         near &= np.abs(frequencies - own) < np.min(np.abs(frequencies[:, None] - others), axis=1)

@@ -11,17 +11,22 @@ from cvxshear.report.figures.noise import noise_boxes, noise_variation
 from cvxshear.report.figures.output import save
 from cvxshear.report.figures.ranking import ranking
 from cvxshear.report.figures.residual import residual
+from cvxshear.report.figures.response import floor_spectra, response_histories, response_peaks, transfer_functions
 from cvxshear.report.figures.shapes import shapes
 
 __all__ = [
     "backend_differences",
     "convergence",
+    "floor_spectra",
     "frame",
     "mac",
     "noise_boxes",
     "noise_variation",
     "ranking",
     "residual",
+    "response_histories",
+    "response_peaks",
     "save",
     "shapes",
+    "transfer_functions",
 ]
