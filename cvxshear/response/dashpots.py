@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.errors import NoSolutionError
+from cvxshear.errors import NoSolutionError, UnsuitableError
 from cvxshear.frame import Modes, stiffness_matrix
 from cvxshear.priors import Prior
 from cvxshear.programs import LeastSquares
@@ -29,8 +29,14 @@ LEAST_RATIO = 1e-3
 """A ratio measured as smaller is no better known than one of this size."""
 
 MOST_ROUNDS = 40
+SHORTEST = 1e-3
+"""Share of a step below which it is not cut any more."""
+
 UNCHANGED = 1e-9
-"""Relative change of the dashpots at which the ratios of the poles count as met as well as they can be."""
+"""Relative change of the dashpots at which they have settled."""
+
+FLAT = 1e-7
+"""Relative change of the sum of squares at which the ratios are met as well as they can be."""
 
 OPEN = 1e-6
 """A combination of dashpots that changes the data by less, each in units of its own effect, is left open by them."""
@@ -109,28 +115,83 @@ def story_dashpots(
     n = len(stiffness)
     where = statements(priors, QUANTITY, n)
     refuse_contradictions(where, n)
-    seen = np.flatnonzero(ratios.measured)
-    zeta = ratios.values[seen]
-    floor = np.maximum(zeta, LEAST_RATIO)
-    std = ratios.std[seen] * floor
-    statement = _statement(of, seen, floor, stiffness)
+    fit = _Fit(of, stiffness, ratios, priors)
     c = np.zeros(n) if start is None else start
+    program = fit.program(c)
     for _ in range(MOST_ROUNDS):
-        found, J = _pole_ratios(of, c, seen)
-        R = np.concatenate([J / std[:, None], statement])
-        s = np.concatenate([(zeta - found) / std, -statement @ c])
-        program = LeastSquares(R, s, names=tuple(f"{QUANTITY} {i + 1}" for i in range(n)))
-        program = softened(program, priors, QUANTITY, np.maximum(c, 1e-12 * stiffness), 1.0, step=True)
         step = backend.solve(constrained(program, where, c)).x
-        c = c + step
-        if np.max(np.abs(step)) <= UNCHANGED * np.max(np.abs(c), initial=1e-300):
-            data = np.concatenate([program.R[: len(seen)], program.R[len(R) :], program.equalities[0]])
-            met = np.abs(zeta - found) <= FAR * std
-            c = np.where(c > ZERO * c.max(), c, 0.0)
-            return Dashpots(c, *_left_open(data), tuple((seen[~met] + 1).tolist()))
+        if np.max(np.abs(step)) <= UNCHANGED * np.max(np.abs(c + step), initial=1e-300):
+            return fit.found(c + step, program)
+        before = _size(program)
+        # The first answer is that of real modes, wherever it lies; from there on the ratios come ever nearer.
+        c, program = fit.moved(c, step, before if np.any(c) else np.inf)
+        if before - _size(program) <= FLAT * before:
+            return fit.found(c, program)
     raise NoSolutionError(
         backend.name, f"the story dashpots did not settle in {MOST_ROUNDS} rounds; use modal damping in their place"
     )
+
+
+def _size(program: LeastSquares) -> float:
+    """Sum of squares of all rows where nothing is changed."""
+    return program.value(np.zeros(program.unknowns))
+
+
+class _Fit:
+    """The rows of the programs of one fit.
+
+    Parameters
+    ----------
+    of, stiffness, ratios, priors
+        As for `story_dashpots`.
+    """
+
+    def __init__(self, of: Modes, stiffness: Floats, ratios: Ratios, priors: Sequence[Prior]) -> None:
+        self.of, self.stiffness, self.priors = of, stiffness, priors
+        self.seen = np.flatnonzero(ratios.measured)
+        self.zeta = ratios.values[self.seen]
+        size = np.maximum(self.zeta, LEAST_RATIO)
+        self.std = ratios.std[self.seen] * size
+        self.statement = _statement(of, self.seen, size, stiffness)
+
+    def program(self, c: Floats) -> LeastSquares:
+        """The program of a change of the dashpots: measured ratios first, then what is assumed, then soft priors."""
+        found, J = _pole_ratios(self.of, c, self.seen)
+        R = np.concatenate([J / self.std[:, None], self.statement])
+        s = np.concatenate([(self.zeta - found) / self.std, -self.statement @ c])
+        names = tuple(f"{QUANTITY} {i + 1}" for i in range(len(c)))
+        at = np.maximum(c, 1e-12 * self.stiffness)
+        return softened(LeastSquares(R, s, names=names), self.priors, QUANTITY, at, 1.0, step=True)
+
+    def moved(self, c: Floats, step: Floats, before: float) -> tuple[Floats, LeastSquares]:
+        """The dashpots after a step, shortened until the sum of squares is no greater than before, and their program.
+
+        Raises
+        ------
+        UnsuitableError
+            Where a measured mode would not swing any more after the first step.
+        """
+        part = 1.0
+        while part > SHORTEST:
+            try:
+                program = self.program(c + part * step)
+            except UnsuitableError:
+                if before == np.inf:
+                    raise
+            else:
+                if _size(program) <= before:
+                    return c + part * step, program
+            part /= 2
+        return c, self.program(c)
+
+    def found(self, c: Floats, program: LeastSquares) -> Dashpots:
+        """The dashpots at the end, with what the program's rows of data leave open."""
+        measured, assumed = len(self.seen), len(self.statement)
+        exact = [prior.constraints(len(c)).A for prior in self.priors]
+        rows = [program.R[:measured], program.R[measured + assumed :], *(A for A in exact if A is not None)]
+        far = np.abs(program.s[:measured]) > FAR
+        c = np.where(c > ZERO * c.max(), c, 0.0)
+        return Dashpots(c, *_left_open(np.concatenate(rows)), tuple((self.seen[far] + 1).tolist()))
 
 
 def _statement(of: Modes, seen: Ints, zeta: Floats, stiffness: Floats) -> Floats:
@@ -155,10 +216,12 @@ def _pole_ratios(of: Modes, c: Floats, seen: Ints) -> tuple[Floats, Floats]:
     gamma = modal_damping(of, stiffness_matrix(c))
     found = coupled(of, gamma)
     swinging = np.flatnonzero(found.values.imag > 0)
-    # Each pole's share of each real mode, by its modal coordinates; the largest tells which mode it is.
-    share = np.abs(np.linalg.solve(of.shapes, found.shapes[:, swinging]))
-    share = share / np.linalg.norm(share, axis=0)
-    own = swinging[np.argmax(share[seen], axis=1)]
+    if seen[-1] >= len(swinging):
+        raise UnsuitableError(
+            f"with dashpots that give the measured damping ratios a mode of the measured {len(seen)} would not swing any "
+            "more; use modal damping in their place"
+        )
+    own = swinging[seen]
     s, a = found.values[own], found.scales[own]
     drifts = np.diff(found.shapes[:, own], axis=0, prepend=0.0)
     ds = -(s * drifts**2 / a).T

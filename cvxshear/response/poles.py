@@ -117,4 +117,4 @@ def coupled(real: Modes, gamma: Floats) -> Poles:
     s: Complexes = np.asarray(values[kept], dtype=np.complex128)
     q = states[:n, kept] / omega[:, None]
     scales = 2 * s * np.sum(q * q, axis=0) + np.sum(q * (gamma @ q), axis=0)
-    return Poles(s, real.shapes @ q, scales)
+    return Poles(s, np.asarray(real.shapes @ q, dtype=np.complex128), scales)
