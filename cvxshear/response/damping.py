@@ -74,6 +74,8 @@ def described(frame: UncertainFrame, damped: Damped, std: Floats) -> IdentifiedD
     n = len(damped.model.M)
     ratios, own = std[:n], std[n:]
     remarks = [*frame.ratios.assumed()]
+    if frame.ratios.tested.name != frame.configuration.name:
+        remarks.append(f'the damping ratios were measured in "{frame.ratios.tested.name}"')
     if frame.fitted.experiment.damping.priors and frame.kind != "story":
         remarks.append(f"the priors on story_damping have no part in {frame.kind} damping")
     if damped.dashpots is None:

@@ -97,7 +97,7 @@ def story_dashpots(
     of : Modes
         Undamped, all N of them.
     stiffness : ndarray, shape (N,)
-        N/m; the dashpots are sought as c = d k, which is the same for all stories where nothing else is known.
+        N/m; the dashpots are in proportion to it where nothing else tells.
     ratios : Ratios
     backend : Backend
     priors : sequence of Prior, optional

@@ -28,14 +28,14 @@ class Ratios:
     std : ndarray, shape (N,)
         Relative.
     measured : ndarray of bool, shape (N,)
-    declared : bool
-        Whether the deviations of the measured ones are declared.
+    tested : Configuration
+        The state in which they were measured.
     """
 
     values: Floats
     std: Floats
     measured: Bools
-    declared: bool
+    tested: Configuration
 
     def assumed(self) -> tuple[str, ...]:
         """What is taken for known and was not measured, in words."""
@@ -47,7 +47,7 @@ class Ratios:
                 f"of the others is taken, {100 * self.values[~self.measured][0]:.2g} % of critical within "
                 f"{100 * ASSUMED_STD:g} %"
             )
-        if not self.declared:
+        if self.tested.damping_ratio_std is None:
             said.append(
                 f"no deviation of the damping ratios is declared (damping_ratio_std): {100 * DEFAULT_STD:g} % is taken"
             )
@@ -60,7 +60,7 @@ def known(experiment: Experiment) -> bool:
 
 
 def damping_ratios(experiment: Experiment, configuration: Configuration) -> Ratios:
-    """The ratios of a configuration, or the mean over all where it has none.
+    """The ratios of a configuration, or of the first that has some where it has none.
 
     Parameters
     ----------
@@ -79,17 +79,12 @@ def damping_ratios(experiment: Experiment, configuration: Configuration) -> Rati
             "nothing tells how the frame is damped: give damping_ratios in [[configuration]] (fractions of critical, "
             "one a mode, or one number for all)"
         )
-    sources = [each for each in sources if each.name == configuration.name] or sources
-    n = experiment.stories
-    total, squares, count = np.zeros(n), np.zeros(n), np.zeros(n)
-    for each in sources:
-        assert each.damping_ratios is not None
-        std = np.full(len(each.modes), DEFAULT_STD) if each.damping_ratio_std is None else each.damping_ratio_std
-        total[each.modes - 1] += each.damping_ratios
-        squares[each.modes - 1] += std**2
-        count[each.modes - 1] += 1
-    seen = count > 0
-    counted = np.where(seen, count, 1.0)
-    values = np.where(seen, total / counted, total[seen].sum() / count[seen].sum())
-    std = np.where(seen, np.sqrt(squares) / counted, ASSUMED_STD)
-    return Ratios(values, std, seen, all(each.damping_ratio_std is not None for each in sources))
+    tested = next((each for each in sources if each.name == configuration.name), sources[0])
+    assert tested.damping_ratios is not None
+    seen = np.zeros(experiment.stories, dtype=bool)
+    seen[tested.modes - 1] = True
+    values = np.full(experiment.stories, float(np.mean(tested.damping_ratios)))
+    values[tested.modes - 1] = tested.damping_ratios
+    std = np.full(experiment.stories, ASSUMED_STD)
+    std[tested.modes - 1] = DEFAULT_STD if tested.damping_ratio_std is None else tested.damping_ratio_std
+    return Ratios(values, std, seen, tested)

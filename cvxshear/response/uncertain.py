@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 
 from cvxshear import checks
 from cvxshear.backends import Backend
-from cvxshear.effects import compose
+from cvxshear.effects import State, compose
 from cvxshear.experiment import DAMPING_KINDS, Configuration
 from cvxshear.frame import Modes, modes, stiffness_matrix
 from cvxshear.response.dashpots import Dashpots, story_dashpots
@@ -94,28 +95,36 @@ class UncertainFrame:
         root = self.fitted.root
         theta = self.fitted.theta + root @ xi[: root.shape[1]]
         zeta = self.ratios.values * np.exp(self.ratios.std * xi[root.shape[1] :])
-        return self.damped(theta, Ratios(zeta, self.ratios.std, self.ratios.measured, self.ratios.declared), near)
+        return self.damped(theta, dataclasses.replace(self.ratios, values=zeta), near)
 
     def damped(self, theta: Floats, ratios: Ratios, near: Damped | None = None) -> Damped:
-        """The damped model of given parameters and ratios."""
+        """The damped model of given parameters and ratios.
+
+        Dashpots and Rayleigh's factors are those of the state in which the ratios were measured; modal damping has the
+        same ratios in every state.
+        """
         experiment = self.fitted.experiment
-        state = compose(experiment, self.configuration, self.fitted.effects, theta, derivatives=False)
+        state = self._state(self.configuration, theta)
         M, K = state.system.M, state.system.K
-        of = modes(M, K)
         dashpots, factors = None, None
-        if self.kind == "story":
-            start = None if near is None or near.dashpots is None else near.dashpots.values
-            priors = experiment.damping.priors
-            dashpots = story_dashpots(of, state.story_stiffness, ratios, self.backend, priors, start)
-            C = stiffness_matrix(dashpots.values)
-        elif self.kind == "rayleigh":
-            factors = rayleigh(of, ratios, self.backend)
-            C = factors[0] * M + factors[1] * K
+        if self.kind == "modal":
+            C = modal_matrix(M, modes(M, K), ratios.values)
         else:
-            C = modal_matrix(M, of, ratios.values)
-        heights = experiment.frame.story_heights
-        model = DampedModel(M, C, K, state.gain, heights, self.fitted.mass_known)
+            tested = self._state(ratios.tested, theta)
+            of = modes(tested.system.M, tested.system.K)
+            if self.kind == "story":
+                start = None if near is None or near.dashpots is None else near.dashpots.values
+                priors = experiment.damping.priors
+                dashpots = story_dashpots(of, tested.story_stiffness, ratios, self.backend, priors, start)
+                C = stiffness_matrix(dashpots.values)
+            else:
+                factors = rayleigh(of, ratios, self.backend)
+                C = factors[0] * M + factors[1] * K
+        model = DampedModel(M, C, K, state.gain, experiment.frame.story_heights, self.fitted.mass_known)
         return Damped(model, dashpots, factors)
+
+    def _state(self, configuration: Configuration, theta: Floats) -> State:
+        return compose(self.fitted.experiment, configuration, self.fitted.effects, theta, derivatives=False)
 
 
 def modal_matrix(M: Floats, of: Modes, ratios: Floats) -> Floats:
