@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from scipy import integrate, linalg
 
@@ -45,7 +47,7 @@ def integrated(M, C, K, excitation, step, floor=0):
         return np.concatenate([x[n:], load * (here + rise * t) - inverse @ (K @ x[:n] + C @ x[n:])])
 
     states = [np.zeros(2 * n)]
-    for here, after in zip(excitation, excitation[1:], strict=False):
+    for here, after in itertools.pairwise(excitation):
         solved = integrate.solve_ivp(
             slope, (0, step), states[-1], "DOP853", args=(here, (after - here) / step), rtol=1e-12, atol=1e-15
         )
@@ -63,7 +65,9 @@ def shaking(samples=400, step=0.01, seed=4):
     return envelope * np.convolve(rng.standard_normal(samples + 4), np.ones(5) / 5, mode="valid")
 
 
-def declared(mass, stiffness, ratios, *, frequency_std=0.002, shape_std=0.01, ratio_std=0.1, rng=None, modes=None, **more):
+def declared(
+    mass, stiffness, ratios, *, frequency_std=0.002, shape_std=0.01, ratio_std=0.1, rng=None, modes=None, **more
+):
     """The dict of a measurement file of all floors, exact or with noise of the deviations that it declares."""
     n = len(mass)
     chosen = np.arange(n) if modes is None else np.asarray(modes) - 1

@@ -6,8 +6,8 @@ from scipy import signal
 
 from cvxshear.errors import InputError
 from cvxshear.response import DampedModel, Drive, Motion, floor_spectra, response
-from cvxshear.response.hold import SMALL, hold
 from cvxshear.response.handover import state_space
+from cvxshear.response.hold import SMALL, hold
 from tests.response.common import damped_frame, integrated, matrices, shaking
 
 STEP = 0.01

@@ -1,4 +1,4 @@
-"""Predictions as a whole: against the truth of simulated frames, from every kind of source, and what is said of them."""
+"""Predictions as a whole: against the truth of simulated frames, from every kind of source, and what they say."""
 
 import json
 
@@ -77,7 +77,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
 
 
 def test_the_effect_found_takes_the_error_away():
-    """Sensor gain: the record's top sensor reads 8 % too much; by the shear model its accelerations are 8 % too small."""
+    """Sensor gain: the record's top sensor reads 8 % too much, so that the shear model is wrong."""
     mass, stiffness, dashpots = damped_frame(3)
     M, C, K = matrices(mass, stiffness, dashpots)
     gain = np.array([1.0, 1.0, 1.08])
@@ -131,7 +131,7 @@ def test_shapes_without_a_number_pass_through_json(frame):
 
 
 def test_the_state_follows_the_added_mass(frame):
-    experiment, estimate, truth = frame
+    _, estimate, truth = frame
     added = np.array([0.0, 1.0, 2.0])
     heavier = DampedModel(truth.M + np.diag(added), truth.C, truth.K, truth.gain)
     motion = Motion.of(recorded(heavier), added.tolist())
