@@ -218,8 +218,8 @@ def _pole_ratios(of: Modes, c: Floats, seen: Ints) -> tuple[Floats, Floats]:
     swinging = np.flatnonzero(found.values.imag > 0)
     if seen[-1] >= len(swinging):
         raise UnsuitableError(
-            f"with dashpots that give the measured damping ratios a mode of the measured {len(seen)} would not swing any "
-            "more; use modal damping in their place"
+            "with story dashpots that give the measured damping ratios one of the measured modes would not swing any more; "
+            "use modal damping in their place"
         )
     own = swinging[seen]
     s, a = found.values[own], found.scales[own]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from cvxshear.backends import Backend
 from cvxshear.errors import InputError
 from cvxshear.experiment import Configuration
 from cvxshear.modal.motion import Motion
+from cvxshear.parallel import Progress, each
 from cvxshear.response.compare import Comparison, compared
 from cvxshear.response.damping import IdentifiedDamping, described, parts_of
 from cvxshear.response.fitted import Fitted, Models
@@ -85,8 +86,8 @@ class RecordPrediction:
         """Response spectra of the floors at 5 % damping, the largest over all runs."""
         natural = self.after.damped.model.modes.frequencies
         lines = spectrum_lines(float(natural[0]), float(natural[-1]), self.motion.sampling_rate)
-        each = [floor_spectra(item.acceleration, self.motion.step, lines) for item in self.after.responses]
-        return FloorSpectra(lines, each[0].damping, np.max([item.acceleration for item in each], axis=0))
+        runs = [floor_spectra(item.acceleration, self.motion.step, lines) for item in self.after.responses]
+        return FloorSpectra(lines, runs[0].damping, np.max([run.acceleration for run in runs], axis=0))
 
     def to_dict(self) -> Json:
         """The documented JSON; null where it does not apply."""
@@ -162,6 +163,42 @@ def predict(
     return _predicted(models, UncertainFrame.of(models.after, state, damping, solver), motion, before)
 
 
+def predict_many(
+    source: ModelSource,
+    records: Sequence[MotionSource],
+    backend: str | Backend = "auto",
+    *,
+    jobs: int = 1,
+    progress: Progress | None = None,
+    damping: str | None = None,
+    configuration: str | None = None,
+    detrend: bool = True,
+) -> list[RecordPrediction]:
+    """Predict how one frame answers to many records; its models are fitted once.
+
+    Parameters
+    ----------
+    source, backend, damping, configuration, detrend
+        As for `predict`.
+    records : sequence
+        Each as for `predict`.
+    jobs : int, optional
+        Processes; -1 takes every core, or every worker of a Dask cluster (see `cvxshear.parallel`).
+    progress : callable, optional
+        Called with the number of records done and to do.
+
+    Raises
+    ------
+    InputError, NoSolutionError
+        As `predict` does.
+    """
+    models = models_of(source, backends.get(backend))
+    one = partial(
+        predict, models, backend=backend, damping=damping, configuration=configuration, detrend=detrend
+    )  # fmt: skip
+    return each(one, records, jobs=jobs, progress=progress)
+
+
 def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Side | None) -> RecordPrediction:
     """The prediction of the final model, with everything's standard deviations from one propagation."""
 
@@ -224,7 +261,7 @@ def _remarks(after: Side, motion: Motion) -> list[str]:
     if after.comparison is not None and after.comparison.shifts:
         shifts = "; ".join(str(shift) for shift in after.comparison.shifts)
         said.append(
-            f"{shifts}: the frequencies depend on the amplitude, or the frame has changed since its modes were "
+            f"{shifts}: frequencies and damping depend on the amplitude, or the frame has changed since its modes were "
             "measured. Errors in time (nrmse) are of two motions that fall out of step and say little else; compare "
             "rms, peaks and transfer functions"
         )
