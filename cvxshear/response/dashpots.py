@@ -218,7 +218,7 @@ def _pole_ratios(of: Modes, c: Floats, seen: Ints) -> tuple[Floats, Floats]:
     swinging = np.flatnonzero(found.values.imag > 0)
     if seen[-1] >= len(swinging):
         raise UnsuitableError(
-            "with story dashpots that give the measured damping ratios one of the measured modes would not swing any more; "
+            "with story dashpots that give the measured damping ratios one of those modes would not swing any more; "
             "use modal damping in their place"
         )
     own = swinging[seen]
