@@ -2,9 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from cvxshear.errors import InputError
+
+
+def ending_of(path: str | Path, endings: Iterable[str], what: str) -> str:
+    """The ending of a file's name, without its dot, once it is one that something is written as.
+
+    Parameters
+    ----------
+    path : str or Path
+    endings : iterable of str
+    what : str
+        For the message: "a model is written as".
+
+    Raises
+    ------
+    InputError
+        Where it ends in something else.
+    """
+    ending = Path(path).suffix.lower().removeprefix(".")
+    if ending not in endings:
+        raise InputError(f"{path}: {what} {', '.join('.' + name for name in endings)}")
+    return ending
 
 
 def write_whole(path: str | Path, content: str | bytes) -> None:

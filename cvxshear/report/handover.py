@@ -13,7 +13,7 @@ from scipy import io
 
 from cvxshear.errors import InputError
 from cvxshear.identification.misfit import Misfit
-from cvxshear.report.files import write_whole
+from cvxshear.report.files import ending_of, write_whole
 from cvxshear.report.opensees import opensees_script
 from cvxshear.response import Fitted, RecordPrediction
 from cvxshear.response.handover import matrices
@@ -51,10 +51,7 @@ def model_kind(path: str | Path) -> str:
     InputError
         Where it ends in something else.
     """
-    kind = Path(path).suffix.lower().removeprefix(".")
-    if kind not in WRITERS:
-        raise InputError(f"{path}: a model is written as {', '.join('.' + name for name in WRITERS)}")
-    return kind
+    return ending_of(path, WRITERS, "a model is written as")
 
 
 def _npz(result: RecordPrediction) -> bytes:

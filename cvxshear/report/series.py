@@ -12,7 +12,7 @@ import numpy as np
 from scipy import io
 
 from cvxshear.errors import InputError
-from cvxshear.report.files import write_whole
+from cvxshear.report.files import ending_of, write_whole
 from cvxshear.response import RecordPrediction
 from cvxshear.response.series import series
 from cvxshear.typing import Floats, Json
@@ -47,10 +47,7 @@ def series_kind(path: str | Path) -> str:
     InputError
         Where it ends in something else.
     """
-    kind = Path(path).suffix.lower().removeprefix(".")
-    if kind not in WRITERS:
-        raise InputError(f"{path}: time series are written as {', '.join('.' + name for name in WRITERS)}")
-    return kind
+    return ending_of(path, WRITERS, "time series are written as")
 
 
 def _csv(result: RecordPrediction) -> bytes:

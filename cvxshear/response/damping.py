@@ -140,5 +140,8 @@ def damping_of(
     state = next(each for each in experiment.configurations if each.name == name)
     fitted = estimate if isinstance(estimate, Fitted) else Fitted.of(estimate)
     frame = UncertainFrame.of(fitted, state, kind, backends.get(backend))
+    if frame.kind == "modal":
+        # The ratios are what was measured; nothing else has a part in them.
+        return described(frame, frame.at(np.zeros(frame.size)), frame.ratios.values * frame.ratios.std)
     centre, std = propagated(frame, parts_of)
     return described(frame, centre, std)
