@@ -80,11 +80,11 @@ TABLES = {
     ),
     "nothing like any table": (
         {**declared(), "zzz": 1},
-        "the measurement file: unknown key 'zzz'; known keys are configuration, frame, prior",
+        "the measurement file: unknown key 'zzz'; known keys are configuration, damping, frame, prior",
     ),
     "a key that is no text": (
         {**declared(), 3: 1},
-        "the measurement file: unknown key 3; known keys are configuration, frame, prior",
+        "the measurement file: unknown key 3; known keys are configuration, damping, frame, prior",
     ),
     "[configuration]": (
         {"configuration": declared()["configuration"][0]},
