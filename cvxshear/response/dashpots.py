@@ -28,14 +28,14 @@ only what neither the ratios nor the priors do."""
 LEAST_RATIO = 1e-3
 """A ratio measured as smaller is no better known than one of this size."""
 
-MOST_ROUNDS = 40
+MOST_ROUNDS = 100
 SHORTEST = 1e-3
 """Share of a step below which it is not cut any more."""
 
 UNCHANGED = 1e-9
 """Relative change of the dashpots at which they have settled."""
 
-FLAT = 1e-7
+FLAT = 1e-5
 """Relative change of the sum of squares at which the ratios are met as well as they can be."""
 
 OPEN = 1e-6
