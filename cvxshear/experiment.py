@@ -260,7 +260,9 @@ class Experiment(Shown):
         """Raise where the reference or an expected effect names a state, floor or story that there is not."""
         states = self.states
         if self.frame.reference is not None and self.frame.reference not in states:
-            raise InputError(f"frame: reference = {self.frame.reference!r} is no state; the states are {_quoted(states)}")
+            raise InputError(
+                f"frame: reference = {self.frame.reference!r} is no state; the states are {_quoted(states)}"
+            )
         for each in self.expected:
             each.check(self.stories, states)
 
@@ -278,7 +280,8 @@ class Experiment(Shown):
             if len(each.added_mass):
                 said[f'configuration "{each.name}": added_mass'] = len(each.added_mass)
             if not len(each.measured_floors) and each.mode_shapes.shape[1]:
-                said[f'configuration "{each.name}": mode_shapes (no measured_floors given)'] = each.mode_shapes.shape[1]
+                where = f'configuration "{each.name}": mode_shapes (no measured_floors given)'
+                said[where] = each.mode_shapes.shape[1]
         said |= {f'static test "{each.name}": force': len(each.force) for each in self.static}
         if not said:
             seen = [each for each in self.configurations if len(each.measured_floors)]
@@ -308,8 +311,8 @@ class Experiment(Shown):
         if self.frame.known_total is None and not self.scale_known_otherwise:
             raise InputError(
                 "nothing tells how heavy the frame is: give frame: total_mass or floor_masses, two configurations with "
-                "different added_mass, mass_normalized shapes, a static test, or a prior that fixes the scale (value, or "
-                "nominal without free_scale)"
+                "different added_mass, mass_normalized shapes, a static test, or a prior that fixes the scale (value, "
+                "or nominal without free_scale)"
             )
 
     @staticmethod

@@ -160,8 +160,8 @@ def read_motion(path: str | Path) -> Motion:
         return Motion.of(found.record, found.added_mass)
     with _placed(path):
         drives, rates = [], []
-        for place, run in enumerate(_runs(table, declared), 1):
-            columns = _read(run, path, place)
+        for run in _runs(table, declared):
+            columns = _read(run, declared, path)
             rates.append((_rate(declared, columns), columns.source))
             excitation = driver.factor * columns.column(driver.column, driver.place or path.name)
             floor = run.get("input_floor", declared.get("input_floor", driver.floor))

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy import io
 
+from cvxshear.data import Deviation
 from cvxshear.errors import InputError
 from cvxshear.identification.misfit import Misfit
 from cvxshear.report.opensees import opensees_script
@@ -152,26 +153,24 @@ def _modes(result: RecordPrediction) -> Iterator[Cells]:
             float(model.modes.frequencies[mode]),
             float(result.damping.ratios[mode]),
             float(result.damping.ratios_std[mode]),
-            *model.modes.shapes[:, mode].tolist(),
+            *model.modes.shapes[mode].tolist(),
         ]
 
 
 def _residuals(result: RecordPrediction) -> Iterator[Cells]:
-    """Each measured frequency and shape entry beside the model's, before and after."""
+    """The error of each part of the measurement, before and after."""
     sides = [side.fitted for side in (result.before, result.after) if side is not None]
     words = ["before", "after"][-len(sides) :]
-    yield ["configuration", "mode", "quantity", "floor", "measured", *words]
-    targets = Misfit(sides[-1].experiment, sides[-1].effects).targets
-    matches = [Misfit(each.experiment, each.effects).evaluate(each.theta, derivatives=False).matches for each in sides]
-    for place, target in enumerate(targets):
-        tested = target.configuration
-        for row, mode in enumerate(tested.modes.tolist()):
-            found = [match[place] for match in matches]
-            modelled = [float(item.modes.frequencies[item.paired[row]]) for item in found]
-            yield [tested.name, mode, "frequency, Hz", None, float(tested.frequencies[row]), *modelled]
-            for column, floor in enumerate(tested.measured_floors.tolist()):
-                entries = [float(item.seen[row, column]) for item in found]
-                yield [tested.name, mode, "shape", floor, float(tested.mode_shapes[row, column]), *entries]
+    yield ["configuration", "part", "quantity", *(f"error {word}" for word in words)]
+    for parts in zip(*(_parts(each) for each in sides), strict=True):
+        yield [parts[0].configuration, parts[0].place, parts[0].noise, *(part.error for part in parts)]
+
+
+def _parts(of: Fitted) -> list[Deviation]:
+    """What a fit leaves of each part of every datum."""
+    misfit = Misfit(of.experiment, of.effects)
+    models = {id(model.state.tested): model for model in misfit.evaluate(of.theta, derivatives=False).models}
+    return [part for datum in misfit.data for part in datum.describe(models[id(datum.tested)])]
 
 
 WRITERS: dict[str, Callable[[RecordPrediction], str | bytes]] = {

@@ -7,7 +7,7 @@ from cvxshear.response.damping import IdentifiedDamping, damping_of
 from cvxshear.response.fitted import Fitted, Models
 from cvxshear.response.model import DampedModel, Response, response
 from cvxshear.response.peaks import Peaks
-from cvxshear.response.predict import RecordPrediction, Side, predict, predict_many
+from cvxshear.response.prediction import RecordPrediction, Side, predict, predict_many
 from cvxshear.response.sources import models_of_loop
 from cvxshear.response.spectra import FloorSpectra, floor_spectra
 

@@ -15,7 +15,7 @@ def matrices(damped: Damped) -> dict[str, Floats]:
     Returns
     -------
     dict of str to ndarray
-        `M`, `C`, `K`, shape (N, N); `frequencies` (Hz), `damping_ratios`, shape (N,); `mode_shapes`, one column a
+        `M`, `C`, `K`, shape (N, N); `frequencies` (Hz), `damping_ratios`, shape (N,); `mode_shapes`, one row a
         mode, mass-normalized; `story_dashpots`, `rayleigh`, `story_heights` where there are such; and the state-space
         form `state_A`, `state_B`, `state_C`, `state_D`, of
 

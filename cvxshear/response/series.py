@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.response.peaks import histories
-from cvxshear.response.predict import RecordPrediction
+from cvxshear.response.prediction import RecordPrediction
 from cvxshear.typing import Floats
 
 NAMES = {
