@@ -1,8 +1,13 @@
 """What the whole suite shares: its options, and the command line run in this process."""
 
-import pytest
+import os
 
-from cvxshear.cli import main
+# One thread a process: the tests run in one process a core. It must be said before numpy is loaded.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import pytest  # noqa: E402 - after the line above
+
+from cvxshear.cli import main  # noqa: E402 - likewise
 
 
 def pytest_addoption(parser):
