@@ -5,9 +5,9 @@ import os
 # One thread a process: the tests run in one process a core. It must be said before numpy is loaded.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-import pytest  # noqa: E402 - after the line above
+import pytest
 
-from cvxshear.cli import main  # noqa: E402 - likewise
+from cvxshear.cli import main
 
 
 def pytest_addoption(parser):
