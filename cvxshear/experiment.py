@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 from cvxshear import checks
@@ -63,7 +63,7 @@ class Experiment(Shown):
     name: str = "experiment"
     static: tuple[StaticTest, ...] = ()
     expected: tuple[ExpectedEffect, ...] = ()
-    damping: Damping = Damping()
+    damping: Damping = field(default_factory=Damping)
 
     def __post_init__(self) -> None:
         put = object.__setattr__
