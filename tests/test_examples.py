@@ -49,6 +49,6 @@ def test_the_hammer_finds_the_frame_within_what_it_states(tmp_path):
     """Every mass and stiffness within two standard deviations of the frame that was hit, and those below 1 %."""
     found = re.findall(r"(\S+) ± (\S+) (?:kg|N/m)", shown("modes_from_hammer", tmp_path))
     values, stds = np.array(found, dtype=float).T
-    truth = np.concatenate([PAPER_FRAME.floor_mass, PAPER_FRAME.story_stiffness])
+    truth = np.concatenate([PAPER_FRAME.masses, PAPER_FRAME.stiffnesses])
     assert np.all(np.abs(values - truth) < 2 * stds)
     assert np.all(stds < 0.01 * truth)

@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from cvxshear.backends.comparison import BenchmarkProgram
 from cvxshear.errors import InputError
 from cvxshear.programs import LeastSquares
 from cvxshear.writing import write_file
+
+if TYPE_CHECKING:
+    import qpsolvers
 
 TEST_SET = "cvxshear_programs.py"
 """qpbenchmark looks in a file of this name for a class of the same one in capitals."""
@@ -28,7 +31,7 @@ Each stands twice: as it is stated, with P = R'R and q = -R's, and scaled, as cv
 """
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import qpbenchmark
 
@@ -130,9 +133,7 @@ def _stated(program: LeastSquares) -> bytes:
     R, s = program.weighted
     arrays = _arrays(program)
     G, h, A, b, lower, upper = (arrays.get(name) for name in ("G", "h", "A", "b", "lower", "upper"))
-    out = BytesIO()
-    qpsolvers.Problem(R.T @ R, -R.T @ s, G, h, A, b, lower, upper).save(out)
-    return out.getvalue()
+    return _saved(qpsolvers.Problem(R.T @ R, -R.T @ s, G, h, A, b, lower, upper))
 
 
 def _scaled(program: LeastSquares) -> bytes:
@@ -142,6 +143,10 @@ def _scaled(program: LeastSquares) -> bytes:
     inequalities = (scaled.F, scaled.f) if len(scaled.f) else (None, None)
     equalities = (scaled.E, scaled.e) if len(scaled.e) else (None, None)
     P, q = scaled.C.T @ scaled.C, -scaled.C.T @ scaled.q
+    return _saved(qpsolvers.Problem(P, q, *inequalities, *equalities))
+
+
+def _saved(problem: qpsolvers.Problem) -> bytes:
     out = BytesIO()
-    qpsolvers.Problem(P, q, *inequalities, *equalities).save(out)
+    problem.save(out)  # type: ignore[arg-type]  # a stream will do
     return out.getvalue()

@@ -120,7 +120,7 @@ def test_files_and_figures(folder, capsys):
         (("nowhere.json", "--record", "shaken.toml"), "nowhere.json: no such file"),
         (("empty.json", "--record", "shaken.toml"), "empty.json has no key 'model'; write it anew by: cvxshear loop"),
         (("broken.json", "--record", "shaken.toml"), "broken.json is not valid JSON"),
-        (("frame.toml", "--record", "frame.toml"), "frame.toml is a measurement file (it has [[configuration]]), not a record"),
+        (("frame.toml", "--record", "frame.toml"), "is a measurement file (it has [[configuration]]), not a record"),
         (("frame.toml", "--record", "shaken.toml", "--damping", "viscous"), "damping must be one of modal, story"),
         (("frame.toml", "--record", "shaken.toml", "--out", "x.doc"), "time series are written as"),
         (("frame.toml", "--record", "shaken.toml", "--export", "x.doc"), "a model is written as"),
