@@ -16,5 +16,6 @@ for finding in result.findings:
 # The driving points were measured, so the modes carry the masses; no total mass is declared.
 experiment = cvxshear.Experiment.from_dict(result.to_experiment())
 frame = cvxshear.identify(experiment, method="efficient").to_dict()["frame"]
-print("masses:", [f"{mass:.2f} kg" for mass in frame["floor_mass"]])
-print("stiffnesses:", [f"{stiffness:.0f} N/m" for stiffness in frame["story_stiffness"]])
+for name, unit in (("floor_mass", "kg"), ("story_stiffness", "N/m")):
+    for number, (value, std) in enumerate(zip(frame[name], frame[f"{name}_std"], strict=True), 1):
+        print(f"{name} {number}: {value:.2f} ± {std:.2f} {unit}")

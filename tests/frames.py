@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,17 @@ from scipy import linalg
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"
+
+
+def _measured(path: Path) -> bool:
+    return "configuration" in tomllib.loads(path.read_text(encoding="utf-8"))
+
+
+MEASURED = [path for path in sorted(EXAMPLES.glob("*.toml")) if _measured(path)]
+"""The examples that hold a [[configuration]]: measurement files."""
+
+DESIGNS = [path for path in sorted(EXAMPLES.glob("*.toml")) if not _measured(path)]
+"""The others: design values, before any test."""
 
 
 def shared(*parts: str) -> Path:

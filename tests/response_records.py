@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 import cvxshear
-from cvxshear.modal import run
+from cvxshear.formats.modes import modes_from_file
 from cvxshear.response import models_of_loop, predict
 from tests.modal.shared import mini_table
 
@@ -29,7 +29,7 @@ def models(name):
     neither of which moves an acceleration.
     """
     with tempfile.TemporaryDirectory() as folder:
-        _, declared = run(mini_table(Path(folder), name))
+        _, declared = modes_from_file(mini_table(Path(folder), name))
     declared["frame"] |= {"story_heights": 1.0, "total_mass": 1.0}
     experiment = cvxshear.Experiment.from_dict(declared, name=name)
     return models_of_loop(cvxshear.close_loop(experiment, effects=["joint_rotation"]), mass_known=False)

@@ -13,8 +13,9 @@ import cvxshear
 from cvxshear.errors import InputError
 from cvxshear.experiment import Configuration, Experiment, Frame, Prior
 from cvxshear.formats.toml import load
+from cvxshear.planning import read_design
+from tests.frames import DESIGNS, EXAMPLES, MEASURED
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
 FREQUENCIES = [2.0, 5.0, 8.0]
 SHAPES = [[0.4, 0.8, 1.0], [-1.0, -0.3, 0.9], [0.8, -1.0, 0.5]]
 
@@ -540,11 +541,31 @@ def test_the_paper_by_path_is_the_paper_by_name():
     assert load(EXAMPLES / "paper.toml").to_dict() == load("paper").to_dict()
 
 
-@pytest.mark.parametrize("file", sorted(EXAMPLES.glob("*.toml")), ids=lambda file: file.name)
-def test_every_example_is_a_measurement_file(file):
+@pytest.mark.parametrize("file", MEASURED, ids=lambda file: file.name)
+def test_every_example_with_a_configuration_is_a_measurement_file(file):
     found = load(file)
     assert found.name == file.stem
     assert len(found.configurations) == len(tomllib.loads(file.read_text())["configuration"])
+
+
+@pytest.mark.parametrize("file", DESIGNS, ids=lambda file: file.name)
+def test_every_example_without_a_configuration_is_a_design_file(file):
+    """Nothing was measured yet: a plan can be made of it, an identification cannot."""
+    declared = tomllib.loads(file.read_text())
+    values = {prior["quantity"]: prior["values"] for prior in declared["prior"]}
+    design = read_design(file)
+    assert design.name == file.stem
+    assert design.measured is None
+    assert_array_equal(design.floor_mass, values["floor_mass"])
+    assert_array_equal(design.story_stiffness, values["story_stiffness"])
+    assert_array_equal(design.frame.story_heights, declared["frame"]["story_heights"])
+    with pytest.raises(InputError, match=r"at least one \[\[configuration\]\] is needed"):
+        load(file)
+
+
+def test_there_are_examples_of_both_kinds():
+    assert len(MEASURED) >= 5
+    assert [path.name for path in DESIGNS] == ["eight_story_design.toml"]
 
 
 def test_a_file_may_start_with_a_byte_order_mark(tmp_path):

@@ -6,8 +6,9 @@ import os
 import shutil
 import tempfile
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +16,10 @@ from cvxshear.backends.canonical import canonical
 from cvxshear.backends.comparison import BenchmarkProgram
 from cvxshear.errors import InputError
 from cvxshear.programs import LeastSquares
+from cvxshear.writing import write_file
+
+if TYPE_CHECKING:
+    import qpsolvers
 
 TEST_SET = "cvxshear_programs.py"
 """qpbenchmark looks in a file of this name for a class of the same one in capitals."""
@@ -26,7 +31,7 @@ Each stands twice: as it is stated, with P = R'R and q = -R's, and scaled, as cv
 """
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import qpbenchmark
 
@@ -97,12 +102,23 @@ def _written(programs: Sequence[BenchmarkProgram], folder: Path) -> list[Path]:
     for each in programs:
         counts[each.kind] = counts.get(each.kind, 0) + 1
         name = f"{each.kind.replace(' ', '-')}-{counts[each.kind]}.npz"
-        np.savez(folder / name, allow_pickle=False, origin=each.origin, **_arrays(each.program))
-        _save_stated(each.program, benchmark / name)
-        _save_scaled(each.program, benchmark / name.replace(".npz", "-scaled.npz"))
-        written += [folder / name, benchmark / name, benchmark / name.replace(".npz", "-scaled.npz")]
-    (benchmark / TEST_SET).write_text(TEST_SET_SOURCE, encoding="utf-8")
+        contents = {
+            folder / name: _own(each),
+            benchmark / name: _stated(each.program),
+            benchmark / name.replace(".npz", "-scaled.npz"): _scaled(each.program),
+        }
+        for path, content in contents.items():
+            write_file(path, content)
+        written += list(contents)
+    write_file(benchmark / TEST_SET, TEST_SET_SOURCE)
     return [*written, benchmark / TEST_SET]
+
+
+def _own(of: BenchmarkProgram) -> bytes:
+    """The arrays by the names of `LeastSquares`."""
+    out = BytesIO()
+    np.savez(out, allow_pickle=False, origin=of.origin, **_arrays(of.program))
+    return out.getvalue()
 
 
 def _arrays(program: LeastSquares) -> dict[str, Any]:
@@ -111,20 +127,26 @@ def _arrays(program: LeastSquares) -> dict[str, Any]:
     return {name: array for name, array in found.items() if array is not None and np.isfinite(array).any()}
 
 
-def _save_stated(program: LeastSquares, path: Path) -> None:
+def _stated(program: LeastSquares) -> bytes:
     import qpsolvers  # noqa: PLC0415 - imports every solver
 
     R, s = program.weighted
     arrays = _arrays(program)
     G, h, A, b, lower, upper = (arrays.get(name) for name in ("G", "h", "A", "b", "lower", "upper"))
-    qpsolvers.Problem(R.T @ R, -R.T @ s, G, h, A, b, lower, upper).save(str(path))
+    return _saved(qpsolvers.Problem(R.T @ R, -R.T @ s, G, h, A, b, lower, upper))
 
 
-def _save_scaled(program: LeastSquares, path: Path) -> None:
+def _scaled(program: LeastSquares) -> bytes:
     import qpsolvers  # noqa: PLC0415
 
     scaled = canonical(program)
     inequalities = (scaled.F, scaled.f) if len(scaled.f) else (None, None)
     equalities = (scaled.E, scaled.e) if len(scaled.e) else (None, None)
     P, q = scaled.C.T @ scaled.C, -scaled.C.T @ scaled.q
-    qpsolvers.Problem(P, q, *inequalities, *equalities).save(str(path))
+    return _saved(qpsolvers.Problem(P, q, *inequalities, *equalities))
+
+
+def _saved(problem: qpsolvers.Problem) -> bytes:
+    out = BytesIO()
+    problem.save(out)  # type: ignore[arg-type]  # a stream will do
+    return out.getvalue()

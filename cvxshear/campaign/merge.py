@@ -13,6 +13,7 @@ from cvxshear.checks import shown
 from cvxshear.errors import InputError
 from cvxshear.experiment import Experiment
 from cvxshear.formats.measurement import write_measurement
+from cvxshear.modal.result import frame_in
 from cvxshear.typing import Json
 
 PLACES = ("kind", "quantity", "at", "of", "to")
@@ -44,7 +45,7 @@ def merged(tests: Sequence[IdentifiedRecord]) -> Json:
     if not tests:
         raise InputError("there is no record whose modes were found; a measurement needs one at least")
     _refuse_shared_names(tests)
-    frame = _frame(tests)
+    frame = frame_in(_frame(tests), {test.state or test.modes.name for test in tests})
     priors = _priors(tests)
     if scale_unknown(tests):
         frame["total_mass"] = 1.0

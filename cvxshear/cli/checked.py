@@ -59,11 +59,11 @@ def claim(context: typer.Context, name: str, path: str, endings: Sequence[str]) 
             raise InputError(f"{path} has the ending of another kind of file; JSON is written to a .json")
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
-    written = context.meta.setdefault(WRITTEN, {})
-    for other, place in written.items():
+    written = context.meta.setdefault(WRITTEN, [])
+    for other, place in written:
         if same_file(path, place):
             raise InputError(f"{name} and {other} name the same file, {path}")
-    written[name] = path
+    written.append((name, path))
     _refuse_overlap(written, context.meta.get(READ, ()))
 
 
@@ -76,12 +76,12 @@ def input_files(context: typer.Context, files: Any) -> Any:
     for file in [files] if isinstance(files, str) else files:
         # What a pipe holds can be read once; a file that is not there is for the command to complain of.
         context.meta[READ] = (*context.meta.get(READ, ()), *(files_of(file) if Path(file).is_file() else ()))
-    _refuse_overlap(context.meta.get(WRITTEN, {}), context.meta[READ])
+    _refuse_overlap(context.meta.get(WRITTEN, ()), context.meta[READ])
     return files
 
 
-def _refuse_overlap(written: dict[str, str], read: Iterable[Path]) -> None:
+def _refuse_overlap(written: Iterable[tuple[str, str]], read: Iterable[Path]) -> None:
     for source in read:
-        for option, path in written.items():
+        for option, path in written:
             if same_file(path, source):
                 raise InputError(f"{option}: {path} would be written over {source}, which is read; name another file")

@@ -21,7 +21,7 @@ def _among_figures(context: typer.Context, option: typer.CallbackParam, asked: l
     """A check of every figure that is to be written, made before the command runs."""
     for text in asked or ():
         if not context.resilient_parsing:
-            claim(context, f"{option.opts[0]} {text}", _path(text), FIGURES)
+            claim(context, option.opts[0], _path(text), FIGURES)
     return asked
 
 

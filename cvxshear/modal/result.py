@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import nnls
@@ -175,7 +176,7 @@ class ModalResult(Shown):
         to 1 kg: masses and stiffnesses then come out per kilogram of the frame. The measurement file that is
         written of the result says so in a comment at its head.
         """
-        table = {"stories": self.stories, **(frame or {})}
+        table = frame_in({"stories": self.stories, **(frame or {})}, {state or self.name})
         if self.needs_mass(table, priors):
             table["total_mass"] = 1.0
         result: Json = {"frame": table}
@@ -191,6 +192,15 @@ class ModalResult(Shown):
             for prior in priors
         )
         return not (self.mass_normalized or "total_mass" in frame or "floor_masses" in frame or fixed)
+
+
+def frame_in(frame: Mapping[str, Any], states: Set[str]) -> dict[str, Any]:
+    """The table `[frame]` of records of these states: without its `reference` where they are all of one other state.
+
+    Nothing differs from the reference then, and the frame itself is the one that was tested.
+    """
+    alone = len(states) == 1 and frame.get("reference") not in states
+    return {key: value for key, value in frame.items() if not (alone and key == "reference")}
 
 
 def independent_std(covariance: Floats, shape: Floats) -> Floats:

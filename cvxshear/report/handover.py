@@ -158,12 +158,15 @@ def _modes(result: RecordPrediction) -> Iterator[Cells]:
 
 
 def _residuals(result: RecordPrediction) -> Iterator[Cells]:
-    """The error of each part of the measurement, before and after."""
+    """The error of each part of the measurement, relative and in standard deviations, before and after."""
     sides = [side.fitted for side in (result.before, result.after) if side is not None]
     words = ["before", "after"][-len(sides) :]
-    yield ["configuration", "part", "quantity", *(f"error {word}" for word in words)]
+    measures = ["relative error", "standard deviations off"]
+    yield ["configuration", "part", "quantity", *(f"{measure}, {word}" for measure in measures for word in words)]
     for parts in zip(*(_parts(each) for each in sides), strict=True):
-        yield [parts[0].configuration, parts[0].place, parts[0].noise, *(part.error for part in parts)]
+        what = parts[0].noise.replace("_", " ")
+        errors, deviations = [part.error for part in parts], [part.deviations for part in parts]
+        yield [parts[0].configuration, parts[0].place, what, *errors, *deviations]
 
 
 def _parts(of: Fitted) -> list[Deviation]:

@@ -25,7 +25,7 @@ def frame(name: str) -> KnownFrame:
     return KnownFrame(masses, STIFFNESSES * (SOFTER if name == "after" else 1.0), 0.01)
 
 
-def write_records(folder: Path, more: str = "\n[frame]\nstory_heights = 0.4\n") -> list[Path]:
+def write_records(folder: Path, more: str = '\n[frame]\nstory_heights = 0.4\nreference = "bare"\n') -> list[Path]:
     """The record files, their time stamps rounded to a millisecond."""
     files = []
     for seed, name in enumerate(("bare", "loaded", "after")):

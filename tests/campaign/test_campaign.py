@@ -57,6 +57,19 @@ def test_from_files_to_the_change(tests):
     np.testing.assert_allclose(last.story_stiffness / first.story_stiffness, SOFTER, atol=0.01)
 
 
+def test_the_reference_stands_where_there_is_anything_to_compare_with_it(tests):
+    assert merged(tests)["frame"]["reference"] == "bare"
+    assert merged(tests[:2])["frame"]["reference"] == "bare"
+    repaired = dataclasses.replace(tests[2], modes=dataclasses.replace(tests[2].modes, name="repaired"), state=None)
+    with pytest.raises(InputError, match='reference = \'bare\' is no state; the states are "after", "repaired"'):
+        cvxshear.Experiment.from_dict(merged([tests[2], repaired]))
+    # A single state is the frame itself, of which no other has been measured.
+    one = tests[2]
+    assert "reference" not in merged([one])["frame"]
+    assert "reference" not in one.modes.to_experiment(one.frame, state=one.state)["frame"]
+    assert one.frame["reference"] == "bare"
+
+
 def test_one_that_fails_does_not_lose_the_others(folder):
     broken = folder / "broken.toml"
     broken.write_text((folder / "bare.toml").read_text().replace('"floor2"', '"flor2"'))

@@ -120,7 +120,7 @@ def test_files_and_figures(folder, capsys):
         (("nowhere.json", "--record", "shaken.toml"), "nowhere.json: no such file"),
         (("empty.json", "--record", "shaken.toml"), "empty.json has no key 'model'; write it anew by: cvxshear loop"),
         (("broken.json", "--record", "shaken.toml"), "broken.json is not valid JSON"),
-        (("frame.toml", "--record", "frame.toml"), "unknown key 'frame'|unknown key 'configuration'"),
+        (("frame.toml", "--record", "frame.toml"), "is a measurement file (it has [[configuration]]), not a record"),
         (("frame.toml", "--record", "shaken.toml", "--damping", "viscous"), "damping must be one of modal, story"),
         (("frame.toml", "--record", "shaken.toml", "--out", "x.doc"), "time series are written as"),
         (("frame.toml", "--record", "shaken.toml", "--export", "x.doc"), "a model is written as"),
@@ -139,7 +139,7 @@ def test_bad_input(folder, capsys, arguments, message):
     status, out, err = run(capsys, "predict", *arguments)
     assert status == 2
     assert out == ""
-    assert any(part in err for part in message.split("|"))
+    assert message in err
     assert "Traceback" not in err
     assert sorted(folder.iterdir()) == before
 

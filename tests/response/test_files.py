@@ -21,6 +21,7 @@ from cvxshear.report.series import write_series
 from cvxshear.response import Fitted, Models, predict
 from cvxshear.response.handover import matrices
 from cvxshear.response.series import series
+from tests.frames import modes_of
 from tests.response.common import shaking
 
 RATIOS = [0.01, 0.015, 0.02]
@@ -83,8 +84,8 @@ def test_models_are_the_same_in_every_file(three, tmp_path):
             np.testing.assert_array_equal(np.array(from_json[name]), values)
             np.testing.assert_array_equal(from_mat[name].reshape(values.shape), values)
     shapes, M, K = expected["mode_shapes"], expected["M"], expected["K"]
-    np.testing.assert_allclose(shapes.T @ M @ shapes, np.eye(3), atol=1e-12)
-    np.testing.assert_allclose(np.diag(shapes.T @ K @ shapes), (2 * np.pi * expected["frequencies"]) ** 2, rtol=1e-10)
+    np.testing.assert_allclose(shapes @ M @ shapes.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(np.diag(shapes @ K @ shapes.T), (2 * np.pi * expected["frequencies"]) ** 2, rtol=1e-10)
     poles = np.linalg.eigvals(expected["state_A"])
     ratios = np.sort(-poles.real / np.abs(poles))[::2]
     np.testing.assert_allclose(ratios, np.sort(found.damping.ratios), rtol=1e-8)
@@ -169,11 +170,33 @@ def test_the_spreadsheet_holds_what_was_found(three, tmp_path):
     np.testing.assert_allclose([row[1] for row in rows[1:]], theta[:3])
     np.testing.assert_allclose([row[4] for row in rows[1:]], 1e-3 * theta[3:])
     np.testing.assert_allclose([row[5] for row in rows[1:]], found.damping.story_dashpot)
-    residuals = list(book["residuals"].iter_rows(values_only=True))
-    assert residuals[0] == ("configuration", "mode", "quantity", "floor", "measured", "after")
-    frequencies = [row for row in residuals if row[2] == "frequency, Hz"]
-    np.testing.assert_allclose([row[5] for row in frequencies], found.after.damped.model.modes.frequencies)
-    assert len(residuals) == 1 + 3 + 9
+
+
+def test_the_spreadsheet_holds_the_errors_of_both_models(three, tmp_path):
+    """Of two frames that are off the truth, against a plain eigenvalue solver; shapes by least squares."""
+    openpyxl = pytest.importorskip("openpyxl")
+    fitted, motion, _ = three
+    thetas = [fitted.theta * factors for factors in (np.linspace(0.9, 1.15, 6), np.linspace(1.02, 0.98, 6))]
+    before, after = (Fitted(fitted.experiment, (), theta, None) for theta in thetas)
+    write_model(tmp_path / "frame.xlsx", predict(Models(before, after), motion))
+    head, *rows = openpyxl.load_workbook(tmp_path / "frame.xlsx")["residuals"].iter_rows(values_only=True)
+    assert head == (
+        "configuration", "part", "quantity", "relative error, before", "relative error, after",
+        "standard deviations off, before", "standard deviations off, after",
+    )  # fmt: skip
+    (tested,) = fitted.experiment.configurations
+    parts = [(tested.name, f"mode {mode}", what) for what in ("frequency", "mode shape") for mode in (1, 2, 3)]
+    assert [row[:3] for row in rows] == parts
+    for column, theta in enumerate(thetas):
+        frequencies, shapes = modes_of(theta[:3], theta[3:])
+        errors = [row[3 + column] for row in rows]
+        np.testing.assert_allclose(errors[:3], frequencies / tested.frequencies - 1)
+        for measured, modelled, error in zip(tested.mode_shapes, shapes, errors[3:], strict=True):
+            unit = measured / measured[np.argmax(np.abs(measured))]
+            (scale,) = np.linalg.lstsq(modelled[:, None], unit, rcond=None)[0]
+            np.testing.assert_allclose(error, np.abs(scale * modelled - unit).max())
+        off = np.log(frequencies / tested.frequencies) / tested.log_frequency_std
+        np.testing.assert_allclose([row[5 + column] for row in rows[:3]], off, rtol=1e-9)
 
 
 def test_names_of_files_that_nothing_is_written_as(three, tmp_path):
