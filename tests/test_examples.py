@@ -12,6 +12,8 @@ SHOWN = {
     "physical_bounds": r"without bounds .* 34 % off\nwith bounds .* 17 % off",
     "compare_backends": r"bounded mass +\d+ backends, farthest [\w-]+: \d+e-\d+ from the consensus",
     "floor_ratio": r"no prior .*= 2\.742\nwithin 2 % .*= 2\.014\nexact .*= 2\.000",
+    "own_datum": r"drawings alone +m = \[10\.8 .*\nwith the gauge +m = \[10\. +7\.5 +5\. \] ± \[0\.06",
+    "before_and_after": r"before_and_after\.toml: 2 states, 4 tests",
     "own_prior": r"not weighed .*= 10\.79 kg\nweighed .*= 12\.44 kg",
     "own_backend": r"slsqp +m = (.*) kg\nclarabel +m = \1 kg",
     "close_the_loop": r"verdict: explained\nthe shear model lacks gravity: .*\n.*1\.84 % before, 0\.34 % after",
