@@ -35,8 +35,10 @@ class Shapes(Datum):
     def of(cls, experiment: Experiment) -> Sequence[Shapes]:
         """One a configuration that has a shape."""
         return [
-            cls(each, each.measured.any(axis=1)) for each in experiment.configurations if each.measured.any()
-        ]  # fmt: skip
+            cls(each, np.asarray(each.measured.any(axis=1)))
+            for each in experiment.configurations
+            if each.measured.any()
+        ]
 
     @property
     def label(self) -> str:

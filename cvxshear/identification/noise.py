@@ -91,9 +91,11 @@ def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats) -> NoiseEstima
     if not kinds:
         return NoiseEstimate()
     marginal = _Marginal(misfit, at, free, kinds)
-    found = optimize.minimize(lambda u: marginal.negative(u), marginal.here, jac=True, method="BFGS")
+    found = optimize.minimize(
+        lambda u: marginal.negative(u)[0], marginal.here, jac=lambda u: marginal.negative(u)[1], method="BFGS"
+    )
     u = np.asarray(found.x, dtype=float)
-    covariance = np.linalg.inv(_curvature(marginal, u))
+    covariance: Floats = np.asarray(np.linalg.inv(_curvature(marginal, u)), dtype=np.float64)
     return NoiseEstimate(kinds, u, covariance, _log_integral(marginal, u, covariance))
 
 
@@ -112,7 +114,7 @@ class _Marginal:
     """log p(data, u) in the linearised model, relative to what it is without its terms in u at the fit's own noise."""
 
     def __init__(self, misfit: Misfit, at: Evaluation, free: Floats, kinds: tuple[str, ...]) -> None:
-        self.here = np.log([misfit.noise.of(kind) for kind in kinds])
+        self.here: Floats = np.log(np.array([misfit.noise.of(kind) for kind in kinds]))
         self._counts = np.array([misfit.open_noises[kind] for kind in kinds], dtype=float)
         rows = [at.noises == NOISES.index(kind) for kind in kinds]
         moved = [at.J[own] @ free for own in rows]

@@ -149,7 +149,8 @@ def filled(configuration: Configuration, j: int, model: Modes) -> Floats:
     floors = configuration.measured_floors[known] - 1
     own = int(configuration.modes[j]) - 1
     if not len(floors):
-        return model.shapes[own]
+        alone: Floats = model.shapes[own]
+        return alone
     count = max(1, len(floors) // 2)
     near = np.argsort(np.abs(np.arange(n) - own), kind="stable")[:count]
     values = configuration.mode_shapes[j, known]

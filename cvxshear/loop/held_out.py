@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from cvxshear.effects import compose
@@ -58,7 +56,7 @@ def _left_out(experiment: Experiment, concerned: set[str | None]) -> list[tuple[
         alone = [each for each in configurations if each.state not in concerned]
         return [(each.name, np.ones(len(each.frequencies), dtype=bool)) for each in alone][:MOST]
     (only,) = configurations
-    rows: Sequence[Bools] = np.eye(len(only.frequencies), dtype=bool)
+    rows = list(np.eye(len(only.frequencies), dtype=bool))
     return [(only.name, row) for row in rows][:MOST] if len(only.frequencies) > 1 else []
 
 

@@ -18,7 +18,6 @@ from cvxshear.identification.misfit import Misfit
 from cvxshear.loop.evidence import log_constants, log_interval
 from cvxshear.typing import Floats
 
-
 MOST_TAKEN = 40
 """Effects that are taken in one go at most."""
 

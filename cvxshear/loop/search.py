@@ -153,7 +153,8 @@ class Search:
         assert model.estimate is not None
         fewer = [model.effects - {placed} for placed in model.estimate.effects if placed in model.effects]
         new = [each for each in fewer if each not in self.visited]
-        kept = [[placed for placed in model.estimate.effects if placed in each or placed in self.fitter.assumed] for each in new]
+        assumed = set(self.fitter.assumed)
+        kept = [[placed for placed in model.estimate.effects if placed in each | assumed] for each in new]
         self._record(self.fitter.models([self.fitter.proposal(model.estimate, effects) for effects in kept]))
         for each in fewer:
             if each not in self.expanded:

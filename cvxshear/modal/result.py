@@ -9,8 +9,8 @@ import numpy as np
 from scipy.optimize import nnls
 
 from cvxshear.modal.findings import Finding
-from cvxshear.modal.knowledge import entry_std, frequency_std
 from cvxshear.modal.functions import Functions
+from cvxshear.modal.knowledge import entry_std, frequency_std
 from cvxshear.modal.picking import Sweep
 from cvxshear.modal.record import Complexes
 from cvxshear.showing import Shown
@@ -133,7 +133,9 @@ class ModalResult(Shown):
             "frequencies": self.frequencies.tolist(),
             "mode_shapes": self.mode_shapes.tolist(),
             "mass_normalized": self.mass_normalized,
-            "frequency_std": np.maximum(frequency_std(self.frequency_std, self.modes, self.findings), LEAST_STD).tolist(),
+            "frequency_std": np.maximum(
+                frequency_std(self.frequency_std, self.modes, self.findings), LEAST_STD
+            ).tolist(),
             "mode_shape_std": entry_std(self.entry_std).tolist(),
             "mode_shape_noise": "additive",
             "damping_ratios": np.clip(self.damping_ratios, 0.0, None).tolist(),
