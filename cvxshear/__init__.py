@@ -26,9 +26,11 @@ if TYPE_CHECKING:
     from cvxshear.experiment import Configuration, Experiment, Frame
     from cvxshear.formats.toml import load
     from cvxshear.identification import Identification, compare_backends
-    from cvxshear.identification.identify import identify
+    from cvxshear.identification.methods import identify
     from cvxshear.loop import Closure, close_loop
+    from cvxshear.planning import plan
     from cvxshear.priors import Prior
+    from cvxshear.response import predict
 
 __version__ = "0.1.0"
 
@@ -55,6 +57,8 @@ __all__ = [
     "effects",
     "identify",
     "load",
+    "plan",
+    "predict",
     "priors",
 ]
 
@@ -70,6 +74,8 @@ _HOMES = {
     "compare_backends": "cvxshear.identification",
     "identify": "cvxshear.identification",
     "load": "cvxshear.formats.toml",
+    "plan": "cvxshear.planning",
+    "predict": "cvxshear.response",
 }
 """Where the public names come from. They are imported when they are first asked for (PEP 562): the loop alone brings
 scipy.stats and joblib, which take longer to load than many a program that needs neither."""

@@ -70,7 +70,9 @@ class Configuration:
     mode_shape_noise : str, optional
         "additive": std times the mode's largest entry; "multiplicative": std times the entry itself.
     damping_ratios : float or array_like, shape (m,), optional
-        Fraction of critical; reported, not fitted.
+        Fraction of critical; not fitted with the modes, but what a damping model is made of.
+    damping_ratio_std : float or array_like, shape (m,), optional
+        Relative standard deviation of the damping ratios.
 
     Raises
     ------
@@ -90,6 +92,7 @@ class Configuration:
     mode_shape_std: Floats | None = None
     mode_shape_noise: str = "additive"
     damping_ratios: Floats | None = None
+    damping_ratio_std: Floats | None = None
 
     def __post_init__(self) -> None:
         checks.text(self.name, "configuration: name")
@@ -128,6 +131,10 @@ class Configuration:
             if np.any(ratios >= 1):
                 raise InputError(f"{where} must be below 1 (a fraction of critical, not percent), not {ratios.max():g}")
             self._put("damping_ratios", ratios)
+        if self.damping_ratio_std is not None:
+            where = self._at("damping_ratio_std")
+            std = checks.one_or_many(self.damping_ratio_std, where, count, of=", one a mode", above=0.0)
+            self._put("damping_ratio_std", std)
 
     def _check_shapes(self) -> None:
         if _absent(self.mode_shapes) and self.mode_shapes is not None:

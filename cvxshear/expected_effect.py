@@ -55,7 +55,7 @@ class ExpectedEffect:
                 raise InputError(f"{self._at('probability')} = {self.probability:g} must be below 1; assume the effect")
         checks.flag(self.exclude, self._at("exclude"))
         if self.exclude and (self.size is not None or self.probability is not None):
-            raise InputError(f"{self._at('exclude')} leaves no room for size or probability; give the one or the others")
+            raise InputError(f"{self._at('exclude')} leaves no room for size or probability; give one or the other")
 
     def _at(self, key: str) -> str:
         return f"effect {self.name}: {key}"

@@ -24,7 +24,8 @@ from cvxshear.static_test import StaticTest
 from cvxshear.typing import Floats, Json
 
 __all__ = [
-    "MOST_STORIES", "Configuration", "ExpectedEffect", "Experiment", "Frame", "Prior", "StaticTest", "Tested",
+    "DAMPING_KINDS", "MOST_STORIES", "Configuration", "Damping", "ExpectedEffect", "Experiment", "Frame", "Prior",
+    "StaticTest", "Tested",
 ]  # fmt: skip
 
 Tested = Configuration | StaticTest
@@ -34,6 +35,8 @@ T = TypeVar("T")
 
 UNSAID = (("stories", 0), ("accept", ()))
 """Keys of a frame, with the values that stand for "not given"."""
+
+DAMPING_KINDS = ("modal", "story", "rayleigh")
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +159,31 @@ class Frame:
         return dataclasses.replace(self, stories=stories)
 
 
+@dataclass(frozen=True, eq=False)
+class Damping:
+    """How the damping of the frame is modelled.
+
+    Parameters
+    ----------
+    kind : str, optional
+        "modal": a damping ratio a mode; "story": dashpots between the floors; "rayleigh": a combination of mass and
+        stiffness.
+    priors : sequence of Prior, optional
+        About the story dashpots, of the quantity "story_damping".
+    """
+
+    kind: str = "modal"
+    priors: tuple[Prior, ...] = ()
+
+    def __post_init__(self) -> None:
+        checks.choice(self.kind, DAMPING_KINDS, "damping: kind")
+
+    @staticmethod
+    def from_dict(declared: object) -> Damping:
+        """The damping that the table `[damping]` of a measurement file declares."""
+        return Damping(**checks.keys(declared, ["kind"], [], "damping"))
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Experiment(Shown):
     """A frame, the configurations it was tested in, and what is known beforehand.
@@ -172,6 +200,7 @@ class Experiment(Shown):
         Pull or tilt tests.
     expected : sequence of ExpectedEffect, optional
         What is known beforehand of effects that the shear model lacks.
+    damping : Damping, optional
 
     Raises
     ------
@@ -185,6 +214,7 @@ class Experiment(Shown):
     name: str = "experiment"
     static: tuple[StaticTest, ...] = ()
     expected: tuple[ExpectedEffect, ...] = ()
+    damping: Damping = Damping()
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -203,11 +233,21 @@ class Experiment(Shown):
         put(self, "configurations", tuple(each.in_frame(stories) for each in self.configurations))
         put(self, "static", tuple(each.in_frame(stories) for each in self.static))
         self._check_states()
-        for place, prior in enumerate(self.priors, 1):
+        for place, prior in enumerate((*self.priors, *self.damping.priors), 1):
             with _named(place):
                 check_quantity(prior)
                 prior.check(stories)
+        self._part_priors()
         self._check_scale()
+
+    def _part_priors(self) -> None:
+        """Keep those about masses and stiffnesses; what is known of the dashpots belongs to the damping."""
+        dashpots = tuple(prior for prior in self.priors if prior.quantity == "story_damping")
+        if dashpots:
+            others = tuple(prior for prior in self.priors if prior.quantity != "story_damping")
+            damping = dataclasses.replace(self.damping, priors=(*self.damping.priors, *dashpots))
+            object.__setattr__(self, "priors", others)
+            object.__setattr__(self, "damping", damping)
 
     def _check_names(self) -> None:
         seen: set[str] = set()
@@ -220,7 +260,9 @@ class Experiment(Shown):
         """Raise where the reference or an expected effect names a state, floor or story that there is not."""
         states = self.states
         if self.frame.reference is not None and self.frame.reference not in states:
-            raise InputError(f"frame: reference = {self.frame.reference!r} is no state; the states are {_quoted(states)}")
+            raise InputError(
+                f"frame: reference = {self.frame.reference!r} is no state; the states are {_quoted(states)}"
+            )
         for each in self.expected:
             each.check(self.stories, states)
 
@@ -238,7 +280,8 @@ class Experiment(Shown):
             if len(each.added_mass):
                 said[f'configuration "{each.name}": added_mass'] = len(each.added_mass)
             if not len(each.measured_floors) and each.mode_shapes.shape[1]:
-                said[f'configuration "{each.name}": mode_shapes (no measured_floors given)'] = each.mode_shapes.shape[1]
+                where = f'configuration "{each.name}": mode_shapes (no measured_floors given)'
+                said[where] = each.mode_shapes.shape[1]
         said |= {f'static test "{each.name}": force': len(each.force) for each in self.static}
         if not said:
             seen = [each for each in self.configurations if len(each.measured_floors)]
@@ -268,8 +311,8 @@ class Experiment(Shown):
         if self.frame.known_total is None and not self.scale_known_otherwise:
             raise InputError(
                 "nothing tells how heavy the frame is: give frame: total_mass or floor_masses, two configurations with "
-                "different added_mass, mass_normalized shapes, a static test, or a prior that fixes the scale (value, or "
-                "nominal without free_scale)"
+                "different added_mass, mass_normalized shapes, a static test, or a prior that fixes the scale (value, "
+                "or nominal without free_scale)"
             )
 
     @staticmethod
@@ -293,7 +336,7 @@ class Experiment(Shown):
         """
         frame_keys = {item.name: "[frame]" for item in dataclasses.fields(Frame)}
         tested_keys = {item.name: "[[configuration]]" for item in dataclasses.fields(Configuration)}
-        tables = ["frame", "configuration", "prior", "static", "effect"]
+        tables = ["frame", "configuration", "prior", "static", "effect", "damping"]
         table = checks.keys(declared, tables, [], "the measurement file", elsewhere={**tested_keys, **frame_keys})
         if table.get("configuration") is None:
             raise InputError("at least one [[configuration]] is needed: none was found")
@@ -314,13 +357,16 @@ class Experiment(Shown):
             ExpectedEffect.from_dict(item, f"effect {place}")
             for place, item in enumerate(_tables(table.get("effect"), "effect"), 1)
         )
-        return Experiment(frame, configurations, tuple(priors), name, static, expected)
+        damping = Damping() if table.get("damping") is None else Damping.from_dict(table["damping"])
+        return Experiment(frame, configurations, tuple(priors), name, static, expected, damping)
 
     def to_dict(self) -> Json:
         """The dict of the measurement file's shape that declares this experiment."""
         result: Json = {"frame": self.frame.to_dict()}
-        if self.priors:
-            result["prior"] = [prior.to_dict() for prior in self.priors]
+        if self.damping.kind != Damping().kind:
+            result["damping"] = {"kind": self.damping.kind}
+        if self.priors or self.damping.priors:
+            result["prior"] = [prior.to_dict() for prior in (*self.priors, *self.damping.priors)]
         if self.expected:
             result["effect"] = [each.to_dict() for each in self.expected]
         result["configuration"] = [each.to_dict() for each in self.configurations]

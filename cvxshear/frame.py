@@ -48,6 +48,82 @@ class System:
     dM: Floats
     dK: Floats
 
+    def by(self, which: slice) -> System:
+        """The same with the derivatives by some of the parameters."""
+        return System(self.M, self.K, self.dM[which], self.dK[which])
+
+    def modal_products(self, phi: Floats, phi_j: Floats) -> tuple[Floats, Floats]:
+        """phi' dK phi_j and phi' dM phi_j by every parameter, each of shape (P, N, m).
+
+        Parameters
+        ----------
+        phi, phi_j : ndarray, shapes (N, N) and (N, m)
+            One column a mode.
+        """
+        return phi.T @ (self.dK @ phi_j), phi.T @ (self.dM @ phi_j)
+
+    def stiffness_slopes(self, u: Floats) -> Floats:
+        """dK u by every parameter, shape (P, N)."""
+        slopes: Floats = self.dK @ u
+        return slopes
+
+
+class ShearSystem(System):
+    """The plain shear frame, its derivatives as the rank-one terms that they are.
+
+    dM/dm_i = e_i e_i' and dK/dk_i = t_i t_i', t_i column i of T: products with them need no matrix each, and a frame
+    of 2,000 stories no 128 GB.
+
+    Parameters
+    ----------
+    M, K : ndarray, shape (N, N)
+    size : int
+        Number P of parameters: N floor masses, N story stiffnesses, and others that nothing here depends on.
+    which : slice, optional
+        The parameters by which derivatives are wanted.
+    """
+
+    def __init__(self, M: Floats, K: Floats, size: int, which: slice = slice(None)) -> None:
+        put = object.__setattr__
+        put(self, "M", M)
+        put(self, "K", K)
+        put(self, "_size", size)
+        put(self, "_which", which)
+
+    _size: int
+    _which: slice
+
+    @property
+    def dM(self) -> Floats:  # noqa: N802 - a field there; here made when asked for
+        """As of `System`."""
+        return self._padded(_unit_derivatives(len(self.M))[0])
+
+    @property
+    def dK(self) -> Floats:  # noqa: N802 - likewise
+        """As of `System`."""
+        return self._padded(_unit_derivatives(len(self.M))[1])
+
+    def by(self, which: slice) -> System:
+        return ShearSystem(self.M, self.K, self._size, which)
+
+    def modal_products(self, phi: Floats, phi_j: Floats) -> tuple[Floats, Floats]:
+        drifts, drifts_j = (np.diff(shapes, axis=0, prepend=0.0) for shapes in (phi, phi_j))
+        own_mass = phi[:, :, None] * phi_j[:, None, :]
+        own_stiffness = drifts[:, :, None] * drifts_j[:, None, :]
+        none = np.zeros_like(own_mass)
+        return self._padded(np.concatenate([none, own_stiffness])), self._padded(np.concatenate([own_mass, none]))
+
+    def stiffness_slopes(self, u: Floats) -> Floats:
+        T = transformation(len(self.M))
+        return self._padded(np.concatenate([np.zeros(T.shape), (T * (T.T @ u)).T]))
+
+    def _padded(self, rows: Floats) -> Floats:
+        """The rows of masses and stiffnesses with zeros for the other parameters, those that are wanted."""
+        extra = self._size - len(rows)
+        if extra:
+            rows = np.concatenate([rows, np.zeros((extra, *rows.shape[1:]))])
+        return rows[self._which]
+
 
 def shear_system(floor_mass: Floats, story_stiffness: Floats) -> System:
     """The shear frame, with derivatives by every floor mass and then every story stiffness (P = 2N)."""
@@ -161,8 +237,7 @@ def mode_derivatives(of: Modes, system: System, which: slice | Ints | list[int])
     """
     lam, phi = of.eigenvalues, of.shapes.T
     lam_j, phi_j = lam[which], phi[:, which]
-    by_stiffness = phi.T @ (system.dK @ phi_j)
-    by_mass = phi.T @ (system.dM @ phi_j)
+    by_stiffness, by_mass = system.modal_products(phi, phi_j)
     S = by_stiffness - lam_j * by_mass
     own = np.arange(len(lam))[which]
     column = np.arange(len(own))

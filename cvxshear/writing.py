@@ -88,6 +88,27 @@ def check_output(path: PathLike, *, endings: Iterable[str] = (), keep: Iterable[
             raise InputError(f"{path} would be written over {each}, which it is made from; name another")
 
 
+def ending_of(path: str | Path, endings: Iterable[str], what: str) -> str:
+    """The ending of a file's name, without its dot, once it is one that something is written as.
+
+    Parameters
+    ----------
+    path : str or Path
+    endings : iterable of str
+    what : str
+        For the message: "a model is written as".
+
+    Raises
+    ------
+    InputError
+        Where it ends in something else.
+    """
+    ending = Path(path).suffix.lower().removeprefix(".")
+    if ending not in endings:
+        raise InputError(f"{path}: {what} {', '.join('.' + name for name in endings)}")
+    return ending
+
+
 def same_file(one: PathLike, other: PathLike) -> bool:
     """Whether two names stand for one file, by whatever links, whether or not it exists."""
     with suppress(OSError, ValueError):

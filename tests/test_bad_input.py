@@ -80,11 +80,11 @@ TABLES = {
     ),
     "nothing like any table": (
         {**declared(), "zzz": 1},
-        "the measurement file: unknown key 'zzz'; known keys are configuration, frame, prior",
+        "the measurement file: unknown key 'zzz'; known keys are configuration, damping, frame, prior",
     ),
     "a key that is no text": (
         {**declared(), 3: 1},
-        "the measurement file: unknown key 3; known keys are configuration, frame, prior",
+        "the measurement file: unknown key 3; known keys are configuration, damping, frame, prior",
     ),
     "[configuration]": (
         {"configuration": declared()["configuration"][0]},
@@ -464,12 +464,12 @@ PRIORS = {
     ),
     "wrong quantity": (
         {**BOUNDS, "quantity": "floor_masses"},
-        "quantity of the bounds prior must be one of floor_mass, story_stiffness, not 'floor_masses'; "
+        "quantity of the bounds prior must be one of floor_mass, story_stiffness, story_damping, not 'floor_masses'; "
         "did you mean 'floor_mass'?",
     ),
     "no quantity": (
         {**RATIO, "quantity": None},
-        "quantity of the ratio prior must be one of floor_mass, story_stiffness, not None",
+        "quantity of the ratio prior must be one of floor_mass, story_stiffness, story_damping, not None",
     ),
     "bounds without a bound": (
         {"kind": "bounds", "quantity": "floor_mass"},

@@ -299,7 +299,7 @@ REFUSED = {
 @pytest.mark.parametrize("kind", REFUSED)
 def test_a_bad_output_is_refused_before_the_run(kind, run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("cvxshear.identification.identify", lambda *_, **__: pytest.fail("it ran"))
+    monkeypatch.setattr("cvxshear.identification.methods", lambda *_, **__: pytest.fail("it ran"))
     monkeypatch.setattr("cvxshear.loop.close_loop", lambda *_, **__: pytest.fail("it ran"))
     monkeypatch.setattr("cvxshear.formats.modes.identify_modes", lambda *_, **__: pytest.fail("it ran"))
     Path("m.toml").write_bytes(files.measurement())

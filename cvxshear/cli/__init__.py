@@ -11,6 +11,7 @@ import typer
 from cvxshear.cli import backends, check, frames, new, records, studies
 from cvxshear.cli import plan as planning
 from cvxshear.cli.output import typed
+from cvxshear.cli.predict import predict
 from cvxshear.cli.streams import OutputError, sound_streams
 from cvxshear.errors import CvxshearError, LostProcessError, NoSolutionError
 
@@ -25,6 +26,7 @@ study = typer.Typer(help="Many identifications at once.", no_args_is_help=True)
 for command in (
     frames.identify,
     frames.loop,
+    predict,
     records.modes,
     new.new,
     check.check,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from contextlib import suppress
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -26,6 +26,14 @@ from cvxshear.cli.pictures import FiguresOut, Pictures
 from cvxshear.cli.records import measured, records_in_json, tables_of
 from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
 from cvxshear.errors import UnsuitableError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from rich.console import RenderableType
+
+    from cvxshear.campaign import IdentifiedRecord
+    from cvxshear.response import IdentifiedDamping
 
 
 def identify(
@@ -60,6 +68,7 @@ def identify(
     from cvxshear.quantities import Units
     from cvxshear.report import screening_terminal, terminal
     from cvxshear.report.sheets import sheets_of_identification
+    from cvxshear.response import Fitted, damping_of
     from cvxshear.screening import refuse_mistakes
 
     pictures, tables, display = Pictures(figure, "identification"), Spreadsheets(csv, xlsx), Units.parse(units)
@@ -73,12 +82,22 @@ def identify(
     if method is None and named == "efficient" and out != "-":
         with suppress(UnsuitableError):
             beside = run(experiment, method="two-stage", backend=backend)
+    fitted = Fitted.of_identification(result)
+    damping = None if fitted is None else damping_of(experiment, fitted, backend)
     files = [*pictures.of(result), *tables.of(lambda: sheets_of_identification(result))]
-    said = {**result.to_dict(), "warnings": [item.to_dict() for item in doubts]}
+    said = {
+        **result.to_dict(),
+        "damping": None if damping is None else damping.to_dict(),
+        "warnings": [item.to_dict() for item in doubts],
+    }
     deliver(
         said,
         out,
-        lambda: [*screening_terminal.warnings(doubts), *terminal.identification(result, beside, display)],
+        lambda: [
+            *screening_terminal.warnings(doubts),
+            *terminal.identification(result, beside, display),
+            *_damping_of(damping),
+        ],
         *files,
     )
 
@@ -94,6 +113,10 @@ def loop(
     backend: BackendName = "auto",
     jobs: Annotated[int, typer.Option(help="Processes that fit candidates; -1 takes every core.")] = 1,
     report: ReportOut = None,
+    validate: Annotated[
+        str | None,
+        typer.Option(help="A record file: predict it by the models before and after.", metavar="RECORD"),
+    ] = None,
     units: UnitsOption = None,
     figure: FiguresOut = None,
     csv: CsvOut = None,
@@ -107,8 +130,9 @@ def loop(
     """
     from cvxshear import close_loop
     from cvxshear.quantities import Units
-    from cvxshear.report import screening_terminal, terminal
+    from cvxshear.report import response_terminal, screening_terminal, terminal
     from cvxshear.report.sheets import sheets_of_closure
+    from cvxshear.response import damping_of, models_of_loop, predict
     from cvxshear.screening import refuse_mistakes
 
     pictures, tables, display = Pictures(figure, "closure"), Spreadsheets(csv, xlsx), Units.parse(units)
@@ -118,13 +142,44 @@ def loop(
         experiment, found = measured(sources, jobs=jobs, progress=advance)
         doubts = refuse_mistakes(experiment)
         result = close_loop(experiment, effects=names(effects), assume=names(assume) or (), backend=backend, jobs=jobs)
-    said = {**result.to_dict(), "warnings": [item.to_dict() for item in doubts], **records_in_json(found)}
+        models = models_of_loop(result, mass_known=not _needs_mass(found))
+        damping = damping_of(experiment, models.after, backend)
+        tried = None if validate is None else predict(models, validate, backend)
+    said = {
+        **result.to_dict(),
+        "warnings": [item.to_dict() for item in doubts],
+        **records_in_json(found),
+        "damping": None if damping is None else damping.to_dict(),
+        "model": models.to_dict(),
+    }
+    if tried is not None:
+        said["validation"] = tried.to_dict()
     files = [*pictures.of(result), *tables.of(lambda: sheets_of_closure(result))]
     if report is not None:
         files.append(lambda: write_report(result, report, shlex.join(["cvxshear", *typed]), units=display))
+    beside = _damping_of(damping) if tried is None else ("", *response_terminal.prediction(tried))
     deliver(
         said,
         out,
-        lambda: [*tables_of(found), *screening_terminal.warnings(doubts), *terminal.shown(result, display)],
+        lambda: [
+            *tables_of(found),
+            *screening_terminal.warnings(doubts),
+            *terminal.shown(result, display),
+            *beside,
+        ],
         *files,
     )
+
+
+def _needs_mass(found: Iterable[IdentifiedRecord]) -> bool:
+    """Whether a total mass of 1 kg stands for one that nobody gave."""
+    from cvxshear.campaign.merge import scale_unknown
+
+    tests = list(found)
+    return bool(tests) and scale_unknown(tests)
+
+
+def _damping_of(found: IdentifiedDamping | None) -> Iterable[RenderableType]:
+    from cvxshear.report import response_terminal
+
+    return () if found is None else ("", *response_terminal.damping(found))

@@ -26,13 +26,13 @@ from cvxshear.cli.output import (
 from cvxshear.cli.pictures import FiguresOut, Pictures
 from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
 from cvxshear.errors import CvxshearError, InputError
-from cvxshear.typing import Json
 from cvxshear.writing import check_output
 
 if TYPE_CHECKING:
     from cvxshear import Experiment
     from cvxshear.campaign import IdentifiedRecord
     from cvxshear.parallel import Progress
+    from cvxshear.typing import Json
 
 
 def modes(

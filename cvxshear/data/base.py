@@ -63,8 +63,7 @@ class Model:
     @cached_property
     def wanted(self) -> System:
         """The matrices, with the derivatives that are wanted."""
-        system = self.state.system
-        return System(system.M, system.K, system.dM[self.by], system.dK[self.by])
+        return self.state.system.by(self.by)
 
     @cached_property
     def paired(self) -> Ints:

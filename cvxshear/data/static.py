@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 
 from cvxshear.data.base import Datum, Deviation, Model, Residual
 from cvxshear.experiment import Experiment, StaticTest
@@ -49,17 +50,17 @@ class Static(Datum):
         test, known = self.tested, self.tested.measured
         system = model.wanted
         weights = 1.0 / test.entry_std[known]
-        u = np.linalg.solve(system.K, test.force)
+        u: Floats = linalg.solve(system.K, test.force, assume_a="sym")
         r = weights * (u - test.displacement)[known]
         if not model.derivatives:
             return Residual(r, np.zeros((0, 0)))
-        slopes = -np.linalg.solve(system.K, (system.dK @ u).T)
+        slopes: Floats = -linalg.solve(system.K, system.stiffness_slopes(u).T, assume_a="sym")
         return Residual(r, weights[:, None] * slopes[known])
 
     def errors(self, model: Model) -> Mapping[str, Floats]:
         """model / measured - 1, relative to the largest measured displacement."""
         test, known = self.tested, self.tested.measured
-        u = np.linalg.solve(model.state.system.K, test.force)
+        u: Floats = linalg.solve(model.state.system.K, test.force, assume_a="sym")
         return {"displacement_error": (u - test.displacement)[known] / np.max(np.abs(test.displacement[known]))}
 
     def describe(self, model: Model) -> list[Deviation]:

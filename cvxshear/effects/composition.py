@@ -7,9 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from cvxshear.effects.base import STAGES, Placed, State
+from cvxshear.errors import UnsuitableError
 from cvxshear.experiment import Experiment, Tested
-from cvxshear.frame import System, mass_matrix, shear_system, stiffness_matrix
+from cvxshear.frame import ShearSystem, System, mass_matrix, shear_system, stiffness_matrix
 from cvxshear.typing import Floats
+
+MOST_BYTES = 1e9
+"""Of the derivatives of one state's matrices, where effects act on them."""
 
 
 def compose(
@@ -40,22 +44,42 @@ def compose(
         return _plain(experiment, tested, theta)
     n, size = experiment.stories, len(theta)
     mass, stiffness = theta[:n], theta[n : 2 * n]
-    plain = shear_system(mass + tested.added_mass, stiffness)
-    extra = np.zeros((size - 2 * n, n, n))
+    acting = [(placed, own) for placed, own in slices(effects, 2 * n) if placed.acts_on(tested)]
     state = State(
         experiment=experiment,
         tested=tested,
         frame_stiffness=stiffness,
         story_stiffness=stiffness,
         d_story_stiffness=np.concatenate([np.zeros((n, n)), np.eye(n), np.zeros((size - 2 * n, n))]),
-        system=System(plain.M, plain.K, np.concatenate([plain.dM, extra]), np.concatenate([plain.dK, extra])),
+        system=_system(mass + tested.added_mass, stiffness, size, dense=bool(acting)),
         gain=np.ones(n),
         d_gain=np.zeros((size, n)),
     )
-    for placed, own in sorted(slices(effects, 2 * n), key=lambda item: STAGES.index(item[0].effect.stage)):
-        if placed.acts_on(tested):
-            state = placed.effect.apply(state, placed.place, theta[own], own)
+    for placed, own in sorted(acting, key=lambda item: STAGES.index(item[0].effect.stage)):
+        state = placed.effect.apply(state, placed.place, theta[own], own)
     return state
+
+
+def _system(mass: Floats, stiffness: Floats, size: int, *, dense: bool) -> System:
+    """The shear frame with derivatives by all parameters; as whole matrices where effects are to act on them.
+
+    Raises
+    ------
+    UnsuitableError
+        Where those matrices would not fit into memory, before any of them is made.
+    """
+    n = len(mass)
+    if not dense:
+        return ShearSystem(mass_matrix(mass), stiffness_matrix(stiffness), size)
+    if 2 * size * n * n * 8 > MOST_BYTES:
+        raise UnsuitableError(
+            f"effects in a frame of {n} stories need {2 * size * n * n * 8 / 1e9:.1f} GB for derivatives; up to "
+            f"{int((MOST_BYTES / 32) ** (1 / 3))} stories fit into {MOST_BYTES / 1e9:g} GB: join stories, or identify "
+            "the frame without effects"
+        )
+    plain = shear_system(mass, stiffness)
+    extra = np.zeros((size - 2 * n, n, n))
+    return System(plain.M, plain.K, np.concatenate([plain.dM, extra]), np.concatenate([plain.dK, extra]))
 
 
 def _plain(experiment: Experiment, tested: Tested, theta: Floats) -> State:

@@ -46,4 +46,5 @@ class SensorGain(Effect):
 
     def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
         word = "much" if values[0] > 0 else "little"
-        return f"a sensor at floor {place.floor} that reads {with_std(100 * abs(values[0]), 100 * std[0], '%')} too {word}"
+        size = with_std(100 * abs(values[0]), 100 * std[0], "%")
+        return f"a sensor at floor {place.floor} that reads {size} too {word}"

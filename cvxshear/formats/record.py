@@ -8,7 +8,8 @@ has them all.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from cvxshear.formats.mat import read_mat
 from cvxshear.formats.reading import MEGABYTE, named_after
 from cvxshear.formats.toml import parse, read_text
 from cvxshear.formats.uff import read_uff
+from cvxshear.modal.motion import Drive, Motion
 from cvxshear.modal.record import INPUTS, QUANTITIES, Channel, FrfRecord, FrfRun, Record, Run, TimeRecord
 from cvxshear.typing import Floats
 
@@ -112,34 +114,102 @@ def read_record(path: str | Path) -> RecordFile:
         Naming the file, and the key or the channel and the line, and what would be right.
     """
     path = Path(path)
-    text = read_text(path)
-    declared, where = parse(text, path), str(path)
-    if "configuration" in declared and "record" not in declared:
-        raise InputError(
-            f"{path} is a measurement file (it has [[configuration]]), not a record file: its modes are found already; "
-            f"'cvxshear identify {path}' and 'cvxshear loop {path}' take it"
-        )
-    table = checks.keys(declared, ["record", "channel", "run", *PASSED_ON], ["record", "channel"], where)
+    table, lines = _tables(path)
+    where = str(path)
     frame = table.get("frame", {})
     priors = table.get("prior", [])
     tables = isinstance(priors, list) and all(isinstance(prior, Mapping) for prior in priors)
     if not isinstance(frame, Mapping) or not tables:
         raise InputError(f"{where}: frame must be a table [frame], prior a list of tables [[prior]]")
-    added = table.get("added_mass")
-    if added is not None:
-        added = checks.vector(added, f"{where}: added_mass", least=0.0).tolist()
+    added = _added_mass(table, path)
     state = None if table.get("state") is None else checks.text(table["state"], f"{where}: state")
-    try:
-        record = _record(table, path, _lines_of(text, "channel"))
-    except InputError as error:
-        message = str(error)
-        # What the readers of other files say names those.
-        raise type(error)(message if message.startswith(str(path.parent)) else f"{where}: {message}") from error
+    with _placed(path):
+        record = _record(table, path, lines)
     files = (path, *(path.parent / run["file"] for run in _runs(table, table["record"])))
     picked = table["record"].get("pick")
     if picked is not None:
         picked = checks.vector(picked, f"{where}: record: pick", above=0.0).tolist()
     return RecordFile(record, frame, priors, added, state, picked, files)
+
+
+def read_motion(path: str | Path) -> Motion:
+    """Read what drove a frame from a record file, with the floors' accelerations where it names such channels.
+
+    Parameters
+    ----------
+    path : str or Path
+        As for `read_record`; here a channel of the ground, or of the force, is enough.
+
+    Returns
+    -------
+    Motion
+
+    Raises
+    ------
+    InputError
+        As `read_record` does, and where nothing says what drove the frame.
+    """
+    path = Path(path)
+    table, lines = _tables(path)
+    with _placed(path):
+        declared = checks.keys(table["record"], RECORD_KEYS, [], "record")
+        channels = _channels(table["channel"], declared, path, lines)
+        driver = _driver(channels, declared.get("input", "none"))
+    if driver is None or declared.get("kind", "time") != "time" or any(_responds(item) for item in channels):
+        found = read_record(path)
+        return Motion.of(found.record, found.added_mass)
+    with _placed(path):
+        drives, rates = [], []
+        for run in _runs(table, declared):
+            columns = _read(run, declared, path)
+            rates.append((_rate(declared, columns), columns.source))
+            excitation = driver.factor * columns.column(driver.column, driver.place or path.name)
+            floor = run.get("input_floor", declared.get("input_floor", driver.floor))
+            drives.append(Drive(excitation, floor, name=run.get("name", Path(run["file"]).name)))
+        _refuse_two_rates(rates)
+        name = checks.text(declared.get("name", path.stem), "record: name")
+        added = _added_mass(table, path)
+        return Motion(
+            tuple(drives), rates[0][0], declared["input"], added_mass=None if added is None else np.array(added),
+            name=name,
+        )  # fmt: skip
+
+
+def _tables(path: Path) -> tuple[Mapping[str, Any], list[int]]:
+    """The tables of a record file, and the lines that its channels stand on."""
+    text = read_text(path)
+    declared = parse(text, path)
+    if "configuration" in declared and "record" not in declared:
+        raise InputError(
+            f"{path} is a measurement file (it has [[configuration]]), not a record file: its modes are found already; "
+            f"'cvxshear identify {path}' and 'cvxshear loop {path}' take it"
+        )
+    keys = ["record", "channel", "run", *PASSED_ON]
+    return checks.keys(declared, keys, ["record", "channel"], str(path)), _lines_of(text, "channel")
+
+
+@contextmanager
+def _placed(path: Path) -> Iterator[None]:
+    """Say which file it is that a message is about."""
+    try:
+        yield
+    except InputError as error:
+        message = str(error)
+        # What the readers of other files say names those.
+        raise type(error)(message if message.startswith(str(path.parent)) else f"{path}: {message}") from error
+
+
+def _added_mass(table: Mapping[str, Any], path: Path) -> list[float] | None:
+    added = table.get("added_mass")
+    if added is None:
+        return None
+    masses: list[float] = checks.vector(added, f"{path}: added_mass", least=0.0).tolist()
+    return masses
+
+
+def _responds(item: Declared) -> bool:
+    """Whether a channel measures a floor."""
+    return item.floor > 0 and item.quantity != "force"
 
 
 def _record(table: Mapping[str, Any], path: Path, lines: list[int]) -> Record:
@@ -255,7 +325,7 @@ def _time_record(
 ) -> TimeRecord:
     kind = checks.choice(declared.get("input", "none"), INPUTS, "record: input")
     driver = _driver(channels, kind)
-    responses = [item for item in channels if item is not driver and item.floor > 0 and item.quantity != "force"]
+    responses = [item for item in channels if item is not driver and _responds(item)]
     quantities = {item.quantity for item in responses}
     if len(quantities) > 1:
         raise InputError(f"the responses are {' and '.join(sorted(quantities))}; a record holds one quantity")

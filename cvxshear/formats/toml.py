@@ -75,9 +75,8 @@ def is_built_in(path: object) -> bool:
 
 def read_text(path: Path) -> str:
     """The text of a file that a user named."""
-    content = read_bytes(
-        path, LARGEST_FILE, "too many for a measurement file", absent=f"the built-in examples are called {' and '.join(BUILT_IN)}"
-    )
+    absent = f"the built-in examples are called {' and '.join(BUILT_IN)}"
+    content = read_bytes(path, LARGEST_FILE, "too many for a measurement file", absent=absent)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -1,6 +1,6 @@
 """Identification of floor masses and story stiffnesses."""
 
-from cvxshear.identification.identify import METHODS, identify
+from cvxshear.identification.methods import METHODS, identify
 from cvxshear.identification.programs_of import compare_backends, programs_of
 from cvxshear.identification.results import Identification, IdentifiedFrame, Part, Prediction
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -56,7 +56,7 @@ class Estimate:
     domain: Domain
     fit: Fit
     uncertainty: Uncertainty
-    noise: NoiseEstimate = NoiseEstimate()
+    noise: NoiseEstimate = field(default_factory=NoiseEstimate)
 
     @property
     def experiment(self) -> Experiment:

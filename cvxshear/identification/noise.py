@@ -6,13 +6,14 @@ of two or four, not of a hundred. Given u the parameters are integrated out of t
 
     log p(data, u) = -chi2(u) / 2 - sum n_g u_g - log det H(u) / 2 - sum u_g^2 / 2 w^2 + constant,
 
-w that width, n_g the number of data of a kind, H(u) = sum exp(-2 u_g) J_g' J_g, chi2(u) the least of the linearised residual.
+w that width, n_g the number of data of a kind, H(u) = sum exp(-2 u_g) J_g' J_g, chi2(u) the least of the linearised
+residual.
 """
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import linalg, optimize, special
@@ -54,14 +55,14 @@ class NoiseEstimate:
     """
 
     kinds: tuple[str, ...] = ()
-    log_factors: Floats = ()  # type: ignore[assignment]  # an array of none
-    covariance: Floats = ()  # type: ignore[assignment]  # likewise
+    log_factors: Floats = field(default_factory=lambda: np.zeros(0))
+    covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     gain: float = 0.0
 
     @property
     def noise(self) -> Noise:
         """The factors."""
-        return Noise(tuple(zip(self.kinds, np.exp(np.asarray(self.log_factors)).tolist(), strict=True)))
+        return Noise(tuple(zip(self.kinds, np.exp(self.log_factors).tolist(), strict=True)))
 
     def to_dict(self) -> Json:
         """For each kind its factor and the standard deviation of that; null where it was declared."""
@@ -91,10 +92,7 @@ def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats) -> NoiseEstima
     if not kinds:
         return NoiseEstimate()
     marginal = _Marginal(misfit, at, free, kinds)
-    found = optimize.minimize(
-        lambda u: marginal.negative(u)[0], marginal.here, jac=lambda u: marginal.negative(u)[1], method="BFGS"
-    )
-    u = np.asarray(found.x, dtype=float)
+    u: Floats = np.asarray(optimize.fmin_bfgs(marginal.loss, marginal.here, fprime=marginal.slope, disp=False))
     covariance: Floats = np.asarray(np.linalg.inv(_curvature(marginal, u)), dtype=np.float64)
     return NoiseEstimate(kinds, u, covariance, _log_integral(marginal, u, covariance))
 
@@ -138,6 +136,14 @@ class _Marginal:
         left = self._chi2 + 2.0 * self._gradient @ step + np.einsum("i,gij,j->g", step, self._information, step)
         known = np.array([np.trace(linalg.cho_solve(factor, part, check_finite=False)) for part in self._information])
         return -float(value), -(weight * (left + known) - self._counts - u / WIDTH**2)
+
+    def loss(self, u: Floats) -> float:
+        """Minus it."""
+        return self.negative(u)[0]
+
+    def slope(self, u: Floats) -> Floats:
+        """Minus its derivative."""
+        return self.negative(u)[1]
 
     def value(self, u: Floats) -> float:
         """It, but for the objective and log det H / 2 at the fit."""

@@ -78,9 +78,8 @@ class Uncertainty:
     @cached_property
     def reach(self) -> Floats:
         """The same with parameters of an interval free to leave its ends, and known to lie in it, shape (P, g)."""
-        return _unit_directions(
-            np.concatenate([self.J, _interval_rows(self.interval_std)]), np.concatenate([self.equalities, self.touching])
-        )
+        known = np.concatenate([self.J, _interval_rows(self.interval_std)])
+        return _unit_directions(known, np.concatenate([self.equalities, self.touching]))
 
     def root_of(self, J: Floats) -> Floats:
         """Directions that the constraints leave free, of unit effect on other residuals than these, shape (P, f)."""

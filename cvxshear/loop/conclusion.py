@@ -198,8 +198,8 @@ def _rests_on(final: Estimate) -> str:
     told = ", ".join(
         f"{kind.replace('_', ' ')} {factor:.2g} times the default" for kind, factor in final.misfit.noise.factors
     )
-    declared = "" if len(final.misfit.open_noises) == len({datum.noise for datum in final.misfit.data}) else "declared and "
-    return f"{declared}estimated noise ({told})"
+    partly = len(final.misfit.open_noises) < len({datum.noise for datum in final.misfit.data})
+    return f"{'declared and ' if partly else ''}estimated noise ({told})"
 
 
 def _information(search: Search, posterior: Posterior, final: Estimate, *, negligible: bool) -> Iterator[str]:

@@ -105,6 +105,9 @@ def _log_constant(placed: Placed, expectation: Expectation) -> float:
     """Logarithm of the constant of an effect's prior, times sqrt(2 pi) for each parameter, as in Laplace's integral."""
     value = 0.0
     for item, std in zip(placed.effect.parameters, expectation.of(placed), strict=True):
+        if np.isinf(std) and np.isinf(item.upper - item.lower):
+            # Nothing is expected of it at all, as may be of what was assumed and is in every set.
+            continue
         if np.isinf(std):
             value += 0.5 * np.log(2 * np.pi) - np.log(item.upper - item.lower)
         else:

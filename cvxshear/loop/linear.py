@@ -41,7 +41,7 @@ class Linearised:
         self._columns = self._sensitivities()
         self._own = self._columns - self._reached @ (self._reached.T @ self._columns)
         self._slope = self._own.T @ base.fit.at.r
-        self._at = {placed: own for placed, own in slices(self.lacking, 0)}
+        self._at = dict(slices(self.lacking, 0))
 
     def _sensitivities(self) -> Floats:
         """Derivatives of the residuals by the parameters that are lacking, at their null values, shape (d, p)."""
@@ -115,7 +115,7 @@ class Linearised:
         return taken
 
     def pair_gains(self) -> Floats:
-        """The same for each pair of effects of one parameter, shape (n, n); -inf where it keeps no bound, or is none."""
+        """The same for each pair of effects of one parameter, shape (n, n); -inf where a bound is not kept."""
         single = [placed for placed in self.lacking if len(placed.effect.parameters) == 1]
         at = [self._at[placed].start for placed in single]
         n = len(self.lacking)

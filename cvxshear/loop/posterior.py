@@ -82,8 +82,10 @@ class Posterior:
         return float(self.probabilities[self._known[effects]]) if effects in self._known else 0.0
 
     def verdict_set(self) -> frozenset[Placed]:
-        """What is added: for each effect of the best set that is there, or a rival in its place, with probability
-        enough, the most probable of these; and each effect beyond that set which is more probable than not.
+        """What is added.
+
+        For each effect of the best set that is there, or a rival in its place, with probability enough, the most
+        probable of these; and each effect beyond that set which is more probable than not.
         """
         best = self.best.effects
         families = {placed: [placed, *(rival.placed for rival in self.rivals(placed))] for placed in best}
@@ -121,7 +123,7 @@ class Posterior:
         ]
 
     def rivals(self, placed: Placed) -> list[Rival]:
-        """What replaces an effect in sets that are a twentieth as probable as the best, or more; most probable first."""
+        """What replaces an effect in sets a twentieth as probable as the best, or more; most probable first."""
         return self._in_place_of(placed, self._holding(placed))
 
     def _holding(self, placed: Placed) -> ModelClass:

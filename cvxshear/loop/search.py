@@ -131,7 +131,8 @@ class Search:
         together = np.triu(linear.pair_gains() + odds[:, None] + odds[None, :], 1)
         threshold = max(float(alone.max()), 0.0)
         better = together - np.maximum(np.maximum(alone[:, None], alone[None, :]), 0.0)
-        candidates = np.argwhere((np.triu(np.ones_like(together), 1) > 0) & (better > 0) & (together > threshold - WITHIN))
+        above = np.triu(np.ones_like(together), 1) > 0
+        candidates = np.argwhere(above & (better > 0) & (together > threshold - WITHIN))
         ranked = sorted(candidates.tolist(), key=lambda pair: -together[pair[0], pair[1]])
         return [model.effects | {linear.lacking[i], linear.lacking[j]} for i, j in ranked[:PAIRS]]
 

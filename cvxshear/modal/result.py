@@ -140,6 +140,8 @@ class ModalResult(Shown):
             "mode_shape_noise": "additive",
             "damping_ratios": np.clip(self.damping_ratios, 0.0, None).tolist(),
         }
+        if np.all(self.damping_ratios > 0) and np.all(self.damping_std > 0):
+            result["damping_ratio_std"] = (self.damping_std / self.damping_ratios).tolist()
         return result
 
     def to_experiment(

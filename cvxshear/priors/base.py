@@ -17,8 +17,8 @@ from cvxshear import checks
 from cvxshear.errors import InputError
 from cvxshear.typing import Floats, Json
 
-QUANTITIES = ("floor_mass", "story_stiffness")
-UNITS = {"floor_mass": "kg", "story_stiffness": "N/m"}
+QUANTITIES = ("floor_mass", "story_stiffness", "story_damping")
+UNITS = {"floor_mass": "kg", "story_stiffness": "N/m", "story_damping": "N s/m"}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -55,14 +55,14 @@ class Constraints:
 
 
 class Prior(ABC):
-    """A statement about the floor masses (without added mass) or the story stiffnesses.
+    """A statement about the floor masses (without added mass), the story stiffnesses or the story dashpots.
 
     Attributes
     ----------
     kind : str
         The word for it in a measurement file; empty where it has none.
     quantity : str
-        "floor_mass" (kg) or "story_stiffness" (N/m).
+        "floor_mass" (kg), "story_stiffness" (N/m) or "story_damping" (N s/m).
     """
 
     kind: ClassVar[str] = ""

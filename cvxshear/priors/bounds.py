@@ -20,7 +20,7 @@ class Bounds(Prior):
     Parameters
     ----------
     quantity : str
-        "floor_mass" or "story_stiffness".
+        "floor_mass", "story_stiffness" or "story_damping".
     lower, upper : float or array_like, shape (N,), optional
         kg or N/m; one number for all, or one a floor or story; at least one of the two.
     """

@@ -20,7 +20,7 @@ class Monotone(Prior):
     Parameters
     ----------
     quantity : str
-        "floor_mass" or "story_stiffness".
+        "floor_mass", "story_stiffness" or "story_damping".
     direction : str
         "decreasing" or "increasing", with height.
     """

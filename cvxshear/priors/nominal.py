@@ -25,7 +25,7 @@ class Nominal(Prior):
     Parameters
     ----------
     quantity : str
-        "floor_mass" or "story_stiffness".
+        "floor_mass", "story_stiffness" or "story_damping".
     values : array_like, shape (N,)
         kg or N/m.
     std : float, optional

@@ -22,7 +22,7 @@ class Ratio(Prior):
     Parameters
     ----------
     quantity : str
-        "floor_mass" or "story_stiffness".
+        "floor_mass", "story_stiffness" or "story_damping".
     of, to : int
         Floors or stories, 1 the lowest.
     value : float

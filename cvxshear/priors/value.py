@@ -19,7 +19,7 @@ class Value(Prior):
     Parameters
     ----------
     quantity : str
-        "floor_mass" or "story_stiffness".
+        "floor_mass", "story_stiffness" or "story_damping".
     at : int
         Floor or story, 1 the lowest.
     value : float

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import platform
 from collections.abc import Iterator
 from importlib import metadata
@@ -15,6 +14,7 @@ from cvxshear.quantities import AUTOMATIC, Units, capital
 from cvxshear.report import motion
 from cvxshear.report.describe import describe
 from cvxshear.report.describe.headline import headline
+from cvxshear.response.fitted import without_nan
 from cvxshear.typing import Json
 
 PACKAGES = (
@@ -96,7 +96,7 @@ def contents(result: Closure, comparison: Comparison, command: str, units: Units
         "motion_size": (motion.WIDTH, motion.HEIGHT),
         "versions": list(versions()),
         "command": command,
-        "experiment_json": readable_json(_without_nan(result.experiment.to_dict())),
+        "experiment_json": readable_json(without_nan(result.experiment.to_dict())),
         "result_json": readable_json(result.to_dict()),
     }
 
@@ -106,13 +106,6 @@ def readable_json(value: object) -> str:
     return json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False)
 
 
-def _without_nan(value: object) -> object:
-    """JSON knows no nan; null stands for an entry that was not measured."""
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_without_nan(item) for item in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def versions() -> Iterator[tuple[str, str]]:

@@ -5,7 +5,7 @@ from importlib import import_module
 
 from tests.benchmarks.timing import machine
 
-PARTS = ("large", "many", "solvers", "peers")
+PARTS = ("large", "many", "solvers", "peers", "response")
 
 if __name__ == "__main__":
     print(machine())

@@ -183,7 +183,7 @@ def test_the_other_results_show_themselves(paper, study, comparison):
     assert repr(cvxshear.identify(paper.experiment, "two-stage")).startswith(
         "<Identification paper: two-stage, 2 stories"
     )
-    assert repr(comparison).startswith(f"<Comparison paper: {len(cvxshear.backends.available())} backends on 6 kinds")
+    assert repr(comparison).startswith(f"<Comparison paper: {len(cvxshear.backends.available())} backends on ")
     assert repr(study).startswith("<NoiseStudy 5 setups, 50 samples each, by two-stage, one-shot")
     for each in (study, comparison):
         assert max(map(cell_len, str(each).splitlines())) <= 80

@@ -28,7 +28,8 @@ def _line(of: ModalResult) -> str:
 
 
 def _headline(of: ModalResult) -> str:
-    return f"{counted(len(of.frequencies), 'mode')} at {counted(len(of.floors), 'floor')}"
+    floors = ", ".join(map(str, of.floors))
+    return f"{counted(len(of.frequencies), 'mode')} at floor{'s' if len(of.floors) > 1 else ''} {floors}"
 
 
 def _table(of: ModalResult) -> Table:

@@ -14,6 +14,7 @@ from cvxshear.report.figures.output import save
 from cvxshear.report.figures.plan import plan
 from cvxshear.report.figures.ranking import ranking
 from cvxshear.report.figures.residual import residual
+from cvxshear.report.figures.response import floor_spectra, response_histories, response_peaks, transfer_functions
 from cvxshear.report.figures.shapes import shapes
 from cvxshear.report.figures.stabilization import stabilization
 
@@ -21,6 +22,7 @@ __all__ = [
     "backend_differences",
     "coherence",
     "convergence",
+    "floor_spectra",
     "frame",
     "functions",
     "mac",
@@ -31,7 +33,10 @@ __all__ = [
     "plan",
     "ranking",
     "residual",
+    "response_histories",
+    "response_peaks",
     "save",
     "shapes",
     "stabilization",
+    "transfer_functions",
 ]

@@ -1,0 +1,124 @@
+"""The command that predicts the response of a frame to a record."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cvxshear.cli.output import BackendName, JsonOut, Quiet, deliver, figures_for, progress
+from cvxshear.errors import InputError
+
+if TYPE_CHECKING:
+    from cvxshear.response import RecordPrediction
+
+FIGURES = {
+    "history": "response_histories",
+    "peaks": "response_peaks",
+    "transfer": "transfer_functions",
+    "spectra": "floor_spectra",
+}
+"""Functions of `report.figures` by the words of --figure."""
+
+
+def predict(
+    file: Annotated[
+        str,
+        typer.Argument(
+            help="What the model is made of: a measurement file, a record file, or what 'loop --json' wrote.",
+            metavar="FILE",
+        ),
+    ],
+    record: Annotated[
+        str, typer.Option("--record", help="A record file: the base motion or force, and responses to compare with.")
+    ],
+    backend: BackendName = "auto",
+    damping: Annotated[
+        str | None, typer.Option(help="modal, story or rayleigh; what FILE declares where not given.")
+    ] = None,
+    configuration: Annotated[
+        str | None, typer.Option(help="Which tested state; the one with the record's added mass where not given.")
+    ] = None,
+    detrend: Annotated[
+        bool, typer.Option(help="Take the straight line through each recorded acceleration off.")
+    ] = True,
+    series: Annotated[
+        str | None, typer.Option("--out", help="Write the time series here: .csv, .mat, .npz or .uff.", metavar="OUT")
+    ] = None,
+    export: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Write the model here: .npz, .mat, .json, .py (OpenSeesPy) or .xlsx; may be repeated.", metavar="OUT"
+        ),
+    ] = None,
+    figure: Annotated[
+        list[str] | None,
+        typer.Option(
+            help=f"Draw {', '.join(FIGURES)} into a file: KIND:OUT.svg, .png or .pdf; may be repeated.",
+            metavar="KIND:OUT",
+        ),
+    ] = None,
+    quiet: Quiet = False,
+    out: JsonOut = None,
+) -> None:
+    """Predict how every floor answers to a record, beside what was measured.
+
+    Example: cvxshear predict frame.toml --record earthquake.toml
+    """
+    from cvxshear.report.response_terminal import prediction
+    from cvxshear.response import predict as run
+
+    files = Files(series, export or [], figure or [])
+    with progress("predicting", quiet):
+        result = run(file, record, backend, damping=damping, configuration=configuration, detrend=detrend)
+    files.write(result)
+    deliver(result.to_dict(), out, lambda: prediction(result))
+
+
+class Files:
+    """The files that are asked for besides the JSON; wrong names are told before anything runs.
+
+    Parameters
+    ----------
+    series : str, optional
+    models, figures : list of str
+        Figures as KIND:OUT.
+
+    Raises
+    ------
+    InputError
+        Where an ending or a kind of figure is unknown, or figures are asked for without matplotlib.
+    """
+
+    def __init__(self, series: str | None, models: list[str], figures: list[str]) -> None:
+        from cvxshear.report.handover import model_kind
+        from cvxshear.report.series import series_kind
+
+        self.series, self.models = series, models
+        self.figures = [_figure(each) for each in figures]
+        if series is not None:
+            series_kind(series)
+        for each in models:
+            model_kind(each)
+        self.drawing = figures_for(*(path for _, path in self.figures))
+
+    def write(self, result: RecordPrediction) -> None:
+        """Write them."""
+        from cvxshear.report.handover import write_model
+        from cvxshear.report.series import write_series
+
+        if self.series is not None:
+            write_series(self.series, result)
+        for each in self.models:
+            write_model(each, result)
+        if self.drawing is not None:
+            for kind, path in self.figures:
+                self.drawing.save(getattr(self.drawing, FIGURES[kind])(result), path)
+
+
+def _figure(text: str) -> tuple[str, str]:
+    """Kind and file of a figure."""
+    kind, mark, path = text.partition(":")
+    if not mark or kind not in FIGURES or not path:
+        raise InputError(f"--figure must be KIND:OUT, such as peaks:peaks.svg, KIND one of {', '.join(FIGURES)}")
+    return kind, path

@@ -1,0 +1,223 @@
+"""Predicted responses beside the measured: histories with a band, peaks over height, transfer functions, spectra."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
+
+from cvxshear.quantities import scaled
+from cvxshear.report.figures.style import (
+    AFTER,
+    BEFORE,
+    COLOURS,
+    LINES,
+    MEASURED,
+    PAGE_WIDTH,
+    QUIET,
+    assorted,
+    logarithmic,
+    new_figure,
+    panels,
+    styled,
+)
+from cvxshear.response import RecordPrediction
+from cvxshear.response.compare import seen
+from cvxshear.typing import Floats, Ints
+
+MOST_FLOORS = 4
+"""Floors that have a panel of their own."""
+
+PERIODS = 16
+"""Of the first mode, that a time history shows; more would be a smear."""
+
+SIDES = 1.96
+"""Standard deviations of a 95 % band."""
+
+
+def _floors(result: RecordPrediction) -> Ints:
+    """The floors that are drawn, the top one first: measured ones where there are such, spread over the height."""
+    n = len(result.after.damped.model.M)
+    measured = result.after.comparison
+    floors = np.arange(1, n + 1) if measured is None else measured.floors
+    chosen = np.unique(np.linspace(0, len(floors) - 1, min(MOST_FLOORS, len(floors))).round().astype(int))
+    return np.asarray(floors[chosen][::-1], dtype=np.int64)
+
+
+@styled
+def response_histories(result: RecordPrediction) -> Figure:
+    """Accelerations of the floors over time around the strongest, predicted with a 95 % band, and measured.
+
+    Parameters
+    ----------
+    result : RecordPrediction
+
+    Returns
+    -------
+    Figure
+    """
+    floors = _floors(result)
+    run, window = _strongest(result)
+    drive, model = result.motion.drives[run], result.after.damped.model
+    time = result.after.responses[run].time[window]
+    figure = new_figure(PAGE_WIDTH, 1.35 * len(floors) + 0.9)
+    for axes, floor in zip(panels(figure, len(floors), 1, sharex=True, sharey=True), floors, strict=True):
+        own = np.array([floor])
+        if drive.responses is not None and floor in result.motion.floors:
+            column = int(np.flatnonzero(result.motion.floors == floor)[0])
+            axes.plot(time, drive.responses[window, column], color=MEASURED, lw=1.0, label="measured")
+        after = seen(model, result.after.responses[run], own)[window, 0]
+        band = SIDES * np.abs(model.gain[floor - 1]) * result.acceleration_std[run][window, floor - 1]
+        if np.isfinite(band).all():
+            axes.fill_between(time, after - band, after + band, color=AFTER, alpha=0.25, lw=0, label="95 % band")
+        axes.plot(time, after, color=AFTER, ls="--", lw=1.0, label="predicted")
+        axes.set_title(f"floor {floor}")
+        axes.grid(visible=True, axis="y")
+        axes.set_ylabel("m/s²")
+    axes.set_xlabel("time, s")
+    _legend(figure, axes)
+    return figure
+
+
+def _strongest(result: RecordPrediction) -> tuple[int, slice]:
+    """The run with the largest acceleration, and the samples around it."""
+    sizes = [np.abs(item.acceleration).max(axis=1) for item in result.after.responses]
+    run = int(np.argmax([size.max() for size in sizes]))
+    half = int(PERIODS / 2 / result.after.damped.model.modes.frequencies[0] * result.motion.sampling_rate)
+    first = max(0, int(np.argmax(sizes[run])) - half)
+    return run, slice(first, min(len(sizes[run]), first + 2 * half + 1))
+
+
+def _legend(figure: Figure, axes: Axes) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=3)
+
+
+@styled
+def response_peaks(result: RecordPrediction) -> Figure:
+    """Peaks of acceleration, drift and, where masses have a scale, shear over the height, with 95 % error bars.
+
+    Parameters
+    ----------
+    result : RecordPrediction
+
+    Returns
+    -------
+    Figure
+    """
+    shown = [
+        (name, word, unit)
+        for name, word, unit in (
+            ("floor_acceleration", "acceleration", "m/s²"),
+            ("story_drift", "story drift", "mm"),
+            ("story_shear", "story shear", "N"),
+        )
+        if name in result.peaks.values
+    ]
+    n = len(result.after.damped.model.M)
+    figure = new_figure(PAGE_WIDTH, min(1.6 + 0.32 * n, 6.0))
+    every = panels(figure, len(shown), len(shown), sharey=True)
+    for axes, (name, word, unit) in zip(every, shown, strict=True):
+        values, std = result.peaks.values[name], result.peaks.std[name]
+        factor, label = (1e-3, unit) if unit == "mm" else scaled(values.tolist(), unit)
+        _profile(axes, values / factor, std / factor)
+        if name == "floor_acceleration":
+            _measured_peaks(axes, result)
+        axes.set_xlabel(f"{word}, {label}")
+        axes.set_xlim(left=0)
+        axes.grid(visible=True, axis="x")
+    every[0].set_ylabel("floor / story")
+    every[0].yaxis.set_major_locator(MaxNLocator(min(n, 12), integer=True))
+    every[0].set_ylim(0.5, n + 0.5)
+    _legend(figure, every[0])
+    return figure
+
+
+def _profile(axes: Axes, values: Floats, std: Floats) -> None:
+    floors = np.arange(1, len(values) + 1)
+    known = np.isfinite(std).all()
+    axes.errorbar(
+        values, floors, xerr=SIDES * std if known else None, color=AFTER, marker="s", ls="-", lw=1.0, capsize=2.5,
+        label="predicted, 95 %" if known else "predicted",
+    )  # fmt: skip
+
+
+def _measured_peaks(axes: Axes, result: RecordPrediction) -> None:
+    runs = [drive.responses for drive in result.motion.drives if drive.responses is not None]
+    if runs:
+        top = np.max([np.max(np.abs(each), axis=0) for each in runs], axis=0)
+        axes.plot(top, result.motion.floors, color=MEASURED, marker="o", mfc="white", ls="none", label="measured")
+
+
+@styled
+def transfer_functions(result: RecordPrediction) -> Figure:
+    """Sizes of the transfer functions from the excitation to the floors: measured, before, after.
+
+    Parameters
+    ----------
+    result : RecordPrediction
+        With measured accelerations; without, the figure holds a sentence.
+
+    Returns
+    -------
+    Figure
+    """
+    after = result.after.comparison
+    if after is None:
+        figure = new_figure(PAGE_WIDTH, 1.2)
+        figure.text(0.5, 0.5, "the record has no accelerations of floors", ha="center", va="center", color=QUIET)
+        return figure
+    floors = _floors(result)
+    before = None if result.before is None else result.before.comparison
+    natural = result.after.damped.model.modes.frequencies
+    shown = (after.measured.frequencies > 0.3 * natural[0]) & (after.measured.frequencies < 1.4 * natural[-1])
+    lines = after.measured.frequencies[shown]
+    figure = new_figure(PAGE_WIDTH, 1.5 * len(floors) + 0.9)
+    for axes, floor in zip(panels(figure, len(floors), 1, sharex=True, sharey=True), floors, strict=True):
+        column = int(np.flatnonzero(after.floors == floor)[0])
+        curves = [(after.measured, MEASURED, "-", "measured"), (after.predicted, AFTER, "--", "after")]
+        if before is not None:
+            curves.append((before.predicted, BEFORE, ":", "before: shear model"))
+        for of, colour, dashes, label in curves:
+            axes.semilogy(lines, np.abs(of.functions[shown, column]), color=colour, ls=dashes, lw=1.1, label=label)
+        logarithmic(axes.yaxis, 5)
+        axes.set_title(f"floor {floor}")
+        axes.grid(visible=True)
+    axes.set_xlabel("frequency, Hz")
+    unit = "(m/s²)/(m/s²)" if result.motion.input == "base" else "(m/s²)/N"
+    figure.supylabel(f"acceleration over excitation, {unit}", fontsize="medium")
+    _legend(figure, axes)
+    return figure
+
+
+@styled
+def floor_spectra(result: RecordPrediction) -> Figure:
+    """Response spectra of the floors.
+
+    Parameters
+    ----------
+    result : RecordPrediction
+
+    Returns
+    -------
+    Figure
+    """
+    floors = _floors(result)
+    spectra = result.spectra
+    figure = new_figure(PAGE_WIDTH, 3.2)
+    axes = figure.subplots()
+    styles = zip(floors, assorted(COLOURS, len(floors)), assorted(LINES, len(floors)), strict=True)
+    for floor, colour, dashes in styles:
+        axes.semilogx(
+            spectra.frequencies, spectra.acceleration[floor - 1], color=colour, ls=dashes, label=f"floor {floor}"
+        )  # fmt: skip
+    axes.set_xlabel("natural frequency of the oscillator, Hz")
+    axes.set_ylabel(f"peak acceleration, m/s², {100 * spectra.damping:g} % damping")
+    axes.set_ylim(bottom=0)
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, at: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(FuncFormatter(lambda value, at: ""))
+    axes.grid(visible=True)
+    _legend(figure, axes)
+    return figure

@@ -1,0 +1,183 @@
+"""An identified frame into files for other programs: NPZ, MAT, JSON, an OpenSeesPy script, a spreadsheet."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from collections.abc import Callable, Iterator
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from scipy import io
+
+from cvxshear.data import Deviation
+from cvxshear.errors import InputError
+from cvxshear.identification.misfit import Misfit
+from cvxshear.report.opensees import opensees_script
+from cvxshear.response import Fitted, RecordPrediction
+from cvxshear.response.handover import matrices
+from cvxshear.typing import Floats
+from cvxshear.writing import ending_of, write_file
+
+Cells = list[str | float | int | None]
+
+
+def write_model(path: str | Path, result: RecordPrediction) -> None:
+    """Write the final model of a prediction, in the state that was predicted.
+
+    Parameters
+    ----------
+    path : str or Path
+        Ending in .npz, .mat or .json: matrices, modes and state-space form by the names of
+        `response.handover.matrices`; .py: a script for OpenSeesPy; .xlsx: masses, stiffnesses, their standard
+        deviations, effects and residuals.
+    result : RecordPrediction
+
+    Raises
+    ------
+    InputError
+        Where the ending is another, openpyxl is missing for .xlsx, or the file cannot be written.
+    UnsuitableError
+        Where OpenSees cannot have such a frame.
+    """
+    write_file(path, WRITERS[model_kind(path)](result))
+
+
+def model_kind(path: str | Path) -> str:
+    """The kind of file that a name asks for.
+
+    Raises
+    ------
+    InputError
+        Where it ends in something else.
+    """
+    return ending_of(path, WRITERS, "a model is written as")
+
+
+def _npz(result: RecordPrediction) -> bytes:
+    out = BytesIO()
+    np.savez(out, **matrices(result.after.damped))  # type: ignore[arg-type]  # numpy takes any names
+    return out.getvalue()
+
+
+def _mat(result: RecordPrediction) -> bytes:
+    out = BytesIO()
+    io.savemat(out, matrices(result.after.damped), oned_as="column")  # type: ignore[arg-type]  # a stream will do
+    return out.getvalue()
+
+
+def _json(result: RecordPrediction) -> str:
+    return json.dumps({name: values.tolist() for name, values in matrices(result.after.damped).items()}, indent=1)
+
+
+def _py(result: RecordPrediction) -> str:
+    title = f"{result.after.fitted.experiment.name}, {result.configuration.name}"
+    return opensees_script(result.after.damped, title)
+
+
+def _xlsx(result: RecordPrediction) -> bytes:
+    try:
+        openpyxl = importlib.import_module("openpyxl")
+    except ImportError:
+        raise InputError("a spreadsheet needs openpyxl: pip install 'cvxshear[xlsx]'") from None
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    for name, rows in _sheets(result):
+        sheet = book.create_sheet(name)
+        for row in rows:
+            sheet.append([_plain_cell(cell) for cell in row])
+        for column in sheet.columns:
+            width = max(len(str(cell.value)) for cell in column if cell.value is not None)
+            sheet.column_dimensions[column[0].column_letter].width = min(width, 28) + 2
+        sheet.freeze_panes = "A2"
+    out = BytesIO()
+    book.save(out)
+    return out.getvalue()
+
+
+def _plain_cell(cell: str | float | int | None) -> str | float | int | None:
+    """A cell as it stands: nan is empty, and a name that begins like a formula is none."""
+    if isinstance(cell, float) and np.isnan(cell):
+        return None
+    return f"'{cell}" if isinstance(cell, str) and cell[:1] in ("=", "+", "-", "@") else cell
+
+
+def _sheets(result: RecordPrediction) -> Iterator[tuple[str, list[Cells]]]:
+    fitted = result.after.fitted
+    n = fitted.experiment.stories
+    std = _std(fitted)
+    dashpots, dashpot_std = result.damping.story_dashpot, result.damping.story_dashpot_std
+    head: Cells = ["floor / story", "mass, kg", "std", "stiffness, N/m", "std", "dashpot, N s/m", "std"]
+    rows: list[Cells] = [
+        [
+            i + 1,
+            float(fitted.theta[i]),
+            float(std[i]),
+            float(fitted.theta[n + i]),
+            float(std[n + i]),
+            None if dashpots is None else float(dashpots[i]),
+            None if dashpot_std is None else float(dashpot_std[i]),
+        ]
+        for i in range(n)
+    ]
+    yield "frame", [head, *rows]
+    yield "effects", list(_effects(fitted, std))
+    yield "modes", list(_modes(result))
+    yield "residuals", list(_residuals(result))
+
+
+def _std(fitted: Fitted) -> Floats:
+    """Standard deviations of all parameters; nan where unknown or open."""
+    if fitted.covariance is None:
+        return np.full(len(fitted.theta), np.nan)
+    return np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
+
+
+def _effects(fitted: Fitted, std: Floats) -> Iterator[Cells]:
+    yield ["effect", "parameter", "unit", "value", "std"]
+    at = 2 * fitted.experiment.stories
+    for placed in fitted.effects:
+        for parameter in placed.effect.parameters:
+            yield [placed.label, parameter.name, parameter.unit, float(fitted.theta[at]), float(std[at])]
+            at += 1
+
+
+def _modes(result: RecordPrediction) -> Iterator[Cells]:
+    model = result.after.damped.model
+    n = len(model.M)
+    yield ["mode", "frequency, Hz", "damping ratio", "std", *(f"shape at floor {i + 1}" for i in range(n))]
+    for mode in range(n):
+        yield [
+            mode + 1,
+            float(model.modes.frequencies[mode]),
+            float(result.damping.ratios[mode]),
+            float(result.damping.ratios_std[mode]),
+            *model.modes.shapes[mode].tolist(),
+        ]
+
+
+def _residuals(result: RecordPrediction) -> Iterator[Cells]:
+    """The error of each part of the measurement, before and after."""
+    sides = [side.fitted for side in (result.before, result.after) if side is not None]
+    words = ["before", "after"][-len(sides) :]
+    yield ["configuration", "part", "quantity", *(f"error {word}" for word in words)]
+    for parts in zip(*(_parts(each) for each in sides), strict=True):
+        yield [parts[0].configuration, parts[0].place, parts[0].noise, *(part.error for part in parts)]
+
+
+def _parts(of: Fitted) -> list[Deviation]:
+    """What a fit leaves of each part of every datum."""
+    misfit = Misfit(of.experiment, of.effects)
+    models = {id(model.state.tested): model for model in misfit.evaluate(of.theta, derivatives=False).models}
+    return [part for datum in misfit.data for part in datum.describe(models[id(datum.tested)])]
+
+
+WRITERS: dict[str, Callable[[RecordPrediction], str | bytes]] = {
+    "npz": _npz,
+    "mat": _mat,
+    "json": _json,
+    "py": _py,
+    "xlsx": _xlsx,
+}
+"""By the ending of the file."""

@@ -1,0 +1,147 @@
+"""The damping of an identified frame: modal, by story dashpots, or Rayleigh's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear import backends, checks
+from cvxshear.backends import Backend
+from cvxshear.experiment import Experiment
+from cvxshear.identification.efficient import Estimate
+from cvxshear.identification.results import plain
+from cvxshear.response.fitted import Fitted
+from cvxshear.response.propagation import propagated
+from cvxshear.response.ratios import known
+from cvxshear.response.uncertain import Damped, UncertainFrame
+from cvxshear.typing import Floats, Json
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedDamping:
+    """Damping with its standard deviations.
+
+    Parameters
+    ----------
+    kind : str
+        "modal", "story" or "rayleigh".
+    ratios, ratios_std : ndarray, shape (N,)
+        Of the model's modes; standard deviations as fractions of critical, nan where unknown.
+    story_dashpot, story_dashpot_std : ndarray, shape (N,), optional
+        N s/m; nan where the data leave a dashpot open. Only of story damping.
+    rayleigh, rayleigh_std : ndarray, shape (2,), optional
+        a (1/s) and b (s). Only of Rayleigh damping.
+    remarks : tuple of str
+        What was assumed, and what the data leave open.
+    """
+
+    kind: str
+    ratios: Floats
+    ratios_std: Floats
+    story_dashpot: Floats | None = None
+    story_dashpot_std: Floats | None = None
+    rayleigh: Floats | None = None
+    rayleigh_std: Floats | None = None
+    remarks: tuple[str, ...] = ()
+
+    def to_dict(self) -> Json:
+        """The documented JSON; null where it does not apply."""
+        return {
+            "kind": self.kind,
+            "story_dashpot": plain(self.story_dashpot),
+            "story_dashpot_std": plain(self.story_dashpot_std),
+            "ratios": plain(self.ratios),
+            "ratios_std": plain(self.ratios_std),
+            "rayleigh": plain(self.rayleigh),
+            "rayleigh_std": plain(self.rayleigh_std),
+            "remarks": list(self.remarks),
+        }
+
+
+def parts_of(damped: Damped) -> Floats:
+    """The damping's own numbers in one vector: ratios, then dashpots or Rayleigh's factors."""
+    parts = [damped.model.ratios]
+    if damped.dashpots is not None:
+        parts.append(damped.dashpots.values)
+    if damped.rayleigh is not None:
+        parts.append(damped.rayleigh)
+    return np.concatenate(parts)
+
+
+def described(frame: UncertainFrame, damped: Damped, std: Floats) -> IdentifiedDamping:
+    """The damping with standard deviations of `parts_of`."""
+    n = len(damped.model.M)
+    ratios, own = std[:n], std[n:]
+    remarks = [*frame.ratios.assumed()]
+    if frame.ratios.tested.name != frame.configuration.name:
+        remarks.append(f'the damping ratios were measured in "{frame.ratios.tested.name}"')
+    if frame.fitted.experiment.damping.priors and frame.kind != "story":
+        remarks.append(f"the priors on story_damping have no part in {frame.kind} damping")
+    if damped.dashpots is None:
+        factors = damped.rayleigh
+        return IdentifiedDamping(
+            frame.kind, damped.model.ratios, ratios, rayleigh=factors,
+            rayleigh_std=None if factors is None else own, remarks=tuple(remarks),
+        )  # fmt: skip
+    remarks += [
+        f"the measured damping ratios leave open {names}; it is set in proportion to the story stiffness"
+        for names in damped.dashpots.open
+    ]
+    if damped.dashpots.missed:
+        modes = ", ".join(str(mode) for mode in damped.dashpots.missed)
+        remarks.append(
+            f"dashpots between the floors cannot give the measured damping ratio{'s' if ',' in modes else ''} of mode "
+            f"{modes}; modal or Rayleigh damping can"
+        )
+    dashpot_std = np.where(damped.dashpots.determined, own, np.nan)
+    return IdentifiedDamping(
+        frame.kind, damped.model.ratios, ratios, damped.dashpots.values, dashpot_std, remarks=tuple(remarks)
+    )
+
+
+def damping_of(
+    experiment: Experiment,
+    estimate: Estimate | Fitted,
+    backend: str | Backend = "auto",
+    *,
+    kind: str | None = None,
+    configuration: str | None = None,
+) -> IdentifiedDamping | None:
+    """The damping of an identified frame, from the damping ratios that its experiment declares.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    estimate : Estimate or Fitted
+        Of `identification.efficient`, or of a closed loop.
+    backend : str or Backend, optional
+    kind : str, optional
+        "modal", "story" or "rayleigh"; what the experiment declares where not given.
+    configuration : str, optional
+        Which state; the first with damping ratios where not given.
+
+    Returns
+    -------
+    IdentifiedDamping or None
+        None where no damping ratio is declared.
+
+    Raises
+    ------
+    InputError
+        Where there is no configuration of that name.
+    UnsuitableError
+        Where Rayleigh damping is asked for and one ratio is known.
+    """
+    if not known(experiment):
+        return None
+    names = [each.name for each in experiment.configurations if each.damping_ratios is not None]
+    name = names[0] if configuration is None else checks.choice(configuration, names, "configuration")
+    state = next(each for each in experiment.configurations if each.name == name)
+    fitted = estimate if isinstance(estimate, Fitted) else Fitted.of(estimate)
+    frame = UncertainFrame.of(fitted, state, kind, backends.get(backend))
+    if frame.kind == "modal":
+        # The ratios are what was measured; nothing else has a part in them.
+        return described(frame, frame.at(np.zeros(frame.size)), frame.ratios.values * frame.ratios.std)
+    centre, std = propagated(frame, parts_of)
+    return described(frame, centre, std)

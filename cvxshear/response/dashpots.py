@@ -1,0 +1,246 @@
+"""Story dashpots from modal damping, by programs of the form that every backend solves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.backends import Backend
+from cvxshear.errors import NoSolutionError, UnsuitableError
+from cvxshear.frame import Modes, stiffness_matrix
+from cvxshear.priors import Prior
+from cvxshear.programs import LeastSquares
+from cvxshear.programs.feasibility import refuse_contradictions
+from cvxshear.programs.mass import pair_products
+from cvxshear.programs.rows import constrained, softened, statements
+from cvxshear.response.poles import coupled, modal_damping
+from cvxshear.response.ratios import Ratios
+from cvxshear.typing import Bools, Floats, Ints
+
+QUANTITY = "story_damping"
+
+LOOSE = 10.0
+"""Standard deviation, relative, of the statement that the dashpots are in proportion to the stiffnesses: it decides
+only what neither the ratios nor the priors do."""
+
+LEAST_RATIO = 1e-3
+"""A ratio measured as smaller is no better known than one of this size."""
+
+MOST_ROUNDS = 100
+SHORTEST = 1e-3
+"""Share of a step below which it is not cut any more."""
+
+UNCHANGED = 1e-9
+"""Relative change of the dashpots at which they have settled."""
+
+FLAT = 1e-5
+"""Relative change of the sum of squares at which the ratios are met as well as they can be."""
+
+OPEN = 1e-6
+"""A combination of dashpots that changes the data by less, each in units of its own effect, is left open by them."""
+
+TAKES_PART = 0.1
+"""Share of the largest entry from which on a story is named as part of a combination."""
+
+FAR = 2.0
+"""Standard deviations by which a ratio counts as missed."""
+
+ZERO = 1e-9
+"""Of the largest dashpot: a smaller one is zero to within what solvers deliver."""
+
+
+@dataclass(frozen=True, eq=False)
+class Dashpots:
+    """Story dashpots.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+        N s/m.
+    open : tuple of str
+        Combinations that the measured ratios and the priors leave open, in words.
+    determined : ndarray of bool, shape (N,)
+        Which stories take part in none of them.
+    missed : tuple of int
+        Modes whose measured ratio no dashpots of these kinds come near: they would have to be negative.
+    """
+
+    values: Floats
+    open: tuple[str, ...]
+    determined: Bools
+    missed: tuple[int, ...]
+
+
+def story_dashpots(
+    of: Modes,
+    stiffness: Floats,
+    ratios: Ratios,
+    backend: Backend,
+    priors: Sequence[Prior] = (),
+    start: Floats | None = None,
+) -> Dashpots:
+    """Dashpots c >= 0 between the floors with which the frame has the measured damping ratios.
+
+    With real modes x = T' phi, x_i o x_j' c = 2 zeta_i omega_i delta_ij. The rows i = j are the measurement, each
+    divided by 2 omega_i and by the deviation of its zeta_i. The rows i /= j say that the modes do not couple, which
+    nobody measured; of a matrix that only dissipates, an entry is at most sqrt(zeta_i zeta_j) in these units, and a
+    uniform distribution up to there has a standard deviation of sqrt(zeta_i zeta_j / 3).
+
+    Dashpots that do couple the modes change the ratios of the poles in second order. So the program is solved again
+    with the ratios of the complex modes and their derivatives, ds/dc_k = -s y_k^2 / a with the drifts y of the
+    complex shape, until nothing changes: ratios of the frame's own complex modes are then met, too.
+
+    Parameters
+    ----------
+    of : Modes
+        Undamped, all N of them.
+    stiffness : ndarray, shape (N,)
+        N/m; the dashpots are in proportion to it where nothing else tells.
+    ratios : Ratios
+    backend : Backend
+    priors : sequence of Prior, optional
+        Of the quantity "story_damping".
+    start : ndarray, shape (N,), optional
+        Dashpots near the answer.
+
+    Raises
+    ------
+    InfeasibleError
+        Where exact priors contradict each other.
+    NoSolutionError
+        Where the backend does not solve a program, or the dashpots do not settle.
+    """
+    n = len(stiffness)
+    where = statements(priors, QUANTITY, n)
+    refuse_contradictions(where, n)
+    fit = _Fit(of, stiffness, ratios, priors)
+    c = np.zeros(n) if start is None else start
+    program = fit.program(c)
+    for _ in range(MOST_ROUNDS):
+        step = backend.solve(constrained(program, where, c)).x
+        if np.max(np.abs(step)) <= UNCHANGED * np.max(np.abs(c + step), initial=1e-300):
+            return fit.found(c + step, program)
+        before = _size(program)
+        # The first answer is that of real modes, wherever it lies; from there on the ratios come ever nearer.
+        c, program = fit.moved(c, step, before if np.any(c) else np.inf)
+        if before - _size(program) <= FLAT * before:
+            return fit.found(c, program)
+    raise NoSolutionError(
+        backend.name, f"the story dashpots did not settle in {MOST_ROUNDS} rounds; use modal damping in their place"
+    )
+
+
+def _size(program: LeastSquares) -> float:
+    """Sum of squares of all rows where nothing is changed."""
+    return program.value(np.zeros(program.unknowns))
+
+
+class _Fit:
+    """The rows of the programs of one fit.
+
+    Parameters
+    ----------
+    of, stiffness, ratios, priors
+        As for `story_dashpots`.
+    """
+
+    def __init__(self, of: Modes, stiffness: Floats, ratios: Ratios, priors: Sequence[Prior]) -> None:
+        self.of, self.stiffness, self.priors = of, stiffness, priors
+        self.seen = np.flatnonzero(ratios.measured)
+        self.zeta = ratios.values[self.seen]
+        size = np.maximum(self.zeta, LEAST_RATIO)
+        self.std = ratios.std[self.seen] * size
+        self.statement = _statement(of, self.seen, size, stiffness)
+
+    def program(self, c: Floats) -> LeastSquares:
+        """The program of a change of the dashpots: measured ratios first, then what is assumed, then soft priors."""
+        found, J = _pole_ratios(self.of, c, self.seen)
+        R = np.concatenate([J / self.std[:, None], self.statement])
+        s = np.concatenate([(self.zeta - found) / self.std, -self.statement @ c])
+        names = tuple(f"{QUANTITY} {i + 1}" for i in range(len(c)))
+        at = np.maximum(c, 1e-12 * self.stiffness)
+        return softened(LeastSquares(R, s, names=names), self.priors, QUANTITY, at, 1.0, step=True)
+
+    def moved(self, c: Floats, step: Floats, before: float) -> tuple[Floats, LeastSquares]:
+        """The dashpots after a step, shortened until the sum of squares is no greater than before, and their program.
+
+        Raises
+        ------
+        UnsuitableError
+            Where a measured mode would not swing any more after the first step.
+        """
+        part = 1.0
+        while part > SHORTEST:
+            try:
+                program = self.program(c + part * step)
+            except UnsuitableError:
+                if before == np.inf:
+                    raise
+            else:
+                if _size(program) <= before:
+                    return c + part * step, program
+            part /= 2
+        return c, self.program(c)
+
+    def found(self, c: Floats, program: LeastSquares) -> Dashpots:
+        """The dashpots at the end, with what the program's rows of data leave open."""
+        measured, assumed = len(self.seen), len(self.statement)
+        exact = [prior.constraints(len(c)).A for prior in self.priors]
+        rows = [program.R[:measured], program.R[measured + assumed :], *(A for A in exact if A is not None)]
+        far = np.abs(program.s[:measured]) > FAR
+        c = np.where(c > ZERO * c.max(), c, 0.0)
+        return Dashpots(c, *_left_open(np.concatenate(rows)), tuple((self.seen[far] + 1).tolist()))
+
+
+def _statement(of: Modes, seen: Ints, zeta: Floats, stiffness: Floats) -> Floats:
+    """Rows that are zero for what is assumed: modes that do not couple, dashpots in proportion to the stiffnesses."""
+    n = len(stiffness)
+    omega = np.sqrt(of.eigenvalues[seen])
+    drifts = np.diff(of.shapes[seen].T, axis=0, prepend=0.0)
+    i, j = np.triu_indices(len(seen), k=1)
+    unit = 2 * np.sqrt(omega[i] * omega[j]) * np.sqrt(zeta[i] * zeta[j] / 3)
+    uncoupled = pair_products(drifts, diagonal=False) / unit[:, None]
+    # c_k / k_k less the mean of all, in units of the proportion that gives the mean ratio at the first mode.
+    typical = 2 * float(np.mean(zeta)) / float(np.sqrt(of.eigenvalues[0]))
+    proportion = (np.eye(n) - 1.0 / n) / stiffness / (typical * LOOSE)
+    return np.concatenate([uncoupled, proportion])
+
+
+def _pole_ratios(of: Modes, c: Floats, seen: Ints) -> tuple[Floats, Floats]:
+    """Damping ratios of the measured modes' poles, shape (m,), and their derivatives by the dashpots, (m, N)."""
+    if not np.any(c):
+        drifts = np.diff(of.shapes[seen].T, axis=0, prepend=0.0)
+        return np.zeros(len(seen)), (drifts**2 / (2 * np.sqrt(of.eigenvalues[seen]))).T
+    gamma = modal_damping(of, stiffness_matrix(c))
+    found = coupled(of, gamma)
+    swinging = np.flatnonzero(found.values.imag > 0)
+    if seen[-1] >= len(swinging):
+        raise UnsuitableError(
+            "with story dashpots that give the measured damping ratios one of those modes would not swing any more; "
+            "use modal damping in their place"
+        )
+    own = swinging[seen]
+    s, a = found.values[own], found.scales[own]
+    drifts = np.diff(found.shapes[:, own], axis=0, prepend=0.0)
+    ds = -(s * drifts**2 / a).T
+    size = np.abs(s)[:, None]
+    toward = np.real(np.conj(s)[:, None] * ds)
+    return -s.real / np.abs(s), -ds.real / size + s.real[:, None] * toward / size**3
+
+
+def _left_open(data: Floats) -> tuple[tuple[str, ...], Bools]:
+    """The combinations of dashpots that rows leave open, in words, and which stories take part in none."""
+    length = np.linalg.norm(data, axis=0)
+    unit = 1.0 / np.where(length > 0, length, 1.0)
+    _, values, right = np.linalg.svd(data * unit, full_matrices=True)
+    rank = int(np.sum(values > OPEN * values[0]))
+    null = right[rank:]
+    part = np.linalg.norm(null, axis=0) if len(null) else np.zeros(data.shape[1])
+    words = []
+    for direction in np.abs(null):
+        order = np.argsort(-direction, kind="stable")
+        names = [str(k + 1) for k in order if direction[k] > TAKES_PART * direction[order[0]]]
+        words.append(f"the dashpots of stories {', '.join(names)}" if len(names) > 1 else f"the dashpot of {names[0]}")
+    return tuple(words), part < 1e-4

@@ -1,0 +1,195 @@
+"""What a prediction needs of a fit, and its JSON, from which the fit need not be made again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cvxshear import checks
+from cvxshear.effects import Place, Placed, named
+from cvxshear.errors import InputError
+from cvxshear.experiment import Experiment
+from cvxshear.identification import Identification
+from cvxshear.identification.efficient import Estimate
+from cvxshear.typing import Floats, Json
+
+NEGLIGIBLE = 1e-12
+"""Eigenvalue of a correlation matrix, relative to the largest, that is rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A fitted model.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    effects : tuple of Placed
+    theta : ndarray, shape (P,)
+        Floor masses (N), story stiffnesses (N), the effects' parameters.
+    covariance : ndarray, shape (P, P), optional
+        Of the part that the data determine; None where nothing tells the noise.
+    undetermined : tuple of tuple of str
+        For each direction that the data leave open, the parameters that take part.
+    mass_known : bool, optional
+        Whether the masses have a scale; not where a total of 1 stands for one that nobody gave.
+    """
+
+    experiment: Experiment
+    effects: tuple[Placed, ...]
+    theta: Floats
+    covariance: Floats | None
+    undetermined: tuple[tuple[str, ...], ...] = ()
+    mass_known: bool = True
+
+    @staticmethod
+    def of(estimate: Estimate, *, mass_known: bool = True) -> Fitted:
+        """What an estimate says."""
+        return Fitted(
+            estimate.experiment,
+            estimate.effects,
+            estimate.theta,
+            estimate.uncertainty.covariance(),
+            estimate.uncertainty.null_directions,
+            mass_known,
+        )
+
+    @staticmethod
+    def of_identification(result: Identification) -> Fitted | None:
+        """What a joint identification says; None of others, and of one that left values open."""
+        frame = result.frame
+        if not result.joint or frame is None or result.correlation is None:
+            return None
+        theta = np.concatenate([frame.floor_mass, frame.story_stiffness])
+        if frame.floor_mass_std is None or frame.story_stiffness_std is None or not np.isfinite(theta).all():
+            return None
+        std = np.concatenate([frame.floor_mass_std, frame.story_stiffness_std])
+        covariance = np.nan_to_num(result.correlation) * np.outer(std, std) if np.isfinite(std).all() else None
+        return Fitted(result.experiment, (), theta, covariance, result.undetermined)
+
+    @property
+    def label(self) -> str:
+        """The model in words."""
+        names = " and ".join(placed.label for placed in self.effects)
+        return f"shear model with {names}" if names else "shear model"
+
+    @cached_property
+    def root(self) -> Floats:
+        """L with L L' = covariance, shape (P, r); of no columns where the covariance is unknown."""
+        size = len(self.theta)
+        if self.covariance is None:
+            return np.zeros((size, 0))
+        std = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        unit = np.where(std > 0, std, 1.0)
+        values, vectors = np.linalg.eigh(self.covariance / np.outer(unit, unit))
+        kept = values > NEGLIGIBLE * max(float(values[-1]), NEGLIGIBLE)
+        root: Floats = unit[:, None] * vectors[:, kept] * np.sqrt(values[kept])
+        return root
+
+    def to_dict(self) -> Json:
+        """Parameters, covariance and effects; the experiment is written once for several models of it."""
+        return {
+            "effects": [{**placed.to_dict(), "fixed": list(placed.fixed)} for placed in self.effects],
+            "theta": self.theta.tolist(),
+            "covariance": None if self.covariance is None else self.covariance.tolist(),
+            "undetermined": [list(names) for names in self.undetermined],
+        }
+
+    @staticmethod
+    def from_dict(declared: object, experiment: Experiment, where: str, *, mass_known: bool) -> Fitted:
+        """The fitted model that `to_dict` wrote.
+
+        Raises
+        ------
+        InputError
+            Naming what is missing or of the wrong size.
+        """
+        keys = ["effects", "theta", "covariance", "undetermined"]
+        table = checks.keys(declared, keys, keys, where)
+        effects = tuple(_placed(item, f"{where}: effects") for item in table["effects"])
+        size = 2 * experiment.stories + sum(len(placed.effect.parameters) for placed in effects)
+        theta = checks.vector(table["theta"], f"{where}: theta", length=size)
+        covariance = None
+        if table["covariance"] is not None:
+            covariance = checks.table(table["covariance"], f"{where}: covariance", rows=size)
+            if covariance.shape != (size, size):
+                raise InputError(f"{where}: covariance must have {size} rows of {size} numbers, one a parameter")
+        undetermined = tuple(tuple(str(name) for name in names) for names in table["undetermined"])
+        return Fitted(experiment, effects, theta, covariance, undetermined, mass_known)
+
+
+def _placed(item: object, where: str) -> Placed:
+    table = checks.keys(item, ["name", "fixed", "floor", "story", "configuration"], ["name"], where)
+    place = Place(table.get("floor"), table.get("story"), table.get("configuration"))
+    return Placed(named([table["name"]])[0], place, tuple(table.get("fixed", ())))
+
+
+@dataclass(frozen=True, eq=False)
+class Models:
+    """The model that closing the loop began with and the one that it ended with.
+
+    Parameters
+    ----------
+    before : Fitted or None
+        None where there is but one model.
+    after : Fitted
+    """
+
+    before: Fitted | None
+    after: Fitted
+
+    def to_dict(self) -> Json:
+        """The experiment and both models, as `loop --json` writes them below "model"."""
+        return {
+            "experiment": without_nan(self.after.experiment.to_dict()),
+            "name": self.after.experiment.name,
+            "mass_known": self.after.mass_known,
+            "before": None if self.before is None else self.before.to_dict(),
+            "after": self.after.to_dict(),
+        }
+
+    @staticmethod
+    def from_dict(declared: object, where: str) -> Models:
+        """The models that `to_dict` wrote."""
+        keys = ["experiment", "name", "mass_known", "before", "after"]
+        table = checks.keys(declared, keys, keys, where)
+        experiment = Experiment.from_dict(_with_nan(table["experiment"]), name=table["name"])
+        known = checks.flag(table["mass_known"], f"{where}: mass_known")
+        before = table["before"]
+        return Models(
+            None if before is None else Fitted.from_dict(before, experiment, f"{where}: before", mass_known=known),
+            Fitted.from_dict(table["after"], experiment, f"{where}: after", mass_known=known),
+        )
+
+
+def without_nan(value: object) -> object:
+    """JSON knows no nan: null stands for an entry that was not measured."""
+    if isinstance(value, Mapping):
+        return {key: without_nan(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [without_nan(item) for item in value]
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def _with_nan(declared: object) -> object:
+    """nan in the shapes again, where null stood for it."""
+    if not isinstance(declared, Mapping):
+        return declared
+    tested = declared.get("configuration")
+    if not isinstance(tested, list):
+        return declared
+    return {**declared, "configuration": [_shapes_with_nan(each) for each in tested]}
+
+
+def _shapes_with_nan(table: object) -> object:
+    if not isinstance(table, Mapping) or not isinstance(table.get("mode_shapes"), list):
+        return table
+    rows = [
+        [math.nan if entry is None else entry for entry in row] if isinstance(row, list) else row
+        for row in table["mode_shapes"]
+    ]
+    return {**table, "mode_shapes": rows}

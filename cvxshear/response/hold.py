@@ -1,0 +1,76 @@
+"""z' = s z + p from rest, exact where p is a straight line between samples.
+
+Over one step the solution is z(t + h) = e^(s h) z(t) + (f1 - f2) p(t) + f2 p(t + h) with
+
+    f1 = (e^(s h) - 1) / s,   f2 = (e^(s h) - 1 - s h) / (s^2 h),
+
+the first-order hold (for one oscillator: Nigam and Jennings, 1969): a linear filter of one pole.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import signal
+
+from cvxshear.response.poles import Complexes
+from cvxshear.typing import Floats
+
+SMALL = 0.1
+"""|s h| below which the differences are taken from their series, before they cancel."""
+
+TERMS = 12
+
+
+def hold(s: Complexes, step: float) -> tuple[Complexes, Complexes, Complexes]:
+    """e^(s h), and the weights of the sample now and of the one before.
+
+    Parameters
+    ----------
+    s : ndarray of complex, any shape
+        rad/s.
+    step : float
+        h, s.
+    """
+    x = s * step
+    E = np.exp(x)
+    small = np.abs(x) < SMALL
+    safe = np.where(small, 1.0, x)
+    first = np.where(small, _series(x, 1), (E - 1) / safe)
+    second = np.where(small, _series(x, 2), (E - 1 - x) / safe**2)
+    now: Complexes = np.asarray(step * second, dtype=np.complex128)
+    return np.asarray(E), now, np.asarray(step * first, dtype=np.complex128) - now
+
+
+def _series(x: Complexes, order: int) -> Complexes:
+    """(e^x - its Taylor polynomial below `order`) / x^order = sum of x^k / (k + order)!."""
+    result = np.zeros_like(x)
+    for k in reversed(range(TERMS)):
+        # Horner: the coefficient of x^(k+1) is that of x^k over k + 1 + order.
+        result = 1.0 + x / (k + 1 + order) * result
+    return result / float(np.prod(np.arange(1, order + 1)))
+
+
+def held(s: Complexes, p: Floats, step: float) -> Complexes:
+    """z at every sample, for every pole.
+
+    Parameters
+    ----------
+    s : ndarray of complex, shape (p,)
+    p : ndarray, shape (samples,)
+        A straight line between samples.
+    step : float
+        s.
+
+    Returns
+    -------
+    ndarray of complex, shape (p, samples)
+        Zero at the first sample.
+    """
+    E, now, before = hold(np.asarray(s), step)
+    z = np.empty((len(E), len(p)), dtype=np.complex128)
+    for row in range(len(E)):
+        # The state before the first sample is such that the first output is zero: the frame is at rest.
+        z[row], _ = signal.lfilter(
+            [now[row], before[row]], [1.0, -E[row]], p, zi=np.array([-now[row] * p[0]])
+        )  # fmt: skip
+    return z

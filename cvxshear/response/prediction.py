@@ -1,0 +1,268 @@
+"""Prediction: the response of an identified frame to a record, beside what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import numpy as np
+
+from cvxshear import backends
+from cvxshear.backends import Backend
+from cvxshear.errors import InputError
+from cvxshear.experiment import Configuration
+from cvxshear.modal.motion import Motion
+from cvxshear.parallel import Progress, each
+from cvxshear.response.compare import Comparison, compared
+from cvxshear.response.damping import IdentifiedDamping, described, parts_of
+from cvxshear.response.fitted import Fitted, Models
+from cvxshear.response.model import Response, response
+from cvxshear.response.peaks import Peaks, largest
+from cvxshear.response.propagation import propagated
+from cvxshear.response.sources import ModelSource, MotionSource, models_of, motion_of, state_of
+from cvxshear.response.spectra import FloorSpectra, floor_spectra, spectrum_lines
+from cvxshear.response.uncertain import Damped, UncertainFrame
+from cvxshear.typing import Floats, Json
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """One model's response to the record.
+
+    Parameters
+    ----------
+    fitted : Fitted
+    damped : Damped
+    responses : tuple of Response
+        One a run of the record.
+    comparison : Comparison or None
+        None where the record has no accelerations of floors.
+    """
+
+    fitted: Fitted
+    damped: Damped
+    responses: tuple[Response, ...]
+    comparison: Comparison | None
+
+
+@dataclass(frozen=True, eq=False)
+class RecordPrediction:
+    """The result of `predict`.
+
+    Parameters
+    ----------
+    motion : Motion
+        As it was used: without the drift of its sensors.
+    configuration : Configuration
+        The state that the frame is predicted in.
+    backend : str
+    before : Side or None
+        By the shear model; None where there is but one model.
+    after : Side
+        With the effects that were found.
+    peaks : Peaks
+        Of `after`.
+    damping : IdentifiedDamping
+        Of `after`.
+    acceleration_std : tuple of ndarray, shape (samples, N)
+        Standard deviations of the accelerations of `after`, one a run; nan where nothing tells the noise.
+    remarks : tuple of str
+        What was assumed, and what speaks against the model.
+    """
+
+    motion: Motion
+    configuration: Configuration
+    backend: str
+    before: Side | None
+    after: Side
+    peaks: Peaks
+    damping: IdentifiedDamping
+    acceleration_std: tuple[Floats, ...]
+    remarks: tuple[str, ...]
+
+    @cached_property
+    def spectra(self) -> FloorSpectra:
+        """Response spectra of the floors at 5 % damping, the largest over all runs."""
+        natural = self.after.damped.model.modes.frequencies
+        lines = spectrum_lines(float(natural[0]), float(natural[-1]), self.motion.sampling_rate)
+        runs = [floor_spectra(item.acceleration, self.motion.step, lines) for item in self.after.responses]
+        return FloorSpectra(lines, runs[0].damping, np.max([run.acceleration for run in runs], axis=0))
+
+    def to_dict(self) -> Json:
+        """The documented JSON; null where it does not apply."""
+        return {
+            "experiment": self.after.fitted.experiment.name,
+            "record": self.motion.name,
+            "input": self.motion.input,
+            "configuration": self.configuration.name,
+            "backend": self.backend,
+            "effects": [placed.to_dict() for placed in self.after.fitted.effects],
+            "frequencies": self.after.damped.model.modes.frequencies.tolist(),
+            "before": None if self.before is None else _errors(self.before),
+            "after": _errors(self.after),
+            "peaks": self.peaks.to_dict(),
+            "damping": self.damping.to_dict(),
+            "floor_spectra": self.spectra.to_dict(),
+            "remarks": list(self.remarks),
+        }
+
+
+def _errors(side: Side) -> Json | None:
+    return None if side.comparison is None else side.comparison.to_dict()
+
+
+def predict(
+    source: ModelSource,
+    record: MotionSource,
+    backend: str | Backend = "auto",
+    *,
+    damping: str | None = None,
+    configuration: str | None = None,
+    detrend: bool = True,
+) -> RecordPrediction:
+    """Predict how every floor answers to a record, and compare it with what was measured.
+
+    Parameters
+    ----------
+    source : str, Path, Experiment, Closure, Estimate or Models
+        What the model is made of. A file is a measurement file, a record file, or the JSON of `loop`. Where the loop
+        was not closed yet, it is.
+    record : str, Path, TimeRecord or Motion
+        What drives the frame: a record file or a record, with base motion or a force.
+    backend : str or Backend, optional
+    damping : str, optional
+        "modal", "story" or "rayleigh"; what the experiment declares where not given.
+    configuration : str, optional
+        Which state the frame is in. Where not given, the one with the record's added mass.
+    detrend : bool, optional
+        Whether the straight line through each acceleration of the record is taken for its sensor's, and off.
+
+    Returns
+    -------
+    RecordPrediction
+
+    Raises
+    ------
+    InputError
+        Where nothing tells the frame's damping or what drives it, or the record is of another frame.
+    NoSolutionError
+        Where the backend does not solve a program.
+    """
+    solver = backends.get(backend)
+    motion = motion_of(record)
+    motion = motion.detrended() if detrend else motion
+    models = models_of(source, solver)
+    experiment = models.after.experiment
+    _refuse_other_frame(motion, experiment.stories)
+    state = state_of(experiment, motion, configuration)
+    before = None
+    if models.before is not None:
+        frame = UncertainFrame.of(models.before, state, damping, solver)
+        before = _side(models.before, frame.at(np.zeros(frame.size)), motion)
+    return _predicted(models, UncertainFrame.of(models.after, state, damping, solver), motion, before)
+
+
+def predict_many(
+    source: ModelSource,
+    records: Sequence[MotionSource],
+    backend: str | Backend = "auto",
+    *,
+    jobs: int = 1,
+    progress: Progress | None = None,
+    damping: str | None = None,
+    configuration: str | None = None,
+    detrend: bool = True,
+) -> list[RecordPrediction]:
+    """Predict how one frame answers to many records; its models are fitted once.
+
+    Parameters
+    ----------
+    source, backend, damping, configuration, detrend
+        As for `predict`.
+    records : sequence
+        Each as for `predict`.
+    jobs : int, optional
+        Processes; -1 takes every core, or every worker of a Dask cluster (see `cvxshear.parallel`).
+    progress : callable, optional
+        Called with the number of records done and to do.
+
+    Raises
+    ------
+    InputError, NoSolutionError
+        As `predict` does.
+    """
+    models = models_of(source, backends.get(backend))
+    one = partial(
+        predict, models, backend=backend, damping=damping, configuration=configuration, detrend=detrend
+    )  # fmt: skip
+    return each(one, records, jobs=jobs, progress=progress)
+
+
+def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Side | None) -> RecordPrediction:
+    """The prediction of the final model, with everything's standard deviations from one propagation."""
+
+    def everything(damped: Damped) -> Floats:
+        responses = _responses(damped, motion)
+        return np.concatenate(
+            [parts_of(damped), *largest(responses).values(), *(item.acceleration.ravel() for item in responses)]
+        )
+
+    centre, std = propagated(frame, everything)
+    after = _side(models.after, centre, motion)
+    values = largest(after.responses)
+    sizes = [len(parts_of(centre)), *(len(item) for item in values.values())]
+    sizes += [item.acceleration.size for item in after.responses]
+    of_damping, *rest = np.split(std, np.cumsum(sizes)[:-1])
+    bands = zip(after.responses, rest[len(values) :], strict=True)
+    damping = described(frame, centre, of_damping)
+    return RecordPrediction(
+        motion=motion,
+        configuration=frame.configuration,
+        backend=frame.backend.name,
+        before=before,
+        after=after,
+        peaks=Peaks(values, dict(zip(values, rest, strict=False))),
+        damping=damping,
+        acceleration_std=tuple(band.reshape(item.acceleration.shape) for item, band in bands),
+        remarks=(*damping.remarks, *_remarks(after, motion)),
+    )
+
+
+def _responses(damped: Damped, motion: Motion) -> list[Response]:
+    return [response(damped.model, drive, motion.step) for drive in motion.drives]
+
+
+def _side(fitted: Fitted, damped: Damped, motion: Motion) -> Side:
+    responses = tuple(_responses(damped, motion))
+    return Side(fitted, damped, responses, compared(damped.model, responses, motion))
+
+
+def _refuse_other_frame(motion: Motion, stories: int) -> None:
+    """Raise where the record has floors or a force that the frame has not."""
+    places: Sequence[int] = [*motion.floors.tolist(), *(drive.floor for drive in motion.drives)]
+    highest = max(places)
+    if highest > stories:
+        raise InputError(f"{motion.name} speaks of floor {highest}, the frame has {stories} stories")
+
+
+def _remarks(after: Side, motion: Motion) -> list[str]:
+    """What the reader has to know besides the numbers."""
+    said = [
+        f"not determined by the measurement: {' and '.join(names)}; the deviations do not include that"
+        for names in after.fitted.undetermined
+    ]
+    if after.fitted.covariance is None:
+        said.append("no standard deviations: the measurement declares no noise and has no data left to estimate it by")
+    if not after.fitted.mass_known:
+        said.append("the masses have no scale (give total_mass): forces and moments are left out")
+    if not motion.floors.size:
+        said.append("the record has no accelerations of floors to compare with")
+    if after.comparison is not None and after.comparison.shifts:
+        shifts = "; ".join(str(shift) for shift in after.comparison.shifts)
+        said.append(
+            f"{shifts}: frequencies and damping depend on the amplitude, or the frame has changed since its modes were "
+            "measured. Errors in time (nrmse) are of two motions that fall out of step and say little else; compare "
+            "rms, peaks and transfer functions"
+        )
+    return said

@@ -1,0 +1,159 @@
+"""Where the model of a prediction comes from: a measurement, a record, a closed loop, its JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+
+from cvxshear.backends import Backend
+from cvxshear.checks import choice, shown
+from cvxshear.errors import InputError
+from cvxshear.experiment import Configuration, Experiment
+from cvxshear.formats.modes import modes_from_file
+from cvxshear.formats.record import read_motion
+from cvxshear.formats.toml import is_record_file, load, read_text
+from cvxshear.identification.efficient import Estimate
+from cvxshear.loop import Closure, close_loop
+from cvxshear.modal import Record
+from cvxshear.modal.motion import Motion
+from cvxshear.modal.record import FrfRecord, TimeRecord
+from cvxshear.response.fitted import Fitted, Models
+from cvxshear.typing import Floats
+
+ModelSource = str | Path | Experiment | Closure | Estimate | Models
+MotionSource = str | Path | Record | Motion
+
+
+def models_of(source: ModelSource, backend: Backend) -> Models:
+    """The models before and after closing the loop; it is closed here where that was not done before.
+
+    Parameters
+    ----------
+    source : str, Path, Experiment, Closure, Estimate or Models
+        A file is a measurement file, a record file, or what `loop --json` wrote.
+    backend : Backend
+
+    Raises
+    ------
+    InputError
+        Where a file cannot be read, or is none of these.
+    """
+    match source:
+        case Models():
+            found = source
+        case Closure():
+            found = models_of_loop(source)
+        case Estimate():
+            found = Models(None, Fitted.of(source))
+        case Experiment():
+            found = models_of_loop(close_loop(source, backend=backend))
+        case str() | Path():
+            found = _of_file(source, backend)
+        case _:
+            raise InputError(
+                "the model of a prediction is a file, an Experiment, a Closure, an Estimate or Models, not "
+                + shown(source)
+            )
+    return found
+
+
+def _of_file(source: str | Path, backend: Backend) -> Models:
+    """The models of a measurement file, a record file, or what `loop --json` wrote."""
+    if Path(source).suffix.lower() == ".json":
+        return _of_json(Path(source))
+    if not is_record_file(source):
+        return models_of_loop(close_loop(load(source), backend=backend))
+    found, declared = modes_from_file(source)
+    experiment = Experiment.from_dict(declared, name=Path(source).stem)
+    mass_known = not any(finding.kind == "scale" for finding in found.findings)
+    return models_of_loop(close_loop(experiment, backend=backend), mass_known=mass_known)
+
+
+def models_of_loop(closure: Closure, *, mass_known: bool = True) -> Models:
+    """The models that a closed loop began and ended with.
+
+    Parameters
+    ----------
+    closure : Closure
+    mass_known : bool, optional
+        False where a total mass of 1 kg stands for one that nobody gave.
+    """
+    return Models(
+        Fitted.of(closure.before.estimate, mass_known=mass_known), Fitted.of(closure.estimate, mass_known=mass_known)
+    )
+
+
+def _of_json(path: Path) -> Models:
+    """The models in what `loop --json` wrote."""
+    try:
+        declared = json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise InputError(f"{path} is not valid JSON: {error}") from None
+    if not isinstance(declared, dict) or not isinstance(declared.get("model"), dict):
+        raise InputError(f"{path} has no key 'model'; write it anew by: cvxshear loop FILE --json {path}")
+    return Models.from_dict(declared["model"], f"{path}: model")
+
+
+def motion_of(source: MotionSource) -> Motion:
+    """What drives the frame.
+
+    Parameters
+    ----------
+    source : str, Path, TimeRecord or Motion
+        A file is a record file.
+
+    Raises
+    ------
+    InputError
+        Where nothing says what drove the frame.
+    """
+    if isinstance(source, Motion):
+        return source
+    if isinstance(source, TimeRecord | FrfRecord):
+        return Motion.of(source)
+    if not isinstance(source, str | Path):
+        raise InputError(f"what drives a frame is a record file, a TimeRecord or a Motion, not {shown(source)}")
+    return read_motion(source)
+
+
+def state_of(experiment: Experiment, motion: Motion, name: str | None = None) -> Configuration:
+    """The state that the frame was in while it moved.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    motion : Motion
+    name : str, optional
+        Of a configuration. Where none is given: the one with the record's added mass; without such, the only one, or
+        the frame with nothing added.
+
+    Raises
+    ------
+    InputError
+        Where there is no configuration of that name, or the added mass is of another frame.
+    """
+    configurations = experiment.configurations
+    if name is not None:
+        choice(name, [each.name for each in configurations], "configuration")
+        return next(each for each in configurations if each.name == name)
+    if motion.added_mass is None and len(configurations) == 1:
+        return configurations[0]
+    added = np.zeros(experiment.stories) if motion.added_mass is None else motion.added_mass
+    if len(added) != experiment.stories:
+        raise InputError(f"{motion.name}: added_mass has {len(added)} entries, the frame {experiment.stories} stories")
+    for each in configurations:
+        if np.allclose(each.added_mass, added):
+            return each
+    return dataclasses.replace(configurations[0], name=_unused(experiment, added), added_mass=added)
+
+
+def _unused(experiment: Experiment, added: Floats) -> str:
+    """A name for a state that was not tested, which no effect of a tested one acts on."""
+    taken = {each.name for each in experiment.configurations}
+    name = f"{added.sum():g} kg added" if np.any(added) else "nothing added"
+    while name in taken:
+        name += ", not tested"
+    return name

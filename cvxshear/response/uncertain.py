@@ -1,0 +1,133 @@
+"""A fitted frame in one state, its parameters and damping ratios uncertain."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear import checks
+from cvxshear.backends import Backend
+from cvxshear.effects import State, compose
+from cvxshear.experiment import DAMPING_KINDS, Configuration
+from cvxshear.frame import Modes, modes, stiffness_matrix
+from cvxshear.response.dashpots import Dashpots, story_dashpots
+from cvxshear.response.fitted import Fitted
+from cvxshear.response.model import DampedModel
+from cvxshear.response.ratios import Ratios, damping_ratios
+from cvxshear.response.rayleigh import rayleigh
+from cvxshear.typing import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Damped:
+    """A model with its damping, and what the damping is made of.
+
+    Parameters
+    ----------
+    model : DampedModel
+    dashpots : Dashpots or None
+    rayleigh : ndarray, shape (2,), optional
+        a (1/s) and b (s) of C = a M + b K.
+    """
+
+    model: DampedModel
+    dashpots: Dashpots | None = None
+    rayleigh: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class UncertainFrame:
+    """A fitted model in one state, of uncertain parameters and damping ratios.
+
+    Its uncertainty is that of independent standard normal numbers xi: theta + L xi for masses, stiffnesses and
+    effects, zeta exp(std xi) for the damping ratios. Whatever is computed of the frame is a function of xi.
+
+    Parameters
+    ----------
+    fitted : Fitted
+    configuration : Configuration
+        The state: added mass, and which effects are in it.
+    ratios : Ratios
+    kind : str
+        "modal", "story" or "rayleigh".
+    backend : Backend
+    """
+
+    fitted: Fitted
+    configuration: Configuration
+    ratios: Ratios
+    kind: str
+    backend: Backend
+
+    @staticmethod
+    def of(fitted: Fitted, configuration: Configuration, kind: str | None, backend: Backend) -> UncertainFrame:
+        """With the damping ratios that the experiment declares, and its kind of damping where none is named."""
+        experiment = fitted.experiment
+        named = experiment.damping.kind if kind is None else checks.choice(kind, DAMPING_KINDS, "damping")
+        return UncertainFrame(fitted, configuration, damping_ratios(experiment, configuration), named, backend)
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether anything tells how uncertain the parameters are."""
+        return self.fitted.covariance is not None
+
+    @property
+    def size(self) -> int:
+        """How many standard normal numbers there are."""
+        return int(self.fitted.root.shape[1]) + len(self.ratios.values)
+
+    def at(self, xi: Floats, near: Damped | None = None) -> Damped:
+        """The damped model at one value of xi.
+
+        Parameters
+        ----------
+        xi : ndarray, shape (size,)
+        near : Damped, optional
+            Whose dashpots the programs start from.
+
+        Raises
+        ------
+        InputError
+            Where the frame has no modes there.
+        """
+        root = self.fitted.root
+        theta = self.fitted.theta + root @ xi[: root.shape[1]]
+        zeta = self.ratios.values * np.exp(self.ratios.std * xi[root.shape[1] :])
+        return self.damped(theta, dataclasses.replace(self.ratios, values=zeta), near)
+
+    def damped(self, theta: Floats, ratios: Ratios, near: Damped | None = None) -> Damped:
+        """The damped model of given parameters and ratios.
+
+        Dashpots and Rayleigh's factors are those of the state in which the ratios were measured; modal damping has the
+        same ratios in every state.
+        """
+        experiment = self.fitted.experiment
+        state = self._state(self.configuration, theta)
+        M, K = state.system.M, state.system.K
+        dashpots, factors = None, None
+        if self.kind == "modal":
+            C = modal_matrix(M, modes(M, K), ratios.values)
+        else:
+            tested = self._state(ratios.tested, theta)
+            of = modes(tested.system.M, tested.system.K)
+            if self.kind == "story":
+                start = None if near is None or near.dashpots is None else near.dashpots.values
+                priors = experiment.damping.priors
+                dashpots = story_dashpots(of, tested.story_stiffness, ratios, self.backend, priors, start)
+                C = stiffness_matrix(dashpots.values)
+            else:
+                factors = rayleigh(of, ratios, self.backend)
+                C = factors[0] * M + factors[1] * K
+        model = DampedModel(M, C, K, state.gain, experiment.frame.story_heights, self.fitted.mass_known)
+        return Damped(model, dashpots, factors)
+
+    def _state(self, configuration: Configuration, theta: Floats) -> State:
+        return compose(self.fitted.experiment, configuration, self.fitted.effects, theta, derivatives=False)
+
+
+def modal_matrix(M: Floats, of: Modes, ratios: Floats) -> Floats:
+    """C = M Phi diag(2 zeta omega) Phi' M, with which the modes have these damping ratios and do not couple."""
+    turned = M @ of.shapes.T
+    return (turned * (2 * ratios * np.sqrt(of.eigenvalues))) @ turned.T

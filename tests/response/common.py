@@ -1,0 +1,90 @@
+"""Damped frames and their motion by other means than those of the package: a dense pencil, a general ODE solver."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from scipy import integrate, linalg
+
+from tests.frames import chain, modes_of
+
+
+def damped_frame(stories, seed=0, *, ratio=0.08):
+    """Masses, stiffnesses, and story dashpots that couple the modes; `ratio` is about that of the highest mode."""
+    rng = np.random.default_rng(seed)
+    mass = rng.uniform(5.0, 10.0, stories)
+    stiffness = rng.uniform(2e4, 3e4, stories)
+    last = 2 * np.pi * modes_of(mass, stiffness)[0][-1]
+    return mass, stiffness, 2 * ratio / last * stiffness * rng.uniform(0.6, 1.4, stories)
+
+
+def matrices(mass, stiffness, dashpots):
+    M, K = chain(mass, stiffness)
+    return M, chain(mass, dashpots)[1], K
+
+
+def pole_ratios(M, C, K):
+    """Damping ratios of the complex modes, ascending in frequency, from the companion pencil of (s2 M + s C + K)."""
+    n = len(M)
+    zero, one = np.zeros((n, n)), np.eye(n)
+    values = linalg.eigvals(np.block([[zero, one], [-K, -C]]), np.block([[one, zero], [zero, M]]))
+    values = values[values.imag > 0]
+    values = values[np.argsort(np.abs(values))]
+    return -values.real / np.abs(values)
+
+
+def integrated(M, C, K, excitation, step, floor=0):
+    """Total accelerations and relative displacements, samples by floors, by an explicit Runge-Kutta method of order 8.
+
+    It is started anew at each sample, since the excitation has a corner there.
+    """
+    n = len(M)
+    inverse = linalg.inv(M)
+    load = -np.ones(n) if floor == 0 else inverse[:, floor - 1]
+
+    def slope(t, x, here, rise):
+        return np.concatenate([x[n:], load * (here + rise * t) - inverse @ (K @ x[:n] + C @ x[n:])])
+
+    states = [np.zeros(2 * n)]
+    for here, after in itertools.pairwise(excitation):
+        solved = integrate.solve_ivp(
+            slope, (0, step), states[-1], "DOP853", args=(here, (after - here) / step), rtol=1e-12, atol=1e-15
+        )
+        states.append(solved.y[:, -1])
+    states = np.array(states)
+    rest = -(states[:, :n] @ K + states[:, n:] @ C) @ inverse
+    total = rest if floor == 0 else rest + np.outer(excitation, load)
+    return total, states[:, :n]
+
+
+def shaking(samples=400, step=0.01, seed=4):
+    """A base acceleration with all the corners that a record has, m/s2."""
+    rng = np.random.default_rng(seed)
+    envelope = np.sin(np.pi * np.arange(samples) / samples)
+    return envelope * np.convolve(rng.standard_normal(samples + 4), np.ones(5) / 5, mode="valid")
+
+
+def declared(
+    mass, stiffness, ratios, *, frequency_std=0.002, shape_std=0.01, ratio_std=0.1, rng=None, modes=None, **more
+):
+    """The dict of a measurement file of all floors, exact or with noise of the deviations that it declares."""
+    n = len(mass)
+    chosen = np.arange(n) if modes is None else np.asarray(modes) - 1
+    frequencies, shapes = modes_of(mass, stiffness)
+    frequencies, shapes, ratios = frequencies[chosen], shapes[chosen], np.asarray(ratios)[chosen]
+    if rng is not None:
+        frequencies = frequencies * np.exp(frequency_std * rng.standard_normal(len(chosen)))
+        shapes = shapes + shape_std * rng.standard_normal(shapes.shape)
+        ratios = ratios * np.exp(ratio_std * rng.standard_normal(len(chosen)))
+    configuration = {
+        "frequencies": frequencies.tolist(),
+        "mode_shapes": shapes.tolist(),
+        "modes": (chosen + 1).tolist(),
+        "frequency_std": frequency_std,
+        "mode_shape_std": shape_std,
+        "damping_ratios": ratios.tolist(),
+        "damping_ratio_std": ratio_std,
+    }
+    frame = {"stories": n, "total_mass": float(np.sum(mass)), "story_heights": 3.0}
+    return {"frame": frame, "configuration": [configuration], **more}

@@ -1,0 +1,164 @@
+"""`cvxshear predict`, and what `identify` and `loop` say of damping."""
+
+import json
+
+import numpy as np
+import pytest
+
+from cvxshear.cli import main
+from cvxshear.formats.measurement import write_measurement
+from cvxshear.response import DampedModel, Drive, response
+from tests.modal.shared import csv
+from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
+
+RECORD = """
+added_mass = [0, 0, 0]
+
+[record]
+name = "shaken"
+input = "base"
+file = "shaken.csv"
+
+[[channel]]
+column = "ground"
+floor = 0
+"""
+
+
+def floor_channel(floor):
+    return f'\n[[channel]]\ncolumn = "floor{floor}"\nfloor = {floor}\n'
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A measurement file, a record with its floors, and one of the ground alone."""
+    monkeypatch.chdir(tmp_path)
+    mass, stiffness, dashpots = damped_frame(3)
+    M, C, K = matrices(mass, stiffness, dashpots)
+    write_measurement("frame.toml", declared(mass, stiffness, pole_ratios(M, C, K)))
+    excitation = shaking(1500)
+    found = response(DampedModel(M, C, K, np.ones(3)), Drive(excitation), 0.01).acceleration
+    table = np.column_stack([0.01 * np.arange(1500), excitation, found])
+    csv(tmp_path / "shaken.csv", ["time", "ground", "floor1", "floor2", "floor3"], table)
+    (tmp_path / "shaken.toml").write_text(RECORD + "".join(floor_channel(floor) for floor in (1, 2, 3)))
+    (tmp_path / "ground.toml").write_text(RECORD)
+    return tmp_path
+
+
+def run(capsys, *arguments):
+    with pytest.raises(SystemExit) as ended:
+        main(list(arguments))
+    captured = capsys.readouterr()
+    return ended.value.code, captured.out, captured.err
+
+
+def test_predict_beside_the_record(folder, capsys):
+    status, out, _ = run(capsys, "predict", "frame.toml", "--record", "shaken.toml", "--json", "-")
+    assert status == 0
+    said = json.loads(out)
+    assert {"before", "after", "peaks", "damping", "floor_spectra", "remarks"} <= set(said)
+    assert set(said["after"]) == {"floors", "nrmse", "rms_ratio", "peak_ratio", "frf_error"}
+    assert said["after"]["floors"] == [1, 2, 3]
+    assert max(said["after"]["nrmse"]) < 0.05
+    assert np.shape(said["after"]["frf_error"]) == (3, 3)
+    assert said["damping"]["kind"] == "modal"
+    assert len(said["peaks"]["story_drift_std"]) == 3
+    assert said["peaks"]["base_shear"] > 0
+
+
+def test_predict_for_people(folder, capsys):
+    status, out, _ = run(capsys, "predict", "frame.toml", "--record", "shaken.toml", "--damping", "story")
+    assert status == 0
+    assert "predicted accelerations beside the measured" in out
+    assert "peaks ± standard deviation" in out
+    assert "story dashpots" in out
+    assert "moment" in out
+
+
+def test_a_ground_motion_alone_is_enough(folder, capsys):
+    status, out, _ = run(capsys, "predict", "frame.toml", "--record", "ground.toml", "--json", "-")
+    said = json.loads(out)
+    assert status == 0
+    assert said["after"] is None
+    assert any("no accelerations of floors" in remark for remark in said["remarks"])
+    _, whole, _ = run(capsys, "predict", "frame.toml", "--record", "shaken.toml", "--json", "-")
+    assert said["peaks"] == json.loads(whole)["peaks"]
+
+
+def test_loop_is_fitted_once(folder, capsys):
+    status, out, _ = run(capsys, "loop", "frame.toml", "--json", "loop.json", "--validate", "shaken.toml")
+    assert status == 0
+    assert "predicted accelerations beside the measured" in out
+    closed = json.loads((folder / "loop.json").read_text())
+    status, out, _ = run(capsys, "predict", "loop.json", "--record", "shaken.toml", "--json", "-")
+    assert status == 0
+    assert json.loads(out) == closed["validation"]
+    assert closed["damping"]["ratios"] == pytest.approx(closed["validation"]["damping"]["ratios"])
+
+
+def test_identify_reports_damping(folder, capsys):
+    status, out, _ = run(capsys, "identify", "frame.toml", "--json", "-")
+    assert status == 0
+    assert json.loads(out)["damping"]["kind"] == "modal"
+    status, out, _ = run(capsys, "identify", "paper", "--json", "-")
+    assert json.loads(out)["damping"] is None
+
+
+def test_files_and_figures(folder, capsys):
+    wanted = ["s.npz", "m.json", "h.svg", "p.png"]
+    status, _, _ = run(
+        capsys, "predict", "frame.toml", "--record", "shaken.toml", "--out", "s.npz", "--export", "m.json",
+        "--figure", "history:h.svg", "--figure", "peaks:p.png",
+    )  # fmt: skip
+    assert status == 0
+    assert all((folder / name).stat().st_size > 0 for name in wanted)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("nowhere.json", "--record", "shaken.toml"), "nowhere.json: no such file"),
+        (("empty.json", "--record", "shaken.toml"), "empty.json has no key 'model'; write it anew by: cvxshear loop"),
+        (("broken.json", "--record", "shaken.toml"), "broken.json is not valid JSON"),
+        (("frame.toml", "--record", "frame.toml"), "unknown key 'frame'|unknown key 'configuration'"),
+        (("frame.toml", "--record", "shaken.toml", "--damping", "viscous"), "damping must be one of modal, story"),
+        (("frame.toml", "--record", "shaken.toml", "--out", "x.doc"), "time series are written as"),
+        (("frame.toml", "--record", "shaken.toml", "--export", "x.doc"), "a model is written as"),
+        (("frame.toml", "--record", "shaken.toml", "--figure", "x.svg"), "--figure must be KIND:OUT"),
+        (("frame.toml", "--record", "shaken.toml", "--figure", "peaks:x.doc"), "a figure is written as"),
+        (("frame.toml", "--record", "shaken.toml", "--backend", "none"), "no backend named 'none'"),
+        (("paper", "--record", "shaken.toml"), "speaks of floor 3, the frame has 2 stories"),
+        (("paper", "--record", "two.toml"), "nothing tells how the frame is damped"),
+    ],
+)
+def test_bad_input(folder, capsys, arguments, message):
+    (folder / "empty.json").write_text("{}")
+    (folder / "broken.json").write_text("{")
+    (folder / "two.toml").write_text(RECORD.replace("[0, 0, 0]", "[0, 0]"))
+    before = sorted(folder.iterdir())
+    status, out, err = run(capsys, "predict", *arguments)
+    assert status == 2
+    assert out == ""
+    assert any(part in err for part in message.split("|"))
+    assert "Traceback" not in err
+    assert sorted(folder.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda model: model["after"]["theta"].pop(), "model: after: theta must have 6 entries, not 5"),
+        (lambda model: model["after"].pop("covariance"), "model: after: the key 'covariance' is missing"),
+        (lambda model: model["after"]["covariance"].pop(), "model: after: covariance must have 6 rows"),
+        (lambda model: model["experiment"].pop("configuration"), "at least one [[configuration]] is needed"),
+        (lambda model: model["after"]["effects"].append({"name": "wind"}), "effect must be one of gravity"),
+    ],
+)
+def test_json_that_is_not_what_loop_wrote(folder, capsys, change, message):
+    run(capsys, "loop", "frame.toml", "--effects", "gravity", "--json", "loop.json")
+    closed = json.loads((folder / "loop.json").read_text())
+    change(closed["model"])
+    (folder / "loop.json").write_text(json.dumps(closed))
+    status, _, err = run(capsys, "predict", "loop.json", "--record", "shaken.toml")
+    assert status == 2
+    assert message in err

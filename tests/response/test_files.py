@@ -1,0 +1,185 @@
+"""What predictions and models are handed on as: the same numbers in every kind of file, the same frame elsewhere."""
+
+import importlib.util
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy import io
+
+import cvxshear
+from cvxshear import effects
+from cvxshear.effects import Placed
+from cvxshear.errors import InputError, UnsuitableError
+from cvxshear.formats.uff import read_uff
+from cvxshear.modal.motion import Drive, Motion
+from cvxshear.paper.three_story import ThreeStory
+from cvxshear.report.handover import write_model
+from cvxshear.report.series import write_series
+from cvxshear.response import Fitted, Models, predict
+from cvxshear.response.handover import matrices
+from cvxshear.response.series import series
+from tests.response.common import shaking
+
+RATIOS = [0.01, 0.015, 0.02]
+NEEDS_OPENSEES = pytest.mark.skipif(
+    importlib.util.find_spec("openseespy") is None, reason="openseespy (the extra opensees) is not installed"
+)
+
+
+@pytest.fixture(scope="module")
+def three():
+    """The paper's three-story model with damping, the masses as they are known, and its prediction."""
+    of = ThreeStory("auto")
+    table = of.experiment.to_dict()
+    table["frame"]["story_heights"] = 3.0
+    table["configuration"][0]["damping_ratios"] = RATIOS
+    experiment = cvxshear.Experiment.from_dict(table, name="three = stories")
+    theta = np.concatenate([of.truth.floor_mass, of.truth.story_stiffness])
+    fitted = Fitted(experiment, (), theta, np.diag((1e-3 * theta) ** 2))
+    motion = Motion((Drive(shaking(600)),), 100.0)
+    return fitted, motion, {kind: predict(Models(None, fitted), motion, damping=kind) for kind in ("modal", "story")}
+
+
+@pytest.mark.parametrize("kind", ["csv", "mat", "npz", "uff"])
+def test_series_are_the_same_in_every_file(three, kind, tmp_path):
+    found = three[2]["story"]
+    path = tmp_path / f"series.{kind}"
+    if kind == "uff":
+        pytest.importorskip("pyuff")
+    write_series(path, found)
+    columns = series(found)
+    assert {"time", "acceleration_1", "acceleration_std_3", "drift_ratio_2", "base_shear"} <= set(columns)
+    if kind == "csv":
+        read = np.genfromtxt(path, delimiter=",", names=True)
+        again = {name: read[name] for name in read.dtype.names}
+    elif kind == "npz":
+        again = dict(np.load(path))
+    elif kind == "mat":
+        again = {name: values[:, 0] for name, values in io.loadmat(path).items() if not name.startswith("__")}
+    else:
+        read, notes = read_uff(path)
+        assert [note["quantity"] for note in notes.values()] == [12] * 3 + [8] * 3 + [13] * 3
+        names = ["time", *(f"{word}_{i}" for word in ("acceleration", "displacement", "shear") for i in (1, 2, 3))]
+        again = dict(zip(names, read.values.T, strict=True))
+    assert set(again) <= set(columns)
+    for name, values in again.items():
+        np.testing.assert_allclose(values, columns[name], rtol=1e-5 if kind == "uff" else 1e-8, atol=1e-12)
+
+
+def test_models_are_the_same_in_every_file(three, tmp_path):
+    found = three[2]["story"]
+    expected = matrices(found.after.damped)
+    for kind in ("npz", "mat", "json"):
+        write_model(tmp_path / f"model.{kind}", found)
+    from_json = json.loads((tmp_path / "model.json").read_text())
+    from_mat = io.loadmat(tmp_path / "model.mat")
+    with np.load(tmp_path / "model.npz") as from_npz:
+        assert set(from_npz) == set(from_json) == set(expected)
+        for name, values in expected.items():
+            np.testing.assert_array_equal(from_npz[name], values)
+            np.testing.assert_array_equal(np.array(from_json[name]), values)
+            np.testing.assert_array_equal(from_mat[name].reshape(values.shape), values)
+    shapes, M, K = expected["mode_shapes"], expected["M"], expected["K"]
+    np.testing.assert_allclose(shapes.T @ M @ shapes, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(np.diag(shapes.T @ K @ shapes), (2 * np.pi * expected["frequencies"]) ** 2, rtol=1e-10)
+    poles = np.linalg.eigvals(expected["state_A"])
+    ratios = np.sort(-poles.real / np.abs(poles))[::2]
+    np.testing.assert_allclose(ratios, np.sort(found.damping.ratios), rtol=1e-8)
+
+
+def opensees(path, call, tmp_path):
+    """The result of a call to the script, made in a process of its own: OpenSees prints, and ends, as it likes."""
+    out = tmp_path / "out.json"
+    code = (
+        f"import json, runpy; module = runpy.run_path({str(path)!r}); result = {call}; "
+        f"json.dump(result, open({str(out)!r}, 'w'))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path)
+    if "Failed to import openseespy" in done.stderr:
+        pytest.skip("openseespy is installed but cannot be loaded here")
+    assert done.returncode == 0, done.stderr
+    return json.loads(out.read_text())
+
+
+@NEEDS_OPENSEES
+def test_opensees_has_the_same_frequencies(three, tmp_path):
+    found = three[2]["modal"]
+    write_model(tmp_path / "frame.py", found)
+    frequencies = opensees(tmp_path / "frame.py", "(module['build'](), module['frequencies']())[1]", tmp_path)
+    np.testing.assert_allclose(frequencies, found.after.damped.model.modes.frequencies, rtol=1e-9)
+
+
+@NEEDS_OPENSEES
+def test_opensees_has_the_same_frequencies_with_an_effect(three, tmp_path):
+    """Rocking fills the stiffness matrix: springs between all floors."""
+    fitted, motion, _ = three
+    rocking = Placed(effects.named(["base_rocking"])[0])
+    theta = np.append(fitted.theta, 1e-3 / (fitted.theta[3:].sum() * 9.0))
+    found = predict(Models(None, Fitted(fitted.experiment, (rocking,), theta, None)), motion)
+    assert np.all(np.abs(found.after.damped.model.K) > 0)
+    write_model(tmp_path / "frame.py", found)
+    frequencies = opensees(tmp_path / "frame.py", "(module['build'](), module['frequencies']())[1]", tmp_path)
+    np.testing.assert_allclose(frequencies, found.after.damped.model.modes.frequencies, rtol=1e-9)
+
+
+@NEEDS_OPENSEES
+@pytest.mark.parametrize("kind", ["modal", "story", "rayleigh"])
+def test_opensees_moves_alike(three, kind, tmp_path):
+    """Newmark's method at a small step comes near the exact answer, with each kind of damping."""
+    fitted, _, _ = three
+    step = 0.0005
+    excitation = np.interp(np.arange(0, 1.0, step), np.arange(0, 1.01, 0.01), shaking(101))
+    motion = Motion((Drive(excitation),), 1 / step)
+    found = predict(Models(None, fitted), motion, damping=kind, detrend=False)
+    write_model(tmp_path / "frame.py", found)
+    moved = np.array(opensees(tmp_path / "frame.py", f"module['shake']({excitation.tolist()}, {step})", tmp_path))
+    exact = found.after.responses[0].displacement
+    assert np.abs(moved - exact).max() < 0.005 * np.abs(exact).max()
+
+
+def test_the_script_is_python_whatever_the_frame_is_called(three, tmp_path):
+    fitted, motion, _ = three
+    table = fitted.experiment.to_dict()
+    nasty = cvxshear.Experiment.from_dict(table, name='a """ quote\nand \\ more')
+    found = predict(Models(None, Fitted(nasty, (), fitted.theta, None)), motion)
+    write_model(tmp_path / "frame.py", found)
+    compile((tmp_path / "frame.py").read_text(), "frame.py", "exec")
+
+
+def test_coupled_masses_are_no_nodal_masses(three, tmp_path):
+    fitted, motion, _ = three
+    coupling = Placed(effects.named(["mass_coupling"])[0])
+    found = predict(Models(None, Fitted(fitted.experiment, (coupling,), np.append(fitted.theta, 0.5), None)), motion)
+    with pytest.raises(UnsuitableError, match="masses at nodes only"):
+        write_model(tmp_path / "frame.py", found)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_spreadsheet_holds_what_was_found(three, tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    found = three[2]["story"]
+    write_model(tmp_path / "frame.xlsx", found)
+    book = openpyxl.load_workbook(tmp_path / "frame.xlsx")
+    assert book.sheetnames == ["frame", "effects", "modes", "residuals"]
+    rows = list(book["frame"].iter_rows(values_only=True))
+    theta = three[0].theta
+    np.testing.assert_allclose([row[1] for row in rows[1:]], theta[:3])
+    np.testing.assert_allclose([row[4] for row in rows[1:]], 1e-3 * theta[3:])
+    np.testing.assert_allclose([row[5] for row in rows[1:]], found.damping.story_dashpot)
+    residuals = list(book["residuals"].iter_rows(values_only=True))
+    assert residuals[0] == ("configuration", "mode", "quantity", "floor", "measured", "after")
+    frequencies = [row for row in residuals if row[2] == "frequency, Hz"]
+    np.testing.assert_allclose([row[5] for row in frequencies], found.after.damped.model.modes.frequencies)
+    assert len(residuals) == 1 + 3 + 9
+
+
+def test_names_of_files_that_nothing_is_written_as(three, tmp_path):
+    with pytest.raises(InputError, match=r"time series are written as .csv, .mat, .npz, .uff"):
+        write_series(tmp_path / "series.xls", three[2]["modal"])
+    with pytest.raises(InputError, match=r"a model is written as .npz, .mat, .json, .py, .xlsx"):
+        write_model(tmp_path / "model.xls", three[2]["modal"])
+    with pytest.raises(InputError, match="cannot be written"):
+        write_series(tmp_path / "nowhere" / "series.csv", three[2]["modal"])

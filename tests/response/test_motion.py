@@ -1,0 +1,114 @@
+"""The motion of damped frames against an ODE solver, closed forms, and scipy's simulation of the state-space form."""
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from cvxshear.errors import InputError
+from cvxshear.response import DampedModel, Drive, Motion, floor_spectra, response
+from cvxshear.response.handover import state_space
+from cvxshear.response.hold import SMALL, hold
+from tests.response.common import damped_frame, integrated, matrices, shaking
+
+STEP = 0.01
+
+
+def model_of(stories, **options):
+    return DampedModel(*matrices(*damped_frame(stories, **options)), np.ones(stories), np.full(stories, 3.0))
+
+
+@pytest.mark.parametrize("stories", [3, 8, 20])
+@pytest.mark.parametrize("forced", [False, True])
+def test_response_equals_an_independent_integration(stories, forced):
+    of, excitation, floor = model_of(stories), shaking(120, STEP), stories if forced else 0
+    total, moved = integrated(of.M, of.C, of.K, excitation, STEP, floor)
+    found = response(of, Drive(excitation, floor), STEP)
+    np.testing.assert_allclose(found.acceleration, total, atol=1e-8 * np.abs(total).max())
+    np.testing.assert_allclose(found.displacement, moved, atol=1e-8 * np.abs(moved).max())
+
+
+def test_modes_that_do_not_swing():
+    """Dashpots in proportion to the stiffnesses, so strong that the upper modes creep back."""
+    mass, stiffness, _ = damped_frame(3)
+    of = DampedModel(*matrices(mass, stiffness, 0.05 * stiffness), np.ones(3))
+    assert np.sum(of.poles.values.imag == 0) == 4
+    excitation = shaking(100, STEP)
+    total, _ = integrated(of.M, of.C, of.K, excitation, STEP)
+    np.testing.assert_allclose(
+        response(of, Drive(excitation), STEP).acceleration, total, atol=1e-8 * np.abs(total).max()
+    )
+
+
+def test_one_mass_under_a_ramp():
+    """u = p / k (t - sin(omega t) / omega) for a force p t on an undamped oscillator."""
+    of = DampedModel(np.array([[2.0]]), np.zeros((1, 1)), np.array([[50.0]]), np.ones(1))
+    time = 0.05 * np.arange(200)
+    found = response(of, Drive(3.0 * time, floor=1), 0.05)
+    np.testing.assert_allclose(found.displacement[:, 0], 3.0 / 50 * (time - np.sin(5 * time) / 5), atol=1e-12)
+    np.testing.assert_allclose(found.acceleration[:, 0], 3.0 / 2 * np.sin(5 * time) / 5, atol=1e-11)
+
+
+def test_the_hold_goes_over_into_its_series_without_a_step():
+    s = np.array([-0.3 + 1j, 1j]) / abs(-0.3 + 1j)
+    below, above = (hold(s * SMALL * factor, 1.0) for factor in (1 - 1e-9, 1 + 1e-9))
+    for a, b in zip(below, above, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-8)
+    # Of a constant input: e^(s h) - 1 = s (sum of both weights).
+    E, now, before = hold(s * 1e-6, 1.0)
+    np.testing.assert_allclose(now + before, np.expm1(s * 1e-6) / (s * 1e-6), rtol=1e-15)
+    np.testing.assert_allclose(E, np.exp(s * 1e-6))
+
+
+def test_forces_are_in_equilibrium():
+    of, excitation = model_of(4), shaking(300, STEP)
+    by_base = response(of, Drive(excitation), STEP)
+    np.testing.assert_allclose(by_base.base_shear, -by_base.acceleration @ np.diag(of.M), rtol=1e-10, atol=1e-9)
+    np.testing.assert_allclose(
+        by_base.overturning_moment, -by_base.acceleration @ (np.diag(of.M) * [3, 6, 9, 12]), rtol=1e-10, atol=1e-8
+    )
+    # What floats on springs and dashpots is held by them: k drift + c drift rate, the rate by differences.
+    _, stiffness, dashpots = damped_frame(4)
+    rate = np.gradient(by_base.drift, STEP, axis=0)
+    resisted = by_base.drift * stiffness + rate * dashpots
+    error = (by_base.story_shear - resisted)[5:-5]
+    assert np.abs(error).max() < 0.02 * np.abs(resisted).max()
+    by_force = response(of, Drive(excitation, floor=2), STEP)
+    above = -by_force.acceleration[:, 2:] @ np.diag(of.M)[2:]
+    np.testing.assert_allclose(by_force.story_shear[:, 2], above, atol=1e-10)
+
+
+def test_the_state_space_form_is_the_same_frame():
+    of, excitation = model_of(5), shaking(200, STEP)
+    A, B, C, D = state_space(of).values()
+    time = STEP * np.arange(len(excitation))
+    for floor in (0, 3):
+        inputs = np.zeros((len(time), 6))
+        inputs[:, floor] = excitation
+        _, expected, _ = signal.lsim((A, B, C, D), inputs, time)
+        found = response(of, Drive(excitation, floor), STEP).acceleration
+        np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_floor_spectrum_of_a_resonant_sine():
+    """After many periods an oscillator at resonance answers with sqrt(1 + 1 / (4 zeta^2)) times a sine's size."""
+    step = 0.001
+    sine = np.sin(2 * np.pi * 2.0 * step * np.arange(30_000))[:, None]
+    found = floor_spectra(sine, step, np.array([0.02, 2.0, 200.0]), damping=0.05)
+    assert found.acceleration[0, 1] == pytest.approx(np.sqrt(1 + 1 / (4 * 0.05**2)), rel=1e-4)
+    assert found.acceleration[0, 2] == pytest.approx(1.0, rel=1e-3)
+    assert found.acceleration[0, 0] < 0.02
+
+
+def test_excitations_that_cannot_be_right():
+    with pytest.raises(InputError, match="run 1: excitation, entry 2 must be a finite number, not nan"):
+        Drive([0.0, float("nan"), 1.0])
+    with pytest.raises(InputError, match="has one sample; at least two"):
+        Drive([1.0])
+    with pytest.raises(InputError, match="zero throughout"):
+        Motion((Drive([0.0, 0.0]),), 100.0)
+    with pytest.raises(InputError, match="responses must be a finite table of 2 samples by floors"):
+        Drive([0.0, 1.0], responses=np.zeros((3, 1)))
+    with pytest.raises(InputError, match="the responses have 1 columns, 2 floors are named"):
+        Motion((Drive([0.0, 1.0], responses=np.zeros((2, 1))),), 100.0, floors=np.array([1, 2]))
+    with pytest.raises(InputError, match="the force acts on floor 4 of a frame of 3 stories"):
+        response(model_of(3), Drive([0.0, 1.0], floor=4), STEP)

@@ -1,0 +1,222 @@
+"""Predictions as a whole: against the truth of simulated frames, from every kind of source, and what they say."""
+
+import json
+
+import numpy as np
+import pytest
+
+import cvxshear
+from cvxshear import backends, effects
+from cvxshear.effects import Placed
+from cvxshear.errors import InputError
+from cvxshear.identification.efficient import efficient
+from cvxshear.modal import Channel, Run, TimeRecord
+from cvxshear.modal.motion import Drive, Motion
+from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
+from cvxshear.response.series import series
+from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
+from tests.response_study import coverage, linear_over_sampled
+
+RATE = 100.0
+
+
+@pytest.fixture(scope="module")
+def frame():
+    """Three stories, exact modes with small deviations, and the truth."""
+    mass, stiffness, dashpots = damped_frame(3)
+    M, C, K = matrices(mass, stiffness, dashpots)
+    table = declared(mass, stiffness, pole_ratios(M, C, K), ratio_std=1e-4, shape_std=0.002, damping={"kind": "story"})
+    experiment = cvxshear.Experiment.from_dict(table, name="three")
+    return experiment, efficient(experiment, backends.get("auto")), DampedModel(M, C, K, np.ones(3), np.full(3, 3.0))
+
+
+def recorded(truth, floors=(1, 2, 3), gain=None, samples=3000, input_floor=0, **options):
+    """A record of the true frame."""
+    excitation = shaking(samples, 1 / RATE, **options)
+    found = response(truth, Drive(excitation, input_floor), 1 / RATE).acceleration
+    found = found * (np.ones(len(truth.M)) if gain is None else gain)
+    return TimeRecord(
+        tuple(Channel(f"floor{floor}", floor) for floor in floors),
+        name="shaken",
+        runs=(Run(found[:, np.array(floors) - 1], excitation, input_floor),),
+        sampling_rate=RATE,
+        input="force" if input_floor else "base",
+    )
+
+
+@pytest.mark.parametrize("input_floor", [0, 3])
+def test_the_true_frame_has_no_error(frame, input_floor):
+    _, estimate, truth = frame
+    found = predict(estimate, recorded(truth, input_floor=input_floor), detrend=False)
+    assert found.before is None
+    beside = found.after.comparison
+    assert beside.floors.tolist() == [1, 2, 3]
+    np.testing.assert_allclose(beside.nrmse, 0, atol=1e-5)
+    np.testing.assert_allclose(beside.rms_ratio, 1, atol=1e-5)
+    np.testing.assert_allclose(beside.peak_ratio, 1, atol=1e-5)
+    np.testing.assert_allclose(beside.frf_error[np.isfinite(beside.frf_error)], 0, atol=1e-5)
+    assert np.isfinite(beside.frf_error[:, 0]).all()
+    assert beside.shifts == ()
+    exact = response(truth, found.motion.drives[0], 1 / RATE)
+    np.testing.assert_allclose(found.peaks.values["story_drift"], np.abs(exact.drift).max(axis=0), rtol=1e-5)
+    np.testing.assert_allclose(found.peaks.values["base_shear"], np.abs(exact.base_shear).max(), rtol=1e-5)
+    np.testing.assert_allclose(found.damping.story_dashpot, damped_frame(3)[2], rtol=1e-3)
+
+
+def test_deviations_of_peaks_are_those_of_samples():
+    ratio = linear_over_sampled(3, "modal", 200)
+    # Deviations of 200 samples are known to 5 %; the rest is curvature.
+    assert np.all((ratio > 0.85) & (ratio < 1.2))
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    """A seeded part of `python -m tests.response_study`: 40 trials of 7 peaks that go together."""
+    share, deviations = coverage(3, "modal", 40)
+    assert 0.88 <= share <= 0.99
+    assert abs(deviations.mean()) < 0.4
+
+
+def test_the_effect_found_takes_the_error_away():
+    """Sensor gain: the record's top sensor reads 8 % too much, so that the shear model is wrong."""
+    mass, stiffness, dashpots = damped_frame(3)
+    M, C, K = matrices(mass, stiffness, dashpots)
+    gain = np.array([1.0, 1.0, 1.08])
+    table = declared(mass, stiffness, pole_ratios(M, C, K), frequency_std=0.0005, shape_std=0.002)
+    shapes = np.array(table["configuration"][0]["mode_shapes"]) * gain
+    table["configuration"][0]["mode_shapes"] = shapes.tolist()
+    experiment = cvxshear.Experiment.from_dict(table)
+    gained = Placed(effects.named(["sensor_gain"])[0], effects.Place(floor=3))
+    solver = backends.get("auto")
+    pair = Models(Fitted.of(efficient(experiment, solver)), Fitted.of(efficient(experiment, solver, [gained])))
+    truth = DampedModel(M, C, K, np.ones(3))
+    found = predict(pair, recorded(truth, gain=gain), damping="story", detrend=False)
+    assert found.before.comparison.rms_ratio[2] < 0.97
+    np.testing.assert_allclose(found.after.comparison.rms_ratio, 1.0, atol=1e-3)
+    assert found.to_dict()["effects"] == [gained.to_dict()]
+
+
+def test_a_changed_frame_is_told(frame):
+    """A tenth softer: frequencies five percent lower."""
+    _, estimate, truth = frame
+    softer = DampedModel(truth.M, truth.C, 0.9 * truth.K, truth.gain)
+    found = predict(estimate, recorded(softer, samples=20_000))
+    shifts = found.after.comparison.shifts
+    assert 1 in [shift.mode for shift in shifts]
+    first = shifts[0]
+    assert first.measured / first.modelled == pytest.approx(np.sqrt(0.9), abs=0.01)
+    assert any("depend on the amplitude, or the frame has changed" in remark for remark in found.remarks)
+    assert predict(estimate, recorded(truth, samples=20_000)).after.comparison.shifts == ()
+
+
+def test_the_json_of_a_loop_predicts_the_same(frame, tmp_path):
+    experiment, _, truth = frame
+    closure = cvxshear.close_loop(experiment)
+    record = recorded(truth)
+    written = tmp_path / "loop.json"
+    written.write_text(json.dumps({"model": models_of_loop(closure).to_dict()}))
+    direct, again = predict(closure, record).to_dict(), predict(written, record).to_dict()
+    assert direct == again
+    assert predict(experiment, record).to_dict() == direct
+
+
+def test_shapes_without_a_number_pass_through_json(frame):
+    experiment, estimate, _ = frame
+    table = experiment.to_dict()
+    table["configuration"][0]["mode_shapes"][1][0] = float("nan")
+    holed = cvxshear.Experiment.from_dict(table, name="holed")
+    models = Models(None, Fitted(holed, (), estimate.theta, None))
+    again = Models.from_dict(json.loads(json.dumps(models.to_dict(), allow_nan=False)), "here")
+    assert np.isnan(again.after.experiment.configurations[0].mode_shapes[1, 0])
+    assert again.after.covariance is None
+
+
+def test_the_state_follows_the_added_mass(frame):
+    _, estimate, truth = frame
+    added = np.array([0.0, 1.0, 2.0])
+    heavier = DampedModel(truth.M + np.diag(added), truth.C, truth.K, truth.gain)
+    motion = Motion.of(recorded(heavier), added.tolist())
+    found = predict(estimate, motion, detrend=False)
+    assert found.configuration.name == "3 kg added"
+    np.testing.assert_allclose(found.after.comparison.nrmse, 0, atol=1e-5)
+    with pytest.raises(InputError, match="configuration must be one of configuration 1, not 'other'"):
+        predict(estimate, motion, configuration="other")
+    with pytest.raises(InputError, match="added_mass has 2 entries, the frame 3 stories"):
+        predict(estimate, Motion.of(recorded(heavier), [1.0, 2.0]))
+
+
+def test_forces_are_left_out_where_masses_have_no_scale(frame):
+    _, estimate, truth = frame
+    models = Models(None, Fitted.of(estimate, mass_known=False))
+    said = predict(models, recorded(truth)).to_dict()
+    assert said["peaks"]["base_shear"] is None
+    assert said["peaks"]["story_shear_std"] is None
+    assert said["peaks"]["story_drift"] is not None
+    assert any("no scale" in remark for remark in said["remarks"])
+
+
+def test_without_noise_there_are_no_deviations(frame):
+    experiment, estimate, truth = frame
+    found = predict(Models(None, Fitted(experiment, (), estimate.theta, None)), recorded(truth))
+    assert found.to_dict()["peaks"]["story_drift_std"] == [None] * 3
+    assert any(remark.startswith("no standard deviations") for remark in found.remarks)
+    assert "acceleration_std_1" not in series(found)
+
+
+def test_several_runs_and_some_floors(frame):
+    _, estimate, truth = frame
+    one = recorded(truth, floors=(1, 3))
+    other = recorded(truth, floors=(1, 3), seed=9, samples=2000)
+    both = TimeRecord(one.channels, runs=(*one.runs, *other.runs), sampling_rate=RATE, input="base")
+    found = predict(estimate, both, detrend=False)
+    np.testing.assert_allclose(found.after.comparison.nrmse, 0, atol=1e-5)
+    assert found.after.comparison.floors.tolist() == [1, 3]
+    single = [predict(estimate, each, detrend=False).peaks.values["floor_acceleration"] for each in (one, other)]
+    np.testing.assert_allclose(found.peaks.values["floor_acceleration"], np.maximum(*single), rtol=1e-9)
+    columns = series(found)
+    assert np.bincount(columns["run"].astype(int)).tolist() == [0, 3000, 2000]
+    assert columns["time"][3000] == 0
+
+
+def test_the_drift_of_sensors_is_taken_off(frame):
+    _, estimate, truth = frame
+    record = recorded(truth)
+    biased = TimeRecord(
+        record.channels,
+        runs=(Run(record.runs[0].responses + 0.3, record.runs[0].excitation + 0.2),),
+        sampling_rate=RATE,
+        input="base",
+    )
+    assert np.all(predict(estimate, biased).after.comparison.nrmse < 0.02)
+    assert np.all(predict(estimate, biased, detrend=False).after.comparison.nrmse > 0.05)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"input": "none"}, 'has input = "none"; a prediction needs what drove the frame'),
+        ({"quantity": "displacement"}, None),
+    ],
+)
+def test_records_that_say_too_little(frame, options, message):
+    _, estimate, truth = frame
+    record = recorded(truth)
+    changed = TimeRecord(record.channels, runs=record.runs, sampling_rate=RATE, **{"input": "base", **options})
+    if message is None:
+        found = predict(estimate, changed)
+        assert found.after.comparison is None
+        assert found.to_dict()["after"] is None
+        assert any("no accelerations of floors" in remark for remark in found.remarks)
+    else:
+        with pytest.raises(InputError, match=message):
+            predict(estimate, changed)
+
+
+def test_a_record_of_another_frame(frame):
+    _, estimate, _ = frame
+    taller = DampedModel(*matrices(*damped_frame(4)), np.ones(4))
+    with pytest.raises(InputError, match="shaken speaks of floor 4, the frame has 3 stories"):
+        predict(estimate, recorded(taller, floors=(4,)))
+    with pytest.raises(InputError, match="the model of a prediction is a file, an Experiment"):
+        predict(3, recorded(taller, floors=(4,)))
+    with pytest.raises(InputError, match="what drives a frame is a record file"):
+        predict(estimate, 3)
