@@ -19,6 +19,7 @@ from cvxshear.errors import (
     NoSolutionError,
     UnsuitableError,
 )
+from cvxshear.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from cvxshear import backends, effects, priors
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
     from cvxshear.planning import plan
     from cvxshear.priors import Prior
     from cvxshear.response import predict
-
-__version__ = "0.1.0"
 
 showing.shown_by("cvxshear.report.show")
 

@@ -80,11 +80,11 @@ TABLES = {
     ),
     "nothing like any table": (
         {**declared(), "zzz": 1},
-        "the measurement file: unknown key 'zzz'; known keys are configuration, damping, frame, prior",
+        "the measurement file: unknown key 'zzz'; known keys are configuration, damping, effect, frame, prior, static",
     ),
     "a key that is no text": (
         {**declared(), 3: 1},
-        "the measurement file: unknown key 3; known keys are configuration, damping, frame, prior",
+        "the measurement file: unknown key 3; known keys are configuration, damping, effect, frame, prior, static",
     ),
     "[configuration]": (
         {"configuration": declared()["configuration"][0]},
@@ -182,7 +182,6 @@ def test_frame(frame, message):
 
 KEYS = {
     "no frequencies": ({"frequencies": ABSENT}, ": the key 'frequencies' is missing"),
-    "no shapes": ({"mode_shapes": ABSENT}, ": the key 'mode_shapes' is missing"),
     "a key misspelt": (
         {"frequencis": 1, "frequencies": ABSENT},
         ": unknown key 'frequencis'; did you mean 'frequencies'?",
@@ -230,7 +229,7 @@ KEYS = {
         {"mode_shapes": "x"},
         ": mode_shapes must be a list of lists of numbers, one a mode, not 'x'",
     ),
-    "empty shapes": ({"mode_shapes": []}, ": mode_shapes must have 2 rows, one for each frequency, not 0"),
+    "empty shapes": ({"mode_shapes": []}, ": mode_shapes must not be empty; leave the key out for its default"),
     "an empty shape": ({"mode_shapes": [[], []]}, ": mode_shapes, row 1 must not be empty"),
     "ragged shapes": (
         {"mode_shapes": [[0.6, 1.0], [1.0]]},
@@ -417,9 +416,15 @@ def test_contradictions(changes, message):
     assert refused(declared(**changes)) == message
 
 
+def test_frequencies_alone_do_not_tell_how_many_stories_there_are():
+    table = {"frame": {"total_mass": 3.0}, "configuration": [{"frequencies": [1.0, 2.0]}]}
+    assert refused(table) == "nothing tells how many stories the frame has; give frame: stories"
+
+
 NO_SCALE = (
     "nothing tells how heavy the frame is: give frame: total_mass or floor_masses, two configurations with different "
-    "added_mass, mass_normalized shapes, or a prior that fixes the scale (value, or nominal without free_scale)"
+    "added_mass, mass_normalized shapes, a static test, or a prior that fixes the scale (value, or nominal without "
+    "free_scale)"
 )
 
 
@@ -651,7 +656,7 @@ def test_file(content, message, tmp_path):
 
 def test_a_file_that_is_not_there(tmp_path):
     file = tmp_path / "missing.toml"
-    assert refused_file(file) == f"{file}: no such file (the built-in example is called 'paper')"
+    assert refused_file(file) == f"{file}: no such file (the built-in examples are called paper and los-alamos)"
 
 
 def test_a_folder(tmp_path):

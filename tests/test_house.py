@@ -9,15 +9,16 @@ ROOT = Path(cvxshear.__file__).parent
 
 ROOMS = (
     # What anything may use: exceptions, names of types, checks of what comes in, how quantities are written.
-    ("errors",), ("typing",), ("quantities",), ("checks",), ("parallel",),
+    ("typing",), ("text",), ("errors",), ("quantities",), ("checks",), ("parallel",), ("showing",), ("writing",),
+    ("dataframe",), ("findings",), ("version",),
     # What was measured and declared: priors, static tests and what is expected of effects are part of an experiment.
     ("priors",), ("configuration",), ("static_test",), ("expected_effect",), ("experiment",),
     # The model, the effects that act on it, and the kinds of data that it is compared with.
     ("frame",), ("effects",), ("data",),
     # Programs, what solves them, and the methods that are made of them.
     ("programs",), ("backends",), ("screening",), ("identification",), ("loop",),
-    # Records and files: both end in an experiment.
-    ("modal",), ("formats",),
+    # Records and files, one and many: both end in an experiment.
+    ("modal",), ("formats",), ("campaign",),
     # What is made of many identifications, and of an identified frame.
     ("studies",), ("response",), ("planning",),
     # How results are shown, the published numbers, the public face, the command line.

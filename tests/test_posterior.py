@@ -25,7 +25,7 @@ PRIOR = 0.02
 def model(effects, probability, *, mass=10.0, std=0.5, chi2=20.0, dof=20, log_prior=0.0):
     """A set whose score is the logarithm of a probability."""
     frame = IdentifiedFrame(np.full(2, mass), np.full(2, 1e3 * mass), np.full(2, std), np.full(2, 1e3 * std))
-    estimate = SimpleNamespace(frame=frame, chi2=chi2, dof=dof)
+    estimate = SimpleNamespace(expected_frame=frame, chi2=chi2, dof=dof)
     return ModelClass(frozenset(effects), estimate, float(np.log(probability)) - log_prior - 300.0, log_prior)
 
 
@@ -64,7 +64,8 @@ def test_the_median_model_may_be_none_that_is_best():
 def test_a_twin_is_added_in_place_of_what_it_is_a_twin_of_never_besides_it():
     of = posterior(model([A], 0.4), model([B], 0.3), model([B, C], 0.3))
     assert [item.placed for item in of.rivals(A) if item.twin] == [B]
-    assert of.verdict_set() == {A}
+    # 0.3 + 0.3 for B, 0.4 for A: the more probable of the two, and not both.
+    assert of.verdict_set() == {B}
 
 
 def test_what_the_data_cannot_tell_keeps_its_odds_and_is_not_added():
@@ -101,9 +102,15 @@ def test_twins_share_what_either_would_have_alone():
     assert {best, twin.placed} == {A, B}
     assert twin.twin
     assert of.verdict_set() == {best}
-    apart = posterior(model([A], 0.46, chi2=20.0), model([B], 0.44, chi2=22.0), model([], 0.1, chi2=60.0, dof=21))
-    assert not apart.rivals(A)[0].twin
-    assert apart.verdict_set() == set()
+
+
+def test_an_effect_with_a_rival_is_added_where_one_of_the_two_is_surely_there():
+    """0.46 and 0.44 at two places: something is there, and where is for the rivals to say."""
+    of = posterior(model([A], 0.46, chi2=20.0), model([B], 0.44, chi2=22.0), model([], 0.1, chi2=60.0, dof=21))
+    assert not of.rivals(A)[0].twin
+    assert of.verdict_set() == {A}
+    weak = posterior(model([A], 0.3, chi2=20.0), model([B], 0.1, chi2=22.0), model([], 0.6, chi2=30.0, dof=21))
+    assert weak.verdict_set() == set()
 
 
 def test_the_averaged_frame_is_a_mixture():

@@ -88,7 +88,11 @@ class Posterior:
         probable of these; and each effect beyond that set which is more probable than not.
         """
         best = self.best.effects
-        families = {placed: [placed, *(rival.placed for rival in self.rivals(placed))] for placed in best}
+        families = {
+            placed: [placed, *(rival.placed for rival in self.rivals(placed))]
+            for placed in best
+            if placed not in self._kept_odds
+        }
         held: list[Placed] = []
         for family in families.values():
             if self._enough(family):
@@ -114,12 +118,17 @@ class Posterior:
         held = [not model.effects.isdisjoint(family) for model in self.models]
         return float(self.probabilities[held].sum())
 
+    @cached_property
+    def _kept_odds(self) -> frozenset[Placed]:
+        """Effects whose odds the data left about as they were: they come and go with any set, and replace nothing."""
+        return frozenset(placed for placed in self.of_effects if 1.0 / RAISED < self._raised([placed]) < RAISED)
+
     def untold(self) -> list[Placed]:
         """Effects whose odds the data left about as they were, though they are, or were, even or better."""
         return [
             placed
             for placed, probability in self.of_effects.items()
-            if max(probability, self._prior[placed]) >= ADDED and 1.0 / RAISED < self._raised([placed]) < RAISED
+            if max(probability, self._prior[placed]) >= ADDED and placed in self._kept_odds
         ]
 
     def rivals(self, placed: Placed) -> list[Rival]:
@@ -139,7 +148,8 @@ class Posterior:
                 break
             if placed in model.effects or placed not in best.effects:
                 continue
-            other = replacement(placed, best.effects - model.effects, model.effects - best.effects)
+            gone, come = best.effects - model.effects, model.effects - best.effects
+            other = replacement(placed, gone - (self._kept_odds - {placed}), come - self._kept_odds)
             if other is not None:
                 found[other] = found.get(other, 0.0) + float(probability)
                 if len(model.effects) == len(best.effects) and _alike(model, best):

@@ -7,7 +7,6 @@ import platform
 from collections.abc import Iterator
 from importlib import metadata
 
-import cvxshear
 from cvxshear.backends import Comparison
 from cvxshear.loop import Closure
 from cvxshear.quantities import AUTOMATIC, Units, capital
@@ -16,6 +15,7 @@ from cvxshear.report.describe import describe
 from cvxshear.report.describe.headline import headline
 from cvxshear.response.fitted import without_nan
 from cvxshear.typing import Json
+from cvxshear.version import __version__
 
 PACKAGES = (
     "numpy",
@@ -110,7 +110,7 @@ def readable_json(value: object) -> str:
 
 def versions() -> Iterator[tuple[str, str]]:
     """Names and versions of what computed the result."""
-    yield "cvxshear", cvxshear.__version__
+    yield "cvxshear", __version__
     yield "Python", platform.python_version()
     for name in PACKAGES:
         try:
