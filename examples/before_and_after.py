@@ -28,7 +28,7 @@ def modes(mass, k):
     return frequencies * (1 + 0.001 * random.standard_normal(4)), shapes + 0.01 * random.standard_normal((4, 4))
 
 
-text = f"[frame]\nstory_heights = 0.4\ntotal_mass = {MASS.sum():.1f}\nreference = \"before\"\n"
+text = f'[frame]\nstory_heights = 0.4\ntotal_mass = {MASS.sum():.1f}\nreference = "before"\n'
 for state, k in (("before", STIFFNESS), ("after", STIFFNESS * SOFTER)):
     for load, added in COUNTERWEIGHTS.items():
         frequencies, shapes = modes(MASS + added, k)

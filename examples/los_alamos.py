@@ -46,8 +46,9 @@ def picture(closure):
         rows = [row for row in answer(closure) if row[1][0] == kind]
         word, unit, _ = UNITS[kind]
         for at, (_, (_, _, size), (_, value, std), _, _) in enumerate(rows):
-            axes.plot([at - 0.3, at + 0.3], [size, size], color=BEFORE, lw=3, label="published" if at == 0 else None)
-            axes.errorbar(at, value, 2 * std, color=AFTER, fmt="o", capsize=3, label="found ± 2 std" if at == 0 else None)
+            published, found = ("published", "found ± 2 std") if at == 0 else (None, None)
+            axes.plot([at - 0.3, at + 0.3], [size, size], color=BEFORE, lw=3, label=published)
+            axes.errorbar(at, value, 2 * std, color=AFTER, fmt="o", capsize=3, label=found)
         labels = [
             f"{state}\n{word} {level}" + ("" if getattr(placed.place, word) == level else " *") + f"\n{chance(odds)}"
             for state, (_, level, _), (placed, *_), _, odds in rows

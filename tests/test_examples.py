@@ -12,6 +12,7 @@ SHOWN = {
     "physical_bounds": r"without bounds .* 34 % off\nwith bounds .* 17 % off",
     "compare_backends": r"bounded mass +\d+ backends, farthest [\w-]+: \d+e-\d+ from the consensus",
     "floor_ratio": r"no prior .*= 2\.742\nwithin 2 % .*= 2\.014\nexact .*= 2\.000",
+    "los_alamos": r"ambiguous, 8 effects\n(state \d .*\n){8}",
     "own_datum": r"drawings alone +m = \[10\.8 .*\nwith the gauge +m = \[10\. +7\.5 +5\. \] ± \[0\.06",
     "before_and_after": r"before_and_after\.toml: 2 states, 4 tests",
     "own_prior": r"not weighed .*= 10\.79 kg\nweighed .*= 12\.44 kg",

@@ -1,4 +1,4 @@
-"""Measured frames of which something is known independently: the cause, what is left, and that nothing else is added."""
+"""Measured frames of which something is known independently: the cause, what is left, and nothing else added."""
 
 import functools
 import tempfile

@@ -2,7 +2,8 @@
 
     python runner.py FOLDER PAGE ...
 
-runs the pages in FOLDER, a copy of examples/ beside it and the measured data as data/ where they are here, and prints a JSON object with what each block printed.
+runs the pages in FOLDER, a copy of examples/ beside it and the measured data as data/ where they are here, and prints
+a JSON object with what each block printed.
 It is a process of its own, so that effects, priors and backends that a page registers stay in it.
 """
 
