@@ -1,5 +1,10 @@
 """What the whole suite shares: its options, and the command line run in this process."""
 
+import os
+
+# One thread a process: the tests run in one process a core. It must be said before numpy is loaded.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 import pytest
 
 from cvxshear.cli import main

@@ -44,6 +44,6 @@ class StoryChange(Effect):
         return np.array([0.25])
 
     def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
-        word = "stiffer" if values[0] > 0 else "softer"
+        word = "gain" if values[0] > 0 else "loss"
         size = with_std(100 * abs(values[0]), 100 * std[0], "%")
-        return f'a story {place.story} that is {size} {word} in "{place.state}"'
+        return f'a {word} of {size} of the stiffness of story {place.story} in "{place.state}"'

@@ -8,7 +8,9 @@ import tomllib
 from importlib import resources
 from pathlib import Path
 
+from cvxshear import checks
 from cvxshear.checks import shown
+from cvxshear.effects import catalogue
 from cvxshear.errors import InputError
 from cvxshear.experiment import Experiment
 from cvxshear.formats.mode_tables import with_modes_read
@@ -63,7 +65,10 @@ def load(path: str | Path) -> Experiment:
             f"'cvxshear modes {path} -o test.toml' makes one of it, and 'cvxshear loop {path}' takes it as it is"
         )
     try:
-        return Experiment.from_dict(with_modes_read(declared, path.parent), name=named_after(path))
+        experiment = Experiment.from_dict(with_modes_read(declared, path.parent), name=named_after(path))
+        for expected in experiment.expected:
+            checks.choice(expected.name, [effect.name for effect in catalogue()], "effect: name")
+        return experiment
     except InputError as error:
         raise type(error)(f"{path!s}: {error}") from error
 
