@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from cvxshear.data.pairing import paired
-from cvxshear.effects.base import State
+from cvxshear.effects.state import State
 from cvxshear.experiment import Configuration, Experiment, Tested
 from cvxshear.frame import Modes, System, mode_derivatives, modes
 from cvxshear.typing import Bools, Floats, Ints, Json

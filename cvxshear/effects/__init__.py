@@ -5,7 +5,7 @@
 
 from cvxshear.effects.added_mass import AddedMass
 from cvxshear.effects.axial_columns import AxialColumns
-from cvxshear.effects.base import Effect, Parameter, Place, Placed, Scale, State
+from cvxshear.effects.base import Effect, Parameter, Place, Placed
 from cvxshear.effects.base_rocking import BaseRocking
 from cvxshear.effects.composition import compose
 from cvxshear.effects.flexibility import add_flexibility
@@ -15,6 +15,7 @@ from cvxshear.effects.joint_rotation import JointRotation
 from cvxshear.effects.mass_coupling import MassCoupling
 from cvxshear.effects.registry import catalogue, named, register
 from cvxshear.effects.sensor_gain import SensorGain
+from cvxshear.effects.state import Scale, State
 from cvxshear.effects.story_change import StoryChange
 from cvxshear.effects.total_mass import TotalMass
 

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cvxshear.effects.base import Effect, Parameter, Place, Scale, State
+from cvxshear.effects.base import Effect, Parameter, Place
 from cvxshear.effects.flexibility import add_flexibility
+from cvxshear.effects.state import Scale, State
 from cvxshear.quantities import with_std
 from cvxshear.typing import Floats
 

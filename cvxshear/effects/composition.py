@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cvxshear.effects.base import STAGES, Placed, State
+from cvxshear.effects.base import Placed
+from cvxshear.effects.state import STAGES, State
 from cvxshear.errors import UnsuitableError
 from cvxshear.experiment import Experiment, Tested
 from cvxshear.frame import ShearSystem, System, mass_matrix, shear_system, stiffness_matrix

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cvxshear.effects.base import State
+from cvxshear.effects.state import State
 from cvxshear.typing import Floats
 
 

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cvxshear.effects.base import Effect, Parameter, Place, Scale, State
+from cvxshear.effects.base import Effect, Parameter, Place
+from cvxshear.effects.state import Scale, State
 from cvxshear.experiment import Experiment
 from cvxshear.priors import Constraints
 from cvxshear.quantities import with_std

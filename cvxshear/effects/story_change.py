@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cvxshear.effects.base import Effect, Parameter, Place, Scale, State
+from cvxshear.effects.base import Effect, Parameter, Place
+from cvxshear.effects.state import Scale, State
 from cvxshear.frame import stiffness_matrix, transformation
 from cvxshear.quantities import with_std
 from cvxshear.typing import Floats

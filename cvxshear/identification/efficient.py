@@ -13,8 +13,8 @@ from scipy import stats
 from cvxshear.backends import Backend
 from cvxshear.data import NOISES
 from cvxshear.effects import Placed, Scale
-from cvxshear.effects.base import heights_of
 from cvxshear.effects.composition import slices
+from cvxshear.effects.state import heights_of
 from cvxshear.errors import CvxshearError, NoModesError, NoSolutionError
 from cvxshear.experiment import Experiment
 from cvxshear.identification.domain import domain_of, refuse_contradicting

@@ -9,7 +9,7 @@ import numpy as np
 from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.effects import Effect, Placed, Scale
-from cvxshear.effects.base import heights_of
+from cvxshear.effects.state import heights_of
 from cvxshear.errors import InputError
 from cvxshear.experiment import Experiment
 from cvxshear.identification.efficient import Estimate, efficient

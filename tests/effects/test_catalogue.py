@@ -9,7 +9,7 @@ import pytest
 
 from cvxshear.effects import Effect, Parameter, Place, Placed, Scale, catalogue, compose, named, register
 from cvxshear.effects import registry as registry_module
-from cvxshear.effects.base import STAGES
+from cvxshear.effects.state import STAGES
 from cvxshear.errors import InputError
 from cvxshear.experiment import Experiment, Frame
 from tests.effects.common import ADDED, HEIGHTS, MASS, NAMES, STIFFNESS, composed, experiment, placed, theta

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.effects import Placed, compose
-from cvxshear.effects.base import State
+from cvxshear.effects.state import State
 from cvxshear.experiment import Configuration
 from cvxshear.frame import modes
 from cvxshear.identification.efficient import Estimate
