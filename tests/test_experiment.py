@@ -15,7 +15,7 @@ from cvxshear.experiment import Configuration, Experiment, Frame, Prior
 from cvxshear.formats.toml import load
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-MEASURED_EXAMPLES = sorted(file for file in EXAMPLES.glob("*.toml") if "configuration" in tomllib.loads(file.read_text()))
+MEASURED_EXAMPLES = sorted(file for file in EXAMPLES.glob("*.toml") if "[[configuration]]" in file.read_text())
 """All but design values, from which a test is planned."""
 FREQUENCIES = [2.0, 5.0, 8.0]
 SHAPES = [[0.4, 0.8, 1.0], [-1.0, -0.3, 0.9], [0.8, -1.0, 0.5]]
