@@ -2,7 +2,8 @@
 
     python runner.py FOLDER PAGE ...
 
-runs the pages in FOLDER, a copy of examples/ beside it, and prints a JSON object with what each block printed.
+runs the pages in FOLDER, a copy of examples/ beside it and the measured data as data/ where they are here, and prints
+a JSON object with what each block printed.
 It is a process of its own, so that effects, priors and backends that a page registers stay in it.
 """
 
@@ -32,6 +33,10 @@ IMPORTS_ALONE = {
 as such by the word no-run after its fence."""
 
 
+MEASURED = Path(os.environ.get("CVXSHEAR_SHARED", Path(__file__).resolve().parents[3] / "shared")) / "data"
+"""Measured data beside the project; blocks marked needs-data run where they are."""
+
+
 @dataclass(frozen=True)
 class Block:
     """A fenced block: the words after its fence, its text, the line it begins at."""
@@ -46,7 +51,12 @@ class Block:
 
     @property
     def runs(self) -> bool:
-        return "no-run" not in self.words
+        return "no-run" not in self.words and not self.lacks_data
+
+    @property
+    def lacks_data(self) -> bool:
+        """Whether it reads measured data that are not here."""
+        return "needs-data" in self.words and not MEASURED.is_dir()
 
 
 def blocks(page: str) -> list[Block]:
@@ -141,6 +151,8 @@ def main(arguments: list[str]) -> None:
     for page in pages:
         with tempfile.TemporaryDirectory() as folder:
             shutil.copytree(examples, Path(folder) / "examples")
+            if MEASURED.is_dir():
+                (Path(folder) / "data").symlink_to(MEASURED)
             os.chdir(folder)
             results[str(page)] = run_page(page)
             os.chdir(examples)

@@ -73,7 +73,7 @@ def shown_outputs(page: Path) -> list[tuple[str, str]]:
     found: list[tuple[str, str]] = []
     before: Block | None = None
     for block in blocks(page.read_text()):
-        if block.language == "output":
+        if block.language == "output" and not block.lacks_data:
             assert before is not None, f"{name_of(page)}: the output at line {block.line} belongs to no python block"
             found.append((str(before.line), block.text))
         elif block.language == "console" and block.runs:
@@ -86,6 +86,8 @@ def shown_outputs(page: Path) -> list[tuple[str, str]]:
 def test_every_block_of_the_page_runs(page):
     printed = results()[str(page)]
     assert "error" not in printed, printed["error"]
+    if any(block.lacks_data for block in blocks(page.read_text())):
+        pytest.skip(f"{name_of(page)}: the measured data of its blocks are not here")
 
 
 @pytest.mark.parametrize("page", [page for page in RUN if shown_outputs(page)], ids=name_of)
