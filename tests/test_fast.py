@@ -15,7 +15,7 @@ import pytest
 
 from cvxshear import Experiment, InputError, NoSolutionError, UnsuitableError, backends, close_loop, identify
 from cvxshear.frame import mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
-from cvxshear.identification.separate import setting
+from cvxshear.identification.separate import complete_test
 from cvxshear.parallel import each
 from cvxshear.priors import Bounds, Nominal, Ratio
 from cvxshear.programs import mass_correction, one_shot_masses, story_stiffnesses
@@ -312,4 +312,4 @@ def test_design_values_are_where_a_large_fit_starts():
 
 def test_the_setting_carries_the_choice_of_rows():
     of = measured(3, 0.0)
-    assert setting(of, of.configurations[0], "one-shot", rows=False).rows is False
+    assert complete_test(of, of.configurations[0], "one-shot", rows=False).rows is False

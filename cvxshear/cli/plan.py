@@ -11,7 +11,7 @@ from cvxshear.cli.output import FigureOut, JsonOut, Quiet, deliver, figures_for,
 from cvxshear.errors import InputError
 
 if TYPE_CHECKING:
-    from cvxshear.planning import Noise
+    from cvxshear.planning import TestNoise
 
 T = TypeVar("T")
 
@@ -47,7 +47,7 @@ def plan(
     excitation: Annotated[str | None, typer.Option(help="ambient, shaker or hammer; with --duration.")] = None,
     damping: Annotated[float | None, typer.Option(help="Fraction of critical; with --duration.")] = None,
     sensor_noise: Annotated[
-        float | None, typer.Option(help="Noise of a channel over its standard deviation; with --duration.")
+        float | None, typer.Option(help="TestNoise of a channel over its standard deviation; with --duration.")
     ] = None,
     goal: Annotated[
         str,
@@ -104,7 +104,7 @@ def _noise(
     declared: tuple[float | None, float | None],
     duration: float | None,
     record: tuple[str | None, float | None, float | None],
-) -> Noise:
+) -> TestNoise:
     """The noise that the options stand for."""
     from cvxshear.planning import Declared, Recorded
 

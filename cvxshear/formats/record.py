@@ -55,7 +55,7 @@ FREQUENCY_NAMES = ("frequency", "frequency_hz", "freq", "f", "f_hz", "Frequency"
 
 
 @dataclass(frozen=True)
-class Declared:
+class ChannelDeclaration:
     """One channel as the record file declares it."""
 
     column: str
@@ -207,7 +207,7 @@ def _added_mass(table: Mapping[str, Any], path: Path) -> list[float] | None:
     return masses
 
 
-def _responds(item: Declared) -> bool:
+def _responds(item: ChannelDeclaration) -> bool:
     """Whether a channel measures a floor."""
     return item.floor > 0 and item.quantity != "force"
 
@@ -232,7 +232,7 @@ def _record(table: Mapping[str, Any], path: Path, lines: list[int]) -> Record:
     return _time_record(declared, channels, runs, common, path)
 
 
-def _channels(tables: object, declared: Mapping[str, Any], path: Path, lines: list[int]) -> list[Declared]:
+def _channels(tables: object, declared: Mapping[str, Any], path: Path, lines: list[int]) -> list[ChannelDeclaration]:
     if not isinstance(tables, list) or not tables:
         raise InputError("channel must be a list of tables, one [[channel]] a column")
     found = []
@@ -253,7 +253,8 @@ def _channels(tables: object, declared: Mapping[str, Any], path: Path, lines: li
         factor = sign * checks.number(one.get("calibration", 1.0), f"{where}: calibration", above=0.0)
         floor = checks.whole(one.get("floor", 0), f"{where}: floor", least=0, most=MOST_STORIES)
         axis = checks.text(one.get("axis", "x"), f"{where}: axis")
-        found.append(Declared(column, floor, axis, factor, quantity, f"line {line} of {path.name}" if line else ""))
+        place = f"line {line} of {path.name}" if line else ""
+        found.append(ChannelDeclaration(column, floor, axis, factor, quantity, place))
     _refuse_twice(found)
     axes = {item.axis for item in found if item.quantity != "force"}
     wanted = declared.get("axis")
@@ -264,7 +265,7 @@ def _channels(tables: object, declared: Mapping[str, Any], path: Path, lines: li
     return [item for item in found if item.quantity == "force" or wanted is None or item.axis == wanted]
 
 
-def _refuse_twice(found: list[Declared]) -> None:
+def _refuse_twice(found: list[ChannelDeclaration]) -> None:
     for place, item in enumerate(found):
         for other in found[:place]:
             if other.column == item.column:
@@ -318,7 +319,7 @@ def _read(run: Mapping[str, Any], declared: Mapping[str, Any], path: Path) -> Co
 
 def _time_record(
     declared: Mapping[str, Any],
-    channels: list[Declared],
+    channels: list[ChannelDeclaration],
     runs: list[Mapping[str, Any]],
     common: Mapping[str, Any],
     path: Path,
@@ -346,11 +347,11 @@ def _time_record(
     )
 
 
-def _made(responses: list[Declared]) -> tuple[Channel, ...]:
+def _made(responses: list[ChannelDeclaration]) -> tuple[Channel, ...]:
     return tuple(Channel(item.column, item.floor, item.axis, item.place) for item in responses)
 
 
-def _driver(channels: list[Declared], kind: str) -> Declared | None:
+def _driver(channels: list[ChannelDeclaration], kind: str) -> ChannelDeclaration | None:
     """The channel that measures the input."""
     ground = [item for item in channels if item.floor == 0 and item.quantity != "force"]
     forces = [item for item in channels if item.quantity == "force"]
@@ -367,7 +368,7 @@ def _driver(channels: list[Declared], kind: str) -> Declared | None:
     return None
 
 
-def _table(columns: Columns, responses: list[Declared], path: Path) -> Floats:
+def _table(columns: Columns, responses: list[ChannelDeclaration], path: Path) -> Floats:
     if not responses:
         raise InputError("no channel is on a floor above the ground")
     return np.column_stack([item.factor * columns.column(item.column, item.place or path.name) for item in responses])
@@ -406,7 +407,7 @@ def _refuse_two_rates(rates: list[tuple[float, str]]) -> None:
 
 def _frf_record(
     declared: Mapping[str, Any],
-    channels: list[Declared],
+    channels: list[ChannelDeclaration],
     runs: list[Mapping[str, Any]],
     common: Mapping[str, Any],
     path: Path,
@@ -431,7 +432,7 @@ def _frf_record(
     )
 
 
-def _complex(columns: Columns, item: Declared, path: Path) -> Any:
+def _complex(columns: Columns, item: ChannelDeclaration, path: Path) -> Any:
     asked = item.place or path.name
     real, imaginary = f"{item.column}_re", f"{item.column}_im"
     return item.factor * (columns.column(real, asked) + 1j * columns.column(imaginary, asked))

@@ -6,25 +6,25 @@ import numpy as np
 
 from cvxshear.backends import Backend
 from cvxshear.errors import UnsuitableError
-from cvxshear.identification.results import Part
-from cvxshear.identification.separate import Setting, finished, start_mass
+from cvxshear.identification.results import SingleIdentification
+from cvxshear.identification.separate import CompleteTest, finished, start_mass
 from cvxshear.identification.stiffness import identified_stiffness
 from cvxshear.programs import mass_correction
 from cvxshear.programs.mass import normalized
 from cvxshear.typing import Floats
 
 
-def _refuse_priors(of: Setting, method: str) -> None:
+def _refuse_priors(of: CompleteTest, method: str) -> None:
     if of.experiment.priors:
         raise UnsuitableError(f"method {method} takes no priors; use two-stage, one-shot or efficient")
 
 
-def qi(of: Setting, backend: Backend, initial_mass: Floats | None = None) -> Part:
+def qi(of: CompleteTest, backend: Backend, initial_mass: Floats | None = None) -> SingleIdentification:
     """One least-squares correction without the constraint on the total (Eq. 10), on the initial normalization.
 
     Parameters
     ----------
-    of : Setting
+    of : CompleteTest
     backend : Backend
     initial_mass : ndarray, shape (N,), optional
         Without added mass, kg.
@@ -43,7 +43,7 @@ def qi(of: Setting, backend: Backend, initial_mass: Floats | None = None) -> Par
     )
 
 
-def berman(of: Setting, backend: Backend, initial_mass: Floats | None = None) -> Part:
+def berman(of: CompleteTest, backend: Backend, initial_mass: Floats | None = None) -> SingleIdentification:
     """The smallest change of the mass matrix that makes the modes orthonormal (Berman, 1979).
 
     M = M0 + M0 P a^-1 (1 - a) a^-1 P' M0 with a = P' M0 P, the modes P normalized by M0. The result is a full
@@ -52,7 +52,7 @@ def berman(of: Setting, backend: Backend, initial_mass: Floats | None = None) ->
 
     Parameters
     ----------
-    of : Setting
+    of : CompleteTest
     backend : Backend
     initial_mass : ndarray, shape (N,), optional
         Without added mass, kg.

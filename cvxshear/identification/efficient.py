@@ -22,7 +22,7 @@ from cvxshear.identification.gauss_newton import CONVERGED_STEP, Domain, Fit, ga
 from cvxshear.identification.misfit import Evaluation, Misfit
 from cvxshear.identification.noise import LARGEST_NOISE, NoiseEstimate, estimated_noise
 from cvxshear.identification.quality import Quality, quality
-from cvxshear.identification.results import IdentifiedFrame, Part, Prediction, predictions
+from cvxshear.identification.results import IdentifiedFrame, Prediction, SingleIdentification, predictions
 from cvxshear.identification.smooth import smooth_start
 from cvxshear.identification.start import starts, uniform
 from cvxshear.identification.uncertainty import Uncertainty, uncertainty
@@ -150,9 +150,9 @@ class Estimate:
         return self.uncertainty.root_of(self.fit.at.triangle[0])
 
     @property
-    def part(self) -> Part:
+    def part(self) -> SingleIdentification:
         """The estimate in the form that every method returns."""
-        return Part(
+        return SingleIdentification(
             name="",
             iterations=self.fit.steps,
             frame=self.frame,

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.backends import Backend, Solution
-from cvxshear.identification.separate import Setting
+from cvxshear.identification.separate import CompleteTest
 from cvxshear.programs import mass_correction
 from cvxshear.programs.mass import normalized
 from cvxshear.programs.rows import constrained, softened
@@ -27,13 +27,13 @@ MOST_ITERATIONS = 1000
 
 
 def correction(
-    of: Setting, mass: Floats, backend: Backend, start: Solution | None = None, *, diagonal: bool = True
+    of: CompleteTest, mass: Floats, backend: Backend, start: Solution | None = None, *, diagonal: bool = True
 ) -> Solution:
     """One step dm from these masses.
 
     Parameters
     ----------
-    of : Setting
+    of : CompleteTest
     mass : ndarray, shape (N,)
         With added mass, kg.
     backend : Backend
@@ -57,13 +57,13 @@ def correction(
 
 
 def iterated(
-    of: Setting, start: Floats, backend: Backend, tolerance: float, *, accelerate: bool
+    of: CompleteTest, start: Floats, backend: Backend, tolerance: float, *, accelerate: bool
 ) -> tuple[list[Floats], bool]:
     """The masses with added mass at the start and after each step, and whether Eq. 15 was met.
 
     Parameters
     ----------
-    of : Setting
+    of : CompleteTest
     start : ndarray, shape (N,)
     backend : Backend
     tolerance : float

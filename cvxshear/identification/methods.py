@@ -13,8 +13,8 @@ from cvxshear.experiment import Experiment
 from cvxshear.identification.baselines import berman, qi
 from cvxshear.identification.efficient import efficient, parameter_names
 from cvxshear.identification.one_shot import one_shot
-from cvxshear.identification.results import Identification, Part
-from cvxshear.identification.separate import Setting, setting
+from cvxshear.identification.results import Identification, SingleIdentification
+from cvxshear.identification.separate import CompleteTest, complete_test
 from cvxshear.identification.two_stage import TOLERANCE, two_stage
 from cvxshear.priors import Prior
 from cvxshear.typing import Floats
@@ -94,14 +94,14 @@ def identify(
             parameter_names=parameter_names(experiment, ()),
             undetermined=estimate.uncertainty.null_directions,
         )
-    settings = [setting(experiment, each, method, rows=rows) for each in experiment.configurations]
+    settings = [complete_test(experiment, each, method, rows=rows) for each in experiment.configurations]
     parts = [_part(method, of, solver, start, tolerance, accelerate=accelerate) for of in settings]
     return Identification(experiment, method, solver.name, tuple(parts))
 
 
 def _part(
-    method: str, of: Setting, solver: Backend, start: Floats | None, tolerance: float, *, accelerate: bool
-) -> Part:
+    method: str, of: CompleteTest, solver: Backend, start: Floats | None, tolerance: float, *, accelerate: bool
+) -> SingleIdentification:
     if method == "one-shot":
         return one_shot(of, solver)
     if method == "two-stage":

@@ -6,8 +6,8 @@ import numpy as np
 
 from cvxshear.backends import Backend
 from cvxshear.identification.ending import Ending
-from cvxshear.identification.results import Part
-from cvxshear.identification.separate import Setting, finished
+from cvxshear.identification.results import SingleIdentification
+from cvxshear.identification.separate import CompleteTest, finished
 from cvxshear.identification.stiffness import MOST_ROUNDS, UNCHANGED, identified_stiffness
 from cvxshear.programs import one_shot_masses
 from cvxshear.programs.normal import LOST, digits_lost, keeps_rows
@@ -15,12 +15,12 @@ from cvxshear.programs.rows import constrained, softened
 from cvxshear.typing import Floats
 
 
-def one_shot(of: Setting, backend: Backend) -> Part:
+def one_shot(of: CompleteTest, backend: Backend) -> SingleIdentification:
     """Identify one configuration from the off-diagonal orthogonality conditions and the total mass.
 
     Parameters
     ----------
-    of : Setting
+    of : CompleteTest
     backend : Backend
     """
     plain = one_shot_masses(of.shapes, of.total, rows=of.rows)

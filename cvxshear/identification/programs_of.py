@@ -14,7 +14,7 @@ from cvxshear.experiment import Experiment
 from cvxshear.identification.domain import domain_of
 from cvxshear.identification.gauss_newton import step_program
 from cvxshear.identification.misfit import Misfit
-from cvxshear.identification.separate import Setting, setting, start_mass
+from cvxshear.identification.separate import CompleteTest, complete_test, start_mass
 from cvxshear.identification.start import uniform
 from cvxshear.programs import LeastSquares, mass_correction, one_shot_masses, story_stiffnesses
 from cvxshear.programs.mass import normalized
@@ -84,13 +84,13 @@ def _separate_programs(experiment: Experiment) -> tuple[list[BenchmarkProgram], 
     programs: list[BenchmarkProgram] = []
     try:
         for each in experiment.configurations:
-            programs += _programs_of_one(setting(experiment, each, "two-stage"))
+            programs += _programs_of_one(complete_test(experiment, each, "two-stage"))
     except UnsuitableError as error:
         return [], str(error)
     return programs, ""
 
 
-def _programs_of_one(of: Setting) -> Iterator[BenchmarkProgram]:
+def _programs_of_one(of: CompleteTest) -> Iterator[BenchmarkProgram]:
     added = of.configuration.added_mass
     start = start_mass(of, None)
     mass = constrained(

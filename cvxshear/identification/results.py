@@ -106,7 +106,7 @@ def predictions(models: Sequence[Model]) -> tuple[Prediction, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class SingleIdentification:
     """An identification from one configuration, or from all together.
 
     Parameters
@@ -164,7 +164,7 @@ class Identification(Shown):
     ----------
     experiment : Experiment
     method, backend : str
-    parts : tuple of Part
+    parts : tuple of SingleIdentification
         One for all configurations together, or one a configuration.
     joint : bool
         Whether all configurations were fitted together.
@@ -177,14 +177,14 @@ class Identification(Shown):
     experiment: Experiment
     method: str
     backend: str
-    parts: tuple[Part, ...]
+    parts: tuple[SingleIdentification, ...]
     joint: bool = False
     correlation: Floats | None = None
     parameter_names: tuple[str, ...] = ()
     undetermined: tuple[tuple[str, ...], ...] = field(default=())
 
     @property
-    def single(self) -> Part | None:
+    def single(self) -> SingleIdentification | None:
         """The only part, where there is only one."""
         return self.parts[0] if len(self.parts) == 1 else None
 

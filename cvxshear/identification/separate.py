@@ -12,7 +12,7 @@ from cvxshear.experiment import Configuration, Experiment
 from cvxshear.identification.domain import refuse_contradicting
 from cvxshear.identification.misfit import Misfit
 from cvxshear.identification.quality import quality
-from cvxshear.identification.results import IdentifiedFrame, Part, predictions
+from cvxshear.identification.results import IdentifiedFrame, SingleIdentification, predictions
 from cvxshear.programs.feasibility import NamedConstraints
 from cvxshear.programs.rows import statements
 from cvxshear.typing import Floats
@@ -24,7 +24,7 @@ A bound much smaller than this is lost in a solver's own tolerances; HiGHS 1.15 
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
+class CompleteTest:
     """One configuration with everything that a method of this kind needs.
 
     Parameters
@@ -56,8 +56,10 @@ class Setting:
     rows: bool | None = None
 
 
-def setting(experiment: Experiment, configuration: Configuration, method: str, *, rows: bool | None = None) -> Setting:
-    """The setting of one configuration.
+def complete_test(
+    experiment: Experiment, configuration: Configuration, method: str, *, rows: bool | None = None
+) -> CompleteTest:
+    """One configuration, once a method of this kind can use it.
 
     Raises
     ------
@@ -87,7 +89,7 @@ def setting(experiment: Experiment, configuration: Configuration, method: str, *
     refuse_contradicting(experiment)
     eigenvalues = (2 * np.pi * configuration.frequencies) ** 2
     relative = configuration.entry_std / np.max(np.abs(configuration.mode_shapes), axis=1, keepdims=True)
-    return Setting(
+    return CompleteTest(
         experiment=experiment,
         configuration=configuration,
         shapes=configuration.mode_shapes.T,
@@ -106,24 +108,24 @@ def _listed(what: str, numbers: list[int]) -> str:
     return f"{what} {numbers[0]} is" if len(numbers) == 1 else f"{what}s {', '.join(map(str, numbers))} are"
 
 
-def start_mass(of: Setting, initial: Floats | None) -> Floats:
+def start_mass(of: CompleteTest, initial: Floats | None) -> Floats:
     """The first guess of the floor masses with added mass: the one handed in, else the total spread evenly."""
     n = of.experiment.stories
     net = of.total - of.configuration.added_mass.sum()
     return (np.full(n, net / n) if initial is None else initial) + of.configuration.added_mass
 
 
-def finished(of: Setting, mass: Floats, stiffness: Floats, **more: object) -> Part:
+def finished(of: CompleteTest, mass: Floats, stiffness: Floats, **more: object) -> SingleIdentification:
     """The part for a configuration: the frame without its added mass, its errors and predictions.
 
     Parameters
     ----------
-    of : Setting
+    of : CompleteTest
     mass : ndarray, shape (N,)
         With added mass.
     stiffness : ndarray, shape (N,)
     **more
-        Further fields of `Part`.
+        Further fields of `SingleIdentification`.
     """
     net = mass - of.configuration.added_mass
     frame = dataclasses.replace(of.experiment.frame, reference=None)
@@ -134,10 +136,10 @@ def finished(of: Setting, mass: Floats, stiffness: Floats, **more: object) -> Pa
     free = len(net) + (0 if of.experiment.frame.floor_masses is not None else len(net) - 1)
     at = misfit.evaluate(theta, derivatives=False)
     declared = not misfit.open_noises
-    return Part(
+    return SingleIdentification(
         name=of.configuration.name,
         frame=IdentifiedFrame(net, stiffness),
         fit=quality(misfit.data, at.models, at.chi2, misfit.count(theta) - free, declared=declared),
         predictions=predictions(at.models),
-        **more,  # type: ignore[arg-type]  # fields of Part, of the types that it says
+        **more,  # type: ignore[arg-type]  # fields of SingleIdentification, of the types that it says
     )

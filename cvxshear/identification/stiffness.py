@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.identification.separate import Setting
+from cvxshear.identification.separate import CompleteTest
 from cvxshear.programs import story_stiffnesses
 from cvxshear.programs.mass import normalized
 from cvxshear.programs.normal import LOST, digits_lost, keeps_rows
@@ -17,12 +17,12 @@ UNCHANGED = 1e-10
 """Relative change of the stiffnesses at which soft priors count as linearised where they belong."""
 
 
-def identified_stiffness(of: Setting, mass: Floats, backend: Backend) -> Floats:
+def identified_stiffness(of: CompleteTest, mass: Floats, backend: Backend) -> Floats:
     """Solve Eq. 24 with the priors.
 
     Parameters
     ----------
-    of : Setting
+    of : CompleteTest
     mass : ndarray, shape (N,) or (N, N)
         Floor masses with added mass, or a full mass matrix.
     backend : Backend

@@ -7,8 +7,8 @@ import numpy as np
 from cvxshear.backends import Backend
 from cvxshear.identification.ending import Ending
 from cvxshear.identification.fixed_point import MOST_ITERATIONS, iterated
-from cvxshear.identification.results import Part
-from cvxshear.identification.separate import Setting, finished, start_mass
+from cvxshear.identification.results import SingleIdentification
+from cvxshear.identification.separate import CompleteTest, finished, start_mass
 from cvxshear.identification.stiffness import identified_stiffness
 from cvxshear.typing import Floats
 
@@ -19,13 +19,13 @@ TOLERANCE = 1e-6
 
 
 def two_stage(
-    of: Setting,
+    of: CompleteTest,
     backend: Backend,
     initial_mass: Floats | None = None,
     tolerance: float = TOLERANCE,
     *,
     accelerate: bool = False,
-) -> Part:
+) -> SingleIdentification:
     """Identify one configuration as the paper does.
 
     In each iteration the modes are normalized by the current masses (Eq. 3), and the correction dm of Eq. 14
@@ -34,7 +34,7 @@ def two_stage(
 
     Parameters
     ----------
-    of : Setting
+    of : CompleteTest
     backend : Backend
     initial_mass : ndarray, shape (N,), optional
         Without added mass, kg; the total spread evenly where not given.

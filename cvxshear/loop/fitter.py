@@ -28,7 +28,7 @@ ROUGH = 1e-2
 
 
 @dataclass(frozen=True)
-class Proposal:
+class FitProposal:
     """A set of effects that is worth a fit, and where that starts.
 
     Parameters
@@ -87,13 +87,13 @@ class Fitter:
         """Sum of the logarithms of the prior odds."""
         return sum(self._log_odds[placed] for placed in effects)
 
-    def proposal(self, of: Estimate, effects: Sequence[Placed], more: Sequence[Floats] = ()) -> Proposal:
+    def proposal(self, of: Estimate, effects: Sequence[Placed], more: Sequence[Floats] = ()) -> FitProposal:
         """The set of these effects, started from a fit that shares some of them."""
         n2 = 2 * self.experiment.stories
         values = {placed: of.theta[own] for placed, own in slices(of.effects, n2)}
         own = [values.get(placed, np.array(placed.start)) for placed in effects]
         plain = np.concatenate([of.theta[:n2], *own])
-        return Proposal(tuple(effects), (*more, plain), of.misfit.replaced(effects), of.fit.at.objective)
+        return FitProposal(tuple(effects), (*more, plain), of.misfit.replaced(effects), of.fit.at.objective)
 
     def fit(self, misfit: Misfit, start: Floats) -> Estimate:
         """The fit of a model from a starting point."""
@@ -102,7 +102,7 @@ class Fitter:
         self.stand_ins += stood_in
         return found
 
-    def models(self, proposals: Sequence[Proposal], tolerance: float = ROUGH) -> list[ModelClass]:
+    def models(self, proposals: Sequence[FitProposal], tolerance: float = ROUGH) -> list[ModelClass]:
         """The fitted sets, over processes where there are several."""
         if self.jobs == 1 or len(proposals) < 2:
             found = [_fitted(proposal, self.backend, tolerance) for proposal in proposals]
@@ -117,7 +117,7 @@ class Fitter:
         self.stand_ins += sum(stood_in for _, stood_in in found)
         return [self._model(proposal, item) for proposal, (item, _) in zip(proposals, found, strict=True)]
 
-    def _model(self, proposal: Proposal, found: Estimate | CvxshearError) -> ModelClass:
+    def _model(self, proposal: FitProposal, found: Estimate | CvxshearError) -> ModelClass:
         self.fits += 1
         effects = frozenset(proposal.effects) - frozenset(self.assumed)
         if isinstance(found, CvxshearError):
@@ -145,11 +145,11 @@ class _Work:
     backend: Backend
     tolerance: float
 
-    def __call__(self, proposal: Proposal) -> tuple[Estimate | CvxshearError, bool]:
+    def __call__(self, proposal: FitProposal) -> tuple[Estimate | CvxshearError, bool]:
         return _fitted(proposal, self.backend, self.tolerance)
 
 
-def _own(found: Estimate | CvxshearError, proposal: Proposal) -> Estimate | CvxshearError:
+def _own(found: Estimate | CvxshearError, proposal: FitProposal) -> Estimate | CvxshearError:
     """A fit from another process about this one's effects: there they were copies."""
     if isinstance(found, CvxshearError):
         return found
@@ -159,7 +159,7 @@ def _own(found: Estimate | CvxshearError, proposal: Proposal) -> Estimate | Cvxs
     return Estimate(misfit, found.domain, fit, found.uncertainty, found.noise)
 
 
-def _fitted(proposal: Proposal, backend: Backend, tolerance: float) -> tuple[Estimate | CvxshearError, bool]:
+def _fitted(proposal: FitProposal, backend: Backend, tolerance: float) -> tuple[Estimate | CvxshearError, bool]:
     """The fit of a set, or why there is none; and whether another backend had to make it."""
     try:
         start = _start(proposal)
@@ -178,7 +178,7 @@ def with_stand_in(backend: Backend, fit: Callable[[Backend], Estimate]) -> tuple
         return fit(backends.get("auto")), True
 
 
-def _start(proposal: Proposal) -> tuple[Floats, Evaluation | None]:
+def _start(proposal: FitProposal) -> tuple[Floats, Evaluation | None]:
     """The starting point, and the residuals there where they had to be looked at."""
     *guesses, plain = proposal.starts
     for guess in guesses:

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from cvxshear.modal.estimate import Setting
+from cvxshear.modal.estimate import Replication
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.frf import FixedSource
 from cvxshear.modal.picking import values_on
@@ -19,7 +19,7 @@ SMALLEST = 5e-4
 FEWEST_BLOCKS = 8
 
 
-def amplitude_findings(setting: Setting, result: ModalResult) -> list[Finding]:
+def amplitude_findings(setting: Replication, result: ModalResult) -> list[Finding]:
     """Modes whose frequency differs between strong and weak motion by more than chance allows."""
     if setting.source.unit == "block" and len(setting.source.groups) >= FEWEST_BLOCKS:
         return _strong_against_weak(setting, result)
@@ -28,7 +28,7 @@ def amplitude_findings(setting: Setting, result: ModalResult) -> list[Finding]:
     return []
 
 
-def _strong_against_weak(setting: Setting, result: ModalResult) -> list[Finding]:
+def _strong_against_weak(setting: Replication, result: ModalResult) -> list[Finding]:
     energies = setting.source.energies
     strong = energies > np.median(energies)
     first, second = (_log_frequencies(setting, keep) for keep in (strong, ~strong))
@@ -58,14 +58,14 @@ def _strong_against_weak(setting: Setting, result: ModalResult) -> list[Finding]
     ]
 
 
-def _log_frequencies(setting: Setting, keep: Bools) -> Floats | None:
+def _log_frequencies(setting: Replication, keep: Bools) -> Floats | None:
     values = values_on(setting.source, setting.sweep, keep)
     if values is None:
         return None
     return np.asarray(np.log(np.abs(values.eigenvalues + setting.shift) / (2 * np.pi)))
 
 
-def _early_against_late(setting: Setting, result: ModalResult) -> list[Finding]:
+def _early_against_late(setting: Replication, result: ModalResult) -> list[Finding]:
     """The impulse response from its start against the same once it has decayed to a third."""
     later = _later(setting, None)
     if later is None:
@@ -90,7 +90,7 @@ def _early_against_late(setting: Setting, result: ModalResult) -> list[Finding]:
     return found
 
 
-def _std_of_change(setting: Setting) -> Floats | None:
+def _std_of_change(setting: Replication) -> Floats | None:
     groups = setting.source.groups
     if len(groups) < 4:
         return None
@@ -105,7 +105,7 @@ def _std_of_change(setting: Setting) -> Floats | None:
     return np.asarray(np.sqrt((len(changes) - 1) * np.var(changes, axis=0)))
 
 
-def _later(setting: Setting, keep: Bools | None) -> Floats | None:
+def _later(setting: Replication, keep: Bools | None) -> Floats | None:
     impulse = setting.source.impulse(keep)
     if impulse is None:
         return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cvxshear.modal.estimate import Details, Setting
+from cvxshear.modal.estimate import Details, Replication
 from cvxshear.modal.record import Record
 from cvxshear.modal.result import ModalResult, independent_std
 from cvxshear.modal.shapes import collinearity, lost_phase, sign_changes
@@ -12,14 +12,14 @@ from cvxshear.typing import Floats, Ints
 
 
 def assembled(
-    record: Record, setting: Setting, full: Details, covariance: Floats, *, method: str, uncertainty: str
+    record: Record, setting: Replication, full: Details, covariance: Floats, *, method: str, uncertainty: str
 ) -> ModalResult:
     """The result without findings.
 
     Parameters
     ----------
     record : TimeRecord or FrfRecord
-    setting : Setting
+    setting : Replication
     full : Details
         The modes of all the data.
     covariance : array, shape (k, k)

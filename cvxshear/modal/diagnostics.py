@@ -9,7 +9,7 @@ import numpy as np
 from cvxshear.errors import InputError
 from cvxshear.modal import signs
 from cvxshear.modal.amplitude import amplitude_findings
-from cvxshear.modal.estimate import Details, Setting
+from cvxshear.modal.estimate import Details, Replication
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.record import FrfRecord, Record
 from cvxshear.modal.result import ModalResult
@@ -31,7 +31,7 @@ FEWEST_PERIODS = 500
 def modal_findings(
     record: Record,
     result: ModalResult,
-    setting: Setting,
+    setting: Replication,
     full: Details,
     lost: int,
     *,
@@ -164,7 +164,7 @@ def resolution_findings(record: Record, result: ModalResult) -> list[Finding]:
     return found
 
 
-def reciprocity_findings(full: Details, setting: Setting) -> list[Finding]:
+def reciprocity_findings(full: Details, setting: Replication) -> list[Finding]:
     """Pairs of driving points whose transfers differ with the direction (Maxwell and Betti say they do not)."""
     if full.products is None or setting.base:
         return []
@@ -195,7 +195,7 @@ def reciprocity_findings(full: Details, setting: Setting) -> list[Finding]:
     return found
 
 
-def _mode_findings(record: Record, result: ModalResult, setting: Setting) -> list[Finding]:
+def _mode_findings(record: Record, result: ModalResult, setting: Replication) -> list[Finding]:
     found = []
     sweep = setting.sweep
     by_signs = len(record.channels) == record.stories > 1

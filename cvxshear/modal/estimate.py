@@ -25,7 +25,7 @@ LAST_SAMPLE = 4000
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
+class Replication:
     """What stays the same over the replicates of one identification.
 
     Parameters
@@ -96,7 +96,7 @@ class Details:
         )
 
 
-def details(setting: Setting, values: Values, keep: Bools | None, reference: Details | None = None) -> Details:
+def details(setting: Replication, values: Values, keep: Bools | None, reference: Details | None = None) -> Details:
     """What the poles and shapes say, with the residues of the data kept."""
     products, driven = _products(setting, values, keep)
     turned = None if products is None else participations(products, values.shapes)
@@ -131,7 +131,7 @@ def _turned_back(products: Complexes, eigenvalue: complex, clocks: Offsets) -> C
     return np.asarray(products * np.exp(1j * abs(eigenvalue.imag) * late)[:, None])
 
 
-def _products(setting: Setting, values: Values, keep: Bools | None) -> tuple[Complexes | None, Ints]:
+def _products(setting: Replication, values: Values, keep: Bools | None) -> tuple[Complexes | None, Ints]:
     impulse = setting.source.impulse(keep)
     if impulse is None or not (setting.base or np.all(impulse.driven > 0)):
         return None, np.zeros(0, dtype=np.int64)
@@ -143,7 +143,7 @@ def _products(setting: Setting, values: Values, keep: Bools | None) -> tuple[Com
     return modal_products(amplitudes, values.eigenvalues, rate, setting.quantity, base=setting.base), impulse.driven
 
 
-def covariance(setting: Setting, full: Details, seed: int) -> tuple[Floats, str, int]:
+def covariance(setting: Replication, full: Details, seed: int) -> tuple[Floats, str, int]:
     """Covariance of `full.vector()`, how it was got in words, and how many pieces had to be passed over."""
     groups = setting.source.groups
 
@@ -176,7 +176,7 @@ def _widened(spread: Floats, other: Floats) -> Floats:
     return np.asarray(spread * np.outer(factor, factor) + np.diag(missing**2))
 
 
-def disturbed(setting: Setting, full: Details, seed: int) -> Floats:
+def disturbed(setting: Replication, full: Details, seed: int) -> Floats:
     """Covariance where nothing can be left out: the fit is disturbed by noise like its residual, and refitted.
 
     What the fit leaves of the impulse responses is taken for noise; its spectra are kept and its phases drawn

@@ -14,7 +14,7 @@ from cvxshear.errors import InputError, NoSolutionError
 from cvxshear.modal import diagnostics
 from cvxshear.modal.assemble import assembled
 from cvxshear.modal.channels import channel_findings, without_dead
-from cvxshear.modal.estimate import Setting, covariance, details
+from cvxshear.modal.estimate import Replication, covariance, details
 from cvxshear.modal.functions import measured_functions
 from cvxshear.modal.leakage import settle_truncation
 from cvxshear.modal.picking import REACH, Sweep, Values, sweep_orders
@@ -166,7 +166,7 @@ def _identified(record: Record, options: Options) -> ModalResult:
     if not sweep.chosen:
         raise NoSolutionError(method, _nothing(sweep))
     base = not isinstance(record, FrfRecord) and record.input == "base"
-    setting = Setting(source, sweep, record.floors, record.quantity, shift, options.rule, base)
+    setting = Replication(source, sweep, record.floors, record.quantity, shift, options.rule, base)
     while True:
         of_leakage = settle_truncation(record, setting, _chosen(sweep))
         full = details(setting, _chosen(sweep), None)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cvxshear.modal.estimate import Setting, details
+from cvxshear.modal.estimate import Replication, details
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.frf import FrfSource
 from cvxshear.modal.picking import Values
@@ -21,7 +21,7 @@ NOTICEABLE = 0.01
 """Share of a mode's impulse response that is left at the end of the window."""
 
 
-def settle_truncation(record: Record, setting: Setting, values: Values) -> list[Finding]:
+def settle_truncation(record: Record, setting: Replication, values: Values) -> list[Finding]:
     """Decide, where the record does not say, which of the two a table of functions is; sets the source's flag.
 
     The products of a real mode's shape entries are real. Of the two readings the one is taken whose products
@@ -49,7 +49,7 @@ def settle_truncation(record: Record, setting: Setting, values: Values) -> list[
     return [_finding(truncated, why, length, left)]
 
 
-def _angle(setting: Setting, values: Values, left: Floats) -> float:
+def _angle(setting: Replication, values: Values, left: Floats) -> float:
     """Root mean square phase of the products, degrees, weighted by their size and by what is left at the end."""
     products = details(setting, values, None).products
     if products is None:

@@ -34,7 +34,7 @@ REACH = 0.03
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class PoleCandidate:
     """A cluster of stable poles, judged.
 
     Parameters
@@ -77,16 +77,16 @@ class Sweep:
         One an order, ascending.
     stable : list of list of int
         For each order the indices of stable poles.
-    candidates : tuple of Candidate
+    candidates : tuple of PoleCandidate
         Ascending in frequency.
-    chosen : tuple of Candidate
+    chosen : tuple of PoleCandidate
         The frame's modes, ascending.
     """
 
     poles: list[Poles]
     stable: list[list[int]]
-    candidates: tuple[Candidate, ...]
-    chosen: tuple[Candidate, ...]
+    candidates: tuple[PoleCandidate, ...]
+    chosen: tuple[PoleCandidate, ...]
 
 
 def sweep_orders(
@@ -132,7 +132,7 @@ def sweep_orders(
         members = undivided(cluster, poles, criteria, shift)
         value, shape = center(*Cluster(list(members)).gather(poles))
         share = persistence(cluster, poles)
-        found.append(Candidate(tuple(members), value, shape, share, 0.0, *_lasting(cluster, share, criteria)))
+        found.append(PoleCandidate(tuple(members), value, shape, share, 0.0, *_lasting(cluster, share, criteria)))
     found.sort(key=lambda item: item.frequency)
     found = _weighed(_distinct(_within(found, band), criteria), source.data(), source.sampling_rate)
     found = _collinear(found, criteria)
@@ -153,15 +153,15 @@ def _lasting(cluster: Cluster, share: float, criteria: Criteria) -> tuple[bool, 
     return True, ""
 
 
-def _within(found: list[Candidate], band: tuple[float, float] | None) -> list[Candidate]:
+def _within(found: list[PoleCandidate], band: tuple[float, float] | None) -> list[PoleCandidate]:
     if band is None:
         return found
     return [item for item in found if band[0] <= item.frequency <= band[1]]
 
 
-def _distinct(found: list[Candidate], criteria: Criteria) -> list[Candidate]:
+def _distinct(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandidate]:
     """Of clusters with one frequency and one shape, the one that first appeared; the others repeat it."""
-    kept: list[Candidate] = []
+    kept: list[PoleCandidate] = []
     for item in sorted(found, key=lambda item: (not item.physical, item.members[0][0])):
         if not any(
             abs(item.frequency - other.frequency) < 0.05 * other.frequency
@@ -172,14 +172,14 @@ def _distinct(found: list[Candidate], criteria: Criteria) -> list[Candidate]:
     return sorted(kept, key=lambda item: item.frequency)
 
 
-def _weighed(found: list[Candidate], factor: Floats, sampling_rate: float) -> list[Candidate]:
+def _weighed(found: list[PoleCandidate], factor: Floats, sampling_rate: float) -> list[PoleCandidate]:
     lasting = [item for item in found if item.physical]
     shares = energies(factor, [(item.eigenvalue, item.shape) for item in lasting], sampling_rate)
     energy = dict(zip(map(id, lasting), shares.tolist(), strict=True))
     return [dataclasses.replace(item, energy=energy.get(id(item), 0.0)) for item in found]
 
 
-def _collinear(found: list[Candidate], criteria: Criteria) -> list[Candidate]:
+def _collinear(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandidate]:
     """Judge the phases, those that a clock offset explains taken away first, by the strongest candidates."""
     usable = sorted((item for item in found if item.physical), key=lambda item: -item.energy)[:MOST_CANDIDATES]
     if len(usable) < 2 or len(usable[0].shape) < 2:
@@ -198,9 +198,9 @@ def _collinear(found: list[Candidate], criteria: Criteria) -> list[Candidate]:
     return result
 
 
-def _by_hand(found: list[Candidate], picked: Sequence[float]) -> list[Candidate]:
+def _by_hand(found: list[PoleCandidate], picked: Sequence[float]) -> list[PoleCandidate]:
     """The candidate nearest to each frequency; none where none is within reach, or it is taken."""
-    chosen: list[Candidate] = []
+    chosen: list[PoleCandidate] = []
     for frequency in sorted(picked):
         near = [
             item
@@ -212,12 +212,12 @@ def _by_hand(found: list[Candidate], picked: Sequence[float]) -> list[Candidate]
     return sorted(chosen, key=lambda item: item.frequency)
 
 
-def _by_energy(usable: list[Candidate], count: int) -> list[Candidate]:
+def _by_energy(usable: list[PoleCandidate], count: int) -> list[PoleCandidate]:
     strongest = sorted(usable, key=lambda item: -item.energy)[:count]
     return sorted(strongest, key=lambda item: item.frequency)
 
 
-def _by_signs(usable: list[Candidate], count: int) -> list[Candidate]:
+def _by_signs(usable: list[PoleCandidate], count: int) -> list[PoleCandidate]:
     """The candidates, one for each number of sign changes at most, ascending, of most energy together.
 
     A mode that the record does not hold is left out rather than replaced by one of the wrong shape.
@@ -225,7 +225,7 @@ def _by_signs(usable: list[Candidate], count: int) -> list[Candidate]:
     if not usable:
         return []
     changes = [sign_changes(shape) for shape in _straight(usable)]
-    options: list[list[Candidate | None]] = []
+    options: list[list[PoleCandidate | None]] = []
     for wanted in range(count):
         fitting = [item for item, number in zip(usable, changes, strict=True) if number == wanted]
         fitting.sort(key=lambda item: -item.energy)
@@ -233,18 +233,18 @@ def _by_signs(usable: list[Candidate], count: int) -> list[Candidate]:
     return _best_ascending(options)
 
 
-def _grows(chosen: list[Candidate]) -> bool:
+def _grows(chosen: list[PoleCandidate]) -> bool:
     return bool(chosen) and signs.fits(_straight(chosen))
 
 
-def _straight(items: list[Candidate]) -> Floats:
+def _straight(items: list[PoleCandidate]) -> Floats:
     """Real shapes, the turns of clock offsets taken back first."""
     eigenvalues, shapes = np.array([item.eigenvalue for item in items]), np.array([item.shape for item in items])
     clocks = offsets(eigenvalues, shapes)
     return np.array([real_shape(shape) for shape in undone(eigenvalues, shapes, clocks.seconds)])
 
 
-def _but_for_one_slip(usable: list[Candidate], count: int) -> list[Candidate]:
+def _but_for_one_slip(usable: list[PoleCandidate], count: int) -> list[PoleCandidate]:
     """The strongest candidates, where one channel's sign or two channels' places are all that spoils them.
 
     Chosen by their signs, a frame's modes are missed where a channel has the wrong one.
@@ -257,12 +257,12 @@ def _but_for_one_slip(usable: list[Candidate], count: int) -> list[Candidate]:
     return strongest if slipped else []
 
 
-def _best_ascending(options: list[list[Candidate | None]]) -> list[Candidate]:
+def _best_ascending(options: list[list[PoleCandidate | None]]) -> list[PoleCandidate]:
     """Most modes first, then the largest product of energies, among choices that ascend in frequency."""
     if len(options) > 6:
         return _ascending_greedily(options)
     best: tuple[int, float] = (0, -np.inf)
-    result: list[Candidate] = []
+    result: list[PoleCandidate] = []
     for choice in itertools.product(*options):
         picked = [item for item in choice if item is not None]
         if any(b.frequency <= a.frequency for a, b in itertools.pairwise(picked)):
@@ -273,8 +273,8 @@ def _best_ascending(options: list[list[Candidate | None]]) -> list[Candidate]:
     return result
 
 
-def _ascending_greedily(options: list[list[Candidate | None]]) -> list[Candidate]:
-    result: list[Candidate] = []
+def _ascending_greedily(options: list[list[PoleCandidate | None]]) -> list[PoleCandidate]:
+    result: list[PoleCandidate] = []
     for several in options:
         for item in several:
             if item is not None and (not result or item.frequency > result[-1].frequency):

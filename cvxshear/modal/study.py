@@ -26,7 +26,7 @@ MAKERS: dict[str, Callable[..., TimeRecord]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Scatter:
+class RecordScatter:
     """Errors and stated standard deviations over seeded repetitions.
 
     Parameters
@@ -84,7 +84,7 @@ def scatter(
     frame: KnownFrame = PAPER_FRAME,
     method: str | None = None,
     **options: float,
-) -> Scatter:
+) -> RecordScatter:
     """Identify so many simulated records and compare them with the frame they came from.
 
     Parameters
@@ -102,7 +102,7 @@ def scatter(
 
     Returns
     -------
-    Scatter
+    RecordScatter
     """
     frequencies, normalized = frame.modes()
     shapes = np.array([scaled_to_one(shape) for shape in normalized])
@@ -113,7 +113,7 @@ def scatter(
     places = np.argmax(np.abs(shapes), axis=1)
     rows = np.arange(len(shapes))
     real = np.array([result.mode_shapes / result.mode_shapes[rows, places][:, None] for result in results])
-    return Scatter(
+    return RecordScatter(
         found / frequencies - 1,
         real - shapes,
         np.array([result.frequency_std for result in results]),
@@ -153,7 +153,7 @@ def main() -> None:
             _print(kind, noise, scatter(kind, noise=noise, seeds=chosen.seeds, method=chosen.method))
 
 
-def _print(kind: str, noise: float, found: Scatter) -> None:
+def _print(kind: str, noise: float, found: RecordScatter) -> None:
     frequency, shape = found.stated_over_seen()
     print(
         f"{kind:8} {100 * noise:3.0f} % noise, {len(found.results)} seeds: "

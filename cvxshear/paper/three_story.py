@@ -10,8 +10,8 @@ import numpy as np
 from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.experiment import Configuration, Experiment, Frame
-from cvxshear.identification import Part, identify
-from cvxshear.identification.separate import setting
+from cvxshear.identification import SingleIdentification, identify
+from cvxshear.identification.separate import complete_test
 from cvxshear.identification.stiffness import identified_stiffness
 from cvxshear.paper import tables
 from cvxshear.paper.results import Row, Section
@@ -37,7 +37,7 @@ class ThreeStory:
         self.experiment = Experiment(frame, (Configuration(frequencies, shapes, "exact modes"),), name="three stories")
 
     @cached_property
-    def parts(self) -> dict[tuple[str, int], Part]:
+    def parts(self) -> dict[tuple[str, int], SingleIdentification]:
         """What each method finds in each case."""
         return {
             (method, case): identify(self.experiment, method, self.backend, initial_mass=start).parts[0]
@@ -52,7 +52,7 @@ class ThreeStory:
 
     def stiffness_of(self, mass_matrix: Floats) -> Floats:
         """Eq. 24 on the modes normalized by a mass matrix, shape (3,), N/m."""
-        of = setting(self.experiment, self.experiment.configurations[0], "berman")
+        of = complete_test(self.experiment, self.experiment.configurations[0], "berman")
         return identified_stiffness(of, mass_matrix, backends.get(self.backend))
 
 

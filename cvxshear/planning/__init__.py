@@ -2,7 +2,7 @@
 
 from cvxshear.planning.design import Design
 from cvxshear.planning.masses import Limits
-from cvxshear.planning.noise import Declared, Noise, Recorded
+from cvxshear.planning.noise import Declared, Recorded, TestNoise
 from cvxshear.planning.planner import plan
 from cvxshear.planning.results import Outlook, Plan
 from cvxshear.planning.rivals import Proposal, best_test
@@ -13,11 +13,11 @@ __all__ = [
     "Declared",
     "Design",
     "Limits",
-    "Noise",
     "Outlook",
     "Plan",
     "Proposal",
     "Recorded",
+    "TestNoise",
     "best_test",
     "plan",
     "predicted",

@@ -12,7 +12,7 @@ from cvxshear import checks
 from cvxshear.errors import InputError
 from cvxshear.planning.criteria import Criterion
 from cvxshear.planning.descent import descended
-from cvxshear.planning.model import Expected, Model
+from cvxshear.planning.model import Expected, TestModel
 from cvxshear.typing import Floats, Ints
 
 PARTS = (0.5, 1.0)
@@ -84,18 +84,18 @@ class Limits:
         return self._within(result)
 
 
-def value_of(model: Model, tests: Sequence[Expected], floors: Ints, by: Criterion) -> float:
+def value_of(model: TestModel, tests: Sequence[Expected], floors: Ints, by: Criterion) -> float:
     """The criterion of these tests at these floors."""
     of = model.choices(tests, floors, len(tests))
     return float(by.value(of, of.information(np.ones(len(tests)))))
 
 
-def refined(model: Model, tests: Sequence[Floats], floors: Ints, by: Criterion, limits: Limits) -> list[Floats]:
+def refined(model: TestModel, tests: Sequence[Floats], floors: Ints, by: Criterion, limits: Limits) -> list[Floats]:
     """The tests with masses between the grid's points, where these are better.
 
     Parameters
     ----------
-    model : Model
+    model : TestModel
     tests : sequence of ndarray, shape (N,)
         kg.
     floors : ndarray of int

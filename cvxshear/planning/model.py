@@ -15,7 +15,7 @@ from cvxshear.experiment import Configuration, Experiment
 from cvxshear.frame import Modes, mode_derivatives, modes
 from cvxshear.planning.candidates import Candidates, candidates
 from cvxshear.planning.design import Design
-from cvxshear.planning.noise import Noise
+from cvxshear.planning.noise import TestNoise
 from cvxshear.planning.targets import Target
 from cvxshear.typing import Floats, Ints
 
@@ -65,7 +65,7 @@ class Expected:
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class TestModel:
     """A frame, what the plan is for, and how its tests are measured.
 
     Parameters
@@ -77,14 +77,14 @@ class Model:
         Of "floor_mass", "story_stiffness": what the plan is for without targets.
     which : ndarray of int, shape (m,)
         Modes that are measured, zero-based.
-    noise : Noise
+    noise : TestNoise
     """
 
     design: Design
     targets: tuple[Target, ...]
     quantities: tuple[str, ...]
     which: Ints
-    noise: Noise
+    noise: TestNoise
 
     @property
     def effects(self) -> tuple[Placed, ...]:

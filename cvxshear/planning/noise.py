@@ -38,7 +38,7 @@ SAMPLES_A_PERIOD = 6.0
 """Of the highest mode that is identified: the sensors' noise spreads over the band that this makes."""
 
 
-class Noise(ABC):
+class TestNoise(ABC):
     """What the modes of a test will be uncertain by."""
 
     @abstractmethod
@@ -72,7 +72,7 @@ class Noise(ABC):
 
 
 @dataclass(frozen=True)
-class Declared(Noise):
+class Declared(TestNoise):
     """The same for every mode.
 
     Parameters
@@ -96,7 +96,7 @@ class Declared(Noise):
 
 
 @dataclass(frozen=True)
-class Recorded(Noise):
+class Recorded(TestNoise):
     """What follows from a record.
 
     Parameters

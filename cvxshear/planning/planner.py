@@ -16,8 +16,8 @@ from cvxshear.planning.choice import Choice, choose
 from cvxshear.planning.criteria import Criterion, criterion_named
 from cvxshear.planning.design import Design
 from cvxshear.planning.masses import Limits, refined
-from cvxshear.planning.model import Expected, Model
-from cvxshear.planning.noise import Declared, Noise
+from cvxshear.planning.model import Expected, TestModel
+from cvxshear.planning.noise import Declared, TestNoise
 from cvxshear.planning.relaxation import SOLVERS
 from cvxshear.planning.results import OPEN, Outlook, Plan
 from cvxshear.planning.source import read_design
@@ -47,7 +47,7 @@ def plan(
     tests: int | str = 1,
     *,
     modes: int | Sequence[int] | None = None,
-    noise: Noise | None = None,
+    noise: TestNoise | None = None,
     added_mass: float | Sequence[float] | Floats | None = None,
     added_mass_total: float | None = None,
     goal: str = "all",
@@ -68,7 +68,7 @@ def plan(
         measured yet.
     modes : int or sequence of int, optional
         How many of the lowest modes will be identified, or which.
-    noise : Noise, optional
+    noise : TestNoise, optional
         0.2 % of frequencies and 1 % of shapes where not given.
     added_mass : float or array_like, shape (N,), optional
         kg that each floor can carry; without it no mass is added.
@@ -115,13 +115,13 @@ def plan(
     return _finished(model, masses, names, number, by, solver, tests_bound)
 
 
-def _model(design: Design, goal: str, modes: int | Sequence[int] | None, noise: Noise) -> Model:
+def _model(design: Design, goal: str, modes: int | Sequence[int] | None, noise: TestNoise) -> TestModel:
     """The model of the tests, for this goal."""
     which = _which(modes, design)
     if goal in GOALS:
-        return Model(design, (), GOALS[goal], which, noise)
+        return TestModel(design, (), GOALS[goal], which, noise)
     names = [part.strip() for part in checks.text(goal, "what the plan is for").split(",") if part.strip()]
-    return Model(design, tuple(target(name, design.frame, design.scale) for name in names), (), which, noise)
+    return TestModel(design, tuple(target(name, design.frame, design.scale) for name in names), (), which, noise)
 
 
 def _which(modes: int | Sequence[int] | None, design: Design) -> Ints:
@@ -151,7 +151,7 @@ def _names(design: Design, count: int) -> list[str]:
 
 
 def _masses(
-    model: Model, number: int, count: int, by: Criterion, limits: Limits, solver: str
+    model: TestModel, number: int, count: int, by: Criterion, limits: Limits, solver: str
 ) -> tuple[list[Floats], float | None]:
     """The masses of so many tests, and the bound of the tests on the grid; floors and masses by turns."""
     n = model.design.stories
@@ -175,7 +175,7 @@ def _masses(
 
 
 def _finished(
-    model: Model,
+    model: TestModel,
     masses: Sequence[Floats],
     names: Sequence[str],
     number: int,
@@ -206,12 +206,12 @@ def _finished(
     )
 
 
-def outlook(model: Model, tests: Sequence[Expected], choice: Choice) -> Outlook:
+def outlook(model: TestModel, tests: Sequence[Expected], choice: Choice) -> Outlook:
     """What is expected of the shear model with the chosen floors.
 
     Parameters
     ----------
-    model : Model
+    model : TestModel
     tests : sequence of Expected
     choice : Choice
     """

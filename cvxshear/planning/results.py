@@ -9,7 +9,7 @@ import numpy as np
 from cvxshear.identification.results import plain
 from cvxshear.planning.apart import Apart
 from cvxshear.planning.criteria import CRITERIA
-from cvxshear.planning.model import Model
+from cvxshear.planning.model import TestModel
 from cvxshear.typing import Floats, Ints, Json
 
 OPEN = 1.0
@@ -85,7 +85,7 @@ class Plan:
 
     Parameters
     ----------
-    model : Model
+    model : TestModel
         The frame, what the plan is for, the modes and their noise.
     criterion, solver : str
     tests : tuple of ndarray, shape (N,)
@@ -104,7 +104,7 @@ class Plan:
         How far the effects are told apart; empty where the plan is for the frame.
     """
 
-    model: Model
+    model: TestModel
     criterion: str
     solver: str
     tests: tuple[Floats, ...]

@@ -15,7 +15,7 @@ from cvxshear.frame import mode_derivatives, modes
 from cvxshear.identification.efficient import Estimate
 from cvxshear.planning.masses import Limits
 from cvxshear.planning.model import blank_test
-from cvxshear.planning.noise import Declared, Noise
+from cvxshear.planning.noise import Declared, TestNoise
 from cvxshear.typing import Floats, Ints, Json
 
 WORTHWHILE = 1.0
@@ -82,7 +82,7 @@ def best_test(
     limits: Limits,
     *,
     sensors: int | None = None,
-    noise: Noise | None = None,
+    noise: TestNoise | None = None,
 ) -> Proposal | None:
     """The test whose outcome the rivals disagree on most; None where they hardly do in any.
 
@@ -100,7 +100,7 @@ def best_test(
         What the laboratory can add.
     sensors : int, optional
         Choose so many floors; those of the first configuration where not given.
-    noise : Noise, optional
+    noise : TestNoise, optional
         As the first configuration declares it where not given.
 
     Raises
@@ -137,7 +137,7 @@ def _usual_shape_std(estimate: Estimate) -> float:
     return float(np.mean(first.entry_std[known] / largest[known, None])) if np.any(known) else Declared().mode_shape_std
 
 
-def _predicted(estimate: Estimate, masses: Floats, which: Ints, noise: Noise) -> _Prediction:
+def _predicted(estimate: Estimate, masses: Floats, which: Ints, noise: TestNoise) -> _Prediction:
     """What a fit predicts for a test with these masses."""
     state = compose(estimate.experiment, blank_test(masses, "next test"), estimate.effects, estimate.theta)
     found = modes(state.system.M, state.system.K)

@@ -25,7 +25,7 @@ from cvxshear.typing import Floats
 
 
 @dataclass(frozen=True, eq=False)
-class Scatter:
+class TestScatter:
     """Errors of the frame over simulated tests.
 
     Parameters
@@ -46,7 +46,7 @@ class Scatter:
         return float(np.sqrt(np.nanmean((self.observed / self.expected) ** 2)))
 
 
-def scatter(plan: Plan, samples: int, seed: int) -> Scatter:
+def scatter(plan: Plan, samples: int, seed: int) -> TestScatter:
     """Simulate the planned tests and identify the frame from each.
 
     Design values are drawn too, about the frame that is there: that they are good to 5 % says no more and no less.
@@ -64,7 +64,7 @@ def scatter(plan: Plan, samples: int, seed: int) -> Scatter:
     expected = np.concatenate([plan.chosen.floor_mass_std, plan.chosen.story_stiffness_std])
     known = expected > 1e-9 * design.sizes
     observed = np.sqrt(np.mean((found - design.sizes) ** 2, axis=0))
-    return Scatter(np.where(known, observed, np.nan), np.where(known, expected, np.nan), samples)
+    return TestScatter(np.where(known, observed, np.nan), np.where(known, expected, np.nan), samples)
 
 
 def right_verdicts(plan: Plan, samples: int, seed: int) -> dict[str, float]:

@@ -18,7 +18,7 @@ from cvxshear.planning.candidates import Candidates
 from cvxshear.planning.choice import choose, exhaustive, values_of
 from cvxshear.planning.criteria import CRITERIA
 from cvxshear.planning.design import Design
-from cvxshear.planning.model import Model
+from cvxshear.planning.model import TestModel
 from cvxshear.planning.noise import Declared
 from cvxshear.planning.others import effective_independence, equally_spaced, qr_pivots
 from cvxshear.planning.planner import GOALS, plan
@@ -67,7 +67,7 @@ def floors_of(design: Design, number: int, count: int = MODES) -> tuple[Candidat
     count : int, optional
         Of modes.
     """
-    model = Model(design, (), GOALS["all"], np.arange(count), NOISE)
+    model = TestModel(design, (), GOALS["all"], np.arange(count), NOISE)
     found = modes(mass_matrix(design.floor_mass), stiffness_matrix(design.story_stiffness))
     return model.sensors([model.expected(np.zeros(design.stories))], number), found.shapes.T
 

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from cvxshear.quantities import percent, scaled, significant, with_std
 from cvxshear.report.terminal import plain_table
-from cvxshear.response import Comparison, IdentifiedDamping, RecordPrediction
+from cvxshear.response import IdentifiedDamping, RecordComparison, RecordPrediction
 from cvxshear.typing import Floats
 
 SHOWN_MODES = 6
@@ -56,7 +56,7 @@ def errors(result: RecordPrediction) -> Table:
     return table
 
 
-def _cells(side: Comparison, row: int, modes: int) -> list[str]:
+def _cells(side: RecordComparison, row: int, modes: int) -> list[str]:
     return [
         percent(float(side.nrmse[row]), 1),
         _ratio(float(side.rms_ratio[row])),

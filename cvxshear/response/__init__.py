@@ -2,7 +2,7 @@
 
 from cvxshear.modal.motion import Drive, Motion
 from cvxshear.response.batch import batch_peaks, sample_peaks
-from cvxshear.response.compare import Comparison
+from cvxshear.response.compare import RecordComparison
 from cvxshear.response.damping import IdentifiedDamping, damping_of
 from cvxshear.response.fitted import Fitted, Models
 from cvxshear.response.model import DampedModel, Response, response
@@ -12,7 +12,6 @@ from cvxshear.response.sources import models_of_loop
 from cvxshear.response.spectra import FloorSpectra, floor_spectra
 
 __all__ = [
-    "Comparison",
     "DampedModel",
     "Drive",
     "Fitted",
@@ -21,6 +20,7 @@ __all__ = [
     "Models",
     "Motion",
     "Peaks",
+    "RecordComparison",
     "RecordPrediction",
     "Response",
     "Side",

@@ -38,7 +38,7 @@ class Shift:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class RecordComparison:
     """Errors of the predicted accelerations.
 
     Parameters
@@ -80,7 +80,7 @@ def seen(model: DampedModel, response: Response, floors: Ints) -> Floats:
     return response.acceleration[:, floors - 1] * model.gain[floors - 1]
 
 
-def compared(model: DampedModel, responses: Sequence[Response], motion: Motion) -> Comparison | None:
+def compared(model: DampedModel, responses: Sequence[Response], motion: Motion) -> RecordComparison | None:
     """The prediction beside the record; None where the record has no accelerations of floors.
 
     Parameters
@@ -109,7 +109,7 @@ def compared(model: DampedModel, responses: Sequence[Response], motion: Motion) 
     of_record = transfer(excitations, measured, motion.sampling_rate, length)
     of_model = transfer(excitations, predicted, motion.sampling_rate, length)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return Comparison(
+        return RecordComparison(
             floors=floors,
             nrmse=rms_error / rms_measured,
             rms_ratio=rms_predicted / rms_measured,

@@ -14,7 +14,7 @@ from cvxshear.errors import InputError
 from cvxshear.experiment import Configuration
 from cvxshear.modal.motion import Motion
 from cvxshear.parallel import Progress, each
-from cvxshear.response.compare import Comparison, compared
+from cvxshear.response.compare import RecordComparison, compared
 from cvxshear.response.damping import IdentifiedDamping, described, parts_of
 from cvxshear.response.fitted import Fitted, Models
 from cvxshear.response.model import Response, response
@@ -36,14 +36,14 @@ class Side:
     damped : Damped
     responses : tuple of Response
         One a run of the record.
-    comparison : Comparison or None
+    comparison : RecordComparison or None
         None where the record has no accelerations of floors.
     """
 
     fitted: Fitted
     damped: Damped
     responses: tuple[Response, ...]
-    comparison: Comparison | None
+    comparison: RecordComparison | None
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from cvxshear.planning.design import Design
-from cvxshear.planning.model import Model
+from cvxshear.planning.model import TestModel
 from cvxshear.planning.noise import Declared
 from tests.frames import modes_of
 
@@ -27,7 +27,7 @@ def tapered(stories, **keys):
 
 
 def frame_model(of, modes=3, noise=NOISE, quantities=("floor_mass", "story_stiffness")):
-    return Model(of, (), quantities, np.arange(modes), noise)
+    return TestModel(of, (), quantities, np.arange(modes), noise)
 
 
 def log_data(sizes, added, floors, modes):

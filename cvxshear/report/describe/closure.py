@@ -12,7 +12,7 @@ from cvxshear.report.describe.evidence import candidates_section, effect_section
 from cvxshear.report.describe.experiment import declared, measured_modes
 from cvxshear.report.describe.frame import frame_table
 from cvxshear.report.describe.headline import NAMED, headline
-from cvxshear.report.describe.vocabulary import Document, Part, Points, Section, Sentence
+from cvxshear.report.describe.vocabulary import Block, Document, Points, Section, Sentence
 
 
 @describe.register
@@ -53,7 +53,7 @@ def verdict_section(of: Closure) -> Section:
 def frame_section(of: Closure, units: Units) -> Section:
     """The frame of the verdict's set, and the one averaged over all sets."""
     title = "Masses without added mass; averaged: over all sets of effects, each as probable as it is"
-    parts: tuple[Part, ...] = (frame_table(of.frame, title, units, averaged=of.averaged),)
+    parts: tuple[Block, ...] = (frame_table(of.frame, title, units, averaged=of.averaged),)
     if not of.estimate.fit.converged:
         parts = (*parts, Sentence(f"NOT CONVERGED ({of.estimate.fit.reason}).", "warning"))
     return Section("frame", "The identified frame", parts)
@@ -61,7 +61,7 @@ def frame_section(of: Closure, units: Units) -> Section:
 
 def limits_section(of: Closure) -> Section:
     """Where a residual is left, what the data leave open, what was not looked for."""
-    parts: list[Part] = []
+    parts: list[Block] = []
     if of.remains:
         parts += [Sentence("The residual sits in:", "warning"), Points("remains", of.remains)]
     known = tuple(_limits(of))

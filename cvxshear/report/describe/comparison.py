@@ -8,12 +8,12 @@ from cvxshear.backends import Comparison, ProgramKind
 from cvxshear.backends.comparison import BackendResult
 from cvxshear.quantities import AUTOMATIC, Units, counted, exponential, significant
 from cvxshear.report.describe.dispatch import describe, line
-from cvxshear.report.describe.vocabulary import Document, Part, Points, Row, Section, Sentence, Table
+from cvxshear.report.describe.vocabulary import Block, Document, Points, Row, Section, Sentence, Table
 
 
 @describe.register
 def _comparison(of: Comparison, units: Units = AUTOMATIC) -> Document:
-    tables: list[Part] = [part for kind in of.kinds for part in _kind(of, kind)]
+    tables: list[Block] = [part for kind in of.kinds for part in _kind(of, kind)]
     if of.left_out:
         tables.insert(0, Sentence(f"Without the paper's programs: {of.left_out}."))
     return Document(
@@ -33,7 +33,7 @@ def _headline(of: Comparison) -> str:
     return f"{counted(backends, 'backend')} on {counted(len(of.kinds), 'kind')} of programs"
 
 
-def _kind(of: Comparison, kind: ProgramKind) -> Iterator[Part]:
+def _kind(of: Comparison, kind: ProgramKind) -> Iterator[Block]:
     rows = [row for row in of.rows if row.kind == kind.kind]
     name = kind.kind.replace(" ", "-")
     title = f"{programs(kind)}, against the {rows[0].reference}"

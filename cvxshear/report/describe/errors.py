@@ -9,7 +9,7 @@ from cvxshear.loop import Closure
 from cvxshear.loop.residual import by_part
 from cvxshear.quantities import percents, probability, significant, significants
 from cvxshear.report.describe.noise import noise_facts
-from cvxshear.report.describe.vocabulary import Exact, Part, Row, Section, Sentence, Table, columns
+from cvxshear.report.describe.vocabulary import Block, Exact, Row, Section, Sentence, Table, columns
 
 Writer = Callable[[Sequence[float | None]], list[str]]
 
@@ -36,7 +36,7 @@ def before_after(of: Closure) -> Section:
     first = of.before.action
     after = "the final model" if len(of.steps) > 1 else "the same model, as nothing was added"
     which = f"Before: {first}. After: {after}. Both are counted in the same noise."
-    parts: list[Part] = [Sentence(which), errors_table(of)]
+    parts: list[Block] = [Sentence(which), errors_table(of)]
     parts += not_converged(of)
     parts.append(noise_facts(of))
     return Section("before-after", "Before and after", tuple(parts))

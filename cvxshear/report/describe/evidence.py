@@ -8,7 +8,7 @@ from cvxshear.loop import Closure
 from cvxshear.loop.results import AddedEffect, Candidate, EffectSet
 from cvxshear.quantities import Units, capital, chance, listed, probability, significants, with_std
 from cvxshear.report.describe.consequences import consequences
-from cvxshear.report.describe.vocabulary import Facts, Part, Points, Row, Section, Sentence, Table
+from cvxshear.report.describe.vocabulary import Block, Facts, Points, Row, Section, Sentence, Table
 
 BRIEF_SETS = 6
 BRIEF_CANDIDATES = 8
@@ -49,7 +49,7 @@ def effect_sections(of: Closure, units: Units) -> Iterator[Section]:
                 ("source of the formula", kind.source),
             )
         )
-        parts: tuple[Part, ...] = (
+        parts: tuple[Block, ...] = (
             Sentence(kind.summary),
             facts,
             Points(f"size-{place}", tuple(consequences(of.estimate, item.placed, units))),
@@ -103,7 +103,7 @@ def candidates_section(of: Closure) -> Section:
         brief=BRIEF_CANDIDATES,
     )
     said = tuple(_confounded(item) for item in of.candidates if item.confounded_with)
-    parts: tuple[Part, ...] = (table, *([Points("confounded", said)] if said else []))
+    parts: tuple[Block, ...] = (table, *([Points("confounded", said)] if said else []))
     return Section("candidates", "What was looked for, and how probable it is", parts, below=True)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from cvxshear.experiment import Configuration, Experiment
 from cvxshear.quantities import AUTOMATIC, Units, counted, percents, significant
 from cvxshear.report.describe.dispatch import describe, line
-from cvxshear.report.describe.vocabulary import Document, Facts, Part, Row, Section, Sentence, Table
+from cvxshear.report.describe.vocabulary import Block, Document, Facts, Row, Section, Sentence, Table
 from cvxshear.typing import Floats
 
 
@@ -99,13 +99,13 @@ def listed(values: Floats, unit: str, factor: float = 1.0) -> str:
 
 def measured_modes(of: Experiment, units: Units = AUTOMATIC) -> Section:
     """The measured modes of every configuration."""
-    parts: list[Part] = []
+    parts: list[Block] = []
     for place, each in enumerate(of.configurations, 1):
         parts += _modes(each, place, units)
     return Section("modes", "Measured modes", tuple(parts), detail=True, below=True)
 
 
-def _modes(each: Configuration, place: int, units: Units) -> Iterator[Part]:
+def _modes(each: Configuration, place: int, units: Units) -> Iterator[Block]:
     factor, unit = units.of_mass(each.added_mass.tolist())
     added = listed(each.added_mass, unit, factor) if each.added_mass.any() else "none"
     doubt = "" if _noise(each) == "declared" else " Standard deviations that are not declared are the default's."

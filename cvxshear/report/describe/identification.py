@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cvxshear.identification import Identification, Part
+from cvxshear.identification import Identification, SingleIdentification
 from cvxshear.quantities import (
     AUTOMATIC,
     Units,
@@ -63,7 +63,7 @@ def _headline(of: Identification) -> str:
     )
 
 
-def part_section(of: Identification, part: Part, place: int, units: Units) -> Section:
+def part_section(of: Identification, part: SingleIdentification, place: int, units: Units) -> Section:
     """The frame that one configuration, or all together, speak for, and how well it fits."""
     title = "All configurations together" if of.joint else part.name
     parts = [
@@ -79,7 +79,7 @@ def _words(names: tuple[str, ...]) -> str:
     return listed([name.replace("_", " ") for name in names])
 
 
-def how_it_ended(part: Part) -> Iterator[Sentence]:
+def how_it_ended(part: SingleIdentification) -> Iterator[Sentence]:
     """How many iterations there were and why they ended; a warning where they did not converge."""
     said = f"{counted(part.iterations, 'iteration')}: {part.reason}."
     yield (
@@ -89,7 +89,7 @@ def how_it_ended(part: Part) -> Iterator[Sentence]:
     )
 
 
-def _fit(part: Part) -> str:
+def _fit(part: SingleIdentification) -> str:
     fit = part.fit
     largest, rms = percents([fit.max_frequency_error, fit.rms_frequency_error])
     said = [f"Frequency errors: largest {largest}, root mean square {rms}"]
@@ -102,7 +102,7 @@ def _fit(part: Part) -> str:
     return f"{'; '.join(said)}."
 
 
-def _matrix(matrix: Floats, place: int, units: Units) -> vocabulary.Part:
+def _matrix(matrix: Floats, place: int, units: Units) -> vocabulary.Block:
     factor, unit = units.of_mass(np.diag(matrix).tolist())
     head = ("floor", *(str(i) for i in range(1, len(matrix) + 1)))
     largest = float(np.max(np.abs(matrix))) / factor

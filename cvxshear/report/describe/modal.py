@@ -5,13 +5,13 @@ from __future__ import annotations
 from cvxshear.modal import ModalResult
 from cvxshear.quantities import AUTOMATIC, Units, counted, percents, significant
 from cvxshear.report.describe.dispatch import describe, line
-from cvxshear.report.describe.vocabulary import Document, Part, Section, Sentence, Table, columns
+from cvxshear.report.describe.vocabulary import Block, Document, Section, Sentence, Table, columns
 
 
 @describe.register
 def _modes(of: ModalResult, units: Units = AUTOMATIC) -> Document:
     scale = "1/sqrt(kg)" if of.mass_normalized else "the largest entry is 1"
-    parts: list[Part] = [
+    parts: list[Block] = [
         Sentence(f"Method {of.method}; uncertainty by {of.uncertainty}."),
         _table(of),
         _shapes(of, scale),

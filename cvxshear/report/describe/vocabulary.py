@@ -99,7 +99,7 @@ class Table:
     brief: int | None = None
 
 
-Part = Sentence | Points | Facts | Table
+Block = Sentence | Points | Facts | Table
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class Section:
 
     key: str
     title: str
-    parts: tuple[Part, ...]
+    parts: tuple[Block, ...]
     detail: bool = False
     below: bool = False
 

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from cvxshear.errors import InputError
-from cvxshear.identification import Identification, Part
+from cvxshear.identification import Identification, SingleIdentification
 from cvxshear.report.figures.style import (
     COLOURS,
     LINES,
@@ -66,13 +66,13 @@ def convergence(*results: Identification, true_mass: Floats | None = None) -> Fi
     return figure
 
 
-def _start(part: Part) -> str:
+def _start(part: SingleIdentification) -> str:
     assert part.history is not None
     started = ", ".join(f"{mass:.3g}" for mass in part.history[0, :4])
     return f"\nfrom {started}{', …' if part.history.shape[1] > 4 else ''} kg"
 
 
-def _panel(axes: Axes, part: Part, true_mass: Floats | None) -> None:
+def _panel(axes: Axes, part: SingleIdentification, true_mass: Floats | None) -> None:
     assert part.history is not None
     final = part.history[-1] if true_mass is None else np.asarray(true_mass, dtype=float)
     history = part.history[:-1] if true_mass is None else part.history
