@@ -253,8 +253,8 @@ def _channels(tables: object, declared: Mapping[str, Any], path: Path, lines: li
         factor = sign * checks.number(one.get("calibration", 1.0), f"{where}: calibration", above=0.0)
         floor = checks.whole(one.get("floor", 0), f"{where}: floor", least=0, most=MOST_STORIES)
         axis = checks.text(one.get("axis", "x"), f"{where}: axis")
-        place = f"line {line} of {path.name}" if line else ""
-        found.append(ChannelDeclaration(column, floor, axis, factor, quantity, place))
+        stands = f"line {line} of {path.name}" if line else ""
+        found.append(ChannelDeclaration(column, floor, axis, factor, quantity, stands))
     _refuse_twice(found)
     axes = {item.axis for item in found if item.quantity != "force"}
     wanted = declared.get("axis")
