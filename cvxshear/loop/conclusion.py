@@ -7,7 +7,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy import stats
 
+from cvxshear.backends import Backend
 from cvxshear.effects import Effect, Placed
+from cvxshear.errors import NoModesError
 from cvxshear.identification.efficient import Estimate, fitted_with, parameter_names
 from cvxshear.loop.fitter import Fitter, with_stand_in
 from cvxshear.loop.held_out import held_out_frequency_errors
@@ -114,11 +116,22 @@ def _steps(final: Estimate, posterior: Posterior, fitter: Fitter) -> tuple[Step,
 
 
 def _in_noise_of(final: Estimate, effects: Sequence[Placed], fitter: Fitter) -> Estimate:
-    """The fit with only some of the effects, in the final model's noise."""
-    proposal = fitter.proposal(final, (*fitter.assumed, *effects))
+    """The fit with only some of the effects, in the final model's noise.
+
+    It starts where the final model is or, where that has no modes without the others, at the frame before any effect.
+    """
+    wanted = (*fitter.assumed, *effects)
+    proposals = [fitter.proposal(start, wanted) for start in (final, fitter.base or final)]
+    misfit = proposals[0].misfit
     fitter.fits += 1
-    found, _ = with_stand_in(fitter.backend, lambda by: fitted_with(proposal.misfit, proposal.starts[0], by))
-    return found
+
+    def fit(by: Backend) -> Estimate:
+        try:
+            return fitted_with(misfit, proposals[0].starts[0], by)
+        except NoModesError:
+            return fitted_with(misfit, proposals[1].starts[0], by)
+
+    return with_stand_in(fitter.backend, fit)[0]
 
 
 def _added(posterior: Posterior, final: Estimate, placed: Placed) -> AddedEffect:

@@ -67,6 +67,8 @@ class Fitter:
         Fits made so far, and step programs that they solved.
     stand_ins : int
         Fits that the backend refused and another one made.
+    base : Estimate or None
+        Of the set without any effect, once it was fitted.
     """
 
     experiment: Experiment
@@ -78,6 +80,7 @@ class Fitter:
     fits: int = 0
     programs: int = 0
     stand_ins: int = 0
+    base: Estimate | None = None
     _log_odds: dict[Placed, float] = field(init=False)
 
     def __post_init__(self) -> None:

@@ -48,6 +48,7 @@ class Search:
     def __init__(self, fitter: Fitter, base: Estimate) -> None:
         self.fitter = fitter
         start = fitter.model_of(base)
+        fitter.base = base
         self.visited: dict[Set, ModelClass] = {start.effects: start}
         self.expanded: set[Set] = set()
         self.thinned: set[Set] = set()
