@@ -22,5 +22,5 @@ def data_frame(columns: Mapping[str, Sequence[object]]) -> pd.DataFrame:
     try:
         import pandas as pd  # noqa: PLC0415 - optional, and loads slowly
     except ImportError:
-        raise InputError("to_dataframe needs pandas: pip install 'cvxshear[pandas]'") from None
+        raise InputError("to_dataframe needs pandas: pip install pandas") from None
     return pd.DataFrame(dict(columns))

@@ -167,7 +167,7 @@ def figures_for(*paths: str | None) -> ModuleType | None:
         from cvxshear.report import figures
         from cvxshear.report.figures.output import kind_of
     except ImportError as error:
-        raise InputError(f"--figure needs {error.name}: pip install 'cvxshear[plot]'") from error
+        raise InputError(f"--figure needs {error.name}: pip install matplotlib") from error
     for path in asked:
         kind_of(path)
     return figures

@@ -101,7 +101,7 @@ def read_mode_xlsx(path: str | Path) -> dict[str, Any]:
     try:
         openpyxl = importlib.import_module("openpyxl")
     except ImportError:
-        raise InputError(f"{path!s}: workbooks need openpyxl: install cvxshear[xlsx]") from None
+        raise InputError(f"{path!s}: workbooks need openpyxl: pip install openpyxl") from None
     content = io.BytesIO(read_bytes(path, LARGEST, TOO_LARGE))
     try:
         book = openpyxl.load_workbook(content, read_only=True, data_only=True)

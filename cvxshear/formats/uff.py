@@ -139,7 +139,7 @@ def _pyuff() -> Any:
     try:
         return importlib.import_module("pyuff")
     except ImportError:
-        raise InputError("universal files need pyuff: install cvxshear[uff]") from None
+        raise InputError("universal files need pyuff: pip install pyuff") from None
 
 
 def _sets(path: Path, kind: int, limit: float) -> list[Json]:

@@ -80,7 +80,7 @@ def _xlsx(result: RecordPrediction) -> bytes:
     try:
         openpyxl = importlib.import_module("openpyxl")
     except ImportError:
-        raise InputError("a spreadsheet needs openpyxl: pip install 'cvxshear[xlsx]'") from None
+        raise InputError("a spreadsheet needs openpyxl: pip install openpyxl") from None
     book = openpyxl.Workbook()
     book.remove(book.active)
     for name, rows in _sheets(result):

@@ -19,7 +19,7 @@ try:
     from cvxshear.report.pages import environment
 except ImportError as error:
     raise CvxshearError(
-        f"the report needs {error.name}, which is not installed: pip install 'cvxshear[report]'"
+        f"the report needs {error.name}, which is not installed: pip install jinja2 matplotlib"
     ) from error
 
 from cvxshear.report.contents import contents

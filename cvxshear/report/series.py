@@ -76,7 +76,7 @@ def _uff(result: RecordPrediction) -> bytes:
     try:
         pyuff = importlib.import_module("pyuff")
     except ImportError:
-        raise InputError("universal files need pyuff: install cvxshear[uff]") from None
+        raise InputError("universal files need pyuff: pip install pyuff") from None
     sets: list[Json] = []
     for run, response in enumerate(result.after.responses, 1):
         quantities: list[tuple[str, int, Floats | None]] = [

@@ -126,7 +126,7 @@ def load_openpyxl() -> Any:
     try:
         return importlib.import_module("openpyxl")
     except ImportError:
-        raise InputError("workbooks need openpyxl: install cvxshear[xlsx]") from None
+        raise InputError("workbooks need openpyxl: pip install openpyxl") from None
 
 
 def _modes(result: ModalResult) -> Sheet:

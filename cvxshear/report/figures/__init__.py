@@ -1,6 +1,6 @@
 """Figures: each a function that takes a result and returns a matplotlib Figure, which no window or setting depends on.
 
-Needs matplotlib (`pip install cvxshear[plot]`).
+Needs matplotlib (`pip install matplotlib`).
 """
 
 from cvxshear.report.figures.backends import backend_differences
