@@ -25,7 +25,6 @@ from cvxshear.formats.mat import read_mat
 from cvxshear.formats.reading import MEGABYTE, named_after
 from cvxshear.formats.toml import parse, read_text
 from cvxshear.formats.uff import read_uff
-from cvxshear.modal.motion import Drive, Motion
 from cvxshear.modal.record import INPUTS, QUANTITIES, Channel, FrfRecord, FrfRun, Record, Run, TimeRecord
 from cvxshear.typing import Floats
 
@@ -64,6 +63,11 @@ class ChannelDeclaration:
     factor: float
     quantity: str
     place: str
+
+    @property
+    def responds(self) -> bool:
+        """Whether it measures a floor."""
+        return self.floor > 0 and self.quantity != "force"
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,68 +118,25 @@ def read_record(path: str | Path) -> RecordFile:
         Naming the file, and the key or the channel and the line, and what would be right.
     """
     path = Path(path)
-    table, lines = _tables(path)
+    table, lines = tables_of(path)
     where = str(path)
     frame = table.get("frame", {})
     priors = table.get("prior", [])
     tables = isinstance(priors, list) and all(isinstance(prior, Mapping) for prior in priors)
     if not isinstance(frame, Mapping) or not tables:
         raise InputError(f"{where}: frame must be a table [frame], prior a list of tables [[prior]]")
-    added = _added_mass(table, path)
+    added = added_mass_of(table, path)
     state = None if table.get("state") is None else checks.text(table["state"], f"{where}: state")
-    with _placed(path):
+    with placed(path):
         record = _record(table, path, lines)
-    files = (path, *(path.parent / run["file"] for run in _runs(table, table["record"])))
+    files = (path, *(path.parent / run["file"] for run in runs_of(table, table["record"])))
     picked = table["record"].get("pick")
     if picked is not None:
         picked = checks.vector(picked, f"{where}: record: pick", above=0.0).tolist()
     return RecordFile(record, frame, priors, added, state, picked, files)
 
 
-def read_motion(path: str | Path) -> Motion:
-    """Read what drove a frame from a record file, with the floors' accelerations where it names such channels.
-
-    Parameters
-    ----------
-    path : str or Path
-        As for `read_record`; here a channel of the ground, or of the force, is enough.
-
-    Returns
-    -------
-    Motion
-
-    Raises
-    ------
-    InputError
-        As `read_record` does, and where nothing says what drove the frame.
-    """
-    path = Path(path)
-    table, lines = _tables(path)
-    with _placed(path):
-        declared = checks.keys(table["record"], RECORD_KEYS, [], "record")
-        channels = _channels(table["channel"], declared, path, lines)
-        driver = _driver(channels, declared.get("input", "none"))
-    if driver is None or declared.get("kind", "time") != "time" or any(_responds(item) for item in channels):
-        found = read_record(path)
-        return Motion.of(found.record, found.added_mass)
-    with _placed(path):
-        drives, rates = [], []
-        for run in _runs(table, declared):
-            columns = _read(run, declared, path)
-            rates.append((_rate(declared, columns), columns.source))
-            excitation = driver.factor * columns.column(driver.column, driver.place or path.name)
-            floor = run.get("input_floor", declared.get("input_floor", driver.floor))
-            drives.append(Drive(excitation, floor, name=run.get("name", Path(run["file"]).name)))
-        _refuse_two_rates(rates)
-        name = checks.text(declared.get("name", path.stem), "record: name")
-        added = _added_mass(table, path)
-        return Motion(
-            tuple(drives), rates[0][0], declared["input"], added_mass=None if added is None else np.array(added),
-            name=name,
-        )  # fmt: skip
-
-
-def _tables(path: Path) -> tuple[Mapping[str, Any], list[int]]:
+def tables_of(path: Path) -> tuple[Mapping[str, Any], list[int]]:
     """The tables of a record file, and the lines that its channels stand on."""
     text = read_text(path)
     declared = parse(text, path)
@@ -189,7 +150,7 @@ def _tables(path: Path) -> tuple[Mapping[str, Any], list[int]]:
 
 
 @contextmanager
-def _placed(path: Path) -> Iterator[None]:
+def placed(path: Path) -> Iterator[None]:
     """Say which file it is that a message is about."""
     try:
         yield
@@ -199,17 +160,13 @@ def _placed(path: Path) -> Iterator[None]:
         raise type(error)(message if message.startswith(str(path.parent)) else f"{path}: {message}") from error
 
 
-def _added_mass(table: Mapping[str, Any], path: Path) -> list[float] | None:
+def added_mass_of(table: Mapping[str, Any], path: Path) -> list[float] | None:
+    """kg on each floor during the record; None where the file does not say."""
     added = table.get("added_mass")
     if added is None:
         return None
     masses: list[float] = checks.vector(added, f"{path}: added_mass", least=0.0).tolist()
     return masses
-
-
-def _responds(item: ChannelDeclaration) -> bool:
-    """Whether a channel measures a floor."""
-    return item.floor > 0 and item.quantity != "force"
 
 
 def _record(table: Mapping[str, Any], path: Path, lines: list[int]) -> Record:
@@ -218,7 +175,7 @@ def _record(table: Mapping[str, Any], path: Path, lines: list[int]) -> Record:
     for key in ("time", "frequency", "axis"):
         if key in declared:
             checks.text(declared[key], f"record: {key}")
-    channels = _channels(table["channel"], declared, path, lines)
+    channels = channels_of(table["channel"], declared, path, lines)
     common = {
         "stories": checks.whole(declared.get("stories", 0), "record: stories", least=0, most=MOST_STORIES),
         "quantity": declared.get("quantity", "acceleration"),
@@ -226,13 +183,14 @@ def _record(table: Mapping[str, Any], path: Path, lines: list[int]) -> Record:
         "exponential_window": declared.get("exponential_window"),
         "name": checks.text(declared.get("name", named_after(path)), "record: name"),
     }
-    runs = _runs(table, declared)
+    runs = runs_of(table, declared)
     if kind == "frf":
         return _frf_record(declared, channels, runs, common, path)
     return _time_record(declared, channels, runs, common, path)
 
 
-def _channels(tables: object, declared: Mapping[str, Any], path: Path, lines: list[int]) -> list[ChannelDeclaration]:
+def channels_of(tables: object, declared: Mapping[str, Any], path: Path, lines: list[int]) -> list[ChannelDeclaration]:
+    """What the tables `[[channel]]` declare."""
     if not isinstance(tables, list) or not tables:
         raise InputError("channel must be a list of tables, one [[channel]] a column")
     found = []
@@ -281,7 +239,8 @@ def _refuse_twice(found: list[ChannelDeclaration]) -> None:
                 )
 
 
-def _runs(table: Mapping[str, Any], declared: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def runs_of(table: Mapping[str, Any], declared: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The tables `[[run]]`, or the one run that `[record]` names."""
     if "run" in table:
         if "file" in declared:
             raise InputError("give either record: file, or [[run]] tables, not both")
@@ -308,7 +267,8 @@ def _floor(run: Mapping[str, Any], declared: Mapping[str, Any], otherwise: int |
     return checks.whole(floor, f"run {place}: input_floor", least=1, most=MOST_STORIES)
 
 
-def _read(run: Mapping[str, Any], declared: Mapping[str, Any], path: Path) -> Columns:
+def columns_of(run: Mapping[str, Any], declared: Mapping[str, Any], path: Path) -> Columns:
+    """The columns of a run's file."""
     file = path.parent / run["file"]
     suffix = file.suffix.lower()
     limit = MEGABYTE * checks.number(declared.get("size_limit", LIMIT / MEGABYTE), "record: size_limit (MB)", above=0.0)
@@ -325,22 +285,22 @@ def _time_record(
     path: Path,
 ) -> TimeRecord:
     kind = checks.choice(declared.get("input", "none"), INPUTS, "record: input")
-    driver = _driver(channels, kind)
-    responses = [item for item in channels if item is not driver and _responds(item)]
+    driver = driver_of(channels, kind)
+    responses = [item for item in channels if item is not driver and item.responds]
     quantities = {item.quantity for item in responses}
     if len(quantities) > 1:
         raise InputError(f"the responses are {' and '.join(sorted(quantities))}; a record holds one quantity")
     rates: list[tuple[float, str]] = []
     made = []
     for place, run in enumerate(runs, 1):
-        columns = _read(run, declared, path)
-        rates.append((_rate(declared, columns), columns.source))
+        columns = columns_of(run, declared, path)
+        rates.append((rate_of(declared, columns), columns.source))
         excitation = None
         if driver is not None:
             excitation = driver.factor * columns.column(driver.column, driver.place or path.name)
         floor = 0 if driver is None or kind != "force" else _floor(run, declared, driver.floor or None, place)
         made.append(Run(_table(columns, responses, path), excitation, floor, run.get("name", Path(run["file"]).name)))
-    _refuse_two_rates(rates)
+    refuse_two_rates(rates)
     quantity = quantities.pop() if quantities else common["quantity"]
     return TimeRecord(
         _made(responses), **{**common, "quantity": quantity}, runs=tuple(made), sampling_rate=rates[0][0], input=kind
@@ -351,7 +311,7 @@ def _made(responses: list[ChannelDeclaration]) -> tuple[Channel, ...]:
     return tuple(Channel(item.column, item.floor, item.axis, item.place) for item in responses)
 
 
-def _driver(channels: list[ChannelDeclaration], kind: str) -> ChannelDeclaration | None:
+def driver_of(channels: list[ChannelDeclaration], kind: str) -> ChannelDeclaration | None:
     """The channel that measures the input."""
     ground = [item for item in channels if item.floor == 0 and item.quantity != "force"]
     forces = [item for item in channels if item.quantity == "force"]
@@ -374,7 +334,7 @@ def _table(columns: Columns, responses: list[ChannelDeclaration], path: Path) ->
     return np.column_stack([item.factor * columns.column(item.column, item.place or path.name) for item in responses])
 
 
-def _rate(declared: Mapping[str, Any], columns: Columns) -> float:
+def rate_of(declared: Mapping[str, Any], columns: Columns) -> float:
     """The sampling rate, from the time column, from the declaration, or from both where they agree."""
     name = declared.get("time") or next((item for item in TIME_NAMES if item in columns.names), None)
     said = declared.get("sampling_rate")
@@ -396,7 +356,8 @@ def _rate(declared: Mapping[str, Any], columns: Columns) -> float:
     return rate
 
 
-def _refuse_two_rates(rates: list[tuple[float, str]]) -> None:
+def refuse_two_rates(rates: list[tuple[float, str]]) -> None:
+    """Raise `InputError` where files of one record were sampled at different rates."""
     for rate, source in rates[1:]:
         if abs(rate - rates[0][0]) > 1e-3 * rates[0][0]:
             raise InputError(
@@ -416,7 +377,7 @@ def _frf_record(
         raise InputError('record: frequency response functions have input = "force"')
     made, axes = [], []
     for place, run in enumerate(runs, 1):
-        columns = _read(run, declared, path)
+        columns = columns_of(run, declared, path)
         name = declared.get("frequency") or next((item for item in FREQUENCY_NAMES if item in columns.names), None)
         if name is None:
             raise InputError(f"record: give frequency, the name of the frequency column of {columns.source}")

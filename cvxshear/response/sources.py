@@ -13,7 +13,7 @@ from cvxshear.checks import choice, shown
 from cvxshear.errors import InputError
 from cvxshear.experiment import Configuration, Experiment
 from cvxshear.formats.modes import modes_from_file
-from cvxshear.formats.record import read_motion
+from cvxshear.formats.motion import read_motion
 from cvxshear.formats.toml import is_record_file, load, read_text
 from cvxshear.identification.efficient import Estimate
 from cvxshear.loop import Closure, close_loop
