@@ -75,6 +75,12 @@ def deep_cells(path):
     path.write_bytes(HEADER + compressed(content))
 
 
+def complex_of_one_part(path):
+    """scipy's reader ends the process on this file."""
+    content = matrix(DOUBLE | 0x0800, (1, 100), element(9, bytes(800)))
+    path.write_bytes(HEADER + compressed(content))
+
+
 def of_size(of_class, sizes, *parts):
     return lambda path: path.write_bytes(HEADER + matrix(of_class, sizes, *parts))
 
@@ -132,6 +138,7 @@ MAT = {
     "3,000 cells in each other": (deep_cells, " has structures more than 32 deep"),
     "more numbers than atoms": (of_size(DOUBLE, (2**31 - 1, 2**31 - 1), element(9, bytes(800))), NUMBERS),
     "a number too many": (of_size(DOUBLE, (1, 101), element(9, bytes(800))), f"{TAGS}has not as many numbers"),
+    "complex, without an imaginary part": (complex_of_one_part, f"{TAGS}has not the parts, real and imaginary"),
     "a structure of nothing": (of_size(STRUCTURE, (1, 2**31 - 1)), f"{TAGS}is smaller than its dimensions say"),
     "a dangling link": (linked(lambda h5py: h5py.SoftLink("/nowhere")), LINK),
     "a link in a circle": (linked(lambda h5py: h5py.SoftLink("/x")), LINK),

@@ -1,8 +1,9 @@
 """MAT files of version 5 and older.
 
 A file of version 5 is a header and a row of elements, each a tag (kind and size) and what it announces; a matrix
-holds elements in turn. scipy believes the tags. Here they are followed first, and compressed elements are inflated to
-a stated size and against their checksum; what scipy is then given holds no more than was counted.
+holds elements in turn. The tags are followed here, each against what is there, and compressed elements are inflated to
+a stated size and against their checksum. scipy's reader believes the tags: a matrix that says it is complex and has no
+imaginary part ends the whole process. So it reads only files of version 4, which have no tags.
 "The MAT-file format" (MathWorks) has the tags.
 """
 
@@ -17,6 +18,7 @@ from io import BytesIO
 from math import prod
 from typing import Any
 
+import numpy as np
 from scipy import io
 
 from cvxshear.errors import InputError
@@ -29,12 +31,17 @@ MOST_ARRAYS = 100_000
 """Matrices, and fields of structures, in one file."""
 
 MATRIX, COMPRESSED = 14, 15
-WIDTHS = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}
-"""Bytes of a number of each kind of element."""
+TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+"""How the numbers of each kind of element are stored."""
 
-STRUCTURE, CHARACTERS, SPARSE, OPAQUE = 2, 4, 5, 17
+CELL, STRUCTURE = 1, 2
 NUMERIC = range(6, 16)
-"""Classes of matrices."""
+"""Classes of matrices that are read; characters, sparse matrices and objects hold no columns of a record."""
+
+COMPLEX = 0x0800
+"""The flag of a matrix with an imaginary part."""
+
+Element = tuple[int, memoryview]
 
 
 class _DamagedError(Exception):
@@ -52,7 +59,7 @@ class _Budget:
 
 
 def read(content: bytes, where: str, limit: float) -> Mapping[str, Any]:
-    """The variables of a file by name, as scipy reads them.
+    """The numeric arrays of a file by name, those of a structure in a dict of its own, what else it holds left out.
 
     Parameters
     ----------
@@ -65,37 +72,33 @@ def read(content: bytes, where: str, limit: float) -> Mapping[str, Any]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            if io.matlab.matfile_version(_opened(content))[0] == 1:
-                content = _checked(content, limit)
-            return io.loadmat(_opened(content), simplify_cells=True)
+            opened: Any = BytesIO(content)
+            if io.matlab.matfile_version(opened)[0] == 1:
+                return _variables(content, limit)
+            return io.loadmat(opened, simplify_cells=True)
     except InputError as error:
         raise InputError(f"{where} {error}") from None
     except Exception as error:
-        # scipy raises whatever its parsing runs into.
+        # Both readers raise whatever a damaged file makes them run into.
         raise InputError(f"{where} is not a MAT file that can be read: {str(error)[:200]}") from None
 
 
-def _opened(content: bytes) -> Any:
-    return BytesIO(content)
-
-
-def _checked(content: bytes, limit: float) -> bytes:
-    """The same file, inflated, without what holds no numbers."""
+def _variables(content: bytes, limit: float) -> dict[str, Any]:
     order = "<" if content[126:128] == b"IM" else ">"
     budget = _Budget(limit, limit, limit)
-    kept = bytearray(content[:HEADER])
+    found: dict[str, Any] = {}
     for element in _elements(memoryview(content)[HEADER:], order):
         kind, payload = element
         if kind == COMPRESSED:
             ((kind, payload),) = _elements(memoryview(_inflated(payload, budget)), order)
-        if kind == MATRIX and payload and _check_matrix(payload, order, budget, 1) in (STRUCTURE, *NUMERIC):
-            kept += struct.pack(f"{order}II", MATRIX, len(payload))
-            kept += payload
-            kept += bytes(-len(payload) % 8)
-    return bytes(kept)
+        if kind == MATRIX and payload:
+            name, value = _matrix(payload, order, budget, 1)
+            if name and value is not None:
+                found[name] = value
+    return found
 
 
-def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
+def _elements(data: memoryview, order: str) -> Iterator[Element]:
     """Kind and content of each element."""
     place = 0
     while place < len(data):
@@ -124,33 +127,76 @@ def _inflated(payload: memoryview, budget: _Budget) -> bytes:
     return result
 
 
-def _check_matrix(payload: memoryview, order: str, budget: _Budget, depth: int) -> int:
-    """The class of a matrix, once its parts, and those of the matrices inside it, are known to fit its size."""
+def _matrix(payload: memoryview, order: str, budget: _Budget, depth: int) -> tuple[str, Any]:
+    """Name and content of a matrix: an array, a dict for a structure, None for what holds no columns."""
     budget.arrays -= 1
     if depth > MOST_DEPTH:
         raise InputError(f"has structures more than {MOST_DEPTH} deep; save the numbers themselves")
     if budget.arrays < 0:
         raise InputError(f"has more than {MOST_ARRAYS} matrices and fields; save the numbers themselves")
     (_, flags), *parts = list(_elements(payload, order))
-    of_class = struct.unpack_from(f"{order}I", flags)[0] & 0xFF
-    inside = [content for kind, content in parts if kind == MATRIX]
-    for each in inside:
-        if each:
-            _check_matrix(each, order, budget, depth + 1)
-    if of_class in (SPARSE, OPAQUE):
-        return int(of_class)
-    sizes = struct.unpack(f"{order}{len(parts[0][1]) // 4}i", parts[0][1])
-    count = prod(sizes)
-    if of_class in NUMERIC:
-        _check_numbers(count, parts[2:], budget)
-    elif min(sizes) < 0 or count > max(1, len(inside), len(payload) * (of_class == CHARACTERS)):
+    (flag,) = struct.unpack_from(f"{order}I", flags)
+    if flag & 0xFF not in (CELL, STRUCTURE, *NUMERIC):
+        return "", None
+    (_, dimensions), (_, name), *rest = parts
+    shape = struct.unpack(f"{order}{len(dimensions) // 4}i", dimensions)
+    if len(shape) < 2 or min(shape) < 0:
+        raise _DamagedError("a matrix has no dimensions")
+    known_as = bytes(name).decode("utf-8")
+    if flag & 0xFF == CELL:
+        _cells(rest, order, budget, depth)
+        return known_as, None
+    if flag & 0xFF == STRUCTURE:
+        return known_as, _structure(shape, rest, order, budget, depth)
+    return known_as, _numbers(shape, rest, bool(flag & COMPLEX), order, budget)
+
+
+def _cells(parts: list[Element], order: str, budget: _Budget, depth: int) -> None:
+    """Follow what stands in cells, which are not read, as far as its depth and number count."""
+    for kind, content in parts:
+        if kind != MATRIX:
+            raise _DamagedError("a cell is no matrix")
+        if content:
+            _matrix(content, order, budget, depth + 1)
+
+
+def _structure(
+    shape: tuple[int, ...], parts: list[Element], order: str, budget: _Budget, depth: int
+) -> dict[str, Any] | None:
+    """The fields of a single structure; None for an array of them."""
+    if len(parts) < 2:
         raise _DamagedError("a matrix is smaller than its dimensions say")
-    return int(of_class)
+    (_, length), (_, names), *fields = parts
+    (width,) = struct.unpack(f"{order}i", length)
+    if width <= 0 or len(names) % width or prod(shape) * (len(names) // width) != len(fields):
+        raise _DamagedError("a structure has not as many fields as its names and dimensions say")
+    if any(kind != MATRIX for kind, _ in fields):
+        raise _DamagedError("a field of a structure is no matrix")
+    budget.arrays -= len(names) // width
+    values = [_matrix(content, order, budget, depth + 1)[1] if content else None for _, content in fields]
+    if prod(shape) != 1:
+        return None
+    keys = [bytes(names[at : at + width]).split(b"\0", 1)[0].decode("utf-8") for at in range(0, len(names), width)]
+    return {key: value for key, value in zip(keys, values, strict=True) if value is not None}
 
 
-def _check_numbers(count: int, parts: list[tuple[int, memoryview]], budget: _Budget) -> None:
+def _numbers(
+    shape: tuple[int, ...], parts: list[Element], has_imaginary: bool, order: str, budget: _Budget
+) -> np.ndarray[Any, Any]:
+    """A numeric array, columns first in the file."""
+    count = prod(shape)
     budget.numbers -= 8 * count * len(parts)
     if budget.numbers < 0:
         raise InputError(f"holds more than {budget.limit / MEGABYTE:g} MB of numbers; {TOO_LARGE}")
-    if not parts or any(kind not in WIDTHS or len(content) != count * WIDTHS[kind] for kind, content in parts):
-        raise _DamagedError("a matrix has not as many numbers as its dimensions say")
+    if len(parts) != 1 + has_imaginary:
+        raise _DamagedError("a matrix has not the parts, real and imaginary, that it says")
+    read = []
+    for kind, content in parts:
+        if kind not in TYPES or len(content) != count * np.dtype(TYPES[kind]).itemsize:
+            raise _DamagedError("a matrix has not as many numbers as its dimensions say")
+        read.append(np.frombuffer(content, dtype=order + TYPES[kind]).reshape(shape, order="F").squeeze())
+    if not has_imaginary:
+        return read[0]
+    result = np.empty(read[0].shape, dtype=complex)
+    result.real, result.imag = read
+    return result

@@ -76,6 +76,12 @@ def mat5(folder: Path, *, compressed: bool) -> bytes:
     return (folder / "sound.mat").read_bytes()
 
 
+def mat4(folder: Path) -> bytes:
+    values = columns()[:200]
+    io.savemat(folder / "sound4.mat", {"t": values[:, 0], "a": values[:, 2:], "h": values[:, 2] + 1j}, format="4")
+    return (folder / "sound4.mat").read_bytes()
+
+
 def mat73(folder: Path) -> bytes:
     h5py = pytest.importorskip("h5py")
     values = columns()[:200]

@@ -46,6 +46,7 @@ def recorded(path: Path) -> None:
 READERS: dict[str, tuple[str, Callable[[Path], bytes], Callable[[Path], object], Callable]] = {
     "MAT 5, compressed": ("x.mat", lambda at: files.mat5(at, compressed=True), lambda x: finite(read_mat(x)), apply),
     "MAT 5, inflated": ("x.mat", lambda at: files.mat5(at, compressed=False), lambda x: finite(read_mat(x)), deflated),
+    "MAT 4": ("x.mat", files.mat4, lambda x: finite(read_mat(x)), apply),
     "MAT 7.3": ("x.mat", files.mat73, lambda x: finite(read_mat(x)), apply),
     "UFF": ("x.uff", lambda at: files.universal(at, binary=False), lambda x: finite(read_uff(x)[0]), apply),
     "UFF, binary": ("x.uff", lambda at: files.universal(at, binary=True), lambda x: finite(read_uff(x)[0]), apply),

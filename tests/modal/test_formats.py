@@ -14,6 +14,7 @@ import cvxshear
 from cvxshear.errors import InputError
 from cvxshear.formats.csv import read_csv
 from cvxshear.formats.mat import read_mat
+from cvxshear.formats.mat5 import read
 from cvxshear.formats.measurement import write_measurement
 from cvxshear.formats.modes import write_modes
 from cvxshear.formats.record import read_record
@@ -93,6 +94,24 @@ def test_mat_version_5(tmp_path, values):
     io.savemat(tmp_path / "a.mat", {"t": values[:, 0], "force": values[:, 1], "test": {"acc": values[:, 2:]}, "n": 3})
     channels = CHANNELS.replace('"a2"', '"test.acc[2]"').replace('"a1"', '"test.acc[1]"')
     check(read_record(record_file(tmp_path, "a.mat", channels=channels)).record, values)
+
+
+def test_every_array_of_a_mat_file_is_what_scipy_reads_of_it(tmp_path, values):
+    held = {
+        "whole": np.arange(300, dtype=np.int16), "large": np.arange(600, dtype=np.uint64).reshape(300, 2) + 2**52,
+        "single": values[:, 1].astype(np.float32), "logical": values[:, 1] > 0, "few": np.arange(3.0),
+        "complex": values[:, 2] + 1j * values[:, 1], "cells": np.array([values[:, 0], "x"], dtype=object),
+        "run": {"a": values[:, 2:], "inner": {"b": values[:, [1]].T}, "text": "words"},
+    }  # fmt: skip
+    for compress in (False, True):
+        io.savemat(tmp_path / "a.mat", held, do_compression=compress)
+        ours, theirs = read((tmp_path / "a.mat").read_bytes(), "a.mat", 1e8), io.loadmat(tmp_path / "a.mat")
+        for key in ("whole", "large", "single", "logical", "few", "complex"):
+            np.testing.assert_array_equal(ours[key], theirs[key].squeeze(), strict=True)
+        np.testing.assert_array_equal(ours["run"]["a"], theirs["run"]["a"][0, 0], strict=True)
+        np.testing.assert_array_equal(ours["run"]["inner"]["b"], values[:, 1])
+        assert set(ours["run"]) == {"a", "inner"}
+        assert "cells" not in ours
 
 
 def test_mat_version_7(tmp_path, values):
