@@ -20,6 +20,7 @@ from cvxshear.formats.csv import read_csv
 from cvxshear.formats.mat import read_mat
 from cvxshear.formats.record import read_record
 from cvxshear.formats.toml import files_of, load
+from cvxshear.formats.uff import read_uff
 from tests.fuzz import files
 
 HEADER = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<HH", 0x0100, 0x4D49)
@@ -298,3 +299,11 @@ def test_the_files_that_a_command_reads(tmp_path):
     path = tmp_path / "a.toml"
     path.write_text('[[run]]\nfile = "1.csv"\n[[run]]\nfile = "2.csv"\n[[configuration]]\nuff = "m.uff"\nname = "x"\n')
     assert [each.name for each in files_of(path)] == ["a.toml", "1.csv", "2.csv", "m.uff"]
+
+
+def test_a_function_whose_numbers_are_of_no_type(tmp_path):
+    """pyuff reads it without a word, and gives neither abscissa nor values."""
+    content = files.universal(tmp_path, binary=True)
+    (tmp_path / "a.uff").write_bytes(content.replace(b"         4       200", b"         0       200", 1))
+    with pytest.raises(InputError, match="a data set 58 lacks its numbers"):
+        read_uff(tmp_path / "a.uff")

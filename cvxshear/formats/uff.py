@@ -31,6 +31,9 @@ AXES = ("", "x", "y", "z", "rx", "ry", "rz")
 """Of the directions 0 to 6, negative ones the other way."""
 TIME, FRF = 1, 4
 """Function types of data set 58."""
+FUNCTION, MODE = 58, 55
+NEEDED = {FUNCTION: ("x", "data", "func_type"), MODE: ("r1", "node_nums")}
+"""What pyuff gives of a sound data set; of a damaged one it may leave out any of it."""
 
 
 def read_uff(path: str | Path, limit: float = LIMIT) -> tuple[Columns, dict[str, Json]]:
@@ -57,7 +60,7 @@ def read_uff(path: str | Path, limit: float = LIMIT) -> tuple[Columns, dict[str,
         Where the file cannot be read or its functions have different abscissae, naming the function.
     """
     where = str(path)
-    functions = _sets(Path(path), 58, limit)
+    functions = _sets(Path(path), FUNCTION, limit)
     if not functions:
         raise InputError(f"{where} holds no function (data set 58)")
     axis = np.asarray(functions[0]["x"], dtype=np.float64)
@@ -123,7 +126,7 @@ def read_modes(path: str | Path) -> tuple[Floats, Floats, Complexes, Ints]:
         Where the file cannot be read or holds no mode.
     """
     where = str(path)
-    modes = _sets(Path(path), 55, LIMIT)
+    modes = _sets(Path(path), MODE, LIMIT)
     if not modes:
         raise InputError(f"{where} holds no mode (data set 55)")
     shapes = [np.atleast_1d(item["r1"]).astype(np.complex128) for item in modes]
@@ -143,7 +146,7 @@ def _pyuff() -> Any:
 
 
 def _sets(path: Path, kind: int, limit: float) -> list[Json]:
-    """The data sets of one kind."""
+    """The data sets of one kind, `FUNCTION` or `MODE`."""
     where = str(path)
     # pyuff opens the file by its name; that it can be read, and how large it is, is told here.
     read_bytes(path, limit, TOO_LARGE, named=True)
@@ -157,7 +160,10 @@ def _sets(path: Path, kind: int, limit: float) -> list[Json]:
     except Exception as error:
         # pyuff raises whatever its parsing runs into.
         raise InputError(f"{where} is not a universal file that can be read: {str(error)[:200]}") from error
-    return [found] if isinstance(found, dict) else list(found)
+    sets = [found] if isinstance(found, dict) else list(found)
+    if any(key not in item for item in sets for key in NEEDED[kind]):
+        raise InputError(f"{where} is not a universal file that can be read: a data set {kind} lacks its numbers")
+    return sets
 
 
 def _close(one: Floats, other: Floats) -> bool:
