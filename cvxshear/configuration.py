@@ -12,6 +12,7 @@ import numpy as np
 from cvxshear import checks
 from cvxshear.checks import MOST_STORIES
 from cvxshear.errors import InputError
+from cvxshear.other_modes import OtherModes, other_modes
 from cvxshear.typing import Bools, Floats, Ints, Json
 
 DEFAULT_FREQUENCY_STD = 0.002
@@ -61,6 +62,8 @@ class Configuration:
         Ascending, 1 the lowest; all floors where empty.
     modes : array_like of int, shape (m,), optional
         Which modes of the model these are; 1, 2, ..., m where empty.
+    other_modes : sequence of OtherModes or dict, optional
+        Which other modes of the model these may be, each with the probability that it is so.
     mass_normalized : bool, optional
         Whether the shapes carry the scale 1/sqrt(kg).
     frequency_std : float or array_like, shape (m,), optional
@@ -87,6 +90,7 @@ class Configuration:
     added_mass: Floats = field(default_factory=_no_floats)
     measured_floors: Ints = field(default_factory=_no_ints)
     modes: Ints = field(default_factory=_no_ints)
+    other_modes: tuple[OtherModes, ...] = ()
     mass_normalized: bool = False
     frequency_std: Floats | None = None
     mode_shape_std: Floats | None = None
@@ -125,6 +129,7 @@ class Configuration:
             if len(self.modes) != count:
                 needed = f"{checks.entries(count)}, one a frequency"
                 raise InputError(f"{self._at('modes')} must have {needed}, not {len(self.modes)}")
+        self._put("other_modes", other_modes(self.other_modes, self.modes, self._at("other_modes")))
         if self.damping_ratios is not None:
             where = self._at("damping_ratios")
             ratios = checks.one_or_many(self.damping_ratios, where, count, of=", one a mode", least=0.0)
@@ -238,6 +243,7 @@ class Configuration:
     def to_dict(self) -> Json:
         """The table that declares this configuration in a measurement file, every default written out."""
         values = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
+        values["other_modes"] = [item.to_dict() for item in self.other_modes]
         return {
             key: value.tolist() if isinstance(value, np.ndarray) else value
             for key, value in values.items()
@@ -266,6 +272,12 @@ class Configuration:
                 f"frequencies), a frame of {stories} stories has {stories}; leave out what is not a sway mode, or give "
                 "the right number of stories"
             )
+        for place, other in enumerate(self.other_modes, 1):
+            if other.modes[-1] > stories:
+                raise InputError(
+                    f"{self._at('other_modes')}, entry {place} names mode {other.modes[-1]}; a frame of {stories} "
+                    f"stories has {stories}"
+                )
         added = self.added_mass if len(self.added_mass) else np.zeros(stories)
         return dataclasses.replace(self, added_mass=added, measured_floors=floors)
 

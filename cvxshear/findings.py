@@ -15,6 +15,9 @@ MISTAKES = {
 }
 """What is refused unless it is accepted."""
 
+NUMBERS = ("missing_mode", "mode_number")
+"""Mistakes in which modes of the frame the measured ones are."""
+
 DOUBTS = {
     "angular_frequency": "frequencies look like rad/s in place of Hz",
     "heights": "story heights look like mm or cm in place of m",

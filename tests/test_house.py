@@ -12,7 +12,7 @@ ROOMS = (
     ("typing",), ("text",), ("errors",), ("quantities",), ("checks",), ("parallel",), ("showing",), ("writing",),
     ("dataframe",), ("findings",), ("version",),
     # What was measured and declared: priors, static tests and what is expected of effects are part of an experiment.
-    ("priors",), ("configuration",), ("static_test",), ("expected_effect",), ("declaration",),
+    ("priors",), ("other_modes",), ("configuration",), ("static_test",), ("expected_effect",), ("declaration",),
     ("experiment",),
     # The model, the effects that act on it, and the kinds of data that it is compared with.
     ("frame",), ("effects",), ("data",),

@@ -42,8 +42,7 @@ def test_probabilities_are_those_of_the_scores():
     assert of.of_effects[A] == pytest.approx(0.8)
     assert of.of_effects[B] == pytest.approx(0.2)
     assert of.of_effects[D] == 0.0
-    assert of.of(frozenset({C})) == pytest.approx(0.1)
-    assert of.of(frozenset({D})) == 0.0
+    assert of.of_effects[C] == pytest.approx(0.1)
     assert of.verdict_set() == {A}
 
 

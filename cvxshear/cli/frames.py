@@ -129,6 +129,7 @@ def loop(
     Example: cvxshear loop paper
     """
     from cvxshear import close_loop
+    from cvxshear.findings import NUMBERS
     from cvxshear.quantities import Units
     from cvxshear.report import response_terminal, screening_terminal, terminal
     from cvxshear.report.sheets import sheets_of_closure
@@ -140,7 +141,8 @@ def loop(
         from cvxshear.report.html import write_report
     with progress("closing the loop", quiet) as advance:
         experiment, found = measured(sources, jobs=jobs, progress=advance)
-        doubts = refuse_mistakes(experiment)
+        # A record has no numbers to put right: which modes it holds is weighed with the effects.
+        doubts = refuse_mistakes(experiment, NUMBERS if found else ())
         result = close_loop(experiment, effects=names(effects), assume=names(assume) or (), backend=backend, jobs=jobs)
         models = models_of_loop(result, mass_known=not _needs_mass(found))
         damping = damping_of(experiment, models.after, backend)

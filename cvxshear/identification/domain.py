@@ -17,7 +17,7 @@ from cvxshear.programs.rows import statements
 from cvxshear.typing import Floats
 
 SMALLEST = 1e-3
-"""Of the mean at the start: a smaller mass or stiffness does not count as positive."""
+"""Of the median at the start: a smaller mass or stiffness does not count as positive."""
 
 
 def spread(
@@ -47,7 +47,7 @@ def refuse_contradicting(experiment: Experiment) -> None:
 def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) -> Domain:
     """The domain of the parameters of a fit with these effects."""
     n, size = experiment.stories, len(theta)
-    mass, stiffness = SMALLEST * theta[:n].mean(), SMALLEST * theta[n : 2 * n].mean()
+    mass, stiffness = SMALLEST * np.median(theta[:n]), SMALLEST * np.median(theta[n : 2 * n])
     frame = _exact(experiment.frame, effects)
     parts = spread(
         statements(experiment.priors, "floor_mass", n, frame, least=mass),

@@ -276,6 +276,28 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed
     return best
 
 
+def nearest_start(misfit: Misfit) -> Floats:
+    """The starting point nearest to the data, the effects' parameters where they start.
+
+    Parameters
+    ----------
+    misfit : Misfit
+
+    Returns
+    -------
+    ndarray, shape (P,)
+
+    Raises
+    ------
+    NoModesError
+        Where no starting point has modes.
+    """
+    own = np.array([value for placed in misfit.effects for value in placed.start])
+    for start in _nearest_first(misfit, own):
+        return np.concatenate([start, own])
+    raise NoModesError("no starting point has modes")
+
+
 def _nearest_first(misfit: Misfit, own: Floats) -> list[Floats]:
     """The starting points with modes, the nearest to the data first; before them a smooth frame where none is near."""
 

@@ -49,6 +49,11 @@ FLAT_STEPS = 3
 """Decrease of chi-square, where its mean a datum is one, that this many damped steps in a row must bring to go on."""
 
 
+FARTHEST = 1e5
+"""Times its start that a mass or a stiffness becomes at most: what the data leave so open is as good as infinite, and
+further on rounding would lose what is declared of the others."""
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """Where Gauss-Newton stopped.
@@ -170,6 +175,8 @@ def gauss_newton(
     feasible = _made_feasible(theta, domain, backend)
     at = start if start is not None and feasible is theta else misfit.evaluate(feasible)
     theta = feasible
+    frame = np.arange(len(theta)) < 2 * misfit.experiment.stories
+    farthest = np.where(frame, FARTHEST * domain.scale, np.inf)
     damping, flat = _Damping(), 0
     solution: Solution | None = None
     for step in range(1, MOST_STEPS + 1):
@@ -185,7 +192,7 @@ def gauss_newton(
         rms = np.sqrt(at.objective / max(len(at.r), 1))
         if not damping.active and np.max(np.abs(at.J @ d), initial=0.0) < tolerance * max(1.0, rms):
             return Fit(theta, at, Ending.STATIONARY, step)
-        taken = _halved(misfit, theta, d, at, 0 if damping.active else HALVINGS)
+        taken = _halved(misfit, theta, d, at, farthest, 0 if damping.active else HALVINGS)
         if taken is None:
             if damping.exhausted:
                 return Fit(theta, at, Ending.NO_BETTER_STEP, step)
@@ -205,11 +212,13 @@ def gauss_newton(
 
 
 def _halved(
-    misfit: Misfit, theta: Floats, d: Floats, at: Evaluation, halvings: int
+    misfit: Misfit, theta: Floats, d: Floats, at: Evaluation, farthest: Floats, halvings: int
 ) -> tuple[Floats, Evaluation] | None:
-    """theta + d, or + d/2, d/4, ...: the first that lowers the misfit, evaluated; None where none does."""
+    """theta + d, or + d/2, d/4, ...: the first within reach that lowers the misfit, evaluated; None where none does."""
     for power in range(halvings + 1):
         trial = theta + 0.5**power * d
+        if np.any(trial > farthest):
+            continue
         try:
             # With derivatives at once: nearly always the first trial is taken, and they are needed then.
             found = misfit.evaluate(trial)

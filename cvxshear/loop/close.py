@@ -12,16 +12,19 @@ from cvxshear.effects import Effect, Placed, Scale
 from cvxshear.effects.state import heights_of
 from cvxshear.errors import InputError
 from cvxshear.experiment import Experiment
-from cvxshear.identification.efficient import Estimate, efficient
+from cvxshear.identification.efficient import efficient, nearest_start
 from cvxshear.identification.expectation import Expectation
+from cvxshear.identification.gauss_newton import CONVERGED_STEP
 from cvxshear.identification.misfit import Misfit
 from cvxshear.loop.conclusion import conclude
-from cvxshear.loop.fitter import Fitter, with_stand_in
+from cvxshear.loop.fitter import ROUGH, Fitter, with_stand_in
 from cvxshear.loop.hypotheses import Hypothesis, assumed, chosen, hypotheses
-from cvxshear.loop.posterior import Posterior
+from cvxshear.loop.numbering import Numbering
+from cvxshear.loop.otherwise import searches
 from cvxshear.loop.results import Closure
 from cvxshear.loop.search import Search
 from cvxshear.priors import Prior
+from cvxshear.typing import Floats
 
 
 def close_loop(
@@ -66,13 +69,18 @@ def close_loop(
     there = _declared(experiment, solver, assumed(experiment, assume))
     looked_for = hypotheses(experiment, wanted, there)
     start, _ = with_stand_in(solver, lambda by: efficient(experiment, by, there))
-    expectation = _expectation(experiment, start, looked_for)
-    fitter = Fitter(experiment, solver, looked_for, there, expectation, jobs=jobs)
-    base = fitter.fit(Misfit(experiment, there, None, start.misfit.noise, expectation), start.theta)
-    search = Search(fitter, base)
-    search.run()
-    search.refine()
-    return conclude(search, Posterior(search.visited.values(), looked_for), wanted)
+
+    def begun(numbering: Numbering) -> Search:
+        known, theta = numbering.experiment, start.theta
+        if numbering.changes:
+            theta = nearest_start(Misfit(known, there))
+        # What is typical of the frame goes by its own fit: that of a wrong numbering may be anything.
+        expectation = _expectation(known, theta, looked_for)
+        fitter = Fitter(numbering, solver, looked_for, there, expectation, jobs=jobs)
+        misfit = Misfit(known, there, None, start.misfit.noise, expectation)
+        return Search(fitter, fitter.fit(misfit, theta, ROUGH if numbering.changes else CONVERGED_STEP))
+
+    return conclude(searches(experiment, begun), looked_for, wanted)
 
 
 def _declared(experiment: Experiment, backend: Backend, there: tuple[Placed, ...]) -> tuple[Placed, ...]:
@@ -87,10 +95,10 @@ def _declared(experiment: Experiment, backend: Backend, there: tuple[Placed, ...
     )
 
 
-def _expectation(experiment: Experiment, start: Estimate, looked_for: Sequence[Hypothesis]) -> Expectation:
-    """What is expected of the effects and, in units of a typical floor and story of the first fit, of the frame."""
+def _expectation(experiment: Experiment, theta: Floats, looked_for: Sequence[Hypothesis]) -> Expectation:
+    """What is expected of the effects and, in units of a typical floor and story of a first fit, of the frame."""
     n = experiment.stories
-    mass, stiffness = np.median(start.theta[:n]), np.median(start.theta[n : 2 * n])
+    mass, stiffness = np.median(theta[:n]), np.median(theta[n : 2 * n])
     scale = Scale(float(mass), float(stiffness), heights_of(experiment))
     stds = {
         item.placed: np.concatenate([[item.size], item.placed.effect.sizes(scale)[1:]])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 from scipy import stats
@@ -13,15 +15,15 @@ from cvxshear.errors import NoModesError
 from cvxshear.identification.efficient import Estimate, fitted_with, parameter_names
 from cvxshear.loop.fitter import Fitter, with_stand_in
 from cvxshear.loop.held_out import held_out_frequency_errors
+from cvxshear.loop.hypotheses import Hypothesis
 from cvxshear.loop.linear import Linearised
+from cvxshear.loop.model_class import RESIDUAL_LEVEL
 from cvxshear.loop.next_test import next_test
+from cvxshear.loop.numbering import NumberingProbability
 from cvxshear.loop.posterior import Posterior
 from cvxshear.loop.residual import where_it_sits
 from cvxshear.loop.results import AddedEffect, Candidate, Closure, EffectSet, Step, parameters_of, stds_of
 from cvxshear.loop.search import Search
-
-RESIDUAL_LEVEL = 0.01
-"""Probability below which a residual, or a noise, counts as improbable."""
 
 EXPLAINED = 0.95
 """Probability at its place that each added effect has where the data are called explained."""
@@ -39,33 +41,39 @@ AT_AN_END = 1e-3
 """Distance from a bound, in standard deviations of what is expected, at which a parameter sits on it."""
 
 
-def conclude(search: Search, posterior: Posterior, wanted: Sequence[Effect]) -> Closure:
+def conclude(searches: Sequence[Search], looked_for: Sequence[Hypothesis], wanted: Sequence[Effect]) -> Closure:
     """The verdict on the visited sets.
 
     Parameters
     ----------
-    search : Search
-    posterior : Posterior
-        Of the same sets.
+    searches : sequence of Search
+        With the modes numbered as given first, then otherwise.
+    looked_for : sequence of Hypothesis
     wanted : sequence of Effect
         That were asked for.
     """
+    posterior = Posterior([model for each in searches for model in each.visited.values()], looked_for)
+    numbering = posterior.numberings[0]
+    search = next(each for each in searches if each.fitter.numbering.changes == numbering.changes)
+    # With the modes numbered in one way some effects are there, in another others: one and the same holds them all.
+    here = posterior.within(numbering.changes)
     fitter = search.fitter
-    final = search.fit_of(posterior.verdict_set())
-    steps = _steps(final, posterior, fitter)
+    final = search.fit_of(here.verdict_set())
+    steps = _steps(final, posterior, fitter, searches[0].fitter)
     after = steps[-1]
     added = tuple(_added(posterior, final, placed) for placed in _by_probability(posterior, final, fitter))
     significant = after.p_value is not None and after.p_value < RESIDUAL_LEVEL
     negligible = significant and _negligible(final)
-    rivals = [model for rival in _rival_sets(posterior, added) if (model := search.visited[rival].estimate) is not None]
+    rivals = [model for rival in _rival_sets(here, added) if (model := search.visited[rival].estimate) is not None]
     return Closure(
         experiment=fitter.experiment,
         backend=fitter.backend.name,
-        verdict=_verdict(added, unexplained=significant and not negligible),
+        verdict=_verdict(added, numbering, unexplained=significant and not negligible),
         rests_on=_rests_on(final),
         steps=steps,
         effects=added,
         assumed=fitter.assumed,
+        numberings=tuple(each for each in posterior.numberings if each.probability >= SHOWN),
         models=tuple(_shown_sets(posterior)),
         averaged=posterior.averaged(),
         candidates=tuple(_candidates(posterior, final, fitter)),
@@ -73,8 +81,8 @@ def conclude(search: Search, posterior: Posterior, wanted: Sequence[Effect]) -> 
         remains=tuple(where_it_sits(final)) if significant and not negligible else (),
         information=tuple(_information(search, posterior, final, negligible=negligible)),
         next_test=next_test(final, rivals),
-        fits=fitter.fits,
-        programs=fitter.programs,
+        fits=sum(each.fitter.fits for each in searches),
+        programs=sum(each.fitter.programs for each in searches),
     )
 
 
@@ -83,12 +91,13 @@ def _by_probability(posterior: Posterior, final: Estimate, fitter: Fitter) -> li
     return sorted(added, key=lambda placed: -posterior.of_effects[placed])
 
 
-def _verdict(added: Sequence[AddedEffect], *, unexplained: bool) -> str:
+def _verdict(added: Sequence[AddedEffect], numbering: NumberingProbability, *, unexplained: bool) -> str:
     if unexplained:
         return "unexplained"
-    if not added:
+    if not added and not numbering.changes:
         return "adequate"
-    return "explained" if all(item.probability >= EXPLAINED for item in added) else "ambiguous"
+    sure = min([numbering.probability, *(item.probability for item in added)])
+    return "explained" if sure >= EXPLAINED else "ambiguous"
 
 
 def _negligible(final: Estimate) -> bool:
@@ -98,30 +107,42 @@ def _negligible(final: Estimate) -> bool:
     )  # fmt: skip
 
 
-def _steps(final: Estimate, posterior: Posterior, fitter: Fitter) -> tuple[Step, ...]:
-    """The shear model, then one effect more at a time, the most probable first, all in the noise of the last."""
+def _steps(final: Estimate, posterior: Posterior, fitter: Fitter, as_given: Fitter) -> tuple[Step, ...]:
+    """The shear model, then the modes numbered otherwise where they are, then one effect more at a time.
+
+    The most probable effect comes first; all are in the noise of the last.
+    """
     order = _by_probability(posterior, final, fitter)
     what = "the shear model"
     if fitter.assumed:
         what += f" with {', '.join(placed.label for placed in fitter.assumed)} assumed"
-    before = _in_noise_of(final, [], fitter) if order else final
-    held = held_out_frequency_errors(before, final, fitter)
-    if not order:
-        return (Step(final, what, final.p_value, held[1]),)
-    steps = [Step(before, what, before.p_value, held[0])]
-    for count, placed in enumerate(order[:-1], 1):
-        estimate = _in_noise_of(final, order[:count], fitter)
-        steps.append(Step(estimate, f"with {placed.label}", estimate.p_value))
-    return (*steps, Step(final, f"with {order[-1].label}", final.p_value, held[1]))
+    ways: list[tuple[str, Callable[[], Estimate]]] = [(what, lambda: _in_noise_of(final, [], as_given))]
+    if fitter is not as_given:
+        ways.append(("with the modes numbered otherwise", lambda: _in_noise_of(final, [], fitter)))
+    for count, placed in enumerate(order, 1):
+        ways.append((f"with {placed.label}", partial(_in_noise_of, final, order[:count], fitter)))
+    estimates = [*(make() for _, make in ways[:-1]), final]
+    held = held_out_frequency_errors(estimates[0], final, fitter)
+    errors = [held[0], *[None] * (len(ways) - 2), held[1]] if len(ways) > 1 else [held[1]]
+    return tuple(
+        Step(estimate, what, estimate.p_value, error)
+        for (what, _), estimate, error in zip(ways, estimates, errors, strict=True)
+    )
 
 
 def _in_noise_of(final: Estimate, effects: Sequence[Placed], fitter: Fitter) -> Estimate:
     """The fit with only some of the effects, in the final model's noise.
 
-    It starts where the final model is or, where that has no modes without the others, at the frame before any effect.
+    It starts where the final model is or, where that has no modes without the others, at the frame before any effect;
+    there too where its modes are numbered otherwise.
     """
     wanted = (*fitter.assumed, *effects)
-    proposals = [fitter.proposal(start, wanted) for start in (final, fitter.base or final)]
+    base = fitter.base or final
+    first = final if final.experiment is fitter.experiment else base
+    proposals = [
+        dataclasses.replace(proposal, misfit=proposal.misfit.replaced(noise=final.misfit.noise))
+        for proposal in (fitter.proposal(start, wanted) for start in (first, base))
+    ]
     misfit = proposals[0].misfit
     fitter.fits += 1
 
@@ -175,7 +196,7 @@ def _shown_sets(posterior: Posterior) -> Iterator[EffectSet]:
     for model, probability in zip(posterior.models, posterior.probabilities, strict=True):
         if probability >= SHOWN and model.estimate is not None:
             order = tuple(placed for placed in model.estimate.effects if placed in model.effects)
-            yield EffectSet(order, float(probability), model.log_evidence, model.estimate.chi2)
+            yield EffectSet(order, float(probability), model.log_evidence, model.estimate.chi2, model.changes)
 
 
 def _candidates(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[Candidate]:

@@ -20,6 +20,7 @@ from cvxshear.identification.misfit import Evaluation, Misfit
 from cvxshear.loop.evidence import log_evidence
 from cvxshear.loop.hypotheses import Hypothesis
 from cvxshear.loop.model_class import ModelClass
+from cvxshear.loop.numbering import Numbering
 from cvxshear.parallel import each as in_parallel
 from cvxshear.typing import Floats
 
@@ -55,7 +56,8 @@ class Fitter:
 
     Parameters
     ----------
-    experiment : Experiment
+    numbering : Numbering
+        The experiment, its modes numbered in one way.
     backend : Backend
     hypotheses : sequence of Hypothesis
     assumed : tuple of Placed
@@ -71,7 +73,7 @@ class Fitter:
         Of the set without any effect, once it was fitted.
     """
 
-    experiment: Experiment
+    numbering: Numbering
     backend: Backend
     hypotheses: Sequence[Hypothesis]
     assumed: tuple[Placed, ...]
@@ -86,6 +88,11 @@ class Fitter:
     def __post_init__(self) -> None:
         self._log_odds = {item.placed: item.log_odds for item in self.hypotheses}
 
+    @property
+    def experiment(self) -> Experiment:
+        """What the sets are fitted to."""
+        return self.numbering.experiment
+
     def log_prior(self, effects: Iterable[Placed]) -> float:
         """Sum of the logarithms of the prior odds."""
         return sum(self._log_odds[placed] for placed in effects)
@@ -98,10 +105,10 @@ class Fitter:
         plain = np.concatenate([of.theta[:n2], *own])
         return FitProposal(tuple(effects), (*more, plain), of.misfit.replaced(effects), of.fit.at.objective)
 
-    def fit(self, misfit: Misfit, start: Floats) -> Estimate:
+    def fit(self, misfit: Misfit, start: Floats, tolerance: float = CONVERGED_STEP) -> Estimate:
         """The fit of a model from a starting point."""
         self.fits += 1
-        found, stood_in = with_stand_in(self.backend, lambda by: fitted(misfit, start, by))
+        found, stood_in = with_stand_in(self.backend, lambda by: fitted(misfit, start, by, tolerance))
         self.stand_ins += stood_in
         return found
 
@@ -124,14 +131,16 @@ class Fitter:
         self.fits += 1
         effects = frozenset(proposal.effects) - frozenset(self.assumed)
         if isinstance(found, CvxshearError):
-            return ModelClass(effects, None, -np.inf, self.log_prior(effects), found)
+            return ModelClass(effects, None, -np.inf, self.log_prior(effects), found, self.numbering.changes)
         self.programs += found.fit.steps
         return self.model_of(found)
 
     def model_of(self, estimate: Estimate) -> ModelClass:
         """The set that an estimate is the fit of."""
         effects = frozenset(estimate.effects) - frozenset(self.assumed)
-        return ModelClass(effects, estimate, log_evidence(estimate, self.expectation), self.log_prior(effects))
+        log_prior = self.numbering.log_odds + self.log_prior(effects)
+        evidence = log_evidence(estimate, self.expectation)
+        return ModelClass(effects, estimate, evidence, log_prior, changes=self.numbering.changes)
 
     def refined(self, model: ModelClass) -> ModelClass:
         """The same set fitted to full accuracy; as it is where that fails."""

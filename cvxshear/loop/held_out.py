@@ -23,7 +23,7 @@ MOST = 24
 """Predictions that are made: every one is a fit, and a tall frame has many modes."""
 
 Errors = dict[tuple[str, int], float]
-"""|predicted / measured - 1| by configuration and mode."""
+"""|predicted / measured - 1| by configuration and place of the frequency in it."""
 
 
 def held_out_frequency_errors(before: Estimate, after: Estimate, fitter: Fitter) -> tuple[float | None, float | None]:
@@ -82,4 +82,5 @@ def _prediction_errors(estimate: Estimate, name: str, mask: Bools, fitter: Fitte
     variance = np.einsum("pm,pq,qm->m", gradient, rest.uncertainty.covariance(), gradient)
     error = np.abs(found.frequencies[which] / configuration.frequencies[mask] - 1.0)
     counts = (open_change <= DETERMINED) & (variance <= USEFUL**2)
-    return {(name, mode): float(value) for mode, value, good in zip(which, error, counts, strict=True) if good}
+    places = np.flatnonzero(mask).tolist()
+    return {(name, place): float(value) for place, value, good in zip(places, error, counts, strict=True) if good}

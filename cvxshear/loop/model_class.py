@@ -7,6 +7,10 @@ from dataclasses import dataclass
 from cvxshear.effects import Placed
 from cvxshear.errors import CvxshearError
 from cvxshear.identification.efficient import Estimate
+from cvxshear.loop.numbering import Changes
+
+RESIDUAL_LEVEL = 0.01
+"""Probability below which a residual, or a noise, counts as improbable."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,9 +25,11 @@ class ModelClass:
         None where no fit was found.
     log_evidence : float
     log_prior : float
-        Sum of the logarithms of the effects' prior odds.
+        Sum of the logarithms of the prior odds, of the effects and of the numbers of the modes.
     failure : CvxshearError or None
         Why there is no fit.
+    changes : tuple
+        Configurations whose modes are numbered otherwise than given (`Numbering.changes`).
     """
 
     effects: frozenset[Placed]
@@ -31,8 +37,15 @@ class ModelClass:
     log_evidence: float
     log_prior: float
     failure: CvxshearError | None = None
+    changes: Changes = ()
 
     @property
     def score(self) -> float:
         """Logarithm of its probability, up to a constant."""
         return self.log_evidence + self.log_prior
+
+    @property
+    def improbable(self) -> bool:
+        """Whether its residual, or the noise that it asks for, is improbable."""
+        p_value = None if self.estimate is None else self.estimate.p_value
+        return p_value is not None and p_value < RESIDUAL_LEVEL

@@ -12,6 +12,7 @@ from cvxshear.effects import Placed
 from cvxshear.identification.results import IdentifiedFrame
 from cvxshear.loop.hypotheses import Hypothesis
 from cvxshear.loop.model_class import ModelClass
+from cvxshear.loop.numbering import Changes, NumberingProbability
 from cvxshear.typing import Floats
 
 ADDED = 0.5
@@ -60,8 +61,8 @@ class Posterior:
         scores = np.array([model.score for model in self.models])
         weights = np.exp(scores - scores[0])
         self.probabilities: Floats = weights / weights.sum()
+        self._hypotheses = hypotheses
         self._prior = {item.placed: item.probability for item in hypotheses}
-        self._known = {model.effects: at for at, model in enumerate(self.models)}
 
     @property
     def best(self) -> ModelClass:
@@ -77,9 +78,18 @@ class Posterior:
                 result[placed] += float(probability)
         return result
 
-    def of(self, effects: frozenset[Placed]) -> float:
-        """The probability of a set; zero where it was not visited."""
-        return float(self.probabilities[self._known[effects]]) if effects in self._known else 0.0
+    @cached_property
+    def numberings(self) -> tuple[NumberingProbability, ...]:
+        """The probability of each way of numbering the modes, most probable first."""
+        sums: dict[Changes, float] = {}
+        for model, probability in zip(self.models, self.probabilities, strict=True):
+            sums[model.changes] = sums.get(model.changes, 0.0) + float(probability)
+        order = sorted(sums, key=lambda changes: -sums[changes])
+        return tuple(NumberingProbability(changes, sums[changes]) for changes in order)
+
+    def within(self, changes: Changes) -> Posterior:
+        """The probabilities where the modes are known to be numbered in one way."""
+        return Posterior([model for model in self.models if model.changes == changes], self._hypotheses)
 
     def verdict_set(self) -> frozenset[Placed]:
         """What is added.

@@ -15,6 +15,7 @@ from cvxshear.identification.efficient import Estimate
 from cvxshear.identification.noise import NoiseEstimate
 from cvxshear.identification.results import IdentifiedFrame
 from cvxshear.loop.next_test import NextTest
+from cvxshear.loop.numbering import Changes, NumberingProbability, changes_to_dict
 from cvxshear.loop.posterior import Rival
 from cvxshear.loop.residual import by_floor, by_part
 from cvxshear.showing import Shown
@@ -153,17 +154,21 @@ class EffectSet:
     log_evidence : float
     chi2 : float
         In its own noise.
+    changes : tuple of (str, tuple of int)
+        Configurations whose modes are numbered otherwise than given, with their modes then.
     """
 
     effects: tuple[Placed, ...]
     probability: float
     log_evidence: float
     chi2: float
+    changes: Changes = ()
 
     def to_dict(self) -> Json:
-        """The fields by name."""
+        """The fields by name; the numbering only where it is other than given."""
         return {
             "effects": [placed.to_dict() for placed in self.effects],
+            **({"numbering": changes_to_dict(self.changes)} if self.changes else {}),
             "probability": self.probability,
             "log_evidence": self.log_evidence,
             "chi2": self.chi2,
@@ -177,6 +182,7 @@ class Closure(Shown):
     Parameters
     ----------
     experiment : Experiment
+        Its modes numbered in the most probable way.
     backend : str
     verdict : str
         A key of `VERDICTS`.
@@ -187,6 +193,9 @@ class Closure(Shown):
     effects : tuple of AddedEffect
         Most probable first.
     assumed : tuple of Placed
+    numberings : tuple of NumberingProbability
+        Which modes of the frame the measured ones are, most probable first; the numbers as given alone where they were
+        not in question.
     models : tuple of EffectSet
         The sets of a probability of 0.1 % or more, most probable first.
     averaged : IdentifiedFrame
@@ -211,6 +220,7 @@ class Closure(Shown):
     steps: tuple[Step, ...]
     effects: tuple[AddedEffect, ...]
     assumed: tuple[Placed, ...]
+    numberings: tuple[NumberingProbability, ...]
     models: tuple[EffectSet, ...]
     averaged: IdentifiedFrame
     candidates: tuple[Candidate, ...]
@@ -272,6 +282,7 @@ class Closure(Shown):
             "backend": self.backend,
             "effects": [item.to_dict() for item in self.effects],
             "assumed": [{**p.to_dict(), "parameters": parameters_of(self.estimate, p)} for p in self.assumed],
+            "numberings": [item.to_dict() for item in self.numberings],
             "models": [item.to_dict() for item in self.models],
             "averaged": self.averaged.to_dict(),
             "noise": self.noise.to_dict(),

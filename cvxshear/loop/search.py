@@ -77,6 +77,18 @@ class Search:
         while (model := self._next(self.expanded, REACH)) is not None:
             self._expand(model)
 
+    def probe(self) -> None:
+        """Expand the shear model alone."""
+        if self.base.effects not in self.expanded:
+            self._expand(self.base)
+
+    def visit(self, sets: Iterable[Set]) -> None:
+        """Fit sets that are named from outside, started at the shear model."""
+        new = [each for each in sets if each not in self.visited]
+        if new and self.base.estimate is not None:
+            linear = Linearised(self.base.estimate, self._lacking(self.base), self.fitter.expectation)
+            self._visit(self.base.estimate, linear, new)
+
     def refine(self) -> None:
         """Fit the sets that count most to full accuracy."""
         self._record([self.fitter.refined(model) for model in self.beam])

@@ -16,7 +16,7 @@ class Finding:
     kind : str
         "clock offset", "dead channel", "clipped channel", "held samples", "drift", "aliasing", "sign",
         "swapped channels", "resolution", "reciprocity", "amplitude", "split mode", "missing mode",
-        "other mode", "complex mode", "leakage", "scale", "std".
+        "other mode", "overlooked mode", "complex mode", "leakage", "scale", "std".
     message : str
         For people, with the numbers and their units.
     numbers : dict, optional

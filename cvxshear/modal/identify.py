@@ -17,6 +17,7 @@ from cvxshear.modal.channels import channel_findings, without_dead
 from cvxshear.modal.estimate import Replication, covariance, details
 from cvxshear.modal.functions import measured_functions
 from cvxshear.modal.leakage import settle_truncation
+from cvxshear.modal.overlooked import left_out, overlooked_modes
 from cvxshear.modal.picking import REACH, Sweep, Values, sweep_orders
 from cvxshear.modal.prepare import BLOCKS, METHODS, default_method, source_of
 from cvxshear.modal.rate import settled
@@ -181,6 +182,13 @@ def _identified(record: Record, options: Options) -> ModalResult:
         setting = dataclasses.replace(setting, sweep=sweep)
     findings += of_leakage
     findings += diagnostics.modal_findings(record, result, setting, full, lost, accept_swapped=options.accept_swapped)
+    findings += overlooked_modes(
+        result.frequencies,
+        result.modes,
+        left_out(sweep.candidates, sweep.chosen),
+        floors=len(record.channels),
+        stories=record.stories,
+    )
     return dataclasses.replace(result, findings=tuple(findings))
 
 
@@ -219,7 +227,7 @@ def _reproducible(result: ModalResult, sweep: Sweep) -> Sweep:
         if bad
     }
     candidates = tuple(
-        dataclasses.replace(item, physical=False, reason=reasons[id(item)]) if id(item) in reasons else item
+        dataclasses.replace(item, physical=False, reason=reasons[id(item)], shaky=True) if id(item) in reasons else item
         for item in sweep.candidates
     )
     return dataclasses.replace(

@@ -12,7 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from cvxshear.modal.findings import Finding
-from cvxshear.typing import Floats, Ints
+from cvxshear.modal.overlooked import OVERLOOKED
+from cvxshear.typing import Floats, Ints, Json
 
 SENSOR_STD = 0.005
 """Standard deviation of a shape entry, over the mode's largest, that no scatter shows: a sensor 5 degrees askew loses
@@ -49,3 +50,12 @@ def entry_std(scatter: Floats) -> Floats:
     scatter : ndarray, shape (m, n)
     """
     return np.hypot(scatter, SENSOR_STD)
+
+
+def other_modes(findings: Sequence[Finding]) -> list[Json]:
+    """Which other modes of the frame those of a record may be, as `other_modes` of a measurement file has it."""
+    return [
+        {"modes": item.numbers["modes"], "probability": item.numbers["probability"]}
+        for item in findings
+        if item.kind == OVERLOOKED
+    ]

@@ -51,6 +51,8 @@ class PoleCandidate:
     physical : bool
     reason : str
         Why not, where it is not.
+    shaky : bool
+        Whether that is because pieces of the record give it another shape or frequency.
     """
 
     members: tuple[tuple[int, int], ...]
@@ -60,6 +62,7 @@ class PoleCandidate:
     energy: float
     physical: bool = True
     reason: str = ""
+    shaky: bool = False
 
     @property
     def frequency(self) -> float:

@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.functions import Functions
-from cvxshear.modal.knowledge import entry_std, frequency_std
+from cvxshear.modal.knowledge import entry_std, frequency_std, other_modes
 from cvxshear.modal.picking import Sweep
 from cvxshear.modal.record import Complexes
 from cvxshear.showing import Shown
@@ -131,6 +131,7 @@ class ModalResult(Shown):
         result |= {
             "measured_floors": self.floors.tolist(),
             "modes": self.modes.tolist(),
+            **({"other_modes": others} if (others := other_modes(self.findings)) else {}),
             "frequencies": self.frequencies.tolist(),
             "mode_shapes": self.mode_shapes.tolist(),
             "mass_normalized": self.mass_normalized,

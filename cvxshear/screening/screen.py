@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Collection
+
 import numpy as np
 
 from cvxshear.errors import InputError
@@ -40,15 +43,23 @@ def screen(experiment: Experiment) -> tuple[Finding, ...]:
     return tuple(item for item in found if not item.accepted(experiment.frame.accept))
 
 
-def refuse_mistakes(experiment: Experiment) -> tuple[Finding, ...]:
+def refuse_mistakes(experiment: Experiment, left_open: Collection[str] = ()) -> tuple[Finding, ...]:
     """The warnings of `screen`, where nothing refuses.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    left_open : collection of str, optional
+        Mistakes of which what follows makes its own judgement; they are warnings then.
 
     Raises
     ------
     InputError
         Naming the first mistake found, what to change and how to accept it.
     """
-    found = screen(experiment)
+    found = tuple(
+        dataclasses.replace(item, refuses=item.refuses and item.name not in left_open) for item in screen(experiment)
+    )
     for item in found:
         if item.refuses:
             where = f'configuration "{item.configuration}": ' if item.configuration else ""

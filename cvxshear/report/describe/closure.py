@@ -12,6 +12,7 @@ from cvxshear.report.describe.evidence import candidates_section, effect_section
 from cvxshear.report.describe.experiment import declared, measured_modes
 from cvxshear.report.describe.frame import frame_table
 from cvxshear.report.describe.headline import NAMED, headline
+from cvxshear.report.describe.numbering import numbering_sections
 from cvxshear.report.describe.vocabulary import Block, Document, Points, Section, Sentence
 
 
@@ -19,6 +20,7 @@ from cvxshear.report.describe.vocabulary import Block, Document, Points, Section
 def _closure(of: Closure, units: Units = AUTOMATIC) -> Document:
     sections = (
         verdict_section(of),
+        *numbering_sections(of),
         effects_section(of),
         sets_section(of),
         candidates_section(of),

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from cvxshear.identification.quality import Quality
 from cvxshear.loop import Closure
+from cvxshear.loop.conclusion import EXPLAINED
 from cvxshear.loop.results import AddedEffect
 from cvxshear.quantities import chance, listed, percents
 from cvxshear.report.describe.noise import noise_in_words
+from cvxshear.report.describe.numbering import numbers_in_words
 
 NAMED = 2
 """Effects up to which a sentence names them all; more are a matter for the table."""
@@ -23,7 +25,13 @@ def headline(of: Closure) -> str:
     of : Closure
     """
     says = {"adequate": _adequate, "explained": _explained, "ambiguous": _ambiguous, "unexplained": _unexplained}
-    return says[of.verdict](of)
+    found = of.numberings[0]
+    if not found.changes:
+        return says[of.verdict](of)
+    numbers = f"{numbers_in_words(found.changes)} ({chance(found.probability)} probable)"
+    if of.effects or of.verdict == "unexplained":
+        return f"{numbers}; {says[of.verdict](of)}"
+    return f"{numbers}; so numbered, {_model(of)} explains the data, and {_change(of)}."
 
 
 def _adequate(of: Closure) -> str:
@@ -50,6 +58,10 @@ def _ambiguous(of: Closure) -> str:
 def _doubt(of: Closure) -> str:
     """Why the verdict is ambiguous."""
     doubtful = [item for item in of.effects if item.rivals]
+    if not doubtful and len(of.numberings) > 1 and of.numberings[1].probability > 1.0 - EXPLAINED:
+        other = of.numberings[1]
+        numbers = numbers_in_words(other.changes) if other.changes else "the modes are those given"
+        return f"perhaps {numbers} ({chance(other.probability)})"
     if not doubtful:
         return f"whether {_them(of).replace('them', 'each')} is there at all is less sure than 95 %"
     if len(of.effects) <= NAMED:

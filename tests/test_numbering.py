@@ -1,0 +1,197 @@
+"""Which modes of the frame were measured, as a hypothesis of the loop: finite-element frames with a mode overlooked."""
+
+import copy
+import dataclasses
+
+import numpy as np
+import pytest
+
+import cvxshear
+from cvxshear import Experiment, backends, close_loop
+from cvxshear.errors import InputError
+from cvxshear.formats.measurement import write_measurement
+from cvxshear.identification.efficient import efficient
+from cvxshear.loop.numbering import named_numberings, overlooked_in_all, overlooked_in_one
+from cvxshear.modal import identify_modes
+from cvxshear.modal.overlooked import A_MODE, left_out, overlooked_modes
+from cvxshear.modal.picking import PoleCandidate
+from cvxshear.modal.simulate import KnownFrame, shaker_record
+from tests.fe.experiments import simulated
+
+
+def measured_frame(effect, seed, *, stories=7, floors=(2, 3, 5, 7), modes=5, configurations=1):
+    declared, truth = simulated(
+        effect,
+        stories=stories,
+        configurations=configurations,
+        rng=np.random.default_rng(seed),
+        measured_floors=list(floors),
+        modes=modes,
+    )
+    return declared, truth
+
+
+def lose(declared, mode, where=slice(None)):
+    """The same test without one of its modes; nothing says so."""
+    for each in declared["configuration"][where]:
+        for key in ("frequencies", "mode_shapes", "frequency_std", "mode_shape_std"):
+            if isinstance(each.get(key), list):
+                each[key] = [row for number, row in enumerate(each[key], 1) if number != mode]
+        each.pop("modes", None)
+    return declared
+
+
+def numbers(closure):
+    return dict(closure.numberings[0].changes)
+
+
+@pytest.mark.parametrize(
+    ("effect", "configurations", "lost", "where"),
+    [(None, 1, 3, slice(None)), ("gravity", 3, 2, slice(None)), ("sensor_gain", 2, 4, slice(0, 1))],
+)
+def test_an_overlooked_mode_is_found_and_nothing_is_put_in_its_place(effect, configurations, lost, where):
+    declared, truth = measured_frame(effect, 41, configurations=configurations)
+    closure = close_loop(Experiment.from_dict(lose(declared, lost, where)))
+    left = tuple(mode for mode in range(1, 6) if mode != lost)
+    assert numbers(closure) == {each["name"]: left for each in declared["configuration"][where]}
+    assert closure.numberings[0].probability > 0.95
+    assert closure.verdict == "explained"
+    assert [(item.placed.effect.name, item.placed.place.floor) for item in closure.effects] == [
+        (name, floor) for name, floor, *_ in truth["effects"]
+    ]
+    z = (closure.frame.floor_mass - truth["floor_mass"]) / closure.frame.floor_mass_std
+    assert np.abs(z).max() < 4.0
+
+
+def test_before_is_the_model_with_the_numbers_as_given():
+    declared, _ = measured_frame("gravity", 41, configurations=3)
+    closure = close_loop(Experiment.from_dict(lose(declared, 2)))
+    assert [step.action for step in closure.steps] == [
+        "the shear model",
+        "with the modes numbered otherwise",
+        "with gravity",
+    ]
+    assert [each.modes.tolist() for each in closure.before.estimate.experiment.configurations] == [[1, 2, 3, 4]] * 3
+    errors = [step.estimate.quality.max_frequency_error for step in (closure.before, closure.after)]
+    assert errors[0] > 0.05 > errors[1]
+    said = closure.to_dict()
+    assert said["numberings"][0]["changes"][0] == {"configuration": "test 1", "modes": [1, 3, 4, 5]}
+    assert said["models"][0]["numbering"] == said["numberings"][0]["changes"]
+    page = " ".join(str(closure).split())
+    assert 'the modes of "test 1", "test 2" and "test 3" are 1, 3, 4 and 5 of the frame' in page
+
+
+@pytest.mark.parametrize("effect", [None, "joint_rotation"])
+def test_right_numbers_stay(effect):
+    declared, truth = measured_frame(effect, 43, configurations=2)
+    closure = close_loop(Experiment.from_dict(declared))
+    assert not numbers(closure)
+    assert closure.numberings[0].probability > 0.99
+    assert [item.placed.effect.name for item in closure.effects] == [name for name, *_ in truth["effects"]]
+
+
+def test_the_probability_of_other_modes_is_that_of_their_evidence_and_their_odds():
+    """Two numberings that differ in nothing else: odds beforehand times the ratio of their evidence."""
+    declared, _ = measured_frame(None, 44, modes=3, floors=(7,))
+    (configuration,) = declared["configuration"]
+    # One floor and three frequencies hardly tell; what is said beforehand does.
+    sets = []
+    for probability in (0.1, 0.6):
+        configuration["other_modes"] = [{"modes": [1, 2, 4], "probability": probability}]
+        closure = close_loop(Experiment.from_dict(declared), effects=["total_mass"])
+        given, other = (next(p.probability for p in closure.numberings if bool(p.changes) == b) for b in (False, True))
+        sets.append(other / given / (probability / (1.0 - probability)))
+    assert sets[0] == pytest.approx(sets[1], rel=1e-9)
+    assert 1e-3 < sets[0] < 1e3
+
+
+def test_what_is_in_question():
+    declared, _ = measured_frame(None, 45, configurations=2)
+    experiment = Experiment.from_dict(declared)
+    in_all = overlooked_in_all(experiment)
+    expected = [(1, 3, 4, 5, 6), (1, 2, 4, 5, 6), (1, 2, 3, 5, 6), (1, 2, 3, 4, 6)]
+    assert [dict(item.changes)["test 1"] for item in in_all] == expected
+    assert all(len(item.changes) == 2 for item in in_all)
+    assert len(overlooked_in_one(experiment)) == 8
+    odds = sum(np.exp(item.log_odds) for item in (*in_all, *overlooked_in_one(experiment)))
+    assert odds == pytest.approx(0.05 / 0.95)
+    assert named_numberings(experiment) == []
+
+
+@pytest.mark.parametrize("given", [{"floors": range(1, 8)}, {"modes": 7}])
+def test_what_tells_its_number_is_not_in_question(given):
+    """Shapes known at every floor, and tests that hold all the modes there are."""
+    declared, _ = measured_frame(None, 46, **given)
+    assert overlooked_in_all(Experiment.from_dict(declared)) == []
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ([{"modes": [1, 2, 4]}], "probability"),
+        ([{"modes": [1, 2], "probability": 0.1}], "modes must have 3 entries, one a frequency, not 2"),
+        ([{"modes": [1, 2, 3], "probability": 0.1}], "those of the configuration itself"),
+        ([{"modes": [1, 2, 8], "probability": 0.1}], "names mode 8; a frame of 7 stories has 7"),
+        ([{"modes": [1, 2, 4], "probability": 1.0}], "must be below 1"),
+        ([{"modes": [1, 2, 4], "probability": 0.5}, {"modes": [1, 2, 5], "probability": 0.5}], "add up to 1"),
+        ([{"modes": [1, 2, 4], "probability": 0.1}] * 2, "same modes twice"),
+        ([[1, 2, 4]], "a list of tables"),
+    ],
+)
+def test_other_modes_that_cannot_be(value, message):
+    declared, _ = measured_frame(None, 47, modes=3)
+    declared["configuration"][0]["other_modes"] = value
+    with pytest.raises(InputError, match=message):
+        Experiment.from_dict(declared)
+
+
+def test_other_modes_survive_a_file(tmp_path):
+    declared, _ = measured_frame(None, 47, modes=3)
+    declared["configuration"][0]["other_modes"] = [{"modes": [1, 2, 4], "probability": 0.25}]
+    write_measurement(tmp_path / "a.toml", Experiment.from_dict(declared).to_dict())
+    (other,) = cvxshear.load(tmp_path / "a.toml").configurations[0].other_modes
+    assert (other.modes.tolist(), other.probability) == ([1, 2, 4], 0.25)
+
+
+def test_a_record_that_lacks_a_mode_is_numbered_by_the_loop():
+    """A shaker at floor 7, a node of mode 3, and sensors at four of eight floors."""
+    frame = KnownFrame(np.full(8, 10.0), np.linspace(40000.0, 25000.0, 8), 0.01)
+    record = shaker_record(frame, 1, noise=0.02, floor=7, sampling_rate=40.0)
+    kept = [1, 3, 5, 7]
+    runs = tuple(dataclasses.replace(run, responses=run.responses[:, kept]) for run in record.runs)
+    channels = tuple(record.channels[place] for place in kept)
+    modes = identify_modes(dataclasses.replace(record, channels=channels, runs=runs, stories=8), count=5)
+    np.testing.assert_allclose(modes.frequencies, frame.modes()[0][[0, 1, 3, 4, 5]], rtol=2e-3)
+    assert modes.modes.tolist() == [1, 2, 3, 4, 5]
+    closure = close_loop(Experiment.from_dict(modes.to_experiment({"total_mass": 80.0})))
+    assert numbers(closure) == {modes.name: (1, 2, 4, 5, 6)}
+    assert not closure.effects
+
+
+def pole(frequency, **judged):
+    return PoleCandidate(((0, round(100 * frequency)),), 2j * np.pi * frequency, np.ones(2), 1.0, 0.0, **judged)
+
+
+def test_a_resonance_without_a_shape_puts_the_numbers_above_it_in_doubt():
+    found = np.array([1.0, 3.0, 7.0])
+    weak, spurious = pole(5.0, physical=False, shaky=True), pole(6.0, physical=False)
+    poles = [pole(1.0), pole(3.0), weak, spurious, pole(7.0), pole(9.0)]
+    chosen = [poles[0], poles[1], poles[4]]
+    left = left_out(poles, chosen)
+    assert [item.frequency for item in left] == pytest.approx([5.0, 9.0])
+    (finding,) = overlooked_modes(found, np.array([1, 2, 3]), left[:1], floors=3, stories=6)
+    assert finding.numbers["modes"] == [1, 2, 4]
+    assert finding.numbers["probability"] == A_MODE
+    assert "between modes 2 and 3 lies a resonance that is not among them, at 5 Hz" in finding.message
+    assert overlooked_modes(found, np.array([1, 2, 3]), left, floors=6, stories=6) == []
+    assert overlooked_modes(found, np.array([1, 2, 3]), left[1:], floors=3, stories=6) == []
+    assert overlooked_modes(found, np.array([1, 2, 3]), left, floors=2, stories=3) == []
+
+
+def test_hopeless_numbers_lose_nothing_that_is_declared():
+    """A misfit that no frame mends must not run off to stories of infinite stiffness, and the total mass with it."""
+    declared, truth = measured_frame(None, 900, stories=8, floors=(1, 2, 3, 5, 6, 8), modes=7)
+    for lost in (2, 3, 4):
+        theta = efficient(Experiment.from_dict(lose(copy.deepcopy(declared), lost)), backends.get("auto")).theta
+        assert theta[:8].sum() == pytest.approx(truth["floor_mass"].sum(), rel=1e-9)
+        assert theta[8:].max() < 1e7 * truth["story_stiffness"].max()
