@@ -91,9 +91,8 @@ def _peaks(family: Family, excitation: Floats, step: float, instants: list[Ints]
         z = held_at(family.values[part].ravel(), excitation, step, every)
         # Re(c z) is the scalar product of the parts of the conjugate of c with those of z.
         z_parts = z.view(np.float64).reshape(len(every), -1, 2 * n)
-        factors = family.factors[:, part].conj()
-        for j, place in enumerate(places):
-            table = (family.shapes[j, part] * factors[j // n]).view(np.float64)
-            moved = np.einsum("tsm,sm->ts", z_parts[place], table)
+        table = family.shapes[:, part] * np.repeat(family.factors[:, part].conj(), n, axis=0)
+        for j, (place, own) in enumerate(zip(places, table.view(np.float64), strict=True)):
+            moved = np.einsum("tsm,sm->ts", z_parts[place], own)
             result[part, j] = np.abs(moved).max(axis=0)
     return result

@@ -34,14 +34,16 @@ def hold(s: Complexes, step: float) -> tuple[Complexes, Complexes, Complexes]:
     step : float
         h, s.
     """
-    x = s * step
+    x = np.asarray(s * step, dtype=np.complex128)
     E = np.exp(x)
     small = np.abs(x) < SMALL
-    safe = np.where(small, 1.0, x)
-    first = np.where(small, _series(x, 1), (E - 1) / safe)
-    second = np.where(small, _series(x, 2), (E - 1 - x) / safe**2)
-    now: Complexes = np.asarray(step * second, dtype=np.complex128)
-    return np.asarray(E), now, np.asarray(step * first, dtype=np.complex128) - now
+    safe = np.where(small, np.complex128(1.0), x)
+    first: Complexes = (E - 1) / safe
+    second: Complexes = (first - 1) / safe
+    first[small], second[small] = _series(x[small], 1), _series(x[small], 2)
+    now: Complexes = step * second
+    before: Complexes = step * first - now
+    return E, now, before
 
 
 def _series(x: Complexes, order: int) -> Complexes:

@@ -70,7 +70,7 @@ class _Circles:
 
     @cached_property
     def inside(self) -> Floats:
-        """Bound of the rest of the series for each frame over its largest on the circle (Schwarz's lemma), shape (S,)."""
+        """Bound of the rest of the series for each frame over that on the circle (Schwarz's lemma), shape (S,)."""
         largest: Floats = np.abs(self.u).max(axis=1)
         return largest**self.terms
 
@@ -198,8 +198,7 @@ class _Series:
         shapes = np.ascontiguousarray(np.swapaxes(family.shapes, 1, 2), dtype=np.float32)
         powers = [_weights(factor, circles) for factor in family.factors]
         kept, weights = [], []
-        of_terms = share.largest[:, mode] * np.abs(terms).max(axis=1)
-        for j, sizes in enumerate(of_terms):
+        for j, sizes in enumerate(_sizes(circles, share, terms)):
             which = np.flatnonzero(sizes > NEGLIGIBLE * size[j])
             kept.append(which)
             weights.append(powers[j // family.stories][which] * shapes[j][mode[which]])
@@ -228,9 +227,22 @@ class _Series:
 
     def _error(self, j: int, columns: Ints) -> Singles:
         """Of the sum of the kept terms for each frame, shape (S,)."""
-        sizes = self.share.largest[j, self.circles.mode] * np.abs(self.terms).max(axis=1)
-        skipped = sizes.sum() - sizes[self.kept[j]].sum()
-        return np.asarray(self.error[j, columns].max() * self.circles.inside + skipped, dtype=np.float32)
+        return np.asarray(self.error[j, columns].max() * self.circles.inside + self._skipped[j], dtype=np.float32)
+
+    @cached_property
+    def _skipped(self) -> Floats:
+        """Most that the terms not kept add up to, shape (2 N,)."""
+        sizes = _sizes(self.circles, self.share, self.terms)
+        for j, which in enumerate(self.kept):
+            sizes[j, which] = 0.0
+        total: Floats = sizes.sum(axis=1)
+        return total
+
+
+def _sizes(circles: _Circles, share: _Share, terms: Singles) -> Floats:
+    """Largest size of each term in each quantity, shape (2 N, N 2 terms)."""
+    sizes: Floats = share.largest[:, circles.mode] * np.abs(terms).max(axis=1)
+    return sizes
 
 
 def _terms(circles: _Circles, share: _Share, instants: Ints) -> tuple[Singles, Floats]:
