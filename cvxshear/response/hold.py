@@ -34,10 +34,10 @@ def hold(s: Complexes, step: float) -> tuple[Complexes, Complexes, Complexes]:
     step : float
         h, s.
     """
-    x = np.asarray(s * step, dtype=np.complex128)
-    E = np.exp(x)
+    x: Complexes = np.asarray(s * step, dtype=np.complex128)
+    E: Complexes = np.exp(x)
     small = np.abs(x) < SMALL
-    safe = np.where(small, np.complex128(1.0), x)
+    safe: Complexes = np.where(small, np.complex128(1.0), x)
     first: Complexes = (E - 1) / safe
     second: Complexes = (first - 1) / safe
     first[small], second[small] = _series(x[small], 1), _series(x[small], 2)
