@@ -19,8 +19,8 @@ CAPTIONS = {
     "history": (
         "Accelerations of the floors over time, predicted and measured.",
         "Total accelerations of the floors around the strongest motion: predicted (dashed), with the band that holds "
-        "95\N{NO-BREAK SPACE}% by the deviations of masses, stiffnesses, effects and damping, and, where the record has "
-        "them, measured.",
+        "95\N{NO-BREAK SPACE}% by the deviations of masses, stiffnesses, effects and damping, and, where the record "
+        "has them, measured.",
     ),
     "transfer": (
         "Sizes of the transfer functions from the excitation to the floors: measured, before and after.",
