@@ -84,8 +84,8 @@ def held(s: Complexes, p: Floats, step: float) -> Complexes:
 def held_at(s: Complexes, p: Floats, step: float, instants: Ints) -> Complexes:
     """z at a few samples, for many poles.
 
-    With x = z - f2 p, x(t + h) = E x(t) + g p(t) and g = E f2 + f1 - f2, so that a leap of L samples is E^L x plus
-    g times the sum of E^(k-1) p(t - k h): one matrix product for all leaps of all poles.
+    With x = z - f2 p, x(t + h) = E x(t) + g p(t) and g = E f2 + f1 - f2, so that a leap of L samples takes x / g to
+    E^L x / g plus the sum of E^(k-1) p(t - k h): one matrix product for all leaps of all poles.
 
     Parameters
     ----------
@@ -102,6 +102,7 @@ def held_at(s: Complexes, p: Floats, step: float, instants: Ints) -> Complexes:
     ndarray of complex, shape (n, p)
     """
     E, now, before = hold(np.asarray(s), step)
+    gain = E * now + before
     powers = _powers(E, LEAP)
     block, inside = np.divmod(instants, LEAP)
     blocks = int(block[-1])
@@ -109,20 +110,20 @@ def held_at(s: Complexes, p: Floats, step: float, instants: Ints) -> Complexes:
     lengths = np.concatenate([np.full(blocks, LEAP), inside])
     lags = np.arange(1, LEAP + 1)
     past = np.where(lags <= lengths[:, None], p[np.maximum(ends[:, None] - lags, 0)], 0.0)
+    # What leads from x / g to z / g where z is wanted.
+    present = np.concatenate([np.zeros(blocks), p[instants]])
+    weights = np.vstack([powers[:LEAP], now / gain])
     # Real times complex: the parts of a complex number lie side by side.
-    driven = (past @ powers[:LEAP].view(np.float64)).view(np.complex128)
-    gain = E * now + before
+    driven = (np.column_stack([past, present]) @ weights.view(np.float64)).view(np.complex128)
     x = np.empty((blocks + 1, len(E)), dtype=np.complex128)
     x[0] = -now / gain * p[0]
     for k in range(blocks):
         np.multiply(powers[LEAP], x[k], out=x[k + 1])
         x[k + 1] += driven[k]
-    z = powers[inside]
+    z = driven[blocks:]
     for i, k in enumerate(block):
-        z[i] *= x[k]
-    z += driven[blocks:]
-    z *= gain
-    z += p[instants, None] * now
+        z[i] += powers[inside[i]] * x[k]
+        z[i] *= gain
     return z
 
 
