@@ -158,7 +158,8 @@ def loop(
         said["validation"] = tried.to_dict()
     files = [*pictures.of(result), *tables.of(lambda: sheets_of_closure(result))]
     if report is not None:
-        files.append(lambda: write_report(result, report, shlex.join(["cvxshear", *typed]), units=display))
+        command = shlex.join(["cvxshear", *typed])
+        files.append(lambda: write_report(result, report, command, units=display, prediction=tried))
     beside = _damping_of(damping) if tried is None else ("", *response_terminal.prediction(tried))
     deliver(
         said,

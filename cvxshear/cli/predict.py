@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cvxshear.cli.output import BackendName, JsonOut, Quiet, deliver, figures_for, progress
+from cvxshear.cli.output import BackendName, JsonOut, Quiet, ReportOut, deliver, figures_for, progress, typed
 from cvxshear.errors import InputError
 
 if TYPE_CHECKING:
@@ -58,6 +60,7 @@ def predict(
             metavar="KIND:OUT",
         ),
     ] = None,
+    report: ReportOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
 ) -> None:
@@ -69,10 +72,15 @@ def predict(
     from cvxshear.response import predict as run
 
     files = Files(series, export or [], figure or [])
+    pages: list[Callable[[], None]] = []
+    if report is not None:
+        from cvxshear.report.html import write_prediction_report
+
+        pages.append(lambda: write_prediction_report(result, report, shlex.join(["cvxshear", *typed])))
     with progress("predicting", quiet):
         result = run(file, record, backend, damping=damping, configuration=configuration, detrend=detrend)
     files.write(result)
-    deliver(result.to_dict(), out, lambda: prediction(result))
+    deliver(result.to_dict(), out, lambda: prediction(result), *pages)
 
 
 class Files:

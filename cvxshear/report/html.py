@@ -17,12 +17,16 @@ try:
     from cvxshear.report import figures
     from cvxshear.report.figures.output import inline_svg
     from cvxshear.report.pages import environment
+    from cvxshear.report.response_html import prediction_contents, write_prediction_report
 except ImportError as error:
     raise CvxshearError(
         f"the report needs {error.name}, which is not installed: pip install jinja2 matplotlib"
     ) from error
 
 from cvxshear.report.contents import contents
+from cvxshear.response import RecordPrediction
+
+__all__ = ["render", "write_prediction_report", "write_report"]
 
 
 def write_report(
@@ -31,6 +35,7 @@ def write_report(
     command: str,
     comparison: Comparison | None = None,
     units: Units = AUTOMATIC,
+    prediction: RecordPrediction | None = None,
 ) -> None:
     """Write the report of a closed loop.
 
@@ -45,16 +50,24 @@ def write_report(
         Of the backends; made where not given.
     units : Units, optional
         In which quantities are shown.
+    prediction : RecordPrediction, optional
+        Of a record by the models of the loop; a section of its own.
 
     Raises
     ------
     InputError
         Where the file cannot be written.
     """
-    write_file(path, render(result, command, comparison, units))
+    write_file(path, render(result, command, comparison, units, prediction))
 
 
-def render(result: Closure, command: str, comparison: Comparison | None = None, units: Units = AUTOMATIC) -> str:
+def render(
+    result: Closure,
+    command: str,
+    comparison: Comparison | None = None,
+    units: Units = AUTOMATIC,
+    prediction: RecordPrediction | None = None,
+) -> str:
     """The report of a closed loop as HTML.
 
     Parameters
@@ -63,6 +76,7 @@ def render(result: Closure, command: str, comparison: Comparison | None = None, 
     command : str
     comparison : Comparison, optional
     units : Units, optional
+    prediction : RecordPrediction, optional
 
     Returns
     -------
@@ -72,7 +86,11 @@ def render(result: Closure, command: str, comparison: Comparison | None = None, 
     if comparison is None:
         comparison = compare_backends(result.experiment)
     page = environment().get_template("report.html")
-    return page.render(**contents(result, comparison, command, units), figure=_figures(result, comparison))
+    found, drawn = contents(result, comparison, command, units), _figures(result, comparison)
+    beside = None if prediction is None else prediction_contents(prediction)
+    if beside is not None:
+        drawn |= beside["figure"]
+    return page.render(**found, figure=drawn, beside=beside)
 
 
 def _figures(result: Closure, comparison: Comparison) -> dict[str, Markup]:

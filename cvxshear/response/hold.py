@@ -13,12 +13,15 @@ import numpy as np
 from scipy import signal
 
 from cvxshear.response.poles import Complexes
-from cvxshear.typing import Floats
+from cvxshear.typing import Floats, Ints
 
 SMALL = 0.1
 """|s h| below which the differences are taken from their series, before they cancel."""
 
 TERMS = 12
+
+LEAP = 32
+"""Samples that `held_at` leaps over at once."""
 
 
 def hold(s: Complexes, step: float) -> tuple[Complexes, Complexes, Complexes]:
@@ -31,14 +34,16 @@ def hold(s: Complexes, step: float) -> tuple[Complexes, Complexes, Complexes]:
     step : float
         h, s.
     """
-    x = s * step
-    E = np.exp(x)
+    x: Complexes = np.asarray(s * step, dtype=np.complex128)
+    E: Complexes = np.exp(x)
     small = np.abs(x) < SMALL
-    safe = np.where(small, 1.0, x)
-    first = np.where(small, _series(x, 1), (E - 1) / safe)
-    second = np.where(small, _series(x, 2), (E - 1 - x) / safe**2)
-    now: Complexes = np.asarray(step * second, dtype=np.complex128)
-    return np.asarray(E), now, np.asarray(step * first, dtype=np.complex128) - now
+    safe: Complexes = np.where(small, np.complex128(1.0), x)
+    first: Complexes = (E - 1) / safe
+    second: Complexes = (first - 1) / safe
+    first[small], second[small] = _series(x[small], 1), _series(x[small], 2)
+    now: Complexes = step * second
+    before: Complexes = step * first - now
+    return E, now, before
 
 
 def _series(x: Complexes, order: int) -> Complexes:
@@ -74,3 +79,60 @@ def held(s: Complexes, p: Floats, step: float) -> Complexes:
             [now[row], before[row]], [1.0, -E[row]], p, zi=np.array([-now[row] * p[0]])
         )  # fmt: skip
     return z
+
+
+def held_at(s: Complexes, p: Floats, step: float, instants: Ints) -> Complexes:
+    """z at a few samples, for many poles.
+
+    With x = z - f2 p, x(t + h) = E x(t) + g p(t) and g = E f2 + f1 - f2, so that a leap of L samples takes x / g to
+    E^L x / g plus the sum of E^(k-1) p(t - k h): one matrix product for all leaps of all poles.
+
+    Parameters
+    ----------
+    s : ndarray of complex, shape (p,)
+    p : ndarray, shape (samples,)
+        A straight line between samples.
+    step : float
+        s.
+    instants : ndarray of int, shape (n,)
+        Ascending.
+
+    Returns
+    -------
+    ndarray of complex, shape (n, p)
+    """
+    E, now, before = hold(np.asarray(s), step)
+    gain = E * now + before
+    powers = _powers(E, LEAP)
+    block, inside = np.divmod(instants, LEAP)
+    blocks = int(block[-1])
+    ends = np.concatenate([LEAP * np.arange(1, blocks + 1), instants])
+    lengths = np.concatenate([np.full(blocks, LEAP), inside])
+    lags = np.arange(1, LEAP + 1)
+    past = np.where(lags <= lengths[:, None], p[np.maximum(ends[:, None] - lags, 0)], 0.0)
+    # What leads from x / g to z / g where z is wanted.
+    present = np.concatenate([np.zeros(blocks), p[instants]])
+    weights = np.vstack([powers[:LEAP], now / gain])
+    # Real times complex: the parts of a complex number lie side by side.
+    driven = (np.column_stack([past, present]) @ weights.view(np.float64)).view(np.complex128)
+    x = np.empty((blocks + 1, len(E)), dtype=np.complex128)
+    x[0] = -now / gain * p[0]
+    for k in range(blocks):
+        np.multiply(powers[LEAP], x[k], out=x[k + 1])
+        x[k + 1] += driven[k]
+    z = driven[blocks:]
+    for i, k in enumerate(block):
+        z[i] += powers[inside[i]] * x[k]
+        z[i] *= gain
+    return z
+
+
+def _powers(E: Complexes, last: int) -> Complexes:
+    """E^0 to E^last, shape (last + 1, p), by doubling."""
+    result = np.ones((last + 1, len(E)), dtype=np.complex128)
+    k = 1
+    while k <= last:
+        end = min(2 * k, last + 1)
+        np.multiply(result[: end - k], result[k - 1] * E, out=result[k:end])
+        k = end
+    return result

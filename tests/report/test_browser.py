@@ -10,8 +10,14 @@ import shutil
 
 import pytest
 
+import cvxshear
+from cvxshear import backends
+from cvxshear.identification.efficient import efficient
+from cvxshear.modal.motion import Drive, Motion
 from cvxshear.report.describe import describe
-from cvxshear.report.html import write_report
+from cvxshear.report.html import write_prediction_report, write_report
+from cvxshear.response import predict
+from tests.response.common import damped_frame, declared, shaking
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 FLAGS = (
@@ -111,6 +117,20 @@ def test_figures_have_size_and_the_page_does_not_run_over_its_edge(opened, name,
         assert box["width"] > 50
         assert box["height"] > 50
     assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+
+
+@pytest.mark.parametrize("viewport", [DESKTOP, PHONE], ids=["desktop", "phone"])
+def test_a_prediction_does_not_run_over_its_edge(browser, tmp_path, viewport):
+    mass, stiffness, _ = damped_frame(12)
+    estimate = efficient(cvxshear.Experiment.from_dict(declared(mass, stiffness, [0.02] * 12)), backends.get("auto"))
+    write_prediction_report(predict(estimate, Motion((Drive(shaking(600)),), 100.0)), tmp_path / "p.html", "cvxshear")
+    page = browser.new_page(viewport=viewport)
+    page.goto((tmp_path / "p.html").as_uri())
+    drawings = page.query_selector_all(".drawing > svg")
+    assert len(drawings) == 3
+    assert all(drawing.bounding_box()["height"] > 50 for drawing in drawings)
+    assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+    page.close()
 
 
 def test_modes_are_set_in_motion_and_stopped(opened):

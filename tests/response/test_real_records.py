@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.modal.shared import needs_mini_table
+from tests.response_amplitude import crossed, decay, off
 from tests.response_records import predicted
 
 
@@ -35,3 +36,28 @@ def test_transfer_functions_of_the_unseen_record(frame, source, record):
     # The earthquake is the stronger of the two: its frequencies are the lower ones.
     assert (first.measured < first.modelled) == (record == "northridge")
     assert any("depend on the amplitude" in remark for remark in found.remarks)
+
+
+@needs_mini_table
+def test_one_damping_for_both_records_at_the_same_amplitude():
+    """Swinging on freely, the flexible frame is damped the more the more it moves, alike after both records."""
+    earthquake, sine = (decay(f"flexible-{record}") for record in ("northridge", "sine-2.0"))
+    both = np.isfinite(earthquake[:, 0]) & np.isfinite(sine[:, 0])
+    assert both.sum() >= 4
+    np.testing.assert_allclose(earthquake[both, 0], sine[both, 0], rtol=0.2)
+    np.testing.assert_allclose(earthquake[both, 1], sine[both, 1], rtol=0.01)
+    for found in (earthquake[both], sine[both]):
+        assert np.all(np.diff(found[:, 0]) < 0)
+        assert np.all(np.diff(found[:, 1]) > 0)
+        assert found[0, 0] > 2 * found[-1, 0]
+
+
+@needs_mini_table
+def test_the_damping_is_what_makes_the_flexible_frame_s_earthquake_too_strong():
+    """Frequencies and shapes from the sine, damping from the earthquake: the size is right, the time is not."""
+    own, swapped = (
+        crossed("flexible-sine-2.0", f"flexible-{of}", "flexible-northridge") for of in ("sine-2.0", "northridge")
+    )
+    assert off(own) > 0.4
+    assert abs(off(swapped)) < 0.05
+    assert np.mean(swapped.after.comparison.nrmse) > 0.8

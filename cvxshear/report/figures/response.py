@@ -66,7 +66,7 @@ def response_histories(result: RecordPrediction) -> Figure:
         own = np.array([floor])
         if drive.responses is not None and floor in result.motion.floors:
             column = int(np.flatnonzero(result.motion.floors == floor)[0])
-            axes.plot(time, drive.responses[window, column], color=MEASURED, lw=1.0, label="measured")
+            axes.plot(time, drive.responses[window, column], color=MEASURED, lw=1.8, label="measured")
         after = seen(model, result.after.responses[run], own)[window, 0]
         band = SIDES * np.abs(model.gain[floor - 1]) * result.acceleration_std[run][window, floor - 1]
         if np.isfinite(band).all():
@@ -91,7 +91,7 @@ def _strongest(result: RecordPrediction) -> tuple[int, slice]:
 
 def _legend(figure: Figure, axes: Axes) -> None:
     handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=3)
+    figure.legend(handles, labels, loc="outside upper left", ncols=max(len(labels), 1))
 
 
 @styled
@@ -184,6 +184,10 @@ def transfer_functions(result: RecordPrediction) -> Figure:
         logarithmic(axes.yaxis, 5)
         axes.set_title(f"floor {floor}")
         axes.grid(visible=True)
+    # Where nothing drives the frame the model falls by decades; what was measured sets the scale.
+    least = np.min(np.abs(after.measured.functions[shown][:, np.isin(after.floors, floors)]))
+    if least > 0:
+        axes.set_ylim(bottom=0.3 * least)
     axes.set_xlabel("frequency, Hz")
     unit = "(m/s²)/(m/s²)" if result.motion.input == "base" else "(m/s²)/N"
     figure.supylabel(f"acceleration over excitation, {unit}", fontsize="medium")

@@ -1,0 +1,96 @@
+"""A predicted response as a page of its own, or as a part of the report of the loop that made the model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from markupsafe import Markup
+
+from cvxshear.report import figures
+from cvxshear.report.contents import readable_json, versions
+from cvxshear.report.describe import describe
+from cvxshear.report.figures.output import inline_svg
+from cvxshear.report.pages import environment
+from cvxshear.response import RecordPrediction
+from cvxshear.typing import Json
+from cvxshear.writing import write_file
+
+CAPTIONS = {
+    "history": (
+        "Accelerations of the floors over time, predicted and measured.",
+        "Total accelerations of the floors around the strongest motion: predicted (dashed), with the band that holds "
+        "95\N{NO-BREAK SPACE}% by the deviations of masses, stiffnesses, effects and damping, and, where the record "
+        "has them, measured.",
+    ),
+    "transfer": (
+        "Sizes of the transfer functions from the excitation to the floors: measured, before and after.",
+        "Size of each floor's transfer function: measured, of the shear model (before), and of the model with what the "
+        "loop found (after). All go through the same estimate.",
+    ),
+    "peaks": (
+        "Peaks over the height; the numbers are in the table above.",
+        "Peaks over the height with error bars that hold 95\N{NO-BREAK SPACE}%; circles are measured.",
+    ),
+    "spectra": (
+        "Response spectra of the floors.",
+        "Peak acceleration of an oscillator on each floor: what equipment there is shaken by.",
+    ),
+}
+"""For each figure what it is to whoever cannot see it, and what stands below it."""
+
+
+def write_prediction_report(result: RecordPrediction, path: str | Path, command: str) -> None:
+    """Write the report of a prediction, one HTML file that refers to nothing outside itself.
+
+    Parameters
+    ----------
+    result : RecordPrediction
+    path : str or Path
+        Written in one piece; whatever was there before is replaced.
+    command : str
+        What makes this report again, as it was typed.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
+    """
+    write_file(path, render_prediction(result, command))
+
+
+def render_prediction(result: RecordPrediction, command: str) -> str:
+    """The report of a prediction as HTML.
+
+    Parameters
+    ----------
+    result : RecordPrediction
+    command : str
+    """
+    page = environment().get_template("prediction_report.html")
+    return page.render(**prediction_contents(result), command=command, versions=list(versions()))
+
+
+def prediction_contents(result: RecordPrediction) -> Json:
+    """What the templates put on a page of a prediction.
+
+    Parameters
+    ----------
+    result : RecordPrediction
+    """
+    drawn = {
+        "history": figures.response_histories(result),
+        "peaks": figures.response_peaks(result),
+        "spectra": figures.floor_spectra(result),
+    }
+    figures_of: dict[str, tuple[str, ...]] = {"peaks": ("history", "peaks", "spectra")}
+    if result.after.comparison is not None:
+        drawn["transfer"] = figures.transfer_functions(result)
+        figures_of = {"errors": ("history", "transfer"), "peaks": ("peaks", "spectra")}
+    return {
+        "prediction": describe(result),
+        "prediction_json": readable_json(result.to_dict()),
+        "captions": CAPTIONS,
+        "figures_of": figures_of,
+        # matplotlib has escaped the texts in them.
+        "figure": {name: Markup(inline_svg(figure, name)) for name, figure in drawn.items()},
+    }

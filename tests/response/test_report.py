@@ -1,0 +1,102 @@
+"""The report of a prediction: it stands by itself, has the numbers and pictures, and is a part of the loop's report."""
+
+import html
+import json
+import re
+
+import numpy as np
+import pytest
+
+import cvxshear
+from cvxshear.cli import main
+from cvxshear.formats.measurement import write_measurement
+from cvxshear.modal.motion import Drive, Motion
+from cvxshear.report.html import render
+from cvxshear.report.response_html import render_prediction
+from cvxshear.response import DampedModel, models_of_loop, predict, response
+from tests.modal.shared import csv
+from tests.report.conftest import NASTY
+from tests.report.test_html import Page
+from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
+
+COMMAND = "cvxshear predict frame.toml --record shaken.toml"
+
+
+@pytest.fixture(scope="module")
+def closed():
+    mass, stiffness, dashpots = damped_frame(3)
+    ratios = pole_ratios(*matrices(mass, stiffness, dashpots))
+    experiment = cvxshear.Experiment.from_dict(declared(mass, stiffness, ratios), name=NASTY)
+    return cvxshear.close_loop(experiment, effects=["gravity"])
+
+
+def motion(*, measured):
+    excitation = shaking(800)
+    M, C, K = matrices(*damped_frame(3))
+    moved = response(DampedModel(M, C, K, np.ones(3)), Drive(excitation), 0.01).acceleration
+    if not measured:
+        return Motion((Drive(excitation),), 100.0, name=NASTY)
+    return Motion((Drive(excitation, responses=moved),), 100.0, floors=np.arange(1, 4), name=NASTY)
+
+
+@pytest.fixture(scope="module", params=[True, False], ids=["measured", "ground alone"])
+def prediction(closed, request):
+    return predict(models_of_loop(closed), motion(measured=request.param))
+
+
+def figures_of(page):
+    return [dict(attributes).get("id") for tag, attributes in page.attributes if tag == "figure"]
+
+
+def test_the_page_stands_by_itself(prediction):
+    text = render_prediction(prediction, COMMAND)
+    page = Page(text)
+    assert len(page.ids) == len(set(page.ids))
+    assert set(re.findall(r'href="#([^"]+)"', text)) <= set(page.ids)
+    assert not {"img", "script", "iframe"} & set(page.tags)
+    assert html.escape(NASTY, quote=False).split('"')[0] in text
+    for _, attributes in page.attributes:
+        for name in ("src", "href", "xlink:href"):
+            assert attributes.get(name, "#").startswith(("#", "data:"))
+
+
+def test_pictures_and_numbers(prediction):
+    text = render_prediction(prediction, COMMAND)
+    expected = ["figure-history", "figure-transfer", "figure-peaks", "figure-spectra"]
+    if prediction.after.comparison is None:
+        expected.remove("figure-transfer")
+    assert figures_of(Page(text)) == expected
+    said = json.loads(html.unescape(re.search(r'<pre id="result">(.*?)</pre>', text, re.DOTALL)[1]))
+    assert said == json.loads(json.dumps(prediction.to_dict()))
+    assert text.count("<tr") > 3
+
+
+def test_a_part_of_the_report_of_the_loop(closed, prediction):
+    text = render(closed, COMMAND, prediction=prediction)
+    page = Page(text)
+    assert len(page.ids) == len(set(page.ids))
+    assert set(re.findall(r'href="#([^"]+)"', text)) <= set(page.ids)
+    assert {"prediction", "figure-history", "figure-peaks", "figure-residual"} <= set(page.ids)
+    assert "prediction" not in Page(render(closed, COMMAND)).ids
+
+
+def test_commands_write_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    mass, stiffness, dashpots = damped_frame(2)
+    write_measurement("frame.toml", declared(mass, stiffness, pole_ratios(*matrices(mass, stiffness, dashpots))))
+    csv(tmp_path / "ground.csv", ["ground"], shaking(400)[:, None])
+    (tmp_path / "ground.toml").write_text(
+        '[record]\nname = "ground"\ninput = "base"\nfile = "ground.csv"\nsampling_rate = 100.0\n\n'
+        '[[channel]]\ncolumn = "ground"\nfloor = 0\n'
+    )
+    for words, name in (
+        (("predict", "frame.toml", "--record", "ground.toml"), "Predicted response"),
+        (("loop", "frame.toml", "--effects", "gravity", "--validate", "ground.toml"), "Prediction of a record"),
+    ):
+        with pytest.raises(SystemExit) as ended:
+            main([*words, "--report", f"{words[0]}.html"])
+        assert ended.value.code == 0, capsys.readouterr().err
+        text = (tmp_path / f"{words[0]}.html").read_text()
+        assert name in text
+        assert "figure-peaks" in text
+        assert " ".join(words) in text
