@@ -183,7 +183,8 @@ def reciprocity_findings(full: Details, setting: Replication) -> list[Finding]:
                     "reciprocity",
                     f"force at floor {low}, response at floor {high}, and the reverse differ by up to "
                     f"{100 * each.max():.1f} % (mode {worst + 1}; {100 * ratio:.1f} % over all modes, phase included): "
-                    "a calibration or a driving point is off by that much, and so are masses that rest on it",
+                    "a calibration or a driving point is off by that much, and so are masses that rest on it; the standard "
+                    "deviations of the shapes allow for it",
                     {
                         "floors": [low, high],
                         "largest": float(each.max()),

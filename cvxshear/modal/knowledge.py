@@ -42,14 +42,32 @@ def frequency_std(scatter: Floats, modes: Ints, findings: Sequence[Finding]) -> 
     return np.hypot(scatter, [changes.get(int(mode), least) for mode in modes])
 
 
-def entry_std(scatter: Floats) -> Floats:
+def entry_std(scatter: Floats, shapes: Floats, floors: Ints, findings: Sequence[Finding]) -> Floats:
     """Standard deviations of the shape entries, over each mode's largest, with what sensors get wrong unseen.
+
+    Where the response at floor i to a force at j differs from that at j to a force at i by the share d, one of four
+    calibrations is off, those of two sensors and of the force at two driving points. With s the standard deviation of
+    each, d has that of 2 s; an entry takes half of its sensor's error and half of its driving point's, which is
+    s / sqrt(2) = d / (2 sqrt(2)).
 
     Parameters
     ----------
     scatter : ndarray, shape (m, n)
+    shapes : ndarray, shape (m, n)
+        In any scaling.
+    floors : ndarray of int, shape (n,)
+    findings : sequence of Finding
     """
-    return np.hypot(scatter, SENSOR_STD)
+    failures = [item.numbers for item in findings if item.kind == "reciprocity"]
+    share = np.array(
+        [
+            np.sqrt(np.mean(np.square([each["by_mode"] for each in failures if floor in each["floors"]] or [[0.0]])))
+            for floor in floors.tolist()
+        ]
+    )
+    relative = np.abs(shapes) / np.max(np.abs(shapes), axis=1, keepdims=True)
+    result: Floats = np.hypot(np.hypot(scatter, SENSOR_STD), relative * share / (2.0 * np.sqrt(2.0)))
+    return result
 
 
 def other_modes(findings: Sequence[Finding]) -> list[Json]:

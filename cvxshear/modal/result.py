@@ -138,7 +138,7 @@ class ModalResult(Shown):
             "frequency_std": np.maximum(
                 frequency_std(self.frequency_std, self.modes, self.findings), LEAST_STD
             ).tolist(),
-            "mode_shape_std": entry_std(self.entry_std).tolist(),
+            "mode_shape_std": entry_std(self.entry_std, self.mode_shapes, self.floors, self.findings).tolist(),
             "mode_shape_noise": "additive",
             "damping_ratios": np.clip(self.damping_ratios, 0.0, None).tolist(),
         }

@@ -10,6 +10,8 @@ import pytest
 from cvxshear.modal import Channel, FrfRecord, FrfRun, Run, TimeRecord, identify_modes
 from cvxshear.modal.channels import channel_findings
 from cvxshear.modal.clock import offsets
+from cvxshear.modal.findings import Finding
+from cvxshear.modal.knowledge import SENSOR_STD, entry_std
 from cvxshear.modal.shift import shifted
 from cvxshear.modal.simulate import PAPER_FRAME, ambient_record, base_record, hammer_record
 from tests.modal.shared import TWO_STORY_FREQUENCIES, two_story_frf
@@ -190,3 +192,19 @@ def test_findings_are_plain_values(record):
     finding = channel_findings(changed(record, lambda values: values.__setitem__((slice(None), 0), 0.0)))[0]
     assert finding.to_dict()["kind"] == "dead channel"
     assert isinstance(finding.to_dict()["numbers"]["std"], float)
+
+
+def test_shapes_are_as_uncertain_as_a_failure_of_reciprocity_says():
+    """Calibrations drawn at random, of two sensors and two driving points: what they do to a shape and to the pair."""
+    s, draws = 0.03, 20_000
+    sensors, forces = s * np.random.default_rng(3).standard_normal((2, draws, 2))
+    # The residue of floor i driven at j is (1 + sensor i)(1 + force j) phi_i phi_j; a driving point gives phi_i twice.
+    entry = np.sqrt((1 + sensors) * (1 + forces)) - 1
+    failure = (1 + sensors[:, 0]) * (1 + forces[:, 1]) / ((1 + sensors[:, 1]) * (1 + forces[:, 0])) - 1
+    seen = float(np.sqrt(np.mean(failure**2)))
+    finding = Finding("reciprocity", "", {"floors": [1, 2], "by_mode": [seen, seen]})
+    shapes = np.array([[0.5, -1.0, 0.2], [2.0, 1.0, -1.0]])
+    std = entry_std(np.zeros((2, 3)), shapes, np.array([1, 2, 3]), [finding])
+    expected = np.sqrt(np.mean(entry**2)) * np.abs(shapes) / np.abs(shapes).max(axis=1, keepdims=True)
+    expected[:, 2] = 0.0
+    np.testing.assert_allclose(std, np.hypot(expected, SENSOR_STD), rtol=0.02)
