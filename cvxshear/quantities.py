@@ -25,6 +25,9 @@ PLAIN = (1e-4, 1e6)
 
 MOST_DECIMALS = 6
 
+LONG_ROW = 4
+"""Numbers in a row from which on the first and the last are enough."""
+
 EXACT = 1e-9
 """Relative standard deviation of which nobody needs to know."""
 
@@ -122,6 +125,12 @@ def percent(value: float | None, digits: int = 2) -> str:
     return f"{100 * value:.{digits}f} %"
 
 
+def signed(value: float, decimals: int) -> str:
+    """A number with its sign, and without one where it is written as nothing."""
+    shown = f"{value:+.{decimals}f}"
+    return shown[1:] if not shown.strip("+-0.") else shown
+
+
 def percents(values: Sequence[float | None], *, sign: bool = False) -> list[str]:
     """Ratios as percent in one format, with decimals enough for two digits of the largest."""
     sizes = [abs(100 * value) for value in values if value is not None and math.isfinite(value)]
@@ -129,7 +138,7 @@ def percents(values: Sequence[float | None], *, sign: bool = False) -> list[str]
     digits = 2 if largest == 0 else min(max(2, 1 - math.floor(math.log10(largest))), MOST_DECIMALS)
     if not sign:
         return [percent(value, digits) for value in values]
-    return ["–" if value is None or math.isnan(value) else f"{100 * value:+.{digits}f} %" for value in values]
+    return ["–" if value is None or math.isnan(value) else f"{signed(100 * value, digits)} %" for value in values]
 
 
 def probability(value: float | None) -> str:
@@ -137,6 +146,12 @@ def probability(value: float | None) -> str:
     if value is None:
         return "–"
     return "< 1e-9" if value < 1e-9 else f"{value:.2g}"
+
+
+def equals(value: float) -> str:
+    """A p-value as it stands in a sentence: "p = 0.012", "p < 1e-9"."""
+    shown = probability(value)
+    return f"p {shown}" if shown.startswith("<") else f"p = {shown}"
 
 
 def chance(value: float) -> str:
@@ -177,6 +192,18 @@ def _to_digits(value: float, std: float) -> str:
     return f"{value:.{decimals}f} ± {std:.{decimals}f}"
 
 
+def with_stds(values: Sequence[float], stds: Sequence[float]) -> list[str]:
+    """value ± std, each, with decimals enough for the smallest standard deviation; the values alone where none is."""
+    known = [std for std in stds if math.isfinite(std) and std > 0]
+    decimals = min(max(0, -math.floor(math.log10(min(known)))), MOST_DECIMALS) if known else MOST_DECIMALS - 2
+    return [
+        "–" if math.isnan(value)
+        else f"{value:.{decimals}f} ± {std:.{decimals}f}" if known and math.isfinite(std)
+        else f"{value:.{decimals}f}"
+        for value, std in zip(values, stds, strict=True)
+    ]  # fmt: skip
+
+
 def fitting(values: Iterable[float], unit: str) -> tuple[float, str]:
     """The size of the unit that fits these values, and its name: tonnes for kg, prefixes for N and N/m."""
     if unit == "kg":
@@ -199,6 +226,17 @@ def counted(number: int, noun: str) -> str:
     if number == 1:
         return f"1 {noun}"
     return f"{number} {noun.removesuffix('y')}ies" if noun.endswith("y") else f"{number} {noun}s"
+
+
+def ranged(numbers: Sequence[int]) -> str:
+    """Ascending numbers in a row, those of a long row by its ends: "1, 11 to 20"."""
+    rows: list[list[int]] = []
+    for number in numbers:
+        if rows and number == rows[-1][-1] + 1:
+            rows[-1].append(number)
+        else:
+            rows.append([number])
+    return ", ".join(f"{row[0]} to {row[-1]}" if len(row) >= LONG_ROW else ", ".join(map(str, row)) for row in rows)
 
 
 def capital(text: str) -> str:

@@ -13,6 +13,7 @@ from cvxshear.modal.estimate import Details, Replication
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.record import FrfRecord, Record
 from cvxshear.modal.result import ModalResult
+from cvxshear.quantities import ranged, significant
 from cvxshear.typing import Floats
 
 OF_CHANNELS = ("dead channel", "clipped channel", "held samples", "drift", "aliasing")
@@ -85,8 +86,8 @@ def clock_findings(result: ModalResult, full: Details) -> list[Finding]:
             Finding(
                 "clock offset",
                 f'the clock of "{name}" is {abs(late) * 1e3:.2f} ms {"late" if late > 0 else "early"} '
-                f'(std {std * 1e3:.2f} ms) against that of "{names[full.clocks.reference]}": a phase of {turn:.1f} '
-                f"degrees at the highest mode{phases}",
+                f'(std {significant(std * 1e3, 2)} ms) against that of "{names[full.clocks.reference]}": '
+                f"a phase of {turn:.1f} degrees at the highest mode{phases}",
                 {"channel": name, "seconds": late, "std": std, "turn_degrees": turn, "left_degrees": left},
             )
         )
@@ -204,7 +205,7 @@ def _mode_findings(record: Record, result: ModalResult, setting: Replication) ->
         found.append(
             Finding(
                 "missing mode",
-                f"mode {', '.join(map(str, absent))} of {record.stories} was not found in the record",
+                f"{_modes(absent)} of {record.stories} {'was' if len(absent) == 1 else 'were'} not found in the record",
                 {"modes": absent},
             )
         )
@@ -237,3 +238,7 @@ def _mode_findings(record: Record, result: ModalResult, setting: Replication) ->
                 )
             )
     return found
+
+
+def _modes(numbers: list[int]) -> str:
+    return f"mode{'' if len(numbers) == 1 else 's'} {ranged(numbers)}"

@@ -8,11 +8,11 @@ from cvxshear.loop import Closure
 from cvxshear.loop.results import AddedEffect, Candidate, EffectSet
 from cvxshear.quantities import Units, capital, chance, listed, probability, significants, with_std
 from cvxshear.report.describe.consequences import consequences
+from cvxshear.report.describe.parameters import in_words
 from cvxshear.report.describe.vocabulary import Block, Facts, Points, Row, Section, Sentence, Table
 
 BRIEF_SETS = 6
 BRIEF_CANDIDATES = 8
-MOST_CONFOUNDERS = 4
 SPELLED_OUT = 3
 """Effects of a set up to which all are named; of a larger one, in what it differs from the most probable set."""
 
@@ -98,7 +98,7 @@ def candidates_section(of: Closure) -> Section:
     table = Table(
         "candidates-table",
         f"The most probable first (p: of such a gain in chi-square by chance, counting that {count} were tried)",
-        ("effect", "before", "with the data", "chi-square", "of", "p of gain"),
+        ("effect", "before", "with the data", "chi-square", "dof", "p of gain"),
         tuple(_candidate_row(item, shown) for item, shown in zip(of.candidates, chi2, strict=True)),
         brief=BRIEF_CANDIDATES,
     )
@@ -122,6 +122,4 @@ def _candidate_row(item: Candidate, chi2: str) -> Row:
 
 
 def _confounded(item: Candidate) -> str:
-    names = [name.replace("_", " ") for name in item.confounded_with]
-    more = f" and {len(names) - MOST_CONFOUNDERS} more" if len(names) > MOST_CONFOUNDERS else ""
-    return f"{capital(item.placed.label)} cannot be told from {', '.join(names[:MOST_CONFOUNDERS])}{more}."
+    return f"{capital(item.placed.label)} cannot be told from {in_words(item.confounded_with)}."

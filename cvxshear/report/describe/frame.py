@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+
 import numpy as np
 
 from cvxshear.identification import IdentifiedFrame
@@ -30,6 +32,26 @@ def frame_table(
         cells.append(_column(each.floor_mass, each.floor_mass_std, mass_factor))
         cells.append(_column(each.story_stiffness, each.story_stiffness_std, factor))
     return Table(key, title, tuple(head), tuple(reversed(columns(*cells))))
+
+
+def in_one_unit(
+    values: Floats, stds: Floats | None, unit_of: Callable[[Iterable[float]], tuple[float, str]]
+) -> tuple[list[str], str]:
+    """Values, with their standard deviations where there are any, in one unit and, where there are none, one format.
+
+    Parameters
+    ----------
+    values, stds : ndarray, shape (N,)
+    unit_of : callable
+        The size and the name of the unit that fits values, such as `Units.of_mass`.
+
+    Returns
+    -------
+    written : list of str
+    unit : str
+    """
+    factor, unit = unit_of(values.tolist())
+    return _column(values, stds, factor), unit
 
 
 def _column(values: Floats, stds: Floats | None, factor: float) -> list[str]:

@@ -132,6 +132,33 @@ def panels(figure: Figure, count: int, columns: int, *, sharex: bool = False, sh
     return every[:count]
 
 
+def panels_by_group(
+    figure: Figure, counts: Sequence[int], columns: int, *, sharex: bool = False, sharey: bool = False
+) -> list[list[Axes]]:
+    """So many panels for each group, and each group on rows of its own."""
+    columns = max(1, min(columns, max(counts)))
+    rows = [-(-count // columns) for count in counts]
+    grid = figure.subplots(sum(rows), columns, squeeze=False, sharex=sharex, sharey=sharey)
+    groups: list[list[Axes]] = []
+    lowest: dict[int, Axes] = {}
+    for count, taken, first in zip(counts, rows, np.cumsum([0, *rows[:-1]]), strict=True):
+        there: list[Axes] = list(grid[first : first + taken].ravel())
+        groups.append(there[:count])
+        lowest |= {place % columns: axes for place, axes in enumerate(there[:count])}
+        for unused in there[count:]:
+            unused.remove()
+    if sharex:
+        # The lowest panel of a column tells the numbers, also where the grid's last row does not reach it.
+        for axes in lowest.values():
+            axes.tick_params(labelbottom=True)
+    return groups
+
+
+def even_columns(most: int, fitting: int) -> int:
+    """Columns for so many panels a group where so many fit: those that fill its rows best."""
+    return -(-most // -(-most // fitting))
+
+
 def letters(text: str, longest: int = LONGEST) -> str:
     """A text from a file as a figure can show it: on one line, not too long, of letters that the fonts have."""
     line = " ".join(text.split())
