@@ -198,7 +198,7 @@ def with_stds(values: Sequence[float], stds: Sequence[float]) -> list[str]:
     decimals = min(max(0, -math.floor(math.log10(min(known)))), MOST_DECIMALS) if known else MOST_DECIMALS - 2
     return [
         "–" if math.isnan(value)
-        else f"{value:.{decimals}f} ± {std:.{decimals}f}" if known and math.isfinite(std)
+        else f"{value:.{decimals}f} ± {std:.{decimals}f}" if math.isfinite(std) and std > 0
         else f"{value:.{decimals}f}"
         for value, std in zip(values, stds, strict=True)
     ]  # fmt: skip

@@ -160,7 +160,7 @@ def _identified(record: Record, options: Options) -> ModalResult:
             picked=options.pick,
         )
 
-    source, sweep = settled(record, wanted, attempt)
+    source, sweep = settled(record, wanted, attempt, highest=max(options.pick, default=0.0))
     if len(sweep.chosen) < len(options.pick):
         raise InputError(_out_of_reach(sweep, options.pick))
     if not sweep.chosen:
@@ -180,7 +180,9 @@ def _identified(record: Record, options: Options) -> ModalResult:
             break
         setting = dataclasses.replace(setting, sweep=sweep)
     findings += of_leakage
-    findings += diagnostics.modal_findings(record, result, setting, full, lost, accept_swapped=options.accept_swapped)
+    findings += diagnostics.modal_findings(
+        record, result, setting, full, lost, wanted=wanted, accept_swapped=options.accept_swapped
+    )
     return dataclasses.replace(result, findings=tuple(findings))
 
 

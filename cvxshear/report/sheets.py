@@ -132,7 +132,9 @@ def load_openpyxl() -> Any:
 def _modes(result: ModalResult) -> Sheet:
     floors = result.floors.tolist()
     header = ["mode", "frequency, Hz", "frequency std", "damping"]
-    header += [f"floor {floor}" for floor in floors] + [f"floor {floor} std" for floor in floors]
+    # The unit is the scale: who reads the table again need not ask how heavy the frame is.
+    unit = ", 1/sqrt(kg)" if result.mass_normalized else ""
+    header += [f"floor {floor}{unit}" for floor in floors] + [f"floor {floor} std" for floor in floors]
     rows = [
         (
             int(mode),

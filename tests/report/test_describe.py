@@ -1,6 +1,7 @@
 """One description of a result: what it says, and that terminal, prompt, page and notebook show the same of it."""
 
 import dataclasses
+import math
 import sys
 
 import numpy as np
@@ -12,10 +13,23 @@ from cvxshear.errors import InputError
 from cvxshear.identification.ending import Ending
 from cvxshear.identification.results import IdentifiedFrame
 from cvxshear.loop.posterior import Rival
-from cvxshear.quantities import Units, chance, percent, percents, significant, significants, with_std
+from cvxshear.quantities import (
+    Units,
+    chance,
+    equals,
+    percent,
+    percents,
+    ranged,
+    signed,
+    significant,
+    significants,
+    with_std,
+    with_stds,
+)
 from cvxshear.report import terminal
 from cvxshear.report.describe import describe
 from cvxshear.report.describe.headline import change_in_words, headline
+from cvxshear.report.describe.parameters import in_words
 from cvxshear.report.describe.vocabulary import Table
 from cvxshear.report.house_table import plain_table
 from tests.report.conftest import NASTY
@@ -225,6 +239,14 @@ def test_quantities_have_units_that_fit_their_size():
     assert with_std(6.675, 1e-16, "kg") == "6.675 kg"
     assert percent(1.2e-6) == "< 0.01 %"
     assert percents([0.0001, 0.00002, None, 0.0]) == ["0.010 %", "0.002 %", "–", "0.000 %"]
+    assert percents([0.001, -0.001, -1e-7, 0.0], sign=True) == ["+0.10 %", "-0.10 %", "0.00 %", "0.00 %"]
+    assert [signed(value, 1) for value in (0.04, -0.04, -0.06, 1.0)] == ["0.0", "0.0", "-0.1", "+1.0"]
+    assert [equals(value) for value in (0.0123, 1e-12)] == ["p = 0.012", "p < 1e-9"]
+    assert with_stds([0.5, 1.0, -0.25], [0.0123, 0.0, 0.001]) == ["0.500 ± 0.012", "1.000", "-0.250 ± 0.001"]
+    assert with_stds([0.5, math.nan], [math.nan, math.nan]) == ["0.5000", "–"]
+    assert [ranged(row) for row in ([1, 2, 3], [1, 2, 3, 4], [1, 11, 12, 13, 14], [2])] == [
+        "1, 2, 3", "1 to 4", "1, 11 to 14", "2",
+    ]  # fmt: skip
     assert significants([160.94, 9.97, None]) == ["160.9", "10.0", "–"]
     assert [significant(value, 2) for value in (110.0, 3.75, 1e-7)] == ["110", "3.8", "1.0e-07"]
     assert [chance(value) for value in (0.0, 0.218, 0.9986, 1.0)] == ["< 0.1 %", "21.8 %", "99.9 %", "> 99.9 %"]
@@ -278,3 +300,9 @@ def test_masses_in_tonnes_are_told_so(paper):
     first = table(describe(dataclasses.replace(found, parts=parts)), "identified-1")
     assert first.head == ("floor / story", "mass, t", "stiffness, MN/m")
     assert [float(row.cells[1]) for row in first.rows] == pytest.approx(paper.frame.floor_mass[::-1], rel=1e-3)
+
+
+def test_parameters_are_said_in_words():
+    stories = [f"story_stiffness {place}" for place in range(1, 6)]
+    assert in_words([*stories, "floor_mass 2"]) == "story stiffnesses 1 to 5 and floor mass 2"
+    assert in_words(["floor_mass 3", "floor_mass 1", "gravity"]) == "floor masses 1, 3 and gravity"

@@ -82,6 +82,24 @@ def test_no_text_of_the_other_figures_overlaps_or_is_cut_off(paper, study, six_s
         assert_readable(figure)
 
 
+def test_values_without_deviation_have_one_format_in_a_frame(paper):
+    """The masses of the paper's frame are above and below 10 kg times 1.5, the stiffnesses of one size."""
+    parts = cvxshear.identify(paper.experiment, method="two-stage")
+    for axes in figures.frame(parts).axes:
+        said = [text.get_text() for text in axes.texts]
+        for word in ("story", "floor"):
+            numbers = [text.split()[2] for text in said if text.startswith(word) and ":" in text]
+            assert len(numbers) == 2
+            assert len({len(number.partition(".")[2]) for number in numbers}) == 1, numbers
+        assert not any("±" in text for text in said)
+
+
+@pytest.mark.parametrize("result", ["paper", "twenty"])
+def test_no_text_of_a_plan_overlaps_or_is_cut_off(result, request):
+    experiment = request.getfixturevalue(result).experiment
+    assert_readable(figures.plan(cvxshear.plan(experiment, sensors=2)))
+
+
 def test_every_axis_says_what_it_shows(paper, study, comparison):
     for figure in (figures.residual(paper), figures.backend_differences(comparison), figures.ranking(paper)):
         for axes in figure.axes:

@@ -77,10 +77,11 @@ def _table(of: ModalResult) -> Table:
 
 
 def _shapes(of: ModalResult) -> Table:
-    shapes, stds = of.mode_shapes.T.tolist(), shape_deviations(of).T.tolist()
+    """The shapes side by side, the top of the frame first."""
+    shapes, stds = of.mode_shapes.tolist(), shape_deviations(of).tolist()
     rows = columns(
-        [str(mode) for mode in of.modes],
+        [str(floor) for floor in of.floors],
         *(with_stds(values, std) for values, std in zip(shapes, stds, strict=True)),
     )
     title = f"Mode shapes ± standard deviation ({scale_in_words(of)})"
-    return Table("identified-shapes", title, ("mode", *(f"floor {floor}" for floor in of.floors)), rows)
+    return Table("identified-shapes", title, ("floor", *(f"mode {mode}" for mode in of.modes)), tuple(reversed(rows)))
