@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from cvxshear.identification import IdentifiedFrame
-from cvxshear.quantities import UNKNOWN, Units, significants, with_std
+from cvxshear.quantities import EXACT, UNKNOWN, Units, significants, with_std
 from cvxshear.report.describe.vocabulary import Table, columns
 from cvxshear.typing import Floats
 
@@ -58,4 +58,10 @@ def _column(values: Floats, stds: Floats | None, factor: float) -> list[str]:
     if stds is None or np.all(np.isnan(stds)):
         written = significants((values / factor).tolist(), 5)
         return [UNKNOWN if np.isnan(value) else text for value, text in zip(values, written, strict=True)]
-    return [with_std(value, std, factor=factor) for value, std in zip(values.tolist(), stds.tolist(), strict=True)]
+    free = ~np.isnan(stds) & (stds > EXACT * np.abs(values))
+    # What is held fast has no deviation, and one format.
+    held = dict(zip(np.flatnonzero(~free).tolist(), significants((values[~free] / factor).tolist(), 5), strict=True))
+    return [
+        UNKNOWN if np.isnan(value) else held[place] if place in held else with_std(value, std, factor=factor)
+        for place, (value, std) in enumerate(zip(values.tolist(), stds.tolist(), strict=True))
+    ]
