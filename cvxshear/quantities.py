@@ -88,8 +88,8 @@ AUTOMATIC = Units()
 
 
 def exponential(value: float, digits: int = 2) -> str:
-    """A number as a power of ten, with so many significant digits."""
-    return f"{value:.{digits - 1}e}"
+    """A number as a power of ten, with so many significant digits; nothing at all is 0."""
+    return "0" if value == 0 else f"{value:.{digits - 1}e}"
 
 
 def significant(value: float | None, digits: int = 4) -> str:
@@ -193,9 +193,14 @@ def _to_digits(value: float, std: float) -> str:
 
 
 def with_stds(values: Sequence[float], stds: Sequence[float]) -> list[str]:
-    """value ± std, each, with decimals enough for the smallest standard deviation; the values alone where none is."""
+    """value ± std, each, in one format; the values alone where none is.
+
+    With two digits of the largest standard deviation, and one of the smallest.
+    """
     known = [std for std in stds if math.isfinite(std) and std > 0]
-    decimals = min(max(0, -math.floor(math.log10(min(known)))), MOST_DECIMALS) if known else MOST_DECIMALS - 2
+    if known:
+        two, one = 1 - math.floor(math.log10(max(known))), -math.floor(math.log10(min(known)))
+    decimals = min(max(two, one, 0), MOST_DECIMALS) if known else MOST_DECIMALS - 2
     return [
         "–" if math.isnan(value)
         else f"{value:.{decimals}f} ± {std:.{decimals}f}" if math.isfinite(std) and std > 0

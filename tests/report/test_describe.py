@@ -243,6 +243,7 @@ def test_quantities_have_units_that_fit_their_size():
     assert [signed(value, 1) for value in (0.04, -0.04, -0.06, 1.0)] == ["0.0", "0.0", "-0.1", "+1.0"]
     assert [equals(value) for value in (0.0123, 1e-12)] == ["p = 0.012", "p < 1e-9"]
     assert with_stds([0.5, 1.0, -0.25], [0.0123, 0.0, 0.001]) == ["0.500 ± 0.012", "1.000", "-0.250 ± 0.001"]
+    assert with_stds([1.0, 0.5], [0.01, 0.01]) == ["1.000 ± 0.010", "0.500 ± 0.010"]
     assert with_stds([0.5, math.nan], [math.nan, math.nan]) == ["0.5000", "–"]
     assert [ranged(row) for row in ([1, 2, 3], [1, 2, 3, 4], [1, 11, 12, 13, 14], [2])] == [
         "1, 2, 3", "1 to 4", "1, 11 to 14", "2",
