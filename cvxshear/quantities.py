@@ -25,6 +25,9 @@ PLAIN = (1e-4, 1e6)
 
 MOST_DECIMALS = 6
 
+LEAST_PER_FORCE = 0.1
+"""What a flexibility is at least where a larger unit of force makes it so."""
+
 LONG_ROW = 4
 """Numbers in a row from which on the first and the last are enough."""
 
@@ -181,10 +184,28 @@ def with_std(value: float | None, std: float | None, unit: str = "", factor: flo
         return f"{significant(value, 5)} {unit}".strip()
     std = std / factor
     largest = max(abs(value), std)
-    if abs(value) >= PLAIN[1] or largest < 1e-3:
+    if abs(value) >= PLAIN[1] or largest < PLAIN[0]:
         power = math.floor(math.log10(largest))
         return f"({_to_digits(value / 10.0**power, std / 10.0**power)})e{power:+03d} {unit}".strip()
     return f"{_to_digits(value, std)} {unit}".strip()
+
+
+def per_force(value: float, std: float | None, unit: str) -> str:
+    """A flexibility ± its standard deviation, by as many newtons as make the number easy to read: "1.4 rad/(MN m)".
+
+    Parameters
+    ----------
+    value, std : float
+    unit : str
+        With N below its line, such as "m/N" or "rad/(N m)".
+    """
+    factor, prefix = next(
+        ((factor, prefix) for factor, prefix in reversed(PREFIXES) if abs(value) * factor >= LEAST_PER_FORCE),
+        PREFIXES[0],
+    )
+    above, line, below = unit.partition("/")
+    unit = f"{above}{line}{below.replace('N', f'{prefix}N', 1)}"
+    return with_std(value * factor, None if std is None else std * factor, unit, 1.0)
 
 
 def _to_digits(value: float, std: float) -> str:

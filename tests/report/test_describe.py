@@ -17,6 +17,7 @@ from cvxshear.quantities import (
     Units,
     chance,
     equals,
+    per_force,
     percent,
     percents,
     ranged,
@@ -234,6 +235,9 @@ def test_quantities_have_units_that_fit_their_size():
     assert with_std(18_500.0, 120.0, "kg") == "18.50 ± 0.12 t"
     assert with_std(3.01, 0.03, "kg") == "3.010 ± 0.030 kg"
     assert with_std(4.1e6, 2e4, "N/m") == "4100 ± 20 kN/m"
+    assert per_force(1.7e-11, 3e-12, "rad/(N m)") == "0.0170 ± 0.0030 rad/(GN m)"
+    assert per_force(2.5e-6, None, "1/(N m2)") == "2.5 1/(MN m2)"
+    assert per_force(3.0, 0.2, "m/N") == "3.00 ± 0.20 m/N"
     assert with_std(1.7e-11, 3e-12, "rad/(N m)") == "(1.70 ± 0.30)e-11 rad/(N m)"
     assert with_std(float("nan"), None, "kg") == "not determined"
     assert with_std(6.675, 1e-16, "kg") == "6.675 kg"

@@ -94,6 +94,22 @@ def test_values_without_deviation_have_one_format_in_a_frame(paper):
         assert not any("±" in text for text in said)
 
 
+def test_a_logarithmic_axis_of_less_than_a_decade_has_numbers(comparison):
+    first = enumerate(comparison.rows[:12])
+    rows = tuple(dataclasses.replace(row, relative_time=1.0 + 0.1 * place) for place, row in first)
+    figure = figures.backend_differences(dataclasses.replace(comparison, rows=rows))
+    assert_readable(figure)
+    axis = figure.axes[1].xaxis
+    low, high = axis.get_view_interval()
+    labels = [
+        tick.label1.get_text()
+        for tick in [*axis.get_major_ticks(), *axis.get_minor_ticks()]
+        if low <= tick.get_loc() <= high and tick.label1.get_text()
+    ]
+    assert len(labels) >= 2
+    assert set(labels) <= {"0.5", "1", "2", "5"}
+
+
 @pytest.mark.parametrize("result", ["paper", "twenty"])
 def test_no_text_of_a_plan_overlaps_or_is_cut_off(result, request):
     experiment = request.getfixturevalue(result).experiment

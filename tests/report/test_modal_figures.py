@@ -77,7 +77,7 @@ def test_the_poles_of_the_modes_are_drawn_at_their_frequencies(hammer):
     assert set(np.round(frequencies, 1)) == {1.0, 2.2, 3.3}
     assert max(orders) == 30
     assert len(lines["pole"].get_xdata()) > 20
-    assert [text.get_text() for text in axes.texts] == ["1: 1.034 Hz", "2: 2.21 Hz", "3: 3.281 Hz"]
+    assert [text.get_text() for text in axes.texts] == ["1: 1.034 Hz", "2: 2.210 Hz", "3: 3.281 Hz"]
 
 
 def test_a_mode_faces_one_way_in_every_record(hammer):

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from cvxshear.loop import Closure
 from cvxshear.loop.results import AddedEffect, Candidate, EffectSet
-from cvxshear.quantities import Units, capital, chance, listed, probability, significants, with_std
+from cvxshear.quantities import Units, capital, chance, listed, per_force, probability, significants, with_std
 from cvxshear.report.describe.consequences import consequences
 from cvxshear.report.describe.parameters import in_words
 from cvxshear.report.describe.vocabulary import Block, Facts, Points, Row, Section, Sentence, Table
@@ -61,7 +61,8 @@ def _parameters(of: Closure, item: AddedEffect) -> Iterator[tuple[str, str]]:
     units = item.placed.units(of.experiment)
     for parameter, unit in zip(item.placed.effect.parameters, units, strict=True):
         name = parameter.name
-        yield name.replace("_", " "), with_std(item.parameters[name], item.std[name], unit)
+        written = per_force if "N" in unit.partition("/")[2] else with_std
+        yield name.replace("_", " "), written(item.parameters[name], item.std[name], unit)
 
 
 def sets_section(of: Closure) -> Section:

@@ -12,6 +12,9 @@ from cvxshear.report.describe.dispatch import describe, line
 from cvxshear.report.describe.vocabulary import Block, Document, Facts, Row, Section, Sentence, Table
 from cvxshear.typing import Floats
 
+MOST_COLUMNS = 11
+"""Of a table of measured modes beside the modes' numbers; more go below."""
+
 
 @describe.register
 def _experiment(of: Experiment, units: Units = AUTOMATIC) -> Document:
@@ -111,7 +114,9 @@ def measured_modes(of: Experiment, units: Units = AUTOMATIC) -> Section:
 
 def _modes(each: Configuration, place: int, units: Units) -> Iterator[Block]:
     factor, unit = units.of_mass(each.added_mass.tolist())
-    added = listed(each.added_mass, unit, factor) if each.added_mass.any() else "none"
+    # Floor by floor, but where a single one says it.
+    single = np.count_nonzero(each.added_mass) < 2
+    added = _added(each.added_mass, factor, unit) if single else listed(each.added_mass, unit, factor)
     doubt = "" if _noise(each) == "declared" else " Standard deviations that are not declared are the default's."
     yield Sentence(f"{each.name}. Added mass: {added}.{doubt}")
     largest = np.max(np.abs(np.where(each.measured, each.mode_shapes, 0.0)), axis=1, keepdims=True, initial=0.0)
@@ -133,4 +138,4 @@ def _modes(each: Configuration, place: int, units: Units) -> Iterator[Block]:
     )
     head = ("mode", "frequency, Hz", "std", *floors, "std of the shape")
     title = "Shapes are scaled to a largest entry of 1" if floors else "Frequencies alone"
-    yield Table(f"modes-{place}", title, head, rows)
+    yield from Table(f"modes-{place}", title, head, rows).folded(MOST_COLUMNS)

@@ -117,5 +117,5 @@ def _panel(axes: Axes, result: ModalResult, row: int, shape: Floats, stories: in
     axes.set_ylim(0, 1.07 * stories)
     axes.yaxis.set_major_locator(MaxNLocator(6, integer=True))
     std = f" ± {percents([float(result.frequency_std[row])])[0]}" if known else ""
-    title = f"{letters(result.name, 18)}\nmode {result.modes[row]}\n{result.frequencies[row]:.4g} Hz{std}"
+    title = f"{letters(result.name, 18)}\nmode {result.modes[row]}\n{result.frequencies[row]:#.4g} Hz{std}"
     axes.set_title(title, fontsize=7)

@@ -97,7 +97,7 @@ def _panel(axes: Axes, z: Floats, before: ModeShape, after: ModeShape) -> None:
     axes.set_xticks([-1, 0, 1])
     axes.set_ylim(0, 1.07 * float(z[-1]))
     axes.set_title(
-        f"{letters(after.configuration, 16)}\nmode {after.mode}: {after.measured_frequency:.4g} Hz", fontsize=7.5
+        f"{letters(after.configuration, 16)}\nmode {after.mode}: {after.measured_frequency:#.4g} Hz", fontsize=7.5
     )
 
 

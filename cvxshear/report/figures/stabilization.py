@@ -107,4 +107,4 @@ def _labels(axes: Axes, result: ModalResult, top: int, inches: float) -> None:
         result.modes, frequencies, spread(frequencies, gap, gap / 2, end - gap / 2), strict=True
     ):
         axes.plot([frequency, frequency, x], [0, 1.03 * top, 1.1 * top], color=AFTER, lw=0.6, alpha=0.6)
-        axes.text(x, 1.12 * top, f"{mode}: {frequency:.4g} Hz", rotation=90, ha="center", va="bottom", fontsize=7)
+        axes.text(x, 1.12 * top, f"{mode}: {frequency:#.4g} Hz", rotation=90, ha="center", va="bottom", fontsize=7)

@@ -186,11 +186,22 @@ def power_of_ten(value: float, _: object = None) -> str:
     return f"{sign}10{str(number).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
 
 
+NARROW = 1.3
+"""Decades of an axis up to which two and five are labelled between the powers of ten."""
+
+
 def logarithmic(axis: Axis, most: int = 7) -> None:
-    """Ticks at powers of ten, labelled so."""
+    """Ticks at powers of ten, labelled so; at twice and five times them too where there is one at most."""
+
+    def between(value: float, _: object = None) -> str:
+        low, high = axis.get_view_interval()
+        first = value / 10.0 ** np.floor(np.log10(value) + 1e-9)
+        few = low > 0 and high / low < 10.0**NARROW and min(abs(first - 2), abs(first - 5)) < 1e-6
+        return f"{value:g}" if few and 1e-3 <= value < 1e5 else ""
+
     axis.set_major_locator(LogLocator(numticks=most))
     axis.set_major_formatter(FuncFormatter(power_of_ten))
-    axis.set_minor_formatter(FuncFormatter(lambda value, at: ""))
+    axis.set_minor_formatter(FuncFormatter(between))
 
 
 def spread(positions: Floats, gap: float, low: float, high: float) -> Floats:
