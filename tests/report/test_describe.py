@@ -29,11 +29,12 @@ from cvxshear.quantities import (
 )
 from cvxshear.report import terminal
 from cvxshear.report.describe import describe
+from cvxshear.report.describe.frame import frame_table
 from cvxshear.report.describe.headline import change_in_words, headline
 from cvxshear.report.describe.parameters import in_words
-from cvxshear.report.describe.vocabulary import Table
+from cvxshear.report.describe.vocabulary import Table, plain_rows
 from cvxshear.report.house_table import plain_table
-from tests.report.conftest import NASTY
+from tests.report.conftest import NASTY, experiment
 
 EVERY = ["paper", "eight", "unexplained", "twenty", "nine", "ambiguous"]
 
@@ -311,3 +312,40 @@ def test_parameters_are_said_in_words():
     stories = [f"story_stiffness {place}" for place in range(1, 6)]
     assert in_words([*stories, "floor_mass 2"]) == "story stiffnesses 1 to 5 and floor mass 2"
     assert in_words(["floor_mass 3", "floor_mass 1", "gravity"]) == "floor masses 1, 3 and gravity"
+
+
+def test_what_is_held_fast_has_one_format_in_its_column():
+    """Masses that are declared beside a stiffness that is not, and a value that nothing determines."""
+    frame = IdentifiedFrame(
+        np.array([21020.0, 20612.0, 21224.0]),
+        np.array([120e6, 98.3e6, math.nan]),
+        np.zeros(3),
+        np.array([9.5e6, 0.0, math.nan]),
+    )
+    rows = frame_table(frame, "", Units()).rows
+    assert [row.cells[1] for row in rows] == ["21.224", "20.612", "21.020"]
+    assert [row.cells[2] for row in rows] == ["not determined", "98.3", "120.0 ± 9.5"]
+
+
+def test_where_mass_was_added_is_told_in_the_unit_of_the_frame():
+    declared = experiment(None, 6, 2)
+    for each, added in zip(declared["configuration"], ([0.0] * 6, [0.0, 0.0, 500.0, 0.0, 0.0, 0.0]), strict=True):
+        each["added_mass"] = added
+    declared["frame"]["total_mass"] = 106.5e3
+    rows = table(describe(cvxshear.Experiment.from_dict(declared)), "tests").rows
+    assert [row.cells[3] for row in rows] == ["none", "0.5 t on floor 3"]
+    for each in declared["configuration"]:
+        del each["mode_shapes"], each["mode_shape_std"], each["measured_floors"]
+    rows = table(describe(cvxshear.Experiment.from_dict(declared)), "tests").rows
+    assert [row.cells[2] for row in rows] == ["none", "none"]
+
+
+def test_a_wide_table_goes_below_itself():
+    wide = Table("k", "title", ("floor", *(f"mode {mode}" for mode in range(1, 8))), plain_rows([list("abcdefgh")]))
+    parts = wide.folded(3)
+    assert [part.head for part in parts] == [
+        ("floor", "mode 1", "mode 2", "mode 3"), ("floor", "mode 4", "mode 5", "mode 6"), ("floor", "mode 7"),
+    ]  # fmt: skip
+    assert [part.rows[0].cells for part in parts] == [tuple("abcd"), tuple("aefg"), tuple("ah")]
+    assert len({part.key for part in parts}) == 3
+    assert wide.folded(7) == (wide,)

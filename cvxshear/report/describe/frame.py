@@ -58,10 +58,18 @@ def _column(values: Floats, stds: Floats | None, factor: float) -> list[str]:
     if stds is None or np.all(np.isnan(stds)):
         written = significants((values / factor).tolist(), 5)
         return [UNKNOWN if np.isnan(value) else text for value, text in zip(values, written, strict=True)]
-    free = ~np.isnan(stds) & (stds > EXACT * np.abs(values))
+    fast = ~np.isnan(values) & ~(stds > EXACT * np.abs(values))
     # What is held fast has no deviation, and one format.
-    held = dict(zip(np.flatnonzero(~free).tolist(), significants((values[~free] / factor).tolist(), 5), strict=True))
+    shown = _short(significants((values[fast] / factor).tolist(), 5))
+    held = dict(zip(np.flatnonzero(fast).tolist(), shown, strict=True))
     return [
         UNKNOWN if np.isnan(value) else held[place] if place in held else with_std(value, std, factor=factor)
         for place, (value, std) in enumerate(zip(values.tolist(), stds.tolist(), strict=True))
     ]
+
+
+def _short(written: list[str]) -> list[str]:
+    """Decimals of one number, without those that are 0 in all."""
+    while written and all("." in text and text.endswith(("0", ".")) for text in written):
+        written = [text[:-1] for text in written]
+    return written
