@@ -128,6 +128,9 @@ def test_a_closure_as_a_workbook(tmp_path):
     write_xlsx(tmp_path / "loop.xlsx", sheets_of_closure(closure))
     book = openpyxl.load_workbook(tmp_path / "loop.xlsx")
     assert book.sheetnames == ["frame", "effects", "errors", "modes"]
+    assert [row[0] for row in book["errors"].iter_rows(values_only=True)][1] == "largest frequency error"
+    written = [cell for name in ("effects", "errors") for row in book[name].iter_rows(values_only=True) for cell in row]
+    assert not [cell for cell in written if isinstance(cell, str) and "_" in cell]
     rows = list(book["modes"].iter_rows(values_only=True))
     errors = [abs(row[4]) for row in rows[1:]]
     assert max(errors) == pytest.approx(closure.to_dict()["after"]["max_frequency_error"], rel=1e-6)
