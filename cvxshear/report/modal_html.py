@@ -17,7 +17,7 @@ from cvxshear.report.pages import environment
 from cvxshear.typing import Json
 from cvxshear.writing import write_file
 
-MOST_COLUMNS = 6
+MOST_COLUMNS = 4
 """Beside the first, of a table on the page; of a wider one the rest goes below."""
 
 SECTIONS = (
