@@ -17,8 +17,8 @@ from cvxshear.report.pages import environment
 from cvxshear.typing import Json
 from cvxshear.writing import write_file
 
-MOST_COLUMNS = 4
-"""Beside the first, of a table on the page; of a wider one the rest goes below."""
+MOST_SHAPES = 4
+"""Mode shapes beside each other on the page; more go below."""
 
 SECTIONS = (
     ("stabilization", "stabilization", "Stabilization diagram"),
@@ -108,7 +108,7 @@ def _record(result: ModalResult, place: int) -> Json:
             replace(table, key=f"{table.key}-{place}")
             for part in parts
             if isinstance(part, Table)
-            for table in part.folded(MOST_COLUMNS)
+            for table in (part.folded(MOST_SHAPES) if part.key == "identified-shapes" else (part,))
         ],
         "findings": [{"kind": finding.kind, "message": finding.message} for finding in result.findings],
     }
