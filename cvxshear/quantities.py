@@ -25,6 +25,12 @@ PLAIN = (1e-4, 1e6)
 
 MOST_DECIMALS = 6
 
+LEAST_PER_FORCE = 0.1
+"""What a flexibility is at least where a larger unit of force makes it so."""
+
+LONG_ROW = 4
+"""Numbers in a row from which on the first and the last are enough."""
+
 EXACT = 1e-9
 """Relative standard deviation of which nobody needs to know."""
 
@@ -85,8 +91,8 @@ AUTOMATIC = Units()
 
 
 def exponential(value: float, digits: int = 2) -> str:
-    """A number as a power of ten, with so many significant digits."""
-    return f"{value:.{digits - 1}e}"
+    """A number as a power of ten, with so many significant digits; nothing at all is 0."""
+    return "0" if value == 0 else f"{value:.{digits - 1}e}"
 
 
 def significant(value: float | None, digits: int = 4) -> str:
@@ -122,6 +128,12 @@ def percent(value: float | None, digits: int = 2) -> str:
     return f"{100 * value:.{digits}f} %"
 
 
+def signed(value: float, decimals: int) -> str:
+    """A number with its sign, and without one where it is written as nothing."""
+    shown = f"{value:+.{decimals}f}"
+    return shown[1:] if not shown.strip("+-0.") else shown
+
+
 def percents(values: Sequence[float | None], *, sign: bool = False) -> list[str]:
     """Ratios as percent in one format, with decimals enough for two digits of the largest."""
     sizes = [abs(100 * value) for value in values if value is not None and math.isfinite(value)]
@@ -129,7 +141,7 @@ def percents(values: Sequence[float | None], *, sign: bool = False) -> list[str]
     digits = 2 if largest == 0 else min(max(2, 1 - math.floor(math.log10(largest))), MOST_DECIMALS)
     if not sign:
         return [percent(value, digits) for value in values]
-    return ["–" if value is None or math.isnan(value) else f"{100 * value:+.{digits}f} %" for value in values]
+    return ["–" if value is None or math.isnan(value) else f"{signed(100 * value, digits)} %" for value in values]
 
 
 def probability(value: float | None) -> str:
@@ -137,6 +149,12 @@ def probability(value: float | None) -> str:
     if value is None:
         return "–"
     return "< 1e-9" if value < 1e-9 else f"{value:.2g}"
+
+
+def equals(value: float) -> str:
+    """A p-value as it stands in a sentence: "p = 0.012", "p < 1e-9"."""
+    shown = probability(value)
+    return f"p {shown}" if shown.startswith("<") else f"p = {shown}"
 
 
 def chance(value: float) -> str:
@@ -166,15 +184,50 @@ def with_std(value: float | None, std: float | None, unit: str = "", factor: flo
         return f"{significant(value, 5)} {unit}".strip()
     std = std / factor
     largest = max(abs(value), std)
-    if abs(value) >= PLAIN[1] or largest < 1e-3:
+    if abs(value) >= PLAIN[1] or largest < PLAIN[0]:
         power = math.floor(math.log10(largest))
         return f"({_to_digits(value / 10.0**power, std / 10.0**power)})e{power:+03d} {unit}".strip()
     return f"{_to_digits(value, std)} {unit}".strip()
 
 
+def per_force(value: float, std: float | None, unit: str) -> str:
+    """A flexibility ± its standard deviation, by as many newtons as make the number easy to read: "1.4 rad/(MN m)".
+
+    Parameters
+    ----------
+    value, std : float
+    unit : str
+        With N below its line, such as "m/N" or "rad/(N m)".
+    """
+    factor, prefix = next(
+        ((factor, prefix) for factor, prefix in reversed(PREFIXES) if abs(value) * factor >= LEAST_PER_FORCE),
+        PREFIXES[0],
+    )
+    above, line, below = unit.partition("/")
+    unit = f"{above}{line}{below.replace('N', f'{prefix}N', 1)}"
+    return with_std(value * factor, None if std is None else std * factor, unit, 1.0)
+
+
 def _to_digits(value: float, std: float) -> str:
     decimals = max(0, 1 - math.floor(math.log10(std)))
     return f"{value:.{decimals}f} ± {std:.{decimals}f}"
+
+
+def with_stds(values: Sequence[float], stds: Sequence[float]) -> list[str]:
+    """value ± std, each, in one format; the values alone where none is.
+
+    With two digits of the largest standard deviation, and one of the smallest.
+    """
+    known = [std for std in stds if math.isfinite(std) and std > 0]
+    if known:
+        two, one = 1 - math.floor(math.log10(max(known))), -math.floor(math.log10(min(known)))
+    decimals = min(max(two, one, 0), MOST_DECIMALS) if known else MOST_DECIMALS - 2
+    return [
+        "–" if math.isnan(value)
+        else f"{value:.{decimals}f} ± {std:.{decimals}f}" if math.isfinite(std) and std > 0
+        else f"{value:.{decimals}f}"
+        for value, std in zip(values, stds, strict=True)
+    ]  # fmt: skip
 
 
 def fitting(values: Iterable[float], unit: str) -> tuple[float, str]:
@@ -199,6 +252,17 @@ def counted(number: int, noun: str) -> str:
     if number == 1:
         return f"1 {noun}"
     return f"{number} {noun.removesuffix('y')}ies" if noun.endswith("y") else f"{number} {noun}s"
+
+
+def ranged(numbers: Sequence[int]) -> str:
+    """Ascending numbers in a row, those of a long row by its ends: "1, 11 to 20"."""
+    rows: list[list[int]] = []
+    for number in numbers:
+        if rows and number == rows[-1][-1] + 1:
+            rows[-1].append(number)
+        else:
+            rows.append([number])
+    return ", ".join(f"{row[0]} to {row[-1]}" if len(row) >= LONG_ROW else ", ".join(map(str, row)) for row in rows)
 
 
 def capital(text: str) -> str:

@@ -9,6 +9,7 @@ sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
 
 project = "cvxshear"
 author = "the cvxshear developers"
+project_copyright = f"{author}; Apache-2.0"
 release = cvxshear.__version__
 version = release
 

@@ -189,11 +189,14 @@ def test_the_derivative_of_a_soft_prior(prior):
 
 DESCRIPTIONS = [
     (Bounds("floor_mass", lower=2.0), "floor_mass at least 2 kg"),
-    (Bounds("story_stiffness", upper=[3e6, 2.5e6]), "story_stiffness at most [3e+06, 2.5e+06] N/m"),
+    (Bounds("story_stiffness", upper=[3e6, 2.5e6]), "story_stiffness at most [3000, 2500] kN/m"),
     (Bounds("floor_mass", lower=2, upper=[3, 4]), "floor_mass at least 2 kg and at most [3, 4] kg"),
     (Ratio("floor_mass", of=2, to=1, value=1.5), "floor_mass 2 is 1.5 times floor_mass 1"),
     (Ratio("floor_mass", of=2, to=1, value=1.5, std=0.02), "floor_mass 2 is 1.5 times floor_mass 1 within 2 %"),
-    (Value("story_stiffness", at=1, value=2e4), "story_stiffness 1 is 20000 N/m"),
+    (Value("story_stiffness", at=1, value=2e4), "story_stiffness 1 is 20 kN/m"),
+    (Value("story_stiffness", at=1, value=1.155e8), "story_stiffness 1 is 115.5 MN/m"),
+    (Value("floor_mass", at=2, value=21.02e3), "floor_mass 2 is 21.02 t"),
+    (Ratio("floor_mass", of=2, to=1, value=1.0, std=0.04), "floor_mass 2 is equal to floor_mass 1 within 4 %"),
     (Value("floor_mass", at=1, value=9.5, std=0.005), "floor_mass 1 is 9.5 kg within 0.5 %"),
     (Nominal("floor_mass", [9.0, 7.5]), "floor_mass is [9, 7.5] kg"),
     (

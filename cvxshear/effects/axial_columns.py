@@ -9,7 +9,7 @@ import numpy as np
 from cvxshear.effects.base import Effect, Parameter, Place
 from cvxshear.effects.flexibility import add_flexibility
 from cvxshear.effects.state import Scale, State
-from cvxshear.quantities import with_std
+from cvxshear.quantities import per_force
 from cvxshear.typing import Floats
 
 
@@ -46,7 +46,7 @@ class AxialColumns(Effect):
     def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
         share = values[0] * chord_drift(of.heights)[-1, -1] / of.sway
         return (
-            f"columns that stretch and shorten (1/EI = {with_std(values[0], std[0], units[0])}, "
+            f"columns that stretch and shorten (1/EI = {per_force(values[0], std[0], units[0])}, "
             f"{100 * share:.2g} % of the sway of the top)"
         )
 

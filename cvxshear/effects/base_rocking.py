@@ -9,7 +9,7 @@ import numpy as np
 from cvxshear.effects.base import Effect, Parameter, Place
 from cvxshear.effects.flexibility import add_flexibility
 from cvxshear.effects.state import Scale, State
-from cvxshear.quantities import with_std
+from cvxshear.quantities import per_force
 from cvxshear.typing import Floats
 
 
@@ -44,6 +44,6 @@ class BaseRocking(Effect):
     def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
         share = values[0] * of.elevations[-1] ** 2 / of.sway
         return (
-            f"a base that turns (1/k_theta = {with_std(values[0], std[0], units[0])}, "
+            f"a base that turns (1/k_theta = {per_force(values[0], std[0], units[0])}, "
             f"{100 * share:.2g} % of the sway of the top)"
         )

@@ -10,6 +10,7 @@ import numpy as np
 from cvxshear import checks
 from cvxshear.errors import InputError
 from cvxshear.formats.stamps import rate_within_rounding, rounding_of
+from cvxshear.quantities import counted
 from cvxshear.typing import Floats, Ints
 
 FEWEST_ROWS = 32
@@ -144,5 +145,5 @@ def _refuse_uneven(steps: Floats, step: float, odd: Ints, columns: Columns, name
         )
     raise InputError(
         f'{columns.at(first + 1)}: channel "{name}" has a gap of {steps[first]:g} s where the step is {step:g} s '
-        f"({odd.size} uneven steps in all); hand in what lies before and after as two runs"
+        f"({counted(int(odd.size), 'uneven step')} in all); hand in what lies before and after as two runs"
     )

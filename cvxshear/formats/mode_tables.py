@@ -5,6 +5,7 @@ A table has one row a mode and a header that names its columns:
     mode; frequency, Hz; damping; frequency std; floor 1; floor 2; floor 3; floor 1 std; ...
 
 Only the frequency and one floor at least must be there; an empty cell of a shape is an entry that was not measured.
+Shapes that carry the scale say so by their unit, "floor 1, 1/sqrt(kg)".
 """
 
 from __future__ import annotations
@@ -195,7 +196,7 @@ def _modes_of(rows: Rows, source: str) -> dict[str, Any]:
     if len(rows) < 2:
         raise InputError(f"{source} holds no modes: a header that names the columns, and a row a mode, are needed")
     header = [str(cell or "") for cell in rows[0][1]]
-    keys, entries, stds = _columns(header, source)
+    keys, entries, stds, scaled = _columns(header, source)
     values = [[_number(cell, number, name, source) for cell, name in zip(row, header, strict=True)]
               for number, row in _padded(rows[1:], len(header), source)]  # fmt: skip
     table = np.array(values)
@@ -203,6 +204,8 @@ def _modes_of(rows: Rows, source: str) -> dict[str, Any]:
         "measured_floors": sorted(entries),
         "mode_shapes": [[row[entries[floor]] for floor in sorted(entries)] for row in values],
     }
+    if scaled:
+        result["mass_normalized"] = True
     if stds:
         lacking = sorted(set(entries) - set(stds))
         if lacking:
@@ -217,14 +220,18 @@ def _modes_of(rows: Rows, source: str) -> dict[str, Any]:
     return result
 
 
-def _columns(header: Sequence[str], source: str) -> tuple[dict[str, int], dict[int, int], dict[int, int]]:
-    """Places of the columns: by key of a configuration, of the entries by floor, of their deviations by floor."""
+def _columns(header: Sequence[str], source: str) -> tuple[dict[str, int], dict[int, int], dict[int, int], bool]:
+    """Places of the columns: by key of a configuration, of the entries by floor, of their deviations by floor.
+
+    Last, whether the entries' unit is 1/sqrt(kg).
+    """
+    scaled: set[bool] = set()
     keys: dict[str, int] = {}
     entries: dict[int, int] = {}
     stds: dict[int, int] = {}
     for place, name in enumerate(header):
         plain = " ".join(re.sub(r"[^a-z0-9%]+", " ", name.lower()).split())
-        floor = re.fullmatch(r"floor ?(\d+)( std)?", plain)
+        floor = re.fullmatch(r"floor ?(\d+)( std)?( 1 (?:sqrt )?kg)?", plain)
         if plain in COLUMNS:
             taken = COLUMNS[plain] in keys
             keys[COLUMNS[plain]] = place
@@ -232,6 +239,7 @@ def _columns(header: Sequence[str], source: str) -> tuple[dict[str, int], dict[i
             several = stds if floor[2] else entries
             taken = int(floor[1]) in several
             several[int(floor[1])] = place
+            scaled |= set() if floor[2] else {floor[3] is not None}
         else:
             raise InputError(
                 f'{source}: column "{name}" is not one of a table of modes: mode, frequency, frequency std, damping, '
@@ -241,7 +249,9 @@ def _columns(header: Sequence[str], source: str) -> tuple[dict[str, int], dict[i
             raise InputError(f'{source}: the column "{name}" is there twice')
     if "frequencies" not in keys or not entries:
         raise InputError(f'{source} needs a column "frequency" and one "floor 1", "floor 2", ... a measured floor')
-    return keys, entries, stds
+    if len(scaled) > 1:
+        raise InputError(f"{source}: some floors are in 1/sqrt(kg), others have no unit; give all of them the same")
+    return keys, entries, stds, True in scaled
 
 
 def _padded(rows: Rows, width: int, source: str) -> Rows:

@@ -22,7 +22,7 @@ HEAD = """\
 
 [frame]
 stories = {stories}
-total_mass = {total}  # kg, all floors without added mass; not needed with two different added masses
+{total}
 # story_heights = {heights}  # m, one number or one a story; effects such as gravity need them
 # floor_masses = {masses}  # kg, where they are known, in place of total_mass
 # reference = "bare"  # the state that is the frame itself
@@ -35,6 +35,15 @@ name = "bare"
 frequency_std = 0.002  # relative: how much repeated tests scatter
 mode_shape_std = 0.01  # of an entry, relative to the largest of its mode
 """
+
+TOTAL = "total_mass = {total}  # kg, all floors without added mass; not needed with two different added masses"
+"""The line that a new file has where its modes are made up."""
+
+TO_FILL_IN = """\
+total_mass = 1.0  # kg, all floors without added mass: FILL IN, or give two configurations with different added masses;
+# {file} does not tell how heavy the frame is, and with 1 kg masses and stiffnesses come out per kilogram of it"""
+
+CARRIED = "# total_mass is not needed: the shapes carry the scale, 1/sqrt(kg)"
 
 LISTS = """\
 # measured_floors = {floors}  # where sensors stood, where it is not every floor
@@ -70,7 +79,7 @@ def template(stories: int = 3) -> str:
         frequencies=_listed(frequencies, ".4f"),
         rows="\n".join(f"    {_listed(shape, '.4f')}," for shape in shapes),
     )
-    return _filled(lists, stories)
+    return _filled(lists, stories, TOTAL)
 
 
 def template_from(modes: str | Path, folder: str | Path = ".") -> str:
@@ -99,18 +108,19 @@ def template_from(modes: str | Path, folder: str | Path = ".") -> str:
     found = READERS[key](modes)
     name = os.path.relpath(modes, folder)
     quoted = name.replace("\\", "/").replace('"', '\\"')
-    text = _filled(f'{key} = "{quoted}"  # frequencies and mode shapes', max(found["measured_floors"]))
+    total = CARRIED if found.get("mass_normalized") else TO_FILL_IN.replace("{file}", Path(modes).name)
+    text = _filled(f'{key} = "{quoted}"  # frequencies and mode shapes', max(found["measured_floors"]), total)
     for given in ("frequency_std", "mode_shape_std"):
         # What the table says itself need not be said here.
         text = text.replace(f"\n{given} =", f"\n# {given} =") if given in found else text
     return text
 
 
-def _filled(modes: str, stories: int) -> str:
+def _filled(modes: str, stories: int, total: str) -> str:
     return (
         HEAD.format(
             stories=stories,
-            total=f"{10.0 * stories:.1f}",
+            total=total.replace("{total}", f"{10.0 * stories:.1f}"),
             heights=_listed(np.full(stories, 3.0), ".1f"),
             masses=_listed(np.full(stories, 10.0), ".1f"),
             added=_listed(np.zeros(stories), ".1f"),

@@ -15,6 +15,7 @@ from cvxshear.identification.quality import quality
 from cvxshear.identification.results import IdentifiedFrame, SingleIdentification, predictions
 from cvxshear.programs.feasibility import NamedConstraints
 from cvxshear.programs.rows import statements
+from cvxshear.quantities import ranged
 from cvxshear.typing import Floats
 
 SMALLEST = 1e-3
@@ -105,7 +106,7 @@ def complete_test(
 
 
 def _listed(what: str, numbers: list[int]) -> str:
-    return f"{what} {numbers[0]} is" if len(numbers) == 1 else f"{what}s {', '.join(map(str, numbers))} are"
+    return f"{what} {numbers[0]} is" if len(numbers) == 1 else f"{what}s {ranged(numbers)} are"
 
 
 def start_mass(of: CompleteTest, initial: Floats | None) -> Floats:

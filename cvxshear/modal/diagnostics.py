@@ -13,6 +13,7 @@ from cvxshear.modal.estimate import Details, Replication
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.record import FrfRecord, Record
 from cvxshear.modal.result import ModalResult
+from cvxshear.quantities import ranged, significant
 from cvxshear.typing import Floats
 
 OF_CHANNELS = ("dead channel", "clipped channel", "held samples", "drift", "aliasing")
@@ -24,6 +25,7 @@ COMPLEX = 5.0
 """Degrees of phase lost in a real normal mode that are worth a word."""
 UNRECIPROCAL = 0.02
 """Relative; sensors and hammers are hardly calibrated better."""
+OTHER = "not a sway mode that the frame still lacks: torsion, another axis, a local or split mode"
 FEWEST_PERIODS = 500
 """Of the lowest mode in an ambient record: the usual advice is 1000 to 2000 (Brincker and Ventura 2015)."""
 
@@ -35,9 +37,10 @@ def modal_findings(
     full: Details,
     lost: int,
     *,
+    wanted: int,
     accept_swapped: bool,
 ) -> list[Finding]:
-    """Everything the modes say about the record they came from.
+    """Everything the modes say about the record they came from; `wanted` is how many modes were asked for.
 
     Raises
     ------
@@ -52,7 +55,7 @@ def modal_findings(
     found += resolution_findings(record, result)
     found += reciprocity_findings(full, setting)
     found += amplitude_findings(setting, result)
-    found += _mode_findings(record, result, setting)
+    found += _mode_findings(record, result, setting, wanted)
     if lost:
         found.append(
             Finding(
@@ -85,8 +88,8 @@ def clock_findings(result: ModalResult, full: Details) -> list[Finding]:
             Finding(
                 "clock offset",
                 f'the clock of "{name}" is {abs(late) * 1e3:.2f} ms {"late" if late > 0 else "early"} '
-                f'(std {std * 1e3:.2f} ms) against that of "{names[full.clocks.reference]}": a phase of {turn:.1f} '
-                f"degrees at the highest mode{phases}",
+                f'(std {significant(std * 1e3, 2)} ms) against that of "{names[full.clocks.reference]}": '
+                f"a phase of {turn:.1f} degrees at the highest mode{phases}",
                 {"channel": name, "seconds": late, "std": std, "turn_degrees": turn, "left_degrees": left},
             )
         )
@@ -183,8 +186,8 @@ def reciprocity_findings(full: Details, setting: Replication) -> list[Finding]:
                     "reciprocity",
                     f"force at floor {low}, response at floor {high}, and the reverse differ by up to "
                     f"{100 * each.max():.1f} % (mode {worst + 1}; {100 * ratio:.1f} % over all modes, phase included): "
-                    "a calibration or a driving point is off by that much, and so are masses that rest on it; the standard "
-                    "deviations of the shapes allow for it",
+                    "a calibration or a driving point is off by that much, and so are masses that rest on it; the "
+                    "standard deviations of the shapes allow for it",
                     {
                         "floors": [low, high],
                         "largest": float(each.max()),
@@ -196,16 +199,19 @@ def reciprocity_findings(full: Details, setting: Replication) -> list[Finding]:
     return found
 
 
-def _mode_findings(record: Record, result: ModalResult, setting: Replication) -> list[Finding]:
+def _mode_findings(record: Record, result: ModalResult, setting: Replication, wanted: int) -> list[Finding]:
     found = []
     sweep = setting.sweep
     by_signs = len(record.channels) == record.stories > 1
+    # Fewer than there are stories, by a count or picked by hand, and all of them found.
+    asked = len(sweep.chosen) == wanted < record.stories
     if by_signs and len(sweep.chosen) < record.stories:
         absent = sorted(set(range(1, record.stories + 1)) - {int(mode) for mode in result.modes})
         found.append(
             Finding(
                 "missing mode",
-                f"mode {', '.join(map(str, absent))} of {record.stories} was not found in the record",
+                f"{_modes(absent)} of {record.stories} {'was' if len(absent) == 1 else 'were'} "
+                + ("not asked for" if asked else "not found in the record"),
                 {"modes": absent},
             )
         )
@@ -221,8 +227,8 @@ def _mode_findings(record: Record, result: ModalResult, setting: Replication) ->
     found.extend(
         Finding(
             "other mode",
-            f"{item.frequency:.3f} Hz is stable as well, with {100 * item.energy:.2g} % of the energy, and is not a "
-            "sway mode that the frame still lacks: torsion, another axis, a local or split mode",
+            f"{item.frequency:.3f} Hz is stable as well, with {100 * item.energy:.2g} % of the energy, and is "
+            + ("not among the modes asked for" if asked else OTHER),
             {"frequency": item.frequency, "energy": item.energy},
         )
         for item in sweep.candidates
@@ -238,3 +244,7 @@ def _mode_findings(record: Record, result: ModalResult, setting: Replication) ->
                 )
             )
     return found
+
+
+def _modes(numbers: list[int]) -> str:
+    return f"mode{'' if len(numbers) == 1 else 's'} {ranged(numbers)}"

@@ -161,7 +161,7 @@ def _identified(record: Record, options: Options) -> ModalResult:
             picked=options.pick,
         )
 
-    source, sweep = settled(record, wanted, attempt)
+    source, sweep = settled(record, wanted, attempt, highest=max(options.pick, default=0.0))
     if len(sweep.chosen) < len(options.pick):
         raise InputError(_out_of_reach(sweep, options.pick))
     if not sweep.chosen:
@@ -181,7 +181,9 @@ def _identified(record: Record, options: Options) -> ModalResult:
             break
         setting = dataclasses.replace(setting, sweep=sweep)
     findings += of_leakage
-    findings += diagnostics.modal_findings(record, result, setting, full, lost, accept_swapped=options.accept_swapped)
+    findings += diagnostics.modal_findings(
+        record, result, setting, full, lost, wanted=wanted, accept_swapped=options.accept_swapped
+    )
     findings += overlooked_modes(
         result.frequencies,
         result.modes,

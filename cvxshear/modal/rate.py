@@ -22,7 +22,7 @@ LOWEST_SHARE = 0.1
 Attempt = Callable[[Record], tuple[Source, Sweep]]
 
 
-def settled(record: Record, wanted: int, attempt: Attempt) -> tuple[Source, Sweep]:
+def settled(record: Record, wanted: int, attempt: Attempt, highest: float = 0.0) -> tuple[Source, Sweep]:
     """The source and sweep at the rate that suits the modes.
 
     Parameters
@@ -32,6 +32,8 @@ def settled(record: Record, wanted: int, attempt: Attempt) -> tuple[Source, Swee
         Number of modes that would be all.
     attempt : callable
         From a record to its source and sweep.
+    highest : float, optional
+        Hz that must stay in sight: the highest mode picked by hand.
 
     Returns
     -------
@@ -43,6 +45,8 @@ def settled(record: Record, wanted: int, attempt: Attempt) -> tuple[Source, Swee
         return best
     for factor in FACTORS:
         band = (0.0, record.sampling_rate / (2.5 * factor))
+        if band[1] < highest:
+            break
         try:
             trial = attempt(dataclasses.replace(record, band=band))
         except (InputError, NoSolutionError):

@@ -15,6 +15,7 @@ import numpy as np
 
 from cvxshear import checks
 from cvxshear.errors import InputError
+from cvxshear.quantities import fitting
 from cvxshear.typing import Floats, Json
 
 QUANTITIES = ("floor_mass", "story_stiffness", "story_damping")
@@ -178,11 +179,12 @@ def check_place(prior: Prior, name: str, stories: int = checks.MOST_STORIES) -> 
     set_field(prior, name, checks.whole(getattr(prior, name), where, least=1, most=stories))
 
 
-def listed(value: float | Floats) -> str:
-    """A number or a list of numbers, on one line."""
-    if np.ndim(value) == 0:
-        return f"{float(value):g}"
-    return f"[{', '.join(f'{entry:g}' for entry in np.asarray(value))}]"
+def listed(value: float | Floats, quantity: str) -> str:
+    """A number or a list of numbers on one line, in the unit of the quantity that fits their size."""
+    values = np.ravel(np.asarray(value, dtype=float))
+    factor, unit = fitting(values.tolist(), UNITS[quantity])
+    shown = ", ".join(f"{entry / factor:g}" for entry in values)
+    return f"{shown if np.ndim(value) == 0 else f'[{shown}]'} {unit}"
 
 
 def certainty(std: float | None) -> str:

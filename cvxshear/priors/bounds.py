@@ -9,7 +9,7 @@ import numpy as np
 
 from cvxshear import checks
 from cvxshear.errors import InputError
-from cvxshear.priors.base import UNITS, Constraints, Prior, check_quantity, listed, set_field
+from cvxshear.priors.base import Constraints, Prior, check_quantity, listed, set_field
 from cvxshear.typing import Floats
 
 
@@ -73,7 +73,7 @@ class Bounds(Prior):
     def describe(self) -> str:
         """The statement in words."""
         limits = [
-            f"{word} {listed(value)} {UNITS[self.quantity]}"
+            f"{word} {listed(value, self.quantity)}"
             for word, value in (("at least", self.lower), ("at most", self.upper))
             if value is not None
         ]

@@ -10,7 +10,7 @@ from scipy.linalg import helmert
 
 from cvxshear import checks
 from cvxshear.errors import InputError
-from cvxshear.priors.base import UNITS, Constraints, Prior, certainty, check_quantity, check_std, listed, set_field
+from cvxshear.priors.base import Constraints, Prior, certainty, check_quantity, check_std, listed, set_field
 from cvxshear.typing import Floats
 
 
@@ -80,4 +80,4 @@ class Nominal(Prior):
     def describe(self) -> str:
         """The statement in words."""
         scale = " up to a common factor" if self.free_scale else ""
-        return f"{self.quantity} is {listed(self.values)} {UNITS[self.quantity]}{scale}{certainty(self.std)}"
+        return f"{self.quantity} is {listed(self.values, self.quantity)}{scale}{certainty(self.std)}"

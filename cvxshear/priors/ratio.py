@@ -73,4 +73,5 @@ class Ratio(Prior):
 
     def describe(self) -> str:
         """The statement in words."""
-        return f"{self.quantity} {self.of} is {self.value:g} times {self.quantity} {self.to}{certainty(self.std)}"
+        share = "equal to" if self.value == 1 else f"{self.value:g} times"
+        return f"{self.quantity} {self.of} is {share} {self.quantity} {self.to}{certainty(self.std)}"

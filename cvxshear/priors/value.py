@@ -8,7 +8,16 @@ from typing import ClassVar
 import numpy as np
 
 from cvxshear import checks
-from cvxshear.priors.base import UNITS, Constraints, Prior, certainty, check_place, check_quantity, check_std, set_field
+from cvxshear.priors.base import (
+    Constraints,
+    Prior,
+    certainty,
+    check_place,
+    check_quantity,
+    check_std,
+    listed,
+    set_field,
+)
 from cvxshear.typing import Floats
 
 
@@ -69,4 +78,4 @@ class Value(Prior):
 
     def describe(self) -> str:
         """The statement in words."""
-        return f"{self.quantity} {self.at} is {self.value:g} {UNITS[self.quantity]}{certainty(self.std)}"
+        return f"{self.quantity} {self.at} is {listed(self.value, self.quantity)}{certainty(self.std)}"

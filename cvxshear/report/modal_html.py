@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from markupsafe import Markup
 
 from cvxshear.modal import ModalResult
-from cvxshear.quantities import percent, significant, with_std
 from cvxshear.report.contents import readable_json, versions
+from cvxshear.report.describe import Sentence, Table, describe
 from cvxshear.report.figures import kinds
 from cvxshear.report.figures.output import inline_svg
 from cvxshear.report.pages import environment
 from cvxshear.typing import Json
 from cvxshear.writing import write_file
+
+MOST_SHAPES = 4
+"""Mode shapes beside each other on the page; more go below."""
 
 SECTIONS = (
     ("stabilization", "stabilization", "Stabilization diagram"),
@@ -84,7 +88,7 @@ def _figures(results: Sequence[ModalResult]) -> dict[str, Markup]:
 def _contents(results: Sequence[ModalResult], command: str, failed: Sequence[str]) -> Json:
     return {
         "title": ", ".join(result.name for result in results),
-        "records": [_record(result) for result in results],
+        "records": [_record(result, place) for place, result in enumerate(results, 1)],
         "failed": list(failed),
         "sections": SECTIONS,
         "captions": CAPTIONS,
@@ -95,28 +99,16 @@ def _contents(results: Sequence[ModalResult], command: str, failed: Sequence[str
     }
 
 
-def _record(result: ModalResult) -> Json:
+def _record(result: ModalResult, place: int) -> Json:
+    parts = describe(result)["modes"].parts
     return {
         "name": result.name,
-        "method": result.method,
-        "uncertainty": result.uncertainty,
-        "scale": "1/√kg" if result.mass_normalized else "the largest entry is 1",
-        "floors": result.floors.tolist(),
-        "rows": [_mode(result, row) for row in range(len(result.frequencies))],
-        "findings": [{"kind": finding.kind, "message": finding.message} for finding in result.findings],
-    }
-
-
-def _mode(result: ModalResult, row: int) -> Json:
-    frequency, damping = float(result.frequencies[row]), float(result.damping_ratios[row])
-    largest = float(abs(result.mode_shapes[row]).max())
-    return {
-        "mode": int(result.modes[row]),
-        "frequency": with_std(frequency, frequency * float(result.frequency_std[row])),
-        "damping": percent(damping, 3),
-        "shape": [
-            with_std(float(entry), float(std) * largest)
-            for entry, std in zip(result.mode_shapes[row], result.mode_shape_std[row], strict=True)
+        "how": next(part.text for part in parts if isinstance(part, Sentence)),
+        "tables": [
+            replace(table, key=f"{table.key}-{place}")
+            for part in parts
+            if isinstance(part, Table)
+            for table in (part.folded(MOST_SHAPES) if part.key == "identified-shapes" else (part,))
         ],
-        "collinearity": significant(float(result.phase_collinearity[row])),
+        "findings": [{"kind": finding.kind, "message": finding.message} for finding in result.findings],
     }

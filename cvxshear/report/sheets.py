@@ -17,6 +17,7 @@ from cvxshear.experiment import Experiment
 from cvxshear.identification import Identification
 from cvxshear.loop import Closure
 from cvxshear.modal import ModalResult
+from cvxshear.report.describe.errors import ERRORS
 from cvxshear.typing import Json
 from cvxshear.writing import write_file
 
@@ -63,7 +64,10 @@ def sheets_of_identification(result: Identification) -> list[Sheet]:
 def sheets_of_closure(result: Closure) -> list[Sheet]:
     """The identified frame, the effects added, the errors before and after, and the modes."""
     said = result.to_dict()
-    errors: list[tuple[Cell, ...]] = [(key, said["before"][key], said["after"][key]) for key in said["before"]]
+    words = {key: label for key, label, _ in ERRORS}
+    errors: list[tuple[Cell, ...]] = [
+        (words.get(key, _words(key)), said["before"][key], said["after"][key]) for key in said["before"]
+    ]
     return [
         Sheet("frame", FRAME, list(_frame_rows(said["frame"]))),
         Sheet("effects", ("effect", "floor", "story", "configuration", "parameter", "value", "std"), _effects(said)),
@@ -132,7 +136,9 @@ def load_openpyxl() -> Any:
 def _modes(result: ModalResult) -> Sheet:
     floors = result.floors.tolist()
     header = ["mode", "frequency, Hz", "frequency std", "damping"]
-    header += [f"floor {floor}" for floor in floors] + [f"floor {floor} std" for floor in floors]
+    # The unit is the scale: who reads the table again need not ask how heavy the frame is.
+    unit = ", 1/sqrt(kg)" if result.mass_normalized else ""
+    header += [f"floor {floor}{unit}" for floor in floors] + [f"floor {floor} std" for floor in floors]
     rows = [
         (
             int(mode),
@@ -165,7 +171,17 @@ def _frequencies(experiment: Experiment, predictions: Sequence[Json]) -> Sheet:
 
 def _effects(said: Json) -> list[tuple[Cell, ...]]:
     return [
-        (found["name"], found["floor"], found["story"], found["configuration"], name, value, found["std"][name])
+        (
+            _words(found["name"]),
+            *(found[key] for key in ("floor", "story", "configuration")),
+            _words(name),
+            value,
+            found["std"][name],
+        )
         for found in said["effects"]
         for name, value in found["parameters"].items()
     ]
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")

@@ -8,6 +8,7 @@ import numpy as np
 
 from cvxshear.errors import InputError
 from cvxshear.experiment import Configuration, Experiment
+from cvxshear.quantities import ranged
 from cvxshear.typing import Bools, Floats
 
 DEFAULT_STD = 0.2
@@ -41,7 +42,7 @@ class Ratios:
         """What is taken for known and was not measured, in words."""
         said = []
         if not self.measured.all():
-            names = ", ".join(str(j + 1) for j in np.flatnonzero(~self.measured))
+            names = ranged([int(j) + 1 for j in np.flatnonzero(~self.measured)])
             said.append(
                 f"no damping ratio was measured of mode{'s' if (~self.measured).sum() > 1 else ''} {names}: the mean "
                 f"of the others is taken, {100 * self.values[~self.measured][0]:.2g} % of critical within "

@@ -131,7 +131,9 @@ def run_page(page: Path) -> dict[str, str]:
         try:
             with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
                 if block.language == "python":
-                    run_python(block, namespace, page)
+                    # What the gallery shows is pasted piece by piece.
+                    fresh = {"__name__": "__main__"} if page.parent.name == "gallery" else namespace
+                    run_python(block, fresh, page)
                     printed[str(block.line)] = out.getvalue()
                 elif block.language == "console" and block.runs:
                     for place, (command, _) in enumerate(commands(block)):

@@ -75,3 +75,14 @@ def test_the_public_face_is_in_the_reference(site):
         "QUANTITIES",
         "UNITS",
     } <= documented
+
+
+def test_every_figure_is_in_the_reference(site):
+    figures = pytest.importorskip("cvxshear.report.figures")
+    page = (site / "api" / "figures.html").read_text()
+    assert [name for name in figures.__all__ if f'id="cvxshear.report.figures.{name}"' not in page] == []
+
+
+def test_the_footer_says_whose_it_is(site):
+    text = re.sub(r"<[^>]+>|\s+", " ", (site / "index.html").read_text())
+    assert re.search(r"Copyright (©|&#169;|&copy;) +the cvxshear developers; Apache-2.0", text)

@@ -6,6 +6,7 @@ import csv
 
 import numpy as np
 import pytest
+from scipy import linalg
 
 import cvxshear
 from cvxshear.errors import InputError
@@ -127,6 +128,9 @@ def test_a_closure_as_a_workbook(tmp_path):
     write_xlsx(tmp_path / "loop.xlsx", sheets_of_closure(closure))
     book = openpyxl.load_workbook(tmp_path / "loop.xlsx")
     assert book.sheetnames == ["frame", "effects", "errors", "modes"]
+    assert [row[0] for row in book["errors"].iter_rows(values_only=True)][1] == "largest frequency error"
+    written = [cell for name in ("effects", "errors") for row in book[name].iter_rows(values_only=True) for cell in row]
+    assert not [cell for cell in written if isinstance(cell, str) and "_" in cell]
     rows = list(book["modes"].iter_rows(values_only=True))
     errors = [abs(row[4]) for row in rows[1:]]
     assert max(errors) == pytest.approx(closure.to_dict()["after"]["max_frequency_error"], rel=1e-6)
@@ -149,6 +153,31 @@ def test_a_new_file_from_a_table(tmp_path):
     check(cvxshear.load(path))
     with pytest.raises(InputError, match=r"modes are read from files that end in \.csv"):
         template_from(tmp_path / "modes.doc")
+
+
+@pytest.mark.parametrize("write", [write_csv, write_xlsx])
+def test_the_scale_goes_out_and_comes_in(tmp_path, write):
+    """Mass-normalized modes give the masses of the frame that made them, with no total declared on the way."""
+    pytest.importorskip("openpyxl")
+    masses, stiffnesses = np.array([12.7, 18.6]), np.array([26e3, 25e3])
+    stiffness = np.array([[stiffnesses.sum(), -stiffnesses[1]], [-stiffnesses[1], stiffnesses[1]]])
+    squares, shapes = linalg.eigh(stiffness, np.diag(masses))
+    modes = from_arrays(np.sqrt(squares) / (2 * np.pi), shapes.T, mass_normalized=True)
+    table = tmp_path / f"modes.{'csv' if write is write_csv else 'xlsx'}"
+    write(table, sheets_of_modes([modes]))
+    path = tmp_path / "new.toml"
+    path.write_text(template_from(table, tmp_path))
+    np.testing.assert_allclose(cvxshear.identify(cvxshear.load(path)).frame.floor_mass, masses, rtol=1e-6)
+
+
+def test_a_scale_that_is_not_known_is_to_be_filled_in(tmp_path):
+    (tmp_path / "modes.csv").write_text(PLAIN)
+    text = template_from(tmp_path / "modes.csv", tmp_path)
+    assert "total_mass = 1.0  # kg, all floors without added mass: FILL IN" in text
+    assert "modes.csv does not tell how heavy the frame is" in text
+    (tmp_path / "modes.csv").write_text(PLAIN.replace("floor 1", '"floor 1, 1/sqrt(kg)"'))
+    with pytest.raises(InputError, match="some floors are in 1/sqrt"):
+        template_from(tmp_path / "modes.csv", tmp_path)
 
 
 def test_the_command_prints_or_writes_and_never_replaces(tmp_path, capsys):

@@ -97,6 +97,21 @@ def test_modes_picked_by_hand():
             identify_modes(record, pick=pick, count=count)
 
 
+def test_a_mode_left_out_by_hand_is_not_called_missing():
+    record = hammer_record(PAPER_FRAME, 1, noise=0.005, hits=2)
+    for options, absent in (({"pick": [1.03, 3.28]}, 2), ({"count": 2}, 3)):
+        said = {finding.kind: finding.message for finding in identify_modes(record, **options).findings}
+        assert said["missing mode"] == f"mode {absent} of 3 was not asked for"
+        assert said["other mode"].endswith("is not among the modes asked for")
+
+
+def test_poles_out_of_reach_are_told_up_to_the_frequency_asked_for():
+    """The first mode and one that is not there: the record is not decimated until the third is out of sight."""
+    record = shaker_record(PAPER_FRAME, 0, noise=0.01, floor=3, duration=120.0, sampling_rate=64.0)
+    with pytest.raises(InputError, match=r"no stable pole of its own within 3 % of 20 Hz; there are .*3\.28"):
+        identify_modes(record, pick=[1.03, 20.0])
+
+
 def test_what_was_not_kept_is_said():
     with pytest.raises(InputError, match="holds no functions"):
         synthesized(from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]]))

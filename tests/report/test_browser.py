@@ -13,10 +13,14 @@ import pytest
 import cvxshear
 from cvxshear import backends
 from cvxshear.identification.efficient import efficient
+from cvxshear.modal import identify_modes
 from cvxshear.modal.motion import Drive, Motion
+from cvxshear.modal.simulate import PAPER_FRAME, base_record, hammer_record
 from cvxshear.report.describe import describe
 from cvxshear.report.html import write_prediction_report, write_report
+from cvxshear.report.modal_html import write_modal_report
 from cvxshear.response import predict
+from tests.report.test_modal_figures import twenty_modes
 from tests.response.common import damped_frame, declared, shaking
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
@@ -56,6 +60,11 @@ def reports(paper, eight, unexplained, comparison, tmp_path_factory):
     results = {"paper": paper, "eight": eight, "unexplained": unexplained}
     for name, result in results.items():
         write_report(result, folder / f"{name}.html", f"cvxshear loop {name}.toml", comparison)
+    base = base_record(PAPER_FRAME, 0, noise=0.01, duration=240.0)
+    records = (hammer_record(PAPER_FRAME, 0, noise=0.01, hits=2), base)
+    modes = [identify_modes(record, functions=True) for record in records]
+    write_modal_report(modes, folder / "modes.html", "cvxshear modes a.toml b.toml")
+    write_modal_report([twenty_modes(modes[0].sweep)], folder / "tall.html", "cvxshear modes c.toml")
     return folder, results
 
 
@@ -131,6 +140,24 @@ def test_a_prediction_does_not_run_over_its_edge(browser, tmp_path, viewport):
     assert all(drawing.bounding_box()["height"] > 50 for drawing in drawings)
     assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
     page.close()
+
+
+@pytest.mark.parametrize(("name", "figures"), [("modes", 5), ("tall", 3)])
+@pytest.mark.parametrize("viewport", [DESKTOP, PHONE], ids=["desktop", "phone"])
+def test_the_report_of_modes_does_not_run_over_its_edge_and_can_be_read(opened, name, figures, viewport):
+    page = opened(name, viewport)
+    drawings = page.query_selector_all(".drawing > svg")
+    assert len(drawings) == figures
+    for drawing in drawings:
+        shown, natural = drawing.bounding_box()["width"], float(drawing.get_attribute("width"))
+        # The smallest letters are 6.5 points of a drawing of natural width, which is 1.4 pixels a point.
+        assert 0.85 * natural <= shown <= natural
+    assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+    ids = page.evaluate("[...document.querySelectorAll('[id]')].map(each => each.id)")
+    assert len(set(ids)) == len(ids)
+    if viewport is DESKTOP:
+        for table in page.query_selector_all(".scroll"):
+            assert table.evaluate("each => each.scrollWidth <= each.clientWidth")
 
 
 def test_modes_are_set_in_motion_and_stopped(opened):

@@ -1,6 +1,7 @@
 """One description of a result: what it says, and that terminal, prompt, page and notebook show the same of it."""
 
 import dataclasses
+import math
 import sys
 
 import numpy as np
@@ -12,13 +13,28 @@ from cvxshear.errors import InputError
 from cvxshear.identification.ending import Ending
 from cvxshear.identification.results import IdentifiedFrame
 from cvxshear.loop.posterior import Rival
-from cvxshear.quantities import Units, chance, percent, percents, significant, significants, with_std
+from cvxshear.quantities import (
+    Units,
+    chance,
+    equals,
+    per_force,
+    percent,
+    percents,
+    ranged,
+    signed,
+    significant,
+    significants,
+    with_std,
+    with_stds,
+)
 from cvxshear.report import terminal
 from cvxshear.report.describe import describe
+from cvxshear.report.describe.frame import frame_table
 from cvxshear.report.describe.headline import change_in_words, headline
-from cvxshear.report.describe.vocabulary import Table
+from cvxshear.report.describe.parameters import in_words
+from cvxshear.report.describe.vocabulary import Table, plain_rows
 from cvxshear.report.house_table import plain_table
-from tests.report.conftest import NASTY
+from tests.report.conftest import NASTY, experiment
 
 EVERY = ["paper", "eight", "unexplained", "twenty", "nine", "ambiguous"]
 
@@ -220,11 +236,23 @@ def test_quantities_have_units_that_fit_their_size():
     assert with_std(18_500.0, 120.0, "kg") == "18.50 ± 0.12 t"
     assert with_std(3.01, 0.03, "kg") == "3.010 ± 0.030 kg"
     assert with_std(4.1e6, 2e4, "N/m") == "4100 ± 20 kN/m"
+    assert per_force(1.7e-11, 3e-12, "rad/(N m)") == "0.0170 ± 0.0030 rad/(GN m)"
+    assert per_force(2.5e-6, None, "1/(N m2)") == "2.5 1/(MN m2)"
+    assert per_force(3.0, 0.2, "m/N") == "3.00 ± 0.20 m/N"
     assert with_std(1.7e-11, 3e-12, "rad/(N m)") == "(1.70 ± 0.30)e-11 rad/(N m)"
     assert with_std(float("nan"), None, "kg") == "not determined"
     assert with_std(6.675, 1e-16, "kg") == "6.675 kg"
     assert percent(1.2e-6) == "< 0.01 %"
     assert percents([0.0001, 0.00002, None, 0.0]) == ["0.010 %", "0.002 %", "–", "0.000 %"]
+    assert percents([0.001, -0.001, -1e-7, 0.0], sign=True) == ["+0.10 %", "-0.10 %", "0.00 %", "0.00 %"]
+    assert [signed(value, 1) for value in (0.04, -0.04, -0.06, 1.0)] == ["0.0", "0.0", "-0.1", "+1.0"]
+    assert [equals(value) for value in (0.0123, 1e-12)] == ["p = 0.012", "p < 1e-9"]
+    assert with_stds([0.5, 1.0, -0.25], [0.0123, 0.0, 0.001]) == ["0.500 ± 0.012", "1.000", "-0.250 ± 0.001"]
+    assert with_stds([1.0, 0.5], [0.01, 0.01]) == ["1.000 ± 0.010", "0.500 ± 0.010"]
+    assert with_stds([0.5, math.nan], [math.nan, math.nan]) == ["0.5000", "–"]
+    assert [ranged(row) for row in ([1, 2, 3], [1, 2, 3, 4], [1, 11, 12, 13, 14], [2])] == [
+        "1, 2, 3", "1 to 4", "1, 11 to 14", "2",
+    ]  # fmt: skip
     assert significants([160.94, 9.97, None]) == ["160.9", "10.0", "–"]
     assert [significant(value, 2) for value in (110.0, 3.75, 1e-7)] == ["110", "3.8", "1.0e-07"]
     assert [chance(value) for value in (0.0, 0.218, 0.9986, 1.0)] == ["< 0.1 %", "21.8 %", "99.9 %", "> 99.9 %"]
@@ -278,3 +306,46 @@ def test_masses_in_tonnes_are_told_so(paper):
     first = table(describe(dataclasses.replace(found, parts=parts)), "identified-1")
     assert first.head == ("floor / story", "mass, t", "stiffness, MN/m")
     assert [float(row.cells[1]) for row in first.rows] == pytest.approx(paper.frame.floor_mass[::-1], rel=1e-3)
+
+
+def test_parameters_are_said_in_words():
+    stories = [f"story_stiffness {place}" for place in range(1, 6)]
+    assert in_words([*stories, "floor_mass 2"]) == "story stiffnesses 1 to 5 and floor mass 2"
+    assert in_words(["floor_mass 3", "floor_mass 1", "gravity"]) == "floor masses 1, 3 and gravity"
+
+
+def test_what_is_held_fast_has_one_format_in_its_column():
+    """Masses that are declared beside a stiffness that is not, and a value that nothing determines."""
+    frame = IdentifiedFrame(
+        np.array([21020.0, 20612.0, 21224.0]),
+        np.array([120e6, 98.3e6, math.nan]),
+        np.zeros(3),
+        np.array([9.5e6, 0.0, math.nan]),
+    )
+    rows = frame_table(frame, "", Units()).rows
+    assert [row.cells[1] for row in rows] == ["21.224", "20.612", "21.020"]
+    assert [row.cells[2] for row in rows] == ["not determined", "98.3", "120.0 ± 9.5"]
+
+
+def test_where_mass_was_added_is_told_in_the_unit_of_the_frame():
+    declared = experiment(None, 6, 2)
+    for each, added in zip(declared["configuration"], ([0.0] * 6, [0.0, 0.0, 500.0, 0.0, 0.0, 0.0]), strict=True):
+        each["added_mass"] = added
+    declared["frame"]["total_mass"] = 106.5e3
+    rows = table(describe(cvxshear.Experiment.from_dict(declared)), "tests").rows
+    assert [row.cells[3] for row in rows] == ["none", "0.5 t on floor 3"]
+    for each in declared["configuration"]:
+        del each["mode_shapes"], each["mode_shape_std"], each["measured_floors"]
+    rows = table(describe(cvxshear.Experiment.from_dict(declared)), "tests").rows
+    assert [row.cells[2] for row in rows] == ["none", "none"]
+
+
+def test_a_wide_table_goes_below_itself():
+    wide = Table("k", "title", ("floor", *(f"mode {mode}" for mode in range(1, 8))), plain_rows([list("abcdefgh")]))
+    parts = wide.folded(3)
+    assert [part.head for part in parts] == [
+        ("floor", "mode 1", "mode 2", "mode 3"), ("floor", "mode 4", "mode 5", "mode 6"), ("floor", "mode 7"),
+    ]  # fmt: skip
+    assert [part.rows[0].cells for part in parts] == [tuple("abcd"), tuple("aefg"), tuple("ah")]
+    assert len({part.key for part in parts}) == 3
+    assert wide.folded(7) == (wide,)

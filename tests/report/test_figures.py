@@ -82,6 +82,40 @@ def test_no_text_of_the_other_figures_overlaps_or_is_cut_off(paper, study, six_s
         assert_readable(figure)
 
 
+def test_values_without_deviation_have_one_format_in_a_frame(paper):
+    """The masses of the paper's frame are above and below 10 kg times 1.5, the stiffnesses of one size."""
+    parts = cvxshear.identify(paper.experiment, method="two-stage")
+    for axes in figures.frame(parts).axes:
+        said = [text.get_text() for text in axes.texts]
+        for word in ("story", "floor"):
+            numbers = [text.split()[2] for text in said if text.startswith(word) and ":" in text]
+            assert len(numbers) == 2
+            assert len({len(number.partition(".")[2]) for number in numbers}) == 1, numbers
+        assert not any("±" in text for text in said)
+
+
+def test_a_logarithmic_axis_of_less_than_a_decade_has_numbers(comparison):
+    first = enumerate(comparison.rows[:12])
+    rows = tuple(dataclasses.replace(row, relative_time=1.0 + 0.1 * place) for place, row in first)
+    figure = figures.backend_differences(dataclasses.replace(comparison, rows=rows))
+    assert_readable(figure)
+    axis = figure.axes[1].xaxis
+    low, high = axis.get_view_interval()
+    labels = [
+        tick.label1.get_text()
+        for tick in [*axis.get_major_ticks(), *axis.get_minor_ticks()]
+        if low <= tick.get_loc() <= high and tick.label1.get_text()
+    ]
+    assert len(labels) >= 2
+    assert set(labels) <= {"0.5", "1", "2", "5"}
+
+
+@pytest.mark.parametrize("result", ["paper", "twenty"])
+def test_no_text_of_a_plan_overlaps_or_is_cut_off(result, request):
+    experiment = request.getfixturevalue(result).experiment
+    assert_readable(figures.plan(cvxshear.plan(experiment, sensors=2)))
+
+
 def test_every_axis_says_what_it_shows(paper, study, comparison):
     for figure in (figures.residual(paper), figures.backend_differences(comparison), figures.ranking(paper)):
         for axes in figure.axes:

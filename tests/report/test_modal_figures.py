@@ -10,7 +10,7 @@ import pytest
 import cvxshear
 from cvxshear.errors import InputError
 from cvxshear.modal import from_arrays, identify_modes
-from cvxshear.modal.simulate import PAPER_FRAME, KnownFrame, hammer_record, shaker_record
+from cvxshear.modal.simulate import PAPER_FRAME, KnownFrame, base_record, hammer_record, shaker_record
 from cvxshear.report import figures
 from cvxshear.report.figures.residual import _decades
 from cvxshear.report.shapes import mode_shapes
@@ -42,12 +42,21 @@ def shaker():
 
 
 @pytest.fixture(scope="module")
-def twenty(hammer):
-    """Twenty modes, close to one another, at twenty floors."""
+def base():
+    return identify_modes(base_record(PAPER_FRAME, 0, noise=0.01, duration=240.0), functions=True)
+
+
+def twenty_modes(sweep):
+    """Twenty modes, close to one another, at twenty floors, with the order sweep of another record."""
     angle = (2 * np.arange(1, 21) - 1) * np.pi / 41
     shapes = np.sin(np.outer(angle, np.arange(1, 21)))
     found = from_arrays(3.2 * np.sin(angle / 2), shapes, frequency_std=0.001, mode_shape_std=0.01, name="twenty")
-    return dataclasses.replace(found, sweep=hammer.sweep)
+    return dataclasses.replace(found, sweep=sweep)
+
+
+@pytest.fixture(scope="module")
+def twenty(hammer):
+    return twenty_modes(hammer.sweep)
 
 
 @pytest.mark.parametrize("draw", OF_RECORDS, ids=lambda draw: draw.__name__)
@@ -68,7 +77,7 @@ def test_the_poles_of_the_modes_are_drawn_at_their_frequencies(hammer):
     assert set(np.round(frequencies, 1)) == {1.0, 2.2, 3.3}
     assert max(orders) == 30
     assert len(lines["pole"].get_xdata()) > 20
-    assert [text.get_text() for text in axes.texts] == ["1: 1.034 Hz", "2: 2.21 Hz", "3: 3.281 Hz"]
+    assert [text.get_text() for text in axes.texts] == ["1: 1.034 Hz", "2: 2.210 Hz", "3: 3.281 Hz"]
 
 
 def test_a_mode_faces_one_way_in_every_record(hammer):
@@ -76,6 +85,38 @@ def test_a_mode_faces_one_way_in_every_record(hammer):
     drawn = [axes.get_lines()[1].get_xdata() for axes in figures.modal_shapes(hammer, turned).axes]
     for first, second in zip(drawn[:3], drawn[3:], strict=True):
         np.testing.assert_allclose(first, second)
+
+
+def test_each_record_begins_a_row(hammer, shaker):
+    """Two modes or floors between records of three: none stands in a row of another."""
+    for draw in (figures.modal_shapes, figures.functions, figures.coherence):
+        rows = [axes.get_subplotspec().rowspan.start for axes in draw(hammer, shaker, hammer).axes]
+        assert rows == [0, 0, 0, 1, 1, 2, 2, 2], draw.__name__
+
+
+def test_a_driving_point_looks_alike_in_every_record(hammer, shaker):
+    figure = figures.coherence(hammer, shaker)
+    (legend,) = figure.legends
+    named = {text.get_text(): line for text, line in zip(legend.get_texts(), legend.get_lines(), strict=True)}
+    assert list(named) == ["force at floor 1", "force at floor 2", "force at floor 3"]
+    looks = {label: (line.get_color(), line.get_linestyle()) for label, line in named.items()}
+    assert len(set(looks.values())) == 3
+    by_hammer, by_shaker = figure.axes[0].lines[:3], figure.axes[3].lines[0]
+    assert [(line.get_color(), line.get_linestyle()) for line in by_hammer] == list(looks.values())
+    assert (by_shaker.get_color(), by_shaker.get_linestyle()) == looks["force at floor 2"]
+
+
+def test_functions_of_other_units_are_labelled_at_each_record(hammer, base):
+    figure = figures.functions(hammer, base)
+    assert figure.axes[0].get_ylabel() == "accelerance, (m/s²)/N"
+    assert figure.axes[3].get_ylabel() == "acceleration / base acceleration"
+    assert_readable(figure)
+    assert figures.functions(hammer, hammer).axes[0].get_ylabel() == ""
+
+
+def test_the_method_is_said_in_words(hammer, shaker):
+    titles = [axes.get_title(loc="left") for axes in figures.stabilization(hammer, shaker).axes if axes.lines]
+    assert titles[0].endswith("eigensystem realization (era)")
 
 
 def test_a_deviation_that_nobody_stated_is_not_drawn(hammer):

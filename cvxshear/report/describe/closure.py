@@ -13,6 +13,7 @@ from cvxshear.report.describe.experiment import declared, measured_modes
 from cvxshear.report.describe.frame import frame_table
 from cvxshear.report.describe.headline import NAMED, headline
 from cvxshear.report.describe.numbering import numbering_sections
+from cvxshear.report.describe.parameters import in_words
 from cvxshear.report.describe.vocabulary import Block, Document, Points, Section, Sentence
 
 
@@ -74,7 +75,7 @@ def limits_section(of: Closure) -> Section:
 
 def _limits(of: Closure) -> Iterator[str]:
     for names in of.estimate.uncertainty.null_directions:
-        yield f"Not determined: {' and '.join(name.replace('_', ' ') for name in names)}."
+        yield f"Not determined: {in_words(names)}."
     for text in of.information:
         yield f"{capital(text)}."
     for name, lacking in of.not_considered.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from cvxshear.backends import Comparison, ProgramKind
@@ -37,8 +38,8 @@ def _kind(of: Comparison, kind: ProgramKind) -> Iterator[Block]:
     rows = [row for row in of.rows if row.kind == kind.kind]
     name = kind.kind.replace(" ", "-")
     title = f"{programs(kind)}, against the {rows[0].reference}"
-    head = ("backend", "difference", "primal", "dual", "gap", "error", "iterations", "told", "time", "time / kkt")
-    yield Table(f"kind-{name}", title, head, tuple(Row(tuple(_cells(row))) for row in rows if not row.failure))
+    head = ("backend", "difference", "primal", "dual", "gap", "error", "iterations", "told", "time, ms", "time / kkt")
+    yield Table(f"kind-{name}", title, head, tuple(_rows([row for row in rows if not row.failure])))
     failures = tuple(f"{row.backend}: {short(row.failure)}" for row in rows if row.failure)
     if failures:
         yield Points(f"failures-{name}", failures)
@@ -56,14 +57,22 @@ def programs(kind: ProgramKind) -> str:
     return f"{kind.kind}: {counted(kind.programs, 'program')}, {', '.join(sizes)}, {condition}"
 
 
+def _rows(rows: list[BackendResult]) -> Iterator[Row]:
+    """One row a backend; the times in one format, fine enough for the fastest."""
+    known = [1e3 * row.seconds for row in rows if row.seconds is not None]
+    decimals = max(0, 1 - math.floor(math.log10(min(known)))) if known else 0
+    for row in rows:
+        time = "–" if row.seconds is None else f"{1e3 * row.seconds:.{decimals}f}"
+        ratio = "–" if row.relative_time is None else f"{row.relative_time:.1f}"
+        yield Row((*_cells(row), time, ratio))
+
+
 def _cells(row: BackendResult) -> Iterator[str]:
     yield row.backend
     for value in (row.difference, row.primal_residual, row.dual_residual, row.duality_gap, row.error_bound):
         yield "–" if value is None else exponential(value)
     yield "–" if row.iterations is None else str(row.iterations)
     yield "–" if row.tolerance is None else exponential(row.tolerance, 1)
-    yield "–" if row.seconds is None else f"{significant(1e3 * row.seconds, 3)} ms"
-    yield significant(row.relative_time, 2)
 
 
 def worst(of: Comparison) -> Table:

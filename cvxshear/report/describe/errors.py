@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from cvxshear.data import Deviation
 from cvxshear.loop import Closure
 from cvxshear.loop.residual import by_part
-from cvxshear.quantities import percents, probability, significant, significants
+from cvxshear.quantities import percents, probability, signed, significant, significants
 from cvxshear.report.describe.noise import noise_facts
 from cvxshear.report.describe.vocabulary import Block, Exact, Row, Section, Sentence, Table, columns
 
@@ -85,7 +85,7 @@ def _residuals(kind: str, pairs: list[tuple[Deviation, Deviation]]) -> Table:
 
 
 def _std(item: Deviation) -> str:
-    return f"{item.deviations:+.1f}" if item.entries == 1 else f"{item.deviations:.1f}"
+    return signed(item.deviations, 1) if item.entries == 1 else f"{item.deviations:.1f}"
 
 
 def steps_section(of: Closure) -> Section:
@@ -99,6 +99,6 @@ def steps_section(of: Closure) -> Section:
         [probability(step.p_value) for step in of.steps],
         errors,
     )
-    head = ("step", "chi-square", "of", "p", "largest frequency error")
+    head = ("step", "chi-square", "dof", "p", "largest frequency error")
     table = Table("steps-table", "How the model was arrived at, in the noise of the last step", head, rows)
     return Section("steps", "Step by step", (table,), detail=len(of.steps) < 3, below=True)

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 
 from cvxshear.loop import Closure
 from cvxshear.loop.results import AddedEffect, Candidate, EffectSet
-from cvxshear.quantities import Units, capital, chance, listed, probability, significants, with_std
+from cvxshear.quantities import Units, capital, chance, listed, per_force, probability, significants, with_std
 from cvxshear.report.describe.consequences import consequences
+from cvxshear.report.describe.parameters import in_words
 from cvxshear.report.describe.vocabulary import Block, Facts, Points, Row, Section, Sentence, Table
 
 BRIEF_SETS = 6
 BRIEF_CANDIDATES = 8
-MOST_CONFOUNDERS = 4
 SPELLED_OUT = 3
 """Effects of a set up to which all are named; of a larger one, in what it differs from the most probable set."""
 
@@ -61,7 +61,8 @@ def _parameters(of: Closure, item: AddedEffect) -> Iterator[tuple[str, str]]:
     units = item.placed.units(of.experiment)
     for parameter, unit in zip(item.placed.effect.parameters, units, strict=True):
         name = parameter.name
-        yield name.replace("_", " "), with_std(item.parameters[name], item.std[name], unit)
+        written = per_force if "N" in unit.partition("/")[2] else with_std
+        yield name.replace("_", " "), written(item.parameters[name], item.std[name], unit)
 
 
 def sets_section(of: Closure) -> Section:
@@ -98,7 +99,7 @@ def candidates_section(of: Closure) -> Section:
     table = Table(
         "candidates-table",
         f"The most probable first (p: of such a gain in chi-square by chance, counting that {count} were tried)",
-        ("effect", "before", "with the data", "chi-square", "of", "p of gain"),
+        ("effect", "before", "with the data", "chi-square", "dof", "p of gain"),
         tuple(_candidate_row(item, shown) for item, shown in zip(of.candidates, chi2, strict=True)),
         brief=BRIEF_CANDIDATES,
     )
@@ -122,6 +123,4 @@ def _candidate_row(item: Candidate, chi2: str) -> Row:
 
 
 def _confounded(item: Candidate) -> str:
-    names = [name.replace("_", " ") for name in item.confounded_with]
-    more = f" and {len(names) - MOST_CONFOUNDERS} more" if len(names) > MOST_CONFOUNDERS else ""
-    return f"{capital(item.placed.label)} cannot be told from {', '.join(names[:MOST_CONFOUNDERS])}{more}."
+    return f"{capital(item.placed.label)} cannot be told from {in_words(item.confounded_with)}."

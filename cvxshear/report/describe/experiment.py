@@ -7,10 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from cvxshear.experiment import Configuration, Experiment
-from cvxshear.quantities import AUTOMATIC, Units, counted, percents, significant
+from cvxshear.quantities import AUTOMATIC, Units, counted, percents, ranged, significant
 from cvxshear.report.describe.dispatch import describe, line
 from cvxshear.report.describe.vocabulary import Block, Document, Facts, Row, Section, Sentence, Table
 from cvxshear.typing import Floats
+
+MOST_COLUMNS = 11
+"""Of a table of measured modes beside the modes' numbers; more go below."""
 
 
 @describe.register
@@ -33,9 +36,12 @@ def _headline(of: Experiment) -> str:
 def declared(of: Experiment, units: Units = AUTOMATIC) -> Section:
     """What was declared of the frame, and each test in a line."""
     facts = Facts(tuple(_facts(of, units)))
+    # One unit for all, that of the frame itself where its mass is known.
+    sums = [float(each.added_mass.sum()) for each in of.configurations]
+    mass = units.of_mass([*sums, of.frame.known_total or 0.0])
     head = ("configuration", "modes", "floors", "added mass", "noise")
-    rows = tuple(_test(each, units) for each in of.configurations)
-    tests = Table("tests", "What was tested", head, rows, words=(0, 4))
+    rows = tuple(_test(each, mass) for each in of.configurations)
+    tests = Table("tests", "What was tested", head, rows, words=(0, 3, 4))
     return Section("declared", "Measured and declared", (facts, tests))
 
 
@@ -63,13 +69,13 @@ def _total(of: Experiment, units: Units) -> str:
     return f"{total / factor:g} {unit}{off}"
 
 
-def _test(each: Configuration, units: Units) -> Row:
+def _test(each: Configuration, mass: tuple[float, str]) -> Row:
     return Row(
         (
             each.name,
             str(len(each.frequencies)),
-            str(len(each.measured_floors)),
-            _added(each.added_mass, units),
+            str(len(each.measured_floors)) if each.measured.any() else "none",
+            _added(each.added_mass, *mass),
             _noise(each),
         )
     )
@@ -83,11 +89,12 @@ def _noise(each: Configuration) -> str:
     return "declared" if all(declared) else "partly declared" if any(declared) else "not declared"
 
 
-def _added(mass: Floats, units: Units) -> str:
-    if not mass.any():
+def _added(mass: Floats, factor: float, unit: str) -> str:
+    """How much, and where."""
+    floors = [int(place) + 1 for place in np.flatnonzero(mass)]
+    if not floors:
         return "none"
-    factor, unit = units.of_mass(mass.tolist())
-    return f"{mass.sum() / factor:g} {unit}"
+    return f"{mass.sum() / factor:g} {unit} on floor{'' if len(floors) == 1 else 's'} {ranged(floors)}"
 
 
 def listed(values: Floats, unit: str, factor: float = 1.0) -> str:
@@ -107,7 +114,9 @@ def measured_modes(of: Experiment, units: Units = AUTOMATIC) -> Section:
 
 def _modes(each: Configuration, place: int, units: Units) -> Iterator[Block]:
     factor, unit = units.of_mass(each.added_mass.tolist())
-    added = listed(each.added_mass, unit, factor) if each.added_mass.any() else "none"
+    # Floor by floor, but where a single one says it.
+    single = np.count_nonzero(each.added_mass) < 2
+    added = _added(each.added_mass, factor, unit) if single else listed(each.added_mass, unit, factor)
     doubt = "" if _noise(each) == "declared" else " Standard deviations that are not declared are the default's."
     yield Sentence(f"{each.name}. Added mass: {added}.{doubt}")
     largest = np.max(np.abs(np.where(each.measured, each.mode_shapes, 0.0)), axis=1, keepdims=True, initial=0.0)
@@ -129,4 +138,4 @@ def _modes(each: Configuration, place: int, units: Units) -> Iterator[Block]:
     )
     head = ("mode", "frequency, Hz", "std", *floors, "std of the shape")
     title = "Shapes are scaled to a largest entry of 1" if floors else "Frequencies alone"
-    yield Table(f"modes-{place}", title, head, rows)
+    yield from Table(f"modes-{place}", title, head, rows).folded(MOST_COLUMNS)

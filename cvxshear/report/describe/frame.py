@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+
 import numpy as np
 
 from cvxshear.identification import IdentifiedFrame
-from cvxshear.quantities import UNKNOWN, Units, significants, with_std
+from cvxshear.quantities import EXACT, UNKNOWN, Units, significants, with_std
 from cvxshear.report.describe.vocabulary import Table, columns
 from cvxshear.typing import Floats
 
@@ -32,8 +34,42 @@ def frame_table(
     return Table(key, title, tuple(head), tuple(reversed(columns(*cells))))
 
 
+def in_one_unit(
+    values: Floats, stds: Floats | None, unit_of: Callable[[Iterable[float]], tuple[float, str]]
+) -> tuple[list[str], str]:
+    """Values, with their standard deviations where there are any, in one unit and, where there are none, one format.
+
+    Parameters
+    ----------
+    values, stds : ndarray, shape (N,)
+    unit_of : callable
+        The size and the name of the unit that fits values, such as `Units.of_mass`.
+
+    Returns
+    -------
+    written : list of str
+    unit : str
+    """
+    factor, unit = unit_of(values.tolist())
+    return _column(values, stds, factor), unit
+
+
 def _column(values: Floats, stds: Floats | None, factor: float) -> list[str]:
     if stds is None or np.all(np.isnan(stds)):
         written = significants((values / factor).tolist(), 5)
         return [UNKNOWN if np.isnan(value) else text for value, text in zip(values, written, strict=True)]
-    return [with_std(value, std, factor=factor) for value, std in zip(values.tolist(), stds.tolist(), strict=True)]
+    fast = ~np.isnan(values) & ~(stds > EXACT * np.abs(values))
+    # What is held fast has no deviation, and one format.
+    shown = _short(significants((values[fast] / factor).tolist(), 5))
+    held = dict(zip(np.flatnonzero(fast).tolist(), shown, strict=True))
+    return [
+        UNKNOWN if np.isnan(value) else held[place] if place in held else with_std(value, std, factor=factor)
+        for place, (value, std) in enumerate(zip(values.tolist(), stds.tolist(), strict=True))
+    ]
+
+
+def _short(written: list[str]) -> list[str]:
+    """Decimals of one number, without those that are 0 in all."""
+    while written and all("." in text and text.endswith(("0", ".")) for text in written):
+        written = [text[:-1] for text in written]
+    return written

@@ -11,10 +11,9 @@ from cvxshear.quantities import (
     AUTOMATIC,
     Units,
     counted,
-    listed,
+    equals,
     percent,
     percents,
-    probability,
     significant,
     significants,
 )
@@ -22,6 +21,7 @@ from cvxshear.report.describe import vocabulary
 from cvxshear.report.describe.dispatch import describe, line
 from cvxshear.report.describe.experiment import declared
 from cvxshear.report.describe.frame import frame_table
+from cvxshear.report.describe.parameters import in_words
 from cvxshear.report.describe.vocabulary import Document, Row, Section, Sentence, Table
 from cvxshear.typing import Floats
 
@@ -34,7 +34,7 @@ def _identification(of: Identification, units: Units = AUTOMATIC) -> Document:
     sections = [declared(of.experiment, units)]
     sections += [part_section(of, part, place, units) for place, part in enumerate(of.parts, 1)]
     if of.undetermined:
-        open_ones = [Sentence(f"Not determined: {_words(names)}.", "warning") for names in of.undetermined]
+        open_ones = [Sentence(f"Not determined: {in_words(names)}.", "warning") for names in of.undetermined]
         sections.append(Section("undetermined", "What these data cannot tell", tuple(open_ones)))
     return Document(of.experiment.name, _headline(of), tuple(sections))
 
@@ -57,7 +57,7 @@ def _headline(of: Identification) -> str:
         return f"{of.experiment.name}: {how}"
     return (
         f"RULED OUT: with the declared noise a shear frame would hardly give these data (chi-square "
-        f"{significant(fit.chi2)} on {counted(fit.dof, 'degree')} of freedom, p = {probability(fit.p_value)}): the "
+        f"{significant(fit.chi2)} on {counted(fit.dof, 'degree')} of freedom, {equals(fit.p_value)}): the "
         "masses and stiffnesses below are those of a wrong model, and their standard deviations too small. 'cvxshear "
         f"loop' on the same file looks for what the model lacks. ({of.experiment.name}: {how})"
     )
@@ -73,10 +73,6 @@ def part_section(of: Identification, part: SingleIdentification, place: int, uni
         Sentence(_fit(part)),
     ]
     return Section(f"part-{place}", title, tuple(parts))
-
-
-def _words(names: tuple[str, ...]) -> str:
-    return listed([name.replace("_", " ") for name in names])
 
 
 def how_it_ended(part: SingleIdentification) -> Iterator[Sentence]:
@@ -97,7 +93,7 @@ def _fit(part: SingleIdentification) -> str:
         said.append(f"smallest MAC {significant(fit.min_mac, 6)}")
     if fit.max_displacement_error is not None:
         said.append(f"largest displacement error {percent(fit.max_displacement_error)}")
-    test = "" if fit.p_value is None else f" (p = {probability(fit.p_value)})"
+    test = "" if fit.p_value is None else f" ({equals(fit.p_value)})"
     said.append(f"chi-square {significant(fit.chi2)} on {counted(fit.dof, 'degree')} of freedom{test}")
     return f"{'; '.join(said)}."
 

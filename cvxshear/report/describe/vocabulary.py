@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 Exact = float | int | str | None
@@ -97,6 +97,23 @@ class Table:
     rows: tuple[Row, ...]
     words: tuple[int, ...] = (0,)
     brief: int | None = None
+
+
+    def folded(self, most: int) -> tuple[Table, ...]:
+        """Several tables, each of the first column and as many of the others as a page has room for."""
+        count = len(self.head)
+        if count <= most + 1:
+            return (self,)
+        return tuple(
+            replace(
+                self,
+                key=f"{self.key}-{first}",
+                title=self.title if first == 1 else f"{self.title}, continued",
+                head=(self.head[0], *self.head[first : first + most]),
+                rows=plain_rows((row.cells[0], *row.cells[first : first + most]) for row in self.rows),
+            )
+            for first in range(1, count, most)
+        )
 
 
 Block = Sentence | Points | Facts | Table

@@ -6,7 +6,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from cvxshear.backends import Comparison
-from cvxshear.report.figures.style import COLOURS, MARKERS, PAGE_WIDTH, assorted, logarithmic, new_figure, styled
+from cvxshear.report.figures.style import (
+    COLOURS,
+    MARKERS,
+    PAGE_WIDTH,
+    assorted,
+    logarithmic,
+    new_figure,
+    power_of_ten,
+    styled,
+)
 
 SAME = 1e-17
 """Where an answer without any difference is drawn: below what a number of 64 bits can tell."""
@@ -28,7 +37,8 @@ def backend_differences(comparison: Comparison) -> Figure:
     names = list(dict.fromkeys(row.backend for row in comparison.rows))
     kinds = list(dict.fromkeys(row.kind for row in comparison.rows))
     figure = new_figure(PAGE_WIDTH, 0.27 * len(names) + 1.7)
-    left, right = figure.subplots(1, 2, sharey=True)
+    # Room for the last number of one axis beside the first of the other.
+    left, right = figure.subplots(1, 2, sharey=True, gridspec_kw={"wspace": 0.08})
     marks = zip(kinds, assorted(COLOURS, len(kinds)), assorted(MARKERS, len(kinds)), strict=True)
     offsets = np.linspace(-0.28, 0.28, len(kinds)) if len(kinds) > 1 else np.zeros(1)
     for place, (kind, colour, marker) in enumerate(marks):
@@ -40,7 +50,7 @@ def backend_differences(comparison: Comparison) -> Figure:
         right.plot([row.relative_time or np.nan for row in rows], at, **style)
     left.set_xscale("log")
     right.set_xscale("log")
-    left.set_xlabel(f"largest relative difference\n(none at all is drawn at {SAME:.0e})")
+    left.set_xlabel(f"largest relative difference\n(none at all is drawn at {power_of_ten(SAME)})")
     right.set_xlabel("time / time of the closed form")
     left.set_xlim(left=SAME / 3)
     for axes in (left, right):

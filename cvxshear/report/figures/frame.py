@@ -10,7 +10,8 @@ from matplotlib.patches import Rectangle
 from cvxshear.experiment import Experiment
 from cvxshear.identification import Identification, IdentifiedFrame
 from cvxshear.loop import Closure
-from cvxshear.quantities import fitting, with_std
+from cvxshear.quantities import AUTOMATIC
+from cvxshear.report.describe.frame import in_one_unit
 from cvxshear.report.figures.style import AFTER, PALE, QUIET, grid_of, letters, new_figure, panels, spread, styled
 from cvxshear.typing import Floats
 
@@ -98,7 +99,7 @@ def _draw(axes: Axes, experiment: Experiment, found: IdentifiedFrame, title: str
         (RIGHT + GAP, "floor mass", found.floor_mass_std, "left"),
     ):
         # A value that a bound holds has no deviation of its own.
-        heading = f"{text} ± std" if any(_known(std, z)) else text
+        heading = text if std is None or not np.isfinite(std).any() else f"{text} ± std"
         axes.text(x, 1.02, heading, ha=align, va="bottom", weight="bold", transform=axes.transAxes)
     if title:
         axes.set_title(title, pad=20)
@@ -106,24 +107,17 @@ def _draw(axes: Axes, experiment: Experiment, found: IdentifiedFrame, title: str
 
 def _labels(axes: Axes, found: IdentifiedFrame, z: Floats, heights: Floats, gap: float) -> None:
     """Stiffnesses to the left at the stories, masses to the right at the floors, apart from one another."""
-    factor, unit = fitting(found.story_stiffness.tolist(), "N/m")
-    mass_factor, mass_unit = fitting(found.floor_mass.tolist(), "kg")
-    stiffness_std, mass_std = _known(found.story_stiffness_std, z), _known(found.floor_mass_std, z)
+    stiffnesses, unit = in_one_unit(found.story_stiffness, found.story_stiffness_std, AUTOMATIC.of_stiffness)
+    masses, mass_unit = in_one_unit(found.floor_mass, found.floor_mass_std, AUTOMATIC.of_mass)
     top = float(z[-1])
     middle = z - heights / 2
     for i, (at, shown) in enumerate(zip(middle, spread(middle, gap, 0.0, top), strict=True)):
-        text = with_std(float(found.story_stiffness[i]), stiffness_std[i], unit, factor)
         _leader(axes, (LEFT, at), (LEFT - GAP + 0.01, shown))
-        axes.text(LEFT - GAP, shown, f"story {i + 1}:  {text}", ha="right", va="center")
+        axes.text(LEFT - GAP, shown, f"story {i + 1}:  {stiffnesses[i]} {unit}", ha="right", va="center")
     for i, (at, shown) in enumerate(zip(z, spread(z, gap, 0.0, top), strict=True)):
-        text = with_std(float(found.floor_mass[i]), mass_std[i], mass_unit, mass_factor)
         _leader(axes, (RIGHT + 0.02, at), (RIGHT + GAP - 0.01, shown))
-        axes.text(RIGHT + GAP, shown, f"floor {i + 1}:  {text}", ha="left", va="center")
+        axes.text(RIGHT + GAP, shown, f"floor {i + 1}:  {masses[i]} {mass_unit}", ha="left", va="center")
 
 
 def _leader(axes: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
     axes.plot(*zip(start, end, strict=True), color=QUIET, lw=0.5)
-
-
-def _known(std: Floats | None, like: Floats) -> list[float | None]:
-    return [None] * len(like) if std is None else [None if np.isnan(value) else float(value) for value in std]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from cvxshear.errors import InputError
 from cvxshear.modal import ModalResult
@@ -20,11 +21,11 @@ from cvxshear.report.figures.style import (
     PAGE_WIDTH,
     QUIET,
     assorted,
-    grid_of,
+    even_columns,
     letters,
     logarithmic,
     new_figure,
-    panels,
+    panels_by_group,
     styled,
 )
 
@@ -55,23 +56,20 @@ def functions(*results: ModalResult) -> Figure:
     InputError
         Where a result holds no functions.
     """
-    figure, drawn = _panels_of(results, 1.75)
-    place = 0
-    for result in results:
+    figure, groups = _panels_of(results, 1.75)
+    for result, drawn in zip(results, groups, strict=True):
         seen, made = _functions_of(result), synthesized(result)
         shown = band_of(seen.frequencies, result.frequencies)
         strongest = np.argmax(np.sum(np.abs(seen.values[shown]) ** 2, axis=0), axis=1)
-        for output, column in enumerate(strongest):
-            axes = drawn[place]
-            place += 1
-            lines = seen.frequencies[shown]
+        lines = seen.frequencies[shown]
+        for output, (axes, column) in enumerate(zip(drawn, strongest, strict=True)):
             axes.plot(lines, np.abs(seen.values[shown, output, column]), color="black", lw=0.8, label="measured")
             axes.plot(lines, np.abs(made[shown, output, column]), color=BEFORE, ls="--", lw=1.1, label="of the modes")
             axes.set_yscale("log")
             logarithmic(axes.yaxis, most=5)
             _dress(axes, result, f"floor {seen.floors[output]}{_against(seen, int(column))}", several=len(results) > 1)
-    figure.supylabel(_named(_functions_of(results[0])), fontsize=8.5)
-    figure.legend(*drawn[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    _label_units(figure, groups, [_named(_functions_of(result)) for result in results])
+    figure.legend(*groups[0][0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure
 
 
@@ -95,29 +93,45 @@ def coherence(*results: ModalResult) -> Figure:
     InputError
         Where a result holds no functions, or they are no averages.
     """
-    figure, drawn = _panels_of(results, 1.35, reference=False)
-    place = 0
-    for result in results:
+    figure, groups = _panels_of(results, 1.35, reference=False)
+    looks = _looks([_functions_of(result) for result in results])
+    for result, drawn in zip(results, groups, strict=True):
         seen = _functions_of(result)
         if seen.coherence is None:
             raise InputError(f"{result.name}: coherence takes two hits or more at each floor, or a continuous record")
         shown = band_of(seen.frequencies, result.frequencies)
-        inputs = len(seen.inputs)
-        for output in _outputs(seen, reference=False):
-            axes = drawn[place]
-            place += 1
-            marks = zip(assorted(COLOURS, inputs), assorted(LINES, inputs), strict=True)
-            for column, (colour, line) in enumerate(marks):
+        for axes, output in zip(drawn, _outputs(seen, reference=False), strict=True):
+            for column in range(len(seen.inputs)):
                 values = seen.coherence[shown, output, column]
-                label = _against(seen, column).removeprefix(", ") or "input"
-                axes.plot(seen.frequencies[shown], values, color=colour, ls=line, lw=0.9, label=label)
+                axes.plot(seen.frequencies[shown], values, **looks[_driver(seen, column)])
             axes.set_ylim(0, 1.04)
             axes.set_yticks([0, 0.5, 1])
             _dress(axes, result, f"floor {seen.floors[output]}", several=len(results) > 1)
     figure.supylabel("coherence", fontsize=8.5)
-    labelled = {label: handle for handle, label in zip(*_all_labels(drawn), strict=True)}
-    figure.legend(list(labelled.values()), list(labelled), loc="outside upper center", ncols=4)
+    handles = [Line2D([], [], label=label, **look) for label, look in looks.items()]
+    figure.legend(handles=handles, loc="outside upper center", ncols=4)
     return figure
+
+
+def _label_units(figure: Figure, groups: Sequence[Sequence[Axes]], names: Sequence[str]) -> None:
+    """What the functions are: once where they all are the same, else at each record."""
+    if len(set(names)) == 1:
+        figure.supylabel(names[0], fontsize=8.5)
+        return
+    for drawn, name in zip(groups, names, strict=True):
+        drawn[0].set_ylabel(name, fontsize=7)
+
+
+def _looks(seen: Sequence[Functions]) -> dict[str, dict[str, Any]]:
+    """One look for each that drives, the lowest floor first, whichever records it is in."""
+    drivers = {_driver(each, column): int(floor) for each in seen for column, floor in enumerate(each.inputs)}
+    labels = sorted(drivers, key=drivers.__getitem__)
+    marks = zip(labels, assorted(COLOURS, len(labels)), assorted(LINES, len(labels)), strict=True)
+    return {label: {"color": colour, "ls": line, "lw": 0.9} for label, colour, line in marks}
+
+
+def _driver(seen: Functions, column: int) -> str:
+    return _against(seen, column).removeprefix(", ") or "base motion"
 
 
 def _functions_of(result: ModalResult) -> Functions:
@@ -135,14 +149,16 @@ def _outputs(seen: Functions, *, reference: bool) -> list[int]:
     ]
 
 
-def _panels_of(results: Sequence[ModalResult], height: float, *, reference: bool = True) -> tuple[Figure, list[Axes]]:
+def _panels_of(
+    results: Sequence[ModalResult], height: float, *, reference: bool = True
+) -> tuple[Figure, list[list[Axes]]]:
+    """The panels of each record, on rows of its own."""
     counts = [len(_outputs(_functions_of(result), reference=reference)) for result in results]
     most = max(counts)
-    columns = min(most, 4 if most > 9 else 3)
-    rows, columns = grid_of(sum(counts), columns)
-    figure = new_figure(PAGE_WIDTH, height * rows + 0.7)
+    columns = even_columns(most, 4 if most > 9 else 3)
+    figure = new_figure(PAGE_WIDTH, height * sum(-(-count // columns) for count in counts) + 0.7)
     figure.supxlabel("frequency, Hz", fontsize=8.5)
-    return figure, panels(figure, sum(counts), columns)
+    return figure, panels_by_group(figure, counts, columns)
 
 
 def _dress(axes: Axes, result: ModalResult, title: str, *, several: bool) -> None:
@@ -167,8 +183,3 @@ def _named(seen: Functions) -> str:
     if not seen.inputs[0]:
         return f"{seen.quantity} / base acceleration"
     return FUNCTIONS[seen.quantity]
-
-
-def _all_labels(drawn: Sequence[Axes]) -> tuple[list[Artist], list[str]]:
-    pairs = [axes.get_legend_handles_labels() for axes in drawn]
-    return [handle for handles, _ in pairs for handle in handles], [label for _, labels in pairs for label in labels]

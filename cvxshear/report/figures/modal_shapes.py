@@ -9,17 +9,19 @@ from matplotlib.ticker import MaxNLocator
 
 from cvxshear.modal import ModalResult
 from cvxshear.modal.shapes import mac, scaled_to_one
-from cvxshear.quantities import significant
+from cvxshear.quantities import percents
 from cvxshear.report.figures.mac import draw_matrix
 from cvxshear.report.figures.style import (
     AFTER,
     MEASURED,
     PAGE_WIDTH,
     QUIET,
+    even_columns,
     grid_of,
     letters,
     new_figure,
     panels,
+    panels_by_group,
     styled,
 )
 from cvxshear.typing import Floats
@@ -41,22 +43,20 @@ def modal_shapes(*results: ModalResult) -> Figure:
         Largest entry 1; a mode that several records hold faces one way in all of them.
     """
     most = max(len(result.frequencies) for result in results)
-    columns = -(-most // -(-most // MOST_COLUMNS))
-    count = sum(len(result.frequencies) for result in results)
-    rows, columns = grid_of(count, columns)
+    columns = even_columns(most, MOST_COLUMNS)
+    counts = [len(result.frequencies) for result in results]
+    rows = sum(-(-count // columns) for count in counts)
     stories = max(result.stories for result in results)
     tall = float(np.clip(0.16 * stories, 1.5, 3.0))
     figure = new_figure(max(PAGE_WIDTH * columns / MOST_COLUMNS, 4.0), rows * (tall + 0.65) + 0.4)
-    drawn = panels(figure, count, columns, sharex=True, sharey=True)
+    groups = panels_by_group(figure, counts, columns, sharex=True, sharey=True)
     facing: dict[int, tuple[ModalResult, Floats]] = {}
-    place = 0
-    for result in results:
-        for row, mode in enumerate(result.modes):
+    for result, drawn in zip(results, groups, strict=True):
+        for row, (axes, mode) in enumerate(zip(drawn, result.modes, strict=True)):
             shape = _facing(result, scaled_to_one(result.mode_shapes[row]), facing, int(mode))
-            _panel(drawn[place], result, row, shape, stories)
-            if place % columns == 0:
-                drawn[place].set_ylabel("floor")
-            place += 1
+            _panel(axes, result, row, shape, stories)
+            if row % columns == 0:
+                axes.set_ylabel("floor")
     figure.supxlabel("sway (largest entry = 1)", fontsize=8.5)
     return figure
 
@@ -116,6 +116,6 @@ def _panel(axes: Axes, result: ModalResult, row: int, shape: Floats, stories: in
     axes.set_xticks([-1, 0, 1])
     axes.set_ylim(0, 1.07 * stories)
     axes.yaxis.set_major_locator(MaxNLocator(6, integer=True))
-    std = f" ± {significant(100 * float(result.frequency_std[row]), 2)} %" if known else ""
-    title = f"{letters(result.name, 18)}\nmode {result.modes[row]}\n{result.frequencies[row]:.4g} Hz{std}"
+    std = f" ± {percents([float(result.frequency_std[row])])[0]}" if known else ""
+    title = f"{letters(result.name, 18)}\nmode {result.modes[row]}\n{result.frequencies[row]:#.4g} Hz{std}"
     axes.set_title(title, fontsize=7)

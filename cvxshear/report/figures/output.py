@@ -53,14 +53,14 @@ def kind_of(path: str | Path) -> str:
     return kind
 
 
-def encoded(figure: Figure, kind: str) -> bytes:
+def encoded(figure: Figure, kind: str, *, transparent: bool = False) -> bytes:
     """A figure as the content of a file; the same figure gives the same bytes."""
     no_date = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
     out = BytesIO()
     FigureCanvasAgg(figure)
     with mpl.rc_context():
         mpl.rcParams.update(settings())
-        figure.savefig(out, format=kind, dpi=RESOLUTION, metadata=no_date)
+        figure.savefig(out, format=kind, dpi=RESOLUTION, metadata=no_date, transparent=transparent)
     return out.getvalue()
 
 
@@ -73,7 +73,8 @@ def inline_svg(figure: Figure, name: str) -> str:
     name : str
         Sets its ids apart from those of the other figures of the page; a plain word.
     """
-    text = encoded(figure, "svg").decode("utf-8")
+    # The page shows through, and with it the shade at an edge beyond which a drawing goes on.
+    text = encoded(figure, "svg", transparent=True).decode("utf-8")
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
@@ -83,5 +84,6 @@ def inline_svg(figure: Figure, name: str) -> str:
     # The page says what a figure shows; the drawing itself is nothing to be read out.
     width = ENLARGED * 72 * figure.get_figwidth()
     head = re.sub(r' (width|height)="[\d.]+pt"', "", text[: text.index(">")])
-    head = head.replace("<svg ", f'<svg aria-hidden="true" focusable="false" width="{width:.0f}" ', 1)
+    size = f'width="{width:.0f}" style="--width: {width:.0f}px"'
+    head = head.replace("<svg ", f'<svg aria-hidden="true" focusable="false" {size} ', 1)
     return head + text[text.index(">") :]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -14,6 +16,9 @@ from cvxshear.report.figures.style import AFTER, BEFORE, PALE, QUIET, letters, n
 
 STORY = 0.24
 """inch a story, at least."""
+
+LABEL = 24
+"""Letters of a label that stand beside the lowest frame drawn."""
 
 WIDTH = 0.9
 """inch a test; its name needs as much."""
@@ -86,8 +91,8 @@ def _curve(axes: Axes, result: Plan) -> None:
     axes.plot(counts, [100 * bound for _, _, bound in curve], "--", color=QUIET, label="none is below")
     axes.plot(len(result.sensors), 100 * result.objective, "s", color=BEFORE, ms=7, label="plan", zorder=4)
     axes.set_xlabel("number of sensors")
-    axes.set_ylabel(f"{result.measure}, %")
+    axes.set_ylabel("\n".join(textwrap.wrap(f"{result.measure}, %", LABEL)))
     axes.set_ylim(0, 115 * max(value for _, value, _ in curve))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(visible=True)
-    axes.legend()
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)

@@ -15,10 +15,10 @@ from cvxshear.report.figures.style import (
     MEASURED,
     PAGE_WIDTH,
     QUIET,
-    grid_of,
+    even_columns,
     letters,
     new_figure,
-    panels,
+    panels_by_group,
     styled,
 )
 from cvxshear.report.shapes import ModeShape, mode_shapes
@@ -47,11 +47,11 @@ def shapes(result: Closure) -> Figure:
     """
     before, after = mode_shapes(result.before.estimate), mode_shapes(result.estimate)
     most = max(len(each.frequencies) for each in result.experiment.configurations)
-    # Rows of the same length, so that a configuration begins a row of its own where all measured as many modes.
-    columns = -(-most // -(-most // MOST_COLUMNS))
+    columns = even_columns(most, MOST_COLUMNS)
     stories = result.experiment.stories
     tall = float(np.clip(0.16 * stories, 1.6, 3.0))
-    rows, columns = grid_of(len(after), columns)
+    counts = [len(each.frequencies) for each in result.experiment.configurations]
+    rows = sum(-(-count // columns) for count in counts)
     width, height = max(PAGE_WIDTH * columns / MOST_COLUMNS, 5.6), rows * (tall + TITLE) + ABOVE + BELOW
     # Panels of one size need no search for a layout, which takes long for many of them.
     figure = new_figure(width, height, fixed=True)
@@ -60,8 +60,9 @@ def shapes(result: Closure) -> Figure:
         hspace=TITLE / tall, wspace=0.08,
     )  # fmt: skip
     z, label = elevations(result.experiment)
-    drawn = panels(figure, len(after), columns, sharex=True, sharey=True)
-    for place, (axes, first, last) in enumerate(zip(drawn, before, after, strict=True)):
+    groups = panels_by_group(figure, counts, columns, sharex=True, sharey=True)
+    drawn = [(axes, place) for group in groups for place, axes in enumerate(group)]
+    for (axes, place), first, last in zip(drawn, before, after, strict=True):
         _panel(axes, z, first, last)
         if place % columns == 0:
             axes.set_ylabel(label)
@@ -96,7 +97,7 @@ def _panel(axes: Axes, z: Floats, before: ModeShape, after: ModeShape) -> None:
     axes.set_xticks([-1, 0, 1])
     axes.set_ylim(0, 1.07 * float(z[-1]))
     axes.set_title(
-        f"{letters(after.configuration, 16)}\nmode {after.mode}: {after.measured_frequency:.4g} Hz", fontsize=7.5
+        f"{letters(after.configuration, 16)}\nmode {after.mode}: {after.measured_frequency:#.4g} Hz", fontsize=7.5
     )
 
 

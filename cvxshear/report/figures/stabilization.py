@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from cvxshear.errors import InputError
 from cvxshear.modal import ModalResult
 from cvxshear.modal.picking import Sweep
+from cvxshear.report.describe.modal import method_in_words
 from cvxshear.report.figures.style import AFTER, BEFORE, PAGE_WIDTH, QUIET, letters, new_figure, panels, spread, styled
 from cvxshear.typing import Floats
 
@@ -59,7 +60,7 @@ def stabilization(*results: ModalResult) -> Figure:
         _labels(axes, result, top, figure.get_figwidth() - 1.0)
         axes.set_xlabel("frequency, Hz")
         axes.set_ylabel("model order (states)", y=0.5 / (1 + BAND))
-        axes.set_title(f"{letters(result.name)}: {result.method}")
+        axes.set_title(f"{letters(result.name)}: {method_in_words(result)}")
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=4)
     return figure
@@ -106,4 +107,4 @@ def _labels(axes: Axes, result: ModalResult, top: int, inches: float) -> None:
         result.modes, frequencies, spread(frequencies, gap, gap / 2, end - gap / 2), strict=True
     ):
         axes.plot([frequency, frequency, x], [0, 1.03 * top, 1.1 * top], color=AFTER, lw=0.6, alpha=0.6)
-        axes.text(x, 1.12 * top, f"{mode}: {frequency:.4g} Hz", rotation=90, ha="center", va="bottom", fontsize=7)
+        axes.text(x, 1.12 * top, f"{mode}: {frequency:#.4g} Hz", rotation=90, ha="center", va="bottom", fontsize=7)

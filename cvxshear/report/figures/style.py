@@ -132,6 +132,33 @@ def panels(figure: Figure, count: int, columns: int, *, sharex: bool = False, sh
     return every[:count]
 
 
+def panels_by_group(
+    figure: Figure, counts: Sequence[int], columns: int, *, sharex: bool = False, sharey: bool = False
+) -> list[list[Axes]]:
+    """So many panels for each group, and each group on rows of its own."""
+    columns = max(1, min(columns, max(counts)))
+    rows = [-(-count // columns) for count in counts]
+    grid = figure.subplots(sum(rows), columns, squeeze=False, sharex=sharex, sharey=sharey)
+    groups: list[list[Axes]] = []
+    lowest: dict[int, Axes] = {}
+    for count, taken, first in zip(counts, rows, np.cumsum([0, *rows[:-1]]), strict=True):
+        there: list[Axes] = list(grid[first : first + taken].ravel())
+        groups.append(there[:count])
+        lowest |= {place % columns: axes for place, axes in enumerate(there[:count])}
+        for unused in there[count:]:
+            unused.remove()
+    if sharex:
+        # The lowest panel of a column tells the numbers, also where the grid's last row does not reach it.
+        for axes in lowest.values():
+            axes.tick_params(labelbottom=True)
+    return groups
+
+
+def even_columns(most: int, fitting: int) -> int:
+    """Columns for so many panels a group where so many fit: those that fill its rows best."""
+    return -(-most // -(-most // fitting))
+
+
 def letters(text: str, longest: int = LONGEST) -> str:
     """A text from a file as a figure can show it: on one line, not too long, of letters that the fonts have."""
     line = " ".join(text.split())
@@ -159,11 +186,22 @@ def power_of_ten(value: float, _: object = None) -> str:
     return f"{sign}10{str(number).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
 
 
+NARROW = 1.3
+"""Decades of an axis up to which two and five are labelled between the powers of ten."""
+
+
 def logarithmic(axis: Axis, most: int = 7) -> None:
-    """Ticks at powers of ten, labelled so."""
+    """Ticks at powers of ten, labelled so; at twice and five times them too where there is one at most."""
+
+    def between(value: float, _: object = None) -> str:
+        low, high = axis.get_view_interval()
+        first = value / 10.0 ** np.floor(np.log10(value) + 1e-9)
+        few = low > 0 and high / low < 10.0**NARROW and min(abs(first - 2), abs(first - 5)) < 1e-6
+        return f"{value:g}" if few and 1e-3 <= value < 1e5 else ""
+
     axis.set_major_locator(LogLocator(numticks=most))
     axis.set_major_formatter(FuncFormatter(power_of_ten))
-    axis.set_minor_formatter(FuncFormatter(lambda value, at: ""))
+    axis.set_minor_formatter(FuncFormatter(between))
 
 
 def spread(positions: Floats, gap: float, low: float, high: float) -> Floats:
