@@ -66,7 +66,7 @@ def identify(
     from cvxshear import identify as run
     from cvxshear import load
     from cvxshear.quantities import Units
-    from cvxshear.report import screening_terminal, terminal
+    from cvxshear.report import terminal
     from cvxshear.report.sheets import sheets_of_identification
     from cvxshear.response import Fitted, damping_of
     from cvxshear.screening import refuse_mistakes
@@ -94,7 +94,7 @@ def identify(
         said,
         out,
         lambda: [
-            *screening_terminal.warnings(doubts),
+            *terminal.doubts(doubts),
             *terminal.identification(result, beside, display),
             *_damping_of(damping),
         ],
@@ -130,7 +130,7 @@ def loop(
     """
     from cvxshear import close_loop
     from cvxshear.quantities import Units
-    from cvxshear.report import response_terminal, screening_terminal, terminal
+    from cvxshear.report import terminal
     from cvxshear.report.sheets import sheets_of_closure
     from cvxshear.response import damping_of, models_of_loop, predict
     from cvxshear.screening import refuse_mistakes
@@ -157,13 +157,13 @@ def loop(
     files = [*pictures.of(result), *tables.of(lambda: sheets_of_closure(result))]
     if report is not None:
         files.append(lambda: write_report(result, report, shlex.join(["cvxshear", *typed]), units=display))
-    beside = _damping_of(damping) if tried is None else ("", *response_terminal.prediction(tried))
+    beside = _damping_of(damping) if tried is None else ("", *terminal.shown(tried))
     deliver(
         said,
         out,
         lambda: [
             *tables_of(found),
-            *screening_terminal.warnings(doubts),
+            *terminal.doubts(doubts),
             *terminal.shown(result, display),
             *beside,
         ],
@@ -180,6 +180,6 @@ def _needs_mass(found: Iterable[IdentifiedRecord]) -> bool:
 
 
 def _damping_of(found: IdentifiedDamping | None) -> Iterable[RenderableType]:
-    from cvxshear.report import response_terminal
+    from cvxshear.report import terminal
 
-    return () if found is None else ("", *response_terminal.damping(found))
+    return () if found is None else terminal.damping(found)

@@ -1,6 +1,17 @@
 """Results in words: one description each, which terminal, report, notebook and `print` arrange."""
 
-from cvxshear.report.describe import closure, comparison, experiment, identification, modal, noise_study
+from cvxshear.report.describe import (
+    closure,
+    comparison,
+    damping,
+    experiment,
+    identification,
+    modal,
+    noise_study,
+    plan,
+    prediction,
+    screening,
+)
 from cvxshear.report.describe.dispatch import describe, line
 from cvxshear.report.describe.vocabulary import Document, Facts, Points, Row, Section, Sentence, Table
 
@@ -14,10 +25,14 @@ __all__ = [
     "Table",
     "closure",
     "comparison",
+    "damping",
     "describe",
     "experiment",
     "identification",
     "line",
     "modal",
     "noise_study",
+    "plan",
+    "prediction",
+    "screening",
 ]
