@@ -121,7 +121,8 @@ def test_a_prediction_is_described_by_its_peaks_and_errors(predicted, shaken):
     for row in errors.rows:
         assert all(abs(float(cell.strip("<%+ "))) <= 0.5 for cell in row.cells[2:5])
     dashpots = column(table(predicted, "story-dashpots"), 1)
-    assert dashpots == pytest.approx(damped_frame(3)[2], rel=1e-2)
+    # Dashpots that couple the modes, from the ratios of the modes without them.
+    assert dashpots == pytest.approx(damped_frame(3)[2], rel=0.06)
     assert describe(predicted).headline == "three stories (configuration 1) under base motion of shaken: 4.0 s at 100 Hz"
 
 
