@@ -139,7 +139,7 @@ def test_what_the_stiffnesses_say_already_keeps_its_odds():
 
 
 def rod_modes(mass, k, added, rods):
-    """Frequencies and shapes of largest entry 1, a row a mode, of a frame with rods (floor, s, mass), by numpy alone."""
+    """Frequencies and shapes of largest entry 1, a row a mode, of a frame with rods (floor, s, mass)."""
     n = len(mass)
     M = mass + added
     T = np.eye(n) - np.eye(n, k=1)

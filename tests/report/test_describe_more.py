@@ -123,7 +123,8 @@ def test_a_prediction_is_described_by_its_peaks_and_errors(predicted, shaken):
     dashpots = column(table(predicted, "story-dashpots"), 1)
     # Dashpots that couple the modes, from the ratios of the modes without them.
     assert dashpots == pytest.approx(damped_frame(3)[2], rel=0.06)
-    assert describe(predicted).headline == "three stories (configuration 1) under base motion of shaken: 4.0 s at 100 Hz"
+    said = describe(predicted).headline
+    assert said == "three stories (configuration 1) under base motion of shaken: 4.0 s at 100 Hz"
 
 
 def test_the_damping_of_a_frame_describes_itself(predicted):

@@ -134,7 +134,7 @@ def accuracy(of: Plan, units: Units) -> Table:
 
 
 def _mass_unit(values: Floats, units: Units) -> tuple[float, str]:
-    """Masses are laid on the floors by hand, so they are told in kg, whatever their size, where nobody asks otherwise."""
+    """Masses are laid on floors by hand, so they are told in kg, whatever their size, where nobody asks otherwise."""
     return (1.0, "kg") if units.mass is None else units.of_mass(values.tolist())
 
 
