@@ -120,9 +120,10 @@ def test_a_prediction_is_described_by_its_peaks_and_errors(predicted, shaken):
     assert errors.head[2:5] == ("error in time", "rms", "peak")
     for row in errors.rows:
         assert all(abs(float(cell.strip("<%+ "))) <= 0.5 for cell in row.cells[2:5])
-    dashpots = column(table(predicted, "story-dashpots"), 1)
-    # Dashpots that couple the modes, from the ratios of the modes without them.
-    assert dashpots == pytest.approx(damped_frame(3)[2], rel=0.06)
+    rows = table(predicted, "story-dashpots").rows
+    for row, exact in zip(reversed(rows), damped_frame(3)[2], strict=True):
+        found, std = map(float, row.cells[1].split(" ± "))
+        assert abs(found - exact) < 2 * std < 0.5 * exact
     said = describe(predicted).headline
     assert said == "three stories (configuration 1) under base motion of shaken: 4.0 s at 100 Hz"
 
