@@ -202,7 +202,7 @@ def test_the_spreadsheet_holds_the_errors_of_both_models(three, tmp_path):
 def test_names_of_files_that_nothing_is_written_as(three, tmp_path):
     with pytest.raises(InputError, match=r"time series are written as .csv, .mat, .npz or .uff"):
         write_series(tmp_path / "series.xls", three[2]["modal"])
-    with pytest.raises(InputError, match=r"a model is written as .npz, .mat, .json, .py, .xlsx"):
+    with pytest.raises(InputError, match=r"a model is written as .npz, .mat, .json, .py or .xlsx"):
         write_model(tmp_path / "model.xls", three[2]["modal"])
     with pytest.raises(InputError, match="cannot be written"):
         write_series(tmp_path / "nowhere" / "series.csv", three[2]["modal"])
