@@ -15,6 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from cvxshear.errors import InputError
+from cvxshear.quantities import listed
 
 OWN_DESCRIPTORS = "/proc/self/fd"
 """Where /dev/stdout and /dev/fd/3 lead to under Linux; opened anew they would be written from their start."""
@@ -105,7 +106,8 @@ def ending_of(path: str | Path, endings: Iterable[str], what: str) -> str:
     """
     ending = Path(path).suffix.lower().removeprefix(".")
     if ending not in endings:
-        raise InputError(f"{path}: {what} {', '.join('.' + name for name in endings)}")
+        there = listed([f".{name}" for name in endings], "or")
+        raise InputError(f"{path}: {what} {there}; give a name with one of these endings")
     return ending
 
 

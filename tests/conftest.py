@@ -31,7 +31,7 @@ def run(capsys):
 
     def call(*arguments):
         with pytest.raises(SystemExit) as stopped:
-            main(list(arguments))
+            main([str(argument) for argument in arguments])
         shown = capsys.readouterr()
         return stopped.value.code, shown.out, shown.err
 

@@ -5,8 +5,10 @@ import subprocess
 import sys
 
 import pytest
+import typer
 
 from cvxshear import __version__, backends
+from cvxshear.cli import app
 from tests.frames import EXAMPLES
 
 THREE = str(EXAMPLES / "three_story.toml")
@@ -177,7 +179,9 @@ def test_the_version_is_the_packages(run):
 
 
 def test_help_gives_an_example_for_every_command(run):
-    for command in ("identify", "loop", "backends", "reproduce"):
+    commands = [each for each in typer.main.get_command(app).commands if each != "study"]
+    assert {"check", "identify", "loop", "modes", "plan", "predict", "backends", "reproduce"} <= set(commands)
+    for command in commands:
         status, out, _ = run(command, "--help")
         assert status == 0
         assert f"Example: cvxshear {command}" in out

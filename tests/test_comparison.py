@@ -17,22 +17,10 @@ from cvxshear.backends.comparison import condition_number
 from cvxshear.backends.export import export
 from cvxshear.backends.qpsolvers_backend import Qpsolvers
 from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS, Solver
-from cvxshear.cli import main
 from cvxshear.identification import programs_of
 from cvxshear.programs import LeastSquares
 
 THREE = "examples/three_story.toml"
-
-
-@pytest.fixture
-def run(capsys):
-    def call(*arguments):
-        with pytest.raises(SystemExit) as ended:
-            main(list(arguments))
-        printed = capsys.readouterr()
-        return ended.value.code, printed.out, printed.err
-
-    return call
 
 
 @pytest.fixture(scope="module")

@@ -25,6 +25,8 @@ def numbers(shape, seed):
     }  # fmt: skip
 
 
+# Older cvxpy calls OSQP in a way that OSQP warns of; the backend passes over what solvers warn about.
+@pytest.mark.filterwarnings("ignore:The default value of raise_error:PendingDeprecationWarning")
 @pytest.mark.parametrize("solver", ["CLARABEL", "OSQP", "SCS"])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_new_numbers_give_what_cvxpy_gives_for_them(solver, shape):

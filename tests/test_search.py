@@ -11,9 +11,11 @@ from cvxshear.effects import Effect, GroundSpring, Parameter, Place, Placed, Sen
 from cvxshear.identification.efficient import efficient, fitted_with
 from cvxshear.identification.expectation import Expectation
 from cvxshear.identification.misfit import Misfit
+from cvxshear.loop import conclusion
 from cvxshear.loop import fitter as fitter_module
 from cvxshear.loop.evidence import log_evidence
 from cvxshear.loop.linear import Linearised
+from cvxshear.loop.next_test import next_test
 from tests.fe.experiments import simulated
 
 
@@ -136,23 +138,33 @@ def test_what_the_stiffnesses_say_already_keeps_its_odds():
     assert any("cannot tell whether there is stiffer throughout" in said for said in result.information)
 
 
-def loaded_and_held():
-    """A frame whose floor 3 carries 2 kg and is held with 4 kN/m: nothing in one parameter does both."""
-    rng = np.random.default_rng(8)
-    declared, truth = simulated("ground_spring", stories=4, configurations=2, rng=rng, floor=3, size=4000.0, noise=0.0)
-    M = np.diag(truth["floor_mass"])
-    M[2, 2] += 3.0
-    k = truth["story_stiffness"]
-    T = np.eye(4) - np.eye(4, k=1)
+def rod_modes(mass, k, added, rods):
+    """Frequencies and shapes of largest entry 1, a row a mode, of a frame with rods (floor, s, mass)."""
+    n = len(mass)
+    M = mass + added
+    T = np.eye(n) - np.eye(n, k=1)
     K = (T * k) @ T.T
-    K[2, 2] += 4000.0
+    for floor, spring, more in rods:
+        K[floor - 1, floor - 1] += spring
+        M[floor - 1] += more
+    root = np.sqrt(M)
+    values, vectors = np.linalg.eigh(K / np.outer(root, root))
+    shapes = (vectors / root[:, None]).T
+    return np.sqrt(values) / (2 * np.pi), shapes / np.max(np.abs(shapes), axis=1, keepdims=True)
+
+
+def loaded_and_held(spring=4000.0, configurations=2, seed=8, noise=(0.001, 0.01)):
+    """A frame whose floor 3 carries 3 kg and is held by a spring: nothing in one parameter does both."""
+    rng = np.random.default_rng(seed)
+    declared, truth = simulated(
+        "ground_spring", stories=4, configurations=configurations, rng=rng, floor=3, size=spring, noise=0.0
+    )
     for table in declared["configuration"]:
-        root = np.sqrt(np.diag(M) + table["added_mass"])
-        values, vectors = np.linalg.eigh(K / np.outer(root, root))
-        shapes = (vectors / root[:, None]).T
-        shapes /= np.max(np.abs(shapes), axis=1, keepdims=True)
-        table["frequencies"] = (np.sqrt(values) / (2 * np.pi) * (1 + 0.001 * rng.standard_normal(4))).tolist()
-        table["mode_shapes"] = (shapes + 0.01 * rng.standard_normal((4, 4))).tolist()
+        added = np.asarray(table["added_mass"])
+        frequencies, shapes = rod_modes(truth["floor_mass"], truth["story_stiffness"], added, [(3, spring, 3.0)])
+        table["frequencies"] = (frequencies * (1 + noise[0] * rng.standard_normal(4))).tolist()
+        table["mode_shapes"] = (shapes + noise[1] * rng.standard_normal((4, 4))).tolist()
+        table["frequency_std"], table["mode_shape_std"] = noise
     return Experiment.from_dict(declared)
 
 
@@ -186,3 +198,62 @@ def test_the_linearised_model_of_two_parameters_is_that_of_the_fit():
     gain = log_evidence(fitted, expectation) - log_evidence(base, expectation)
     assert linear.gain(placed) == pytest.approx(gain, abs=0.1)
     assert np.all(np.abs(linear.predicted([placed])[8:] - fitted.theta[8:]) < 0.2 * fitted.std[8:])
+
+
+def apart(accepted, rival, floor, mass, noise):
+    """Standard deviations between two models with rods, by numpy alone: D^2 = r' (1 + J C J' + J_r C_r J_r')^-1 r."""
+    added = mass * (np.arange(1, 5) == floor)
+
+    def seen(estimate, theta):
+        floors = [placed.place.floor for placed in estimate.effects]
+        rods = [(at, *pair) for at, pair in zip(floors, theta[8:].reshape(-1, 2), strict=True)]
+        return rod_modes(theta[:4], theta[4:8], added, rods)
+
+    measured = seen(accepted, accepted.theta)
+
+    def residual(estimate, theta):
+        frequencies, shapes = seen(estimate, theta)
+        scale = np.sum(shapes * measured[1], axis=1) / np.sum(shapes**2, axis=1)
+        differences = (scale[:, None] * shapes - measured[1]) / noise[1]
+        return np.concatenate([np.log(frequencies / measured[0]) / noise[0], differences.ravel()])
+
+    spread = np.eye(20)
+    for each in (accepted, rival):
+        steps = 1e-5 * np.array([*each.theta[:8], *([1000.0, 1.0] * len(each.effects))])
+        J = np.transpose(
+            [(residual(each, each.theta + h) - residual(each, each.theta - h)) / (2 * h.sum()) for h in np.diag(steps)]
+        )
+        spread += J @ each.uncertainty.covariance() @ J.T
+    r = residual(rival, rival.theta)
+    return np.sqrt(r @ np.linalg.solve(spread, r))
+
+
+def test_the_next_test_tells_rivals_of_two_parameters_apart(monkeypatch):
+    """In one noisy test the rod may hold and load floor 2 as well as floor 3."""
+    seen = []
+
+    def proposing(accepted, rivals):
+        seen.append((accepted, rivals))
+        return next_test(accepted, rivals)
+
+    monkeypatch.setattr(conclusion, "next_test", proposing)
+    noise = (0.002, 0.03)
+    result = close_loop(loaded_and_held(1500.0, 1, 9, noise), effects=[HeldAndLoaded()])
+    assert result.verdict == "ambiguous"
+    (found,) = result.effects
+    assert {found.placed.place.floor, *(rival.placed.place.floor for rival in found.rivals)} == {2, 3}
+    ((accepted, rivals),) = seen
+    assert all(len(each.theta) == 8 + 2 * len(each.effects) for each in (accepted, *rivals))
+    # The parts of the mean floor mass that are tried, on every floor.
+    mean = np.mean(accepted.theta[:4])
+    distances = {
+        (floor, part): min(apart(accepted, rival, floor, part * mean, noise) for rival in rivals[:4])
+        for floor in range(1, 5)
+        for part in (0.1, 0.25, 0.5, 1.0)
+    }
+    floor, part = max(distances, key=distances.get)
+    proposed = result.next_test
+    assert (proposed.floor, proposed.added_mass) == (floor, pytest.approx(part * mean, rel=0.05))
+    # The shapes' scales are held at those of the accepted model in the library's derivative (Kaufman).
+    assert proposed.standard_deviations == pytest.approx(distances[floor, part], rel=0.02)
+    assert proposed.standard_deviations > 1.0

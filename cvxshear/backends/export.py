@@ -117,7 +117,7 @@ def _written(programs: Sequence[BenchmarkProgram], folder: Path) -> list[Path]:
 def _own(of: BenchmarkProgram) -> bytes:
     """The arrays by the names of `LeastSquares`."""
     out = BytesIO()
-    np.savez(out, allow_pickle=False, origin=of.origin, **_arrays(of.program))
+    np.savez(out, origin=of.origin, **_arrays(of.program))
     return out.getvalue()
 
 

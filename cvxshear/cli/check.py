@@ -23,19 +23,11 @@ def check(
 
     Example: cvxshear check paper
     """
-    from cvxshear.report import screening_terminal
-    from cvxshear.screening import screen
+    from cvxshear.report import terminal
+    from cvxshear.screening import Screening
 
     experiment, tests = measured([file], accept_swapped=True)
-    found = screen(experiment)
-    diagnostics = [item for each in tests for item in each.modes.findings]
-    refused = any(item.refuses for item in found)
-    said = {
-        "name": experiment.name,
-        "refused": refused,
-        "findings": [item.to_dict() for item in found],
-        "record": [item.to_dict() for item in diagnostics],
-    }
-    deliver(said, out, lambda: screening_terminal.screening(experiment, found, diagnostics))
-    if refused:
+    found = Screening.of(experiment, (item for each in tests for item in each.modes.findings))
+    deliver(found.to_dict(), out, lambda: terminal.shown(found))
+    if found.refused:
         raise typer.Exit(MISTAKEN)

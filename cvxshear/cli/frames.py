@@ -66,7 +66,7 @@ def identify(
     from cvxshear import identify as run
     from cvxshear import load
     from cvxshear.quantities import Units
-    from cvxshear.report import screening_terminal, terminal
+    from cvxshear.report import terminal
     from cvxshear.report.sheets import sheets_of_identification
     from cvxshear.response import Fitted, damping_of
     from cvxshear.screening import refuse_mistakes
@@ -94,7 +94,7 @@ def identify(
         said,
         out,
         lambda: [
-            *screening_terminal.warnings(doubts),
+            *terminal.doubts(doubts),
             *terminal.identification(result, beside, display),
             *_damping_of(damping),
         ],
@@ -131,7 +131,7 @@ def loop(
     from cvxshear import close_loop
     from cvxshear.findings import NUMBERS
     from cvxshear.quantities import Units
-    from cvxshear.report import response_terminal, screening_terminal, terminal
+    from cvxshear.report import terminal
     from cvxshear.report.sheets import sheets_of_closure
     from cvxshear.response import damping_of, models_of_loop, predict
     from cvxshear.screening import refuse_mistakes
@@ -160,13 +160,13 @@ def loop(
     if report is not None:
         command = shlex.join(["cvxshear", *typed])
         files.append(lambda: write_report(result, report, command, units=display, prediction=tried))
-    beside = _damping_of(damping) if tried is None else ("", *response_terminal.prediction(tried))
+    beside = _damping_of(damping) if tried is None else ("", *terminal.shown(tried))
     deliver(
         said,
         out,
         lambda: [
             *tables_of(found),
-            *screening_terminal.warnings(doubts),
+            *terminal.doubts(doubts),
             *terminal.shown(result, display),
             *beside,
         ],
@@ -183,6 +183,6 @@ def _needs_mass(found: Iterable[IdentifiedRecord]) -> bool:
 
 
 def _damping_of(found: IdentifiedDamping | None) -> Iterable[RenderableType]:
-    from cvxshear.report import response_terminal
+    from cvxshear.report import terminal
 
-    return () if found is None else ("", *response_terminal.damping(found))
+    return () if found is None else terminal.damping(found)

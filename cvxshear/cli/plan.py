@@ -75,7 +75,7 @@ def plan(
     """
     from cvxshear.planning import plan as run
     from cvxshear.planning import write_template
-    from cvxshear.report import plan_terminal
+    from cvxshear.report import terminal
 
     drawing = figures_for(figure)
     noise = _noise((frequency_std, mode_shape_std), duration, (excitation, damping, sensor_noise))
@@ -97,7 +97,7 @@ def plan(
         write_template(output, result)
     if drawing is not None:
         drawing.save(drawing.plan(result), figure)
-    deliver(result.to_dict(), out, lambda: plan_terminal.plan(result))
+    deliver(result.to_dict(), out, lambda: terminal.shown(result))
 
 
 def _noise(

@@ -68,7 +68,7 @@ def predict(
 
     Example: cvxshear predict frame.toml --record earthquake.toml
     """
-    from cvxshear.report.response_terminal import prediction
+    from cvxshear.report import terminal
     from cvxshear.response import predict as run
 
     files = Files(series, export or [], figure or [])
@@ -80,7 +80,7 @@ def predict(
     with progress("predicting", quiet):
         result = run(file, record, backend, damping=damping, configuration=configuration, detrend=detrend)
     files.write(result)
-    deliver(result.to_dict(), out, lambda: prediction(result), *pages)
+    deliver(result.to_dict(), out, lambda: terminal.shown(result), *pages)
 
 
 class Files:

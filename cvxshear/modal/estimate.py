@@ -12,7 +12,7 @@ from cvxshear.modal.clock import Offsets, offsets, undone
 from cvxshear.modal.frf import FixedSource
 from cvxshear.modal.jackknife import jackknife, surrogate
 from cvxshear.modal.picking import Sweep, Values, values_on
-from cvxshear.modal.realization import Impulse, Source
+from cvxshear.modal.realization import DampedModes, Impulse, Source
 from cvxshear.modal.record import Complexes
 from cvxshear.modal.residues import modal_products, modal_scale, participations, residues, unwrapped
 from cvxshear.modal.shapes import main_axis, real_shape, signed_projection
@@ -52,7 +52,7 @@ class Replication:
 
 
 @dataclass(frozen=True, eq=False)
-class Details:
+class Details(DampedModes):
     """The modes of one set of data.
 
     Parameters
@@ -77,16 +77,6 @@ class Details:
     clocks: Offsets
     products: Complexes | None
     driven: Ints
-
-    @property
-    def frequencies(self) -> Floats:
-        """Undamped natural frequencies |lambda| / 2 pi, Hz."""
-        return np.abs(self.eigenvalues) / (2 * np.pi)
-
-    @property
-    def damping_ratios(self) -> Floats:
-        """Fraction of critical."""
-        return -self.eigenvalues.real / np.abs(self.eigenvalues)
 
     def vector(self) -> Floats:
         """All parameters in one row: log frequencies, damping, shapes, scales, clock offsets."""

@@ -73,8 +73,30 @@ class Impulse:
     wrapped: bool = False
 
 
+class DampedModes:
+    """Modes that are told by eigenvalues, those of positive imaginary part.
+
+    Attributes
+    ----------
+    eigenvalues : array of complex, shape (m,)
+        Continuous-time, 1/s.
+    """
+
+    eigenvalues: Complexes
+
+    @property
+    def frequencies(self) -> Floats:
+        """Undamped natural frequencies |lambda| / 2 pi, Hz."""
+        return np.abs(self.eigenvalues) / (2 * np.pi)
+
+    @property
+    def damping_ratios(self) -> Floats:
+        """Fraction of critical."""
+        return -self.eigenvalues.real / np.abs(self.eigenvalues)
+
+
 @dataclass(frozen=True, eq=False)
-class Poles:
+class Poles(DampedModes):
     """Poles of one model order with positive imaginary part.
 
     Parameters
@@ -90,16 +112,6 @@ class Poles:
     order: int
     eigenvalues: Complexes
     shapes: Complexes
-
-    @property
-    def frequencies(self) -> Floats:
-        """Natural frequencies, Hz."""
-        return np.abs(self.eigenvalues) / (2 * np.pi)
-
-    @property
-    def damping_ratios(self) -> Floats:
-        """Fraction of critical."""
-        return -self.eigenvalues.real / np.abs(self.eigenvalues)
 
 
 def block_hankel(sequence: Floats, rows: int, columns: int, start: int = 1) -> Floats:

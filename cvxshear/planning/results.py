@@ -10,6 +10,7 @@ from cvxshear.identification.results import plain
 from cvxshear.planning.apart import Apart
 from cvxshear.planning.criteria import CRITERIA
 from cvxshear.planning.model import TestModel
+from cvxshear.showing import Shown
 from cvxshear.typing import Floats, Ints, Json
 
 OPEN = 1.0
@@ -79,8 +80,8 @@ class ExpectedMode:
         return asdict(self)
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan(Shown):
     """The result of `plan`.
 
     Parameters

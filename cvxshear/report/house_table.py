@@ -51,30 +51,43 @@ class HouseTable(Table):
         """The table, or several of its columns each with its leading words before them."""
         least = [_least(column, self._wraps(at)) for at, column in enumerate(self.columns)]
         if sum(least) + GAP * len(least) <= width:
-            yield self._of(range(len(self.columns)), least)
+            yield self._of(range(len(self.columns)), least, width)
             return
         lead = [at for at in range(len(self.columns)) if at in self.words and all(i in self.words for i in range(at))]
         taken = sum(least[at] + GAP for at in lead)
         block, used = list(lead), taken
         for at in range(len(lead), len(self.columns)):
             if len(block) > len(lead) and used + least[at] + GAP > width:
-                yield self._of(block, least)
+                yield self._of(block, least, width)
                 block, used = list(lead), taken
             block.append(at)
             used += least[at] + GAP
-        yield self._of(block, least)
+        yield self._of(block, least, width)
 
     def _wraps(self, at: int) -> bool:
         return at in self.words
 
-    def _of(self, columns: Sequence[int], least: Sequence[int]) -> HouseTable:
+    def _of(self, columns: Sequence[int], least: Sequence[int], width: int) -> HouseTable:
         """Some of the columns, the numbers never narrower than they are."""
         block = HouseTable("", [place for place, at in enumerate(columns) if at in self.words])
+        # Where the headers have to be wrapped, rich makes all columns alike, whatever their least width, and cuts what
+        # then is too wide: so the columns of numbers are given theirs, and the words have the rest.
+        tight = sum(_natural(self.columns[at]) + GAP for at in columns) > width + GAP
         for at in columns:
-            block.add_column(self.columns[at].header, justify=self.columns[at].justify, min_width=least[at])
+            block.add_column(
+                self.columns[at].header,
+                justify=self.columns[at].justify,
+                min_width=least[at],
+                width=least[at] if tight and not self._wraps(at) else None,
+            )
         for cells in zip(*(self.columns[at].cells for at in columns), strict=True):
             block.add_row(*cells)
         return block
+
+
+def _natural(column: Column) -> int:
+    """The width at which nothing of a column is wrapped."""
+    return max(cell_len(str(cell)) for cell in (column.header, *column.cells))
 
 
 def _least(column: Column, wraps: bool) -> int:

@@ -13,12 +13,26 @@ from cvxshear.backends import ListedBackend
 from cvxshear.identification import Identification
 from cvxshear.quantities import AUTOMATIC, Units
 from cvxshear.report.describe import Document, Facts, Points, Section, Sentence, Table, describe
+from cvxshear.report.describe.damping import damping_section
+from cvxshear.report.describe.screening import doubts_section
 from cvxshear.report.house_table import HouseTable, plain_table
+from cvxshear.response import IdentifiedDamping
+from cvxshear.screening import Finding
 from cvxshear.text import printable
 
-__all__ = ["HouseTable", "identification", "listed_backends", "plain_table", "rendered", "shown", "text"]
+__all__ = [
+    "HouseTable",
+    "damping",
+    "doubts",
+    "identification",
+    "listed_backends",
+    "plain_table",
+    "rendered",
+    "shown",
+    "text",
+]
 
-STYLES = {"strong": "bold", "warning": "yellow", "": ""}
+STYLES = {"strong": "bold", "warning": "yellow", "mistake": "bold red", "": ""}
 
 PAGE = 80
 """Columns of plain text."""
@@ -56,6 +70,16 @@ def identification(
                 yield from _section(section)
 
 
+def doubts(found: Sequence[Finding]) -> Iterator[RenderableType]:
+    """Doubts above a result that was computed all the same."""
+    yield from _section(doubts_section(found))
+
+
+def damping(found: IdentifiedDamping) -> Iterator[RenderableType]:
+    """The damping of a frame below the frame itself."""
+    yield from _section(damping_section(found))
+
+
 def listed_backends(listed: Sequence[ListedBackend]) -> Iterator[RenderableType]:
     """Which backends are installed, with the version of their solver, and how to get the others."""
     there = plain_table("installed", "backend", "solver", "version", "called by")
@@ -81,8 +105,9 @@ def text(result: object, width: int = PAGE) -> str:
 
 
 def _section(section: Section) -> Iterator[RenderableType]:
-    yield Text("")
-    yield Text(printable(section.title), style="bold underline")
+    if section.title:
+        yield Text("")
+        yield Text(printable(section.title), style="bold underline")
     for place, part in enumerate(section.parts):
         if place and isinstance(part, Table):
             yield Text("")

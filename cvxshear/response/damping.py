@@ -15,11 +15,12 @@ from cvxshear.response.fitted import Fitted
 from cvxshear.response.propagation import propagated
 from cvxshear.response.ratios import known
 from cvxshear.response.uncertain import Damped, UncertainFrame
+from cvxshear.showing import Shown
 from cvxshear.typing import Floats, Json
 
 
-@dataclass(frozen=True, eq=False)
-class IdentifiedDamping:
+@dataclass(frozen=True, eq=False, repr=False)
+class IdentifiedDamping(Shown):
     """Damping with its standard deviations.
 
     Parameters

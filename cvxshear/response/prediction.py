@@ -23,6 +23,7 @@ from cvxshear.response.propagation import propagated
 from cvxshear.response.sources import ModelSource, MotionSource, models_of, motion_of, state_of
 from cvxshear.response.spectra import FloorSpectra, floor_spectra, spectrum_lines
 from cvxshear.response.uncertain import Damped, UncertainFrame
+from cvxshear.showing import Shown
 from cvxshear.typing import Floats, Json
 
 
@@ -46,8 +47,8 @@ class Side:
     comparison: RecordComparison | None
 
 
-@dataclass(frozen=True, eq=False)
-class RecordPrediction:
+@dataclass(frozen=True, eq=False, repr=False)
+class RecordPrediction(Shown):
     """The result of `predict`.
 
     Parameters

@@ -1,6 +1,7 @@
 """What looks wrong in a measurement file, before anything is fitted: mistakes, which are refused, and doubts."""
 
 from cvxshear.screening.finding import Finding
+from cvxshear.screening.result import Screening
 from cvxshear.screening.screen import refuse_mistakes, screen
 
-__all__ = ["Finding", "refuse_mistakes", "screen"]
+__all__ = ["Finding", "Screening", "refuse_mistakes", "screen"]

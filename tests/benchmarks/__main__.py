@@ -1,11 +1,11 @@
-"""Print the tables of docs/speed.md: `python -m tests.benchmarks [large] [many] [solvers] [peers]`."""
+"""Print the tables of docs/speed.md: `python -m tests.benchmarks [starting] [large] [many] [solvers] [peers]`."""
 
 import sys
 from importlib import import_module
 
 from tests.benchmarks.timing import machine
 
-PARTS = ("large", "many", "solvers", "peers", "response")
+PARTS = ("starting", "large", "many", "solvers", "peers", "response")
 
 if __name__ == "__main__":
     print(machine())

@@ -6,16 +6,14 @@ from functools import partial
 import numpy as np
 from scipy import signal
 
-from cvxshear.frame import modes
 from cvxshear.modal.motion import Drive
 from cvxshear.response import DampedModel, response
 from cvxshear.response.batch import batch_peaks
 from cvxshear.response.family import Family
 from cvxshear.response.handover import state_space
 from cvxshear.response.instants import possible_instants
-from cvxshear.response.uncertain import modal_matrix
 from tests.benchmarks.timing import fastest, shown, table
-from tests.response.common import damped_frame, matrices
+from tests.response.common import family
 
 STORIES, SAMPLES, RATE, SECONDS = 20, 1000, 100.0, 60.0
 
@@ -31,18 +29,6 @@ def unrest(seed=6):
     """The same noise at one strength all along, so that a peak can be anywhere."""
     count = int(SECONDS * RATE)
     return np.convolve(np.random.default_rng(seed).standard_normal(count), np.ones(6) / 6, mode="same")
-
-
-def family(samples, spread=0.004, seed=7):
-    """Matrices of frames whose masses and stiffnesses scatter by 0.4 %, and whose damping ratios by 10 %."""
-    rng = np.random.default_rng(seed)
-    mass, stiffness, dashpots = damped_frame(STORIES)
-    made = []
-    for _ in range(samples):
-        m, k = (values * np.exp(spread * rng.standard_normal(STORIES)) for values in (mass, stiffness))
-        M, _, K = matrices(m, k, dashpots)
-        made.append((M, modal_matrix(M, modes(M, K), 0.02 * np.exp(0.1 * rng.standard_normal(STORIES))), K))
-    return [np.array(each) for each in zip(*made, strict=True)]
 
 
 def newmark(M, C, K, excitation, step):
@@ -74,7 +60,7 @@ def one(M, C, K, excitation, step):
 
 def main():
     best = partial(fastest, clock=time.process_time)
-    M, C, K = family(SAMPLES)
+    M, C, K = family(SAMPLES, STORIES, 0.004, seed=7, ratio=0.02, ratio_spread=0.1)
     excitation, step = earthquake(), 1 / RATE
     # The batch first: it leaves memory at hand that the single run would otherwise wait for longer than it computes.
     many, found = best(lambda: batch_peaks(M, C, K, Drive(excitation), step), 9)

@@ -47,6 +47,7 @@ def test_mdof():
     transition, _, output, *_ = mdof.sysid(shaken.excitation[None], shaken.responses.T, method="srim", order=6, dt=0.05)
     frequencies, shapes = by_poles(np.asarray(transition), np.asarray(output), 20.0)
     ours = identify_modes(record)
+    assert len(ours.frequencies) == 3
     for frequency, shape in zip(ours.frequencies, ours.mode_shapes, strict=True):
         nearest = int(np.argmin(np.abs(frequencies - frequency)))
         assert frequencies[nearest] == pytest.approx(frequency, rel=2e-4)

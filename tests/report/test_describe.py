@@ -221,6 +221,19 @@ def test_a_wide_table_is_folded_and_loses_nothing():
     assert all("mode" in block and "floor" in block for block in blocks)
 
 
+def test_headers_that_must_be_wrapped_cost_no_number():
+    """The columns just fit with their headers wrapped: rich would make them alike, and cut the last."""
+    names = ("floor / story", "mass, kg", *["as planned"] * 3, "all floors", "stiffness, MN/m", "one less", "one more")
+    table = plain_table("title", *names)
+    table.add_row("4", "16647", "1.67 %", "1.85 %", "1.53 %", "1.46 %", "69.58", "1.55 %", "3.64 %")
+    for width in range(78, 130):
+        console = terminal.Console(width=width, color_system=None)
+        with console.capture() as captured:
+            console.print(table)
+        assert "3.64 %" in captured.get(), width
+        assert "1.55 %" in captured.get(), width
+
+
 def test_names_are_data(unexplained):
     steering = "a[bold]b\x1b[31m\r\n\u202ec"
     renamed = dataclasses.replace(unexplained.experiment, name=steering)

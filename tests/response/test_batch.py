@@ -14,22 +14,9 @@ from cvxshear.response.hold import held, held_at
 from cvxshear.response.instants import possible_instants
 from cvxshear.response.propagation import sampled
 from cvxshear.response.uncertain import UncertainFrame, modal_matrix
-from tests.response.common import damped_frame, declared, matrices, shaking
+from tests.response.common import damped_frame, declared, family, matrices, shaking
 
 STEP = 0.01
-
-
-def family(count, stories, spread, seed=0):
-    """Frames whose masses, stiffnesses and damping ratios scatter."""
-    rng = np.random.default_rng(seed)
-    mass, stiffness, dashpots = damped_frame(stories)
-    made = []
-    for _ in range(count):
-        m, k = (values * np.exp(spread * rng.standard_normal(stories)) for values in (mass, stiffness))
-        M, _, K = matrices(m, k, dashpots)
-        ratios = 0.03 * np.exp(10 * spread * rng.standard_normal(stories))
-        made.append((M, modal_matrix(M, modes(M, K), ratios), K))
-    return [np.array(each) for each in zip(*made, strict=True)]
 
 
 def one_by_one(M, C, K, drive):

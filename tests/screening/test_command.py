@@ -5,21 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from cvxshear.cli import main
 from cvxshear.formats.measurement import write_measurement
 from tests.fe.experiments import simulated
 from tests.mistakes import with_mistake
-
-
-@pytest.fixture
-def run(capsys):
-    def call(*arguments):
-        with pytest.raises(SystemExit) as stopped:
-            main([str(argument) for argument in arguments])
-        shown = capsys.readouterr()
-        return stopped.value.code, shown.out, shown.err
-
-    return call
 
 
 @pytest.fixture

@@ -8,7 +8,9 @@ from cvxshear.report.describe import (
     identification,
     modal,
     noise_study,
+    plan,
     prediction,
+    screening,
 )
 from cvxshear.report.describe.dispatch import describe, line
 from cvxshear.report.describe.vocabulary import Document, Facts, Points, Row, Section, Sentence, Table
@@ -30,5 +32,7 @@ __all__ = [
     "line",
     "modal",
     "noise_study",
+    "plan",
     "prediction",
+    "screening",
 ]

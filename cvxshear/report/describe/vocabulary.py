@@ -17,7 +17,7 @@ class Sentence:
     ----------
     text : str
     tone : str
-        "strong", "warning", or empty.
+        "strong", "warning", "mistake", or empty.
     """
 
     kind: ClassVar[str] = "sentence"
@@ -128,6 +128,7 @@ class Section:
     key : str
         Names it in a page.
     title : str
+        Empty where its parts need none.
     parts : tuple
     detail : bool
         Whether a full report alone has it.

@@ -10,9 +10,8 @@ import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from cvxshear.errors import InputError
 from cvxshear.report.figures.style import settings
-from cvxshear.writing import write_file
+from cvxshear.writing import ending_of, write_file
 
 KINDS = ("svg", "png", "pdf")
 ENLARGED = 1.4
@@ -47,10 +46,7 @@ def kind_of(path: str | Path) -> str:
     InputError
         Where it ends in something else.
     """
-    kind = Path(path).suffix.lower().removeprefix(".")
-    if kind not in KINDS:
-        raise InputError(f"{path}: a figure is written as .svg, .png or .pdf; give a name with one of these endings")
-    return kind
+    return ending_of(path, KINDS, "a figure is written as")
 
 
 def encoded(figure: Figure, kind: str, *, transparent: bool = False) -> bytes:

@@ -1,0 +1,68 @@
+"""The lowest versions that pyproject.toml promises, as a constraints file for pip: ``python tests/lowest_versions.py``.
+
+Printed is a line ``name==lowest`` for every requirement of the package and of the extras asked for (``test`` where none
+is named), the extras that these name in turn included. A requirement without a lowest version is refused: what it
+promises could not be tested.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+PYPROJECT = Path(__file__).resolve().parents[1] / "pyproject.toml"
+REQUIREMENT = re.compile(r"(?P<name>[\w.-]+)\s*(?:\[(?P<extras>[^\]]*)\])?\s*(?:>=\s*(?P<lowest>[\w.]+))?\s*(?:$|[,;])")
+
+COMPANIONS = ("click<8.3", "pyparsing<3.3")
+"""What the lowest Typer and Matplotlib call, before it began to warn that what they call of it will go. They work with
+newer ones too, and the warning is no one's who calls this package; the tests take every warning for an error."""
+
+
+def lowest_versions(project: dict[str, Any], extras: tuple[str, ...] = ("test",)) -> dict[str, str]:
+    """Lowest version of every requirement of a project and its extras, by the requirement's name.
+
+    Parameters
+    ----------
+    project : dict
+        The table ``project`` of a pyproject.toml.
+    extras : tuple of str
+        The extras asked for.
+
+    Raises
+    ------
+    ValueError
+        Where a requirement promises no lowest version.
+    """
+    found: dict[str, str] = {}
+    waiting, seen = [*extras], set(extras)
+    requirements = list(project["dependencies"])
+    while requirements or waiting:
+        if not requirements:
+            requirements += project["optional-dependencies"][waiting.pop()]
+            continue
+        requirement = requirements.pop()
+        parts = REQUIREMENT.match(requirement)
+        if parts is not None and parts["name"] == project["name"]:
+            further = {extra.strip() for extra in (parts["extras"] or "").split(",")} - seen
+            waiting += sorted(further)
+            seen |= further
+        elif parts is None or parts["lowest"] is None:
+            raise ValueError(f"pyproject.toml: {requirement!r} promises no lowest version; write it as name>=version.")
+        else:
+            found[parts["name"]] = parts["lowest"]
+    return dict(sorted(found.items()))
+
+
+def main() -> None:
+    """Print the constraints."""
+    project = tomllib.loads(PYPROJECT.read_text(encoding="utf-8"))["project"]
+    for name, lowest in lowest_versions(project, tuple(sys.argv[1:]) or ("test",)).items():
+        sys.stdout.write(f"{name}=={lowest}\n")
+    sys.stdout.writelines(f"{companion}\n" for companion in COMPANIONS)
+
+
+if __name__ == "__main__":
+    main()

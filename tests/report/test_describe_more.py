@@ -1,0 +1,156 @@
+"""What `check`, `plan` and `predict` say is described once too: terminal, prompt and notebook show the same of it."""
+
+import html
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.cells import cell_len
+
+import cvxshear
+from cvxshear.modal.findings import Finding
+from cvxshear.planning import plan
+from cvxshear.quantities import Units
+from cvxshear.report.describe import Sentence, Table, describe
+from cvxshear.response import Drive, Motion, predict
+from cvxshear.screening import Screening
+from tests.planning.common import NOISE, slow_covariance, tapered
+from tests.report.conftest import NASTY
+from tests.response.common import damped_frame, declared, integrated, matrices, pole_ratios, shaking
+
+SWAPPED = Path(__file__).resolve().parents[2] / "examples" / "swapped_sensors.toml"
+STEP = 0.01
+
+
+def parts(of, kind, units=None):
+    document = describe(of) if units is None else describe(of, units)
+    return [part for section in document.sections for part in section.parts if isinstance(part, kind)]
+
+
+def table(of, key, units=None):
+    return next(part for part in parts(of, Table, units) if part.key == key)
+
+
+def column(of, at):
+    """The numbers of a table's column, those of the lowest floor first."""
+    return [float(re.match(r"[-+\d.e]+", row.cells[at])[0]) for row in reversed(of.rows) if row.cells[at]]
+
+
+@pytest.fixture(scope="module")
+def planned():
+    return plan(tapered(4, mass_std=0.02, stiffness_std=0.1), 2, modes=3, noise=NOISE)
+
+
+@pytest.fixture(scope="module")
+def shaken():
+    """A damped frame, its base motion, and how it moves by another integrator."""
+    M, C, K = matrices(*(frame := damped_frame(3)))
+    base = shaking()
+    return frame[:2], (M, C, K), base, integrated(M, C, K, base, STEP)
+
+
+@pytest.fixture(scope="module")
+def predicted(shaken):
+    frame, pencil, base, (total, _) = shaken
+    experiment = cvxshear.Experiment.from_dict(declared(*frame, pole_ratios(*pencil)), name="three stories")
+    motion = Motion((Drive(base, responses=total),), 1 / STEP, floors=[1, 2, 3], added_mass=np.zeros(3), name="shaken")
+    return predict(experiment, motion, damping="story", detrend=False)
+
+
+@pytest.fixture(scope="module")
+def screened():
+    return Screening.of(cvxshear.load(SWAPPED), [Finding("drift", "channel 3 drifts by 2 %")])
+
+
+@pytest.mark.parametrize("result", ["planned", "predicted", "screened"])
+def test_prompt_print_and_notebook_show_the_same(result, request):
+    found = request.getfixturevalue(result)
+    assert len(repr(found)) < 250
+    assert "\n" not in repr(found)
+    said, page = str(found), found._repr_html_()
+    assert max(cell_len(line) for line in said.splitlines()) <= 80
+    for shown in parts(found, Table):
+        assert f'id="{shown.key}"' in page
+        for row in shown.rows:
+            for cell in row.cells:
+                assert cell in said
+                assert f">{html.escape(cell)}<" in page
+    plain, headline = re.sub(r"\s+", " ", said), describe(found).headline
+    assert re.sub(r"\s+", " ", headline) in plain
+    for sentence in parts(found, Sentence):
+        assert sentence.text in plain
+
+
+def test_a_plan_is_described_by_its_expected_deviations(planned):
+    covariance = slow_covariance(
+        planned.model.design, [np.zeros(4)], np.array(planned.sensors) - 1, 3, NOISE, mass_std=0.02, stiffness_std=0.1
+    )
+    expected = 100 * np.sqrt(np.diag(covariance))
+    shown = table(planned, "accuracy-table")
+    planned_at = [at for at, name in enumerate(shown.head) if name == "as planned"]
+    assert column(shown, planned_at[0]) == pytest.approx(expected[:4], rel=5e-3, abs=5e-3)
+    assert column(shown, planned_at[1]) == pytest.approx(expected[4:], rel=5e-3, abs=5e-3)
+    assert describe(planned).headline.startswith(f"Measure floors {planned.sensors[0]}, {planned.sensors[1]} in 1 test")
+
+
+def test_a_plans_masses_are_told_in_kg_unless_another_unit_is_asked_for(planned):
+    mass = planned.model.design.floor_mass
+    assert table(planned, "accuracy-table").head[1] == "mass, kg"
+    assert column(table(planned, "accuracy-table"), 1) == pytest.approx(mass, rel=1e-3)
+    tonnes = table(planned, "accuracy-table", Units.parse("t"))
+    assert tonnes.head[1] == "mass, t"
+    assert column(tonnes, 1) == pytest.approx(mass / 1000, rel=1e-3)
+
+
+def test_a_prediction_is_described_by_its_peaks_and_errors(predicted, shaken):
+    total, relative = shaken[3]
+    shown = table(predicted, "prediction-peaks")
+    assert shown.head[1:4] == ("acceleration, m/s2", "displacement, mm", "drift, mm")
+    drift = np.diff(np.column_stack([np.zeros(len(relative)), relative]), axis=1)
+    # The base's row, with its moment, has no cell in these columns.
+    for at, values in ((1, total), (2, 1e3 * relative), (3, 1e3 * drift)):
+        assert column(shown, at) == pytest.approx(np.max(np.abs(values), axis=0), rel=2e-3)
+    errors = table(predicted, "prediction-errors")
+    assert [row.cells[:2] for row in errors.rows] == [
+        (floor, side) for floor in "321" for side in ("before", "after")
+    ]
+    # The model is made of the exact modes of the frame that was shaken; both integrate the same motion.
+    assert errors.head[2:5] == ("error in time", "rms", "peak")
+    for row in errors.rows:
+        assert all(abs(float(cell.strip("<%+ "))) <= 0.5 for cell in row.cells[2:5])
+    rows = table(predicted, "story-dashpots").rows
+    for row, exact in zip(reversed(rows), damped_frame(3)[2], strict=True):
+        found, std = map(float, row.cells[1].split(" ± "))
+        assert abs(found - exact) < 2 * std < 0.5 * exact
+    said = describe(predicted).headline
+    assert said == "three stories (configuration 1) under base motion of shaken: 4.0 s at 100 Hz"
+
+
+def test_the_damping_of_a_frame_describes_itself(predicted):
+    ratios = 100 * pole_ratios(*matrices(*damped_frame(3)))
+    shown = table(predicted.damping, "damping-ratios")
+    assert [float(row.cells[1].split(" ±")[0]) for row in shown.rows] == pytest.approx(ratios, rel=2e-3)
+    assert shown == table(predicted, "damping-ratios")
+    assert repr(predicted.damping) == "<IdentifiedDamping story damping of 3 modes>"
+
+
+def test_a_screening_says_what_to_change(screened):
+    said = re.sub(r"\s+", " ", str(screened))
+    assert said.startswith('swapped_sensors: 1 mistake and 1 remark MISTAKE: swapped_sensors in configuration "bare"')
+    (finding,) = screened.findings
+    for text in (finding.found, finding.change, finding.how_to_accept, "RECORD: drift found channel 3 drifts by 2 %"):
+        assert text in said
+    assert screened.refused
+    assert json.loads(json.dumps(screened.to_dict()))["record"][0]["kind"] == "drift"
+
+
+def test_a_screening_that_found_nothing_says_so_with_what_was_accepted():
+    experiment = cvxshear.load(SWAPPED).to_dict()
+    experiment["frame"]["accept"] = ["swapped_sensors"]
+    found = Screening.of(cvxshear.Experiment.from_dict(experiment, name=NASTY))
+    assert not found.refused
+    assert "nothing looks wrong" in " ".join(str(found).split())
+    assert "accepted beforehand: swapped_sensors" in str(found)
+    assert "<img" not in found._repr_html_()
