@@ -189,8 +189,6 @@ def _finished(
     wanted = [count for count in (number - 1, number, number + 1) if 1 <= count <= n]
     found = {count: choose(model.sensors(expected, count), count, by, solver) for count in {*wanted, n}}
     seen = {count: outlook(model, expected, choice) for count, choice in found.items()}
-    effects = slice(2 * n, None)
-    covariance = model.covariance(expected, found[number].chosen)[effects, effects]
     return Plan(
         model=model,
         criterion=by.name,
@@ -202,7 +200,7 @@ def _finished(
         more=seen.get(number + 1),
         everywhere=seen[n],
         tests_bound=tests_bound,
-        apart=apart(model.targets, covariance) if model.targets else (),
+        apart=apart(model.targets, model.told_of_effects(expected, found[number].chosen)) if model.targets else (),
     )
 
 
