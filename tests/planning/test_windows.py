@@ -125,4 +125,4 @@ def test_vague_design_values_leave_a_gap_of_five_percent_at_most():
 def test_the_study_of_gaps_runs():
     rows = list(gaps(frames=1, shortest=6, tallest=8))
     assert [row[0] for row in rows] == list(NAMES)
-    assert all(0 <= after <= before + 1e-9 for _, before, after, _ in rows)
+    assert all(0 <= after <= before + 1e-9 for _, _, before, after, _ in rows)

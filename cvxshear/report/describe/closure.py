@@ -91,8 +91,8 @@ def _next(of: Closure, units: Units) -> str:
         factor, unit = units.of_mass([test.added_mass])
         return (
             f'Put {significant(test.added_mass / factor, 3)} {unit} more on floor {test.floor} of "{test.state}" and '
-            f"measure again{_with_sensors(of, test)}: that would set the rivals {test.standard_deviations:.1f} standard "
-            "deviations apart."
+            f"measure again{_with_sensors(of, test)}: that would set the rivals {test.standard_deviations:.1f} "
+            "standard deviations apart."
         )
     if of.verdict == "unexplained":
         return (
