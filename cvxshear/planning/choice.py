@@ -26,7 +26,7 @@ FEW = 20_000
 
 TYPICAL = 45
 
-AT_LAST = 10
+AT_LAST = 2
 """Times as many, of which every one is looked at where windows leave a gap: a few sensors on a tall frame."""
 
 ENOUGH = 0.05
@@ -89,7 +89,8 @@ def choose(
     enumerate_up_to : int, optional
         Where there are no more choices than this, each is looked at.
     widths : sequence of int, optional
-        Of the windows with which a closer bound is looked for while the gap is above `ENOUGH`.
+        Of the windows with which a closer bound is looked for while the gap is above `ENOUGH`; none where the choice
+        alone is wanted.
     """
     work = comb(of.count, number) * (len(of.base) / TYPICAL) ** 3
     if work <= enumerate_up_to:
@@ -105,7 +106,7 @@ def choose(
         higher, start = by.windowed(of, evened, number, width, value / (1 + ENOUGH))
         bound = max(bound, higher)
         value, chosen = min((value, chosen), exchanged(of, start, by))
-    if value > (1 + ENOUGH) * bound and work <= AT_LAST * enumerate_up_to:
+    if widths and value > (1 + ENOUGH) * bound and work <= AT_LAST * enumerate_up_to:
         return _best_of_all(of, number, by)
     return Choice(np.array(chosen), value, min(bound, value))
 

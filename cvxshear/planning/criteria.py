@@ -97,14 +97,14 @@ class Determinant(Criterion):
     summary = "geometric mean standard deviation"
 
     def value_of(self, of: Candidates, own: Floats) -> Floats:
-        whole = self._constant(of) + np.linalg.slogdet(own)[1]
+        whole = of.log_volume + np.linalg.slogdet(own)[1]
         result: Floats = np.exp(whole / (2 * of.asked.shape[1]))
         return result
 
     def smooth(self, of: Candidates, shares: Floats) -> tuple[float, Floats]:
         information = of.information(shares)
         own = of.own(information)
-        volume = self._constant(of) + float(np.linalg.slogdet(own)[1])
+        volume = of.log_volume + float(np.linalg.slogdet(own)[1])
         weight = np.asarray(np.linalg.inv(own), dtype=np.float64)
         return volume, of.slopes(information, weight)
 
@@ -117,11 +117,7 @@ class Determinant(Criterion):
     ) -> tuple[float, list[int]]:
         terms, constant = of_volume(of, shares)
         least, chosen = least_of_sum(terms, shares, number, width)
-        return float(np.exp((least + constant + self._constant(of)) / (2 * of.asked.shape[1]))), chosen
-
-    @staticmethod
-    def _constant(of: Candidates) -> float:
-        return float(np.sum(np.log(np.linalg.svd(of.asked, compute_uv=False) ** 2)))
+        return float(np.exp((least + constant + of.log_volume) / (2 * of.asked.shape[1]))), chosen
 
 
 class _Mixture(Criterion):

@@ -167,7 +167,9 @@ def _masses(
         if number == n:
             break
         before = floors
-        floors = choose(model.sensors([expected[i] for i in found.chosen], number), number, by, solver).chosen
+        # On the way the choice is wanted, not how far it is from the best.
+        of = model.sensors([expected[i] for i in found.chosen], number)
+        floors = choose(of, number, by, solver, widths=()).chosen
         if np.array_equal(floors, before):
             break
     tests = refined(model, [grid[i] for i in found.chosen], floors, by, limits)
