@@ -56,12 +56,15 @@ class Choice:
     value : float
         The criterion's standard deviation.
     bound : float
-        What no choice of as many can beat: the convex program's, or the value itself where all were looked at.
+        What no choice of as many can beat; the value itself where all were looked at.
+    program : float
+        What the convex program alone says that no choice can beat; the value where it was not needed.
     """
 
     chosen: Ints
     value: float
     bound: float
+    program: float
 
     @property
     def gap(self) -> float:
@@ -107,13 +110,13 @@ def choose(
         bound = max(bound, higher)
         value, chosen = min((value, chosen), exchanged(of, start, by))
     if widths and value > (1 + ENOUGH) * bound and work <= AT_LAST * enumerate_up_to:
-        return _best_of_all(of, number, by)
-    return Choice(np.array(chosen), value, min(bound, value))
+        return _best_of_all(of, number, by, found.bound)
+    return Choice(np.array(chosen), value, min(bound, value), min(found.bound, value))
 
 
-def _best_of_all(of: Candidates, number: int, by: Criterion) -> Choice:
+def _best_of_all(of: Candidates, number: int, by: Criterion, program: float | None = None) -> Choice:
     value, chosen = exhaustive(of, number, by)
-    return Choice(np.array(chosen), value, value)
+    return Choice(np.array(chosen), value, value, value if program is None else program)
 
 
 def _affordable(widths: Sequence[int], of: Candidates) -> list[int]:

@@ -99,7 +99,7 @@ def beside_others(frames: int = 100, seed: int = 16, tallest: int = 20) -> dict[
         of, shapes = floors_of(random_frame(rng, stories), number)
         theirs = choices_of_others(shapes, number)
         for name, by in CRITERIA.items():
-            own = choose(of, number, by, enumerate_up_to=0)
+            own = choose(of, number, by, enumerate_up_to=0, widths=())
             ratios[name].append(values_of(of, theirs, by) / own.value)
     return {name: np.array(rows) for name, rows in ratios.items()}
 
@@ -144,10 +144,9 @@ def gaps(
         noise = float(rng.choice([0.002, 0.005, 0.01, 0.02]))
         of, _ = floors_of(design, number, count, Declared(0.002, noise))
         for name, by in CRITERIA.items():
-            before = choose(of, number, by, widths=())
             begun = time.process_time()
-            after = choose(of, number, by)
-            yield name, noise, after.value / before.bound - 1, after.gap, time.process_time() - begun
+            found = choose(of, number, by)
+            yield name, noise, found.value / found.program - 1, found.gap, time.process_time() - begun
 
 
 def _gap() -> None:
