@@ -52,9 +52,7 @@ def merged(tests: Sequence[IdentifiedRecord]) -> Json:
     result: Json = {"frame": frame}
     if priors:
         result["prior"] = priors
-    result["configuration"] = [
-        test.modes.configuration(added_mass=test.added_mass, state=test.state) for test in tests
-    ]
+    result["configuration"] = [test.modes.configuration(added_mass=test.added_mass, state=test.state) for test in tests]
     return result
 
 
@@ -107,8 +105,7 @@ def _frame(tests: Sequence[IdentifiedRecord]) -> dict[str, Any]:
         for key, value in {"stories": test.modes.stories, **test.frame}.items():
             if key in frame and not _same(frame[key], value):
                 raise InputError(
-                    f"frame: {key} is {shown(frame[key])} by {said[key]}, {shown(value)} by {test.file}; "
-                    f"{_remedy(key)}"
+                    f"frame: {key} is {shown(frame[key])} by {said[key]}, {shown(value)} by {test.file}; {_remedy(key)}"
                 )
             frame.setdefault(key, value)
             said.setdefault(key, test.file)

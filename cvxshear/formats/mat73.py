@@ -41,9 +41,7 @@ def read(path: Path, where: str, limit: float) -> Mapping[str, Any]:
     try:
         h5py = importlib.import_module("h5py")
     except ImportError:
-        raise InputError(
-            f"{where} is a MAT file of version 7.3; reading it needs h5py: pip install h5py"
-        ) from None
+        raise InputError(f"{where} is a MAT file of version 7.3; reading it needs h5py: pip install h5py") from None
     try:
         with h5py.File(path, "r") as file:
             return _Walk(h5py, limit, path.stat().st_size, limit).group(file, "", 1)

@@ -1,4 +1,4 @@
-"""Which added mass to test next, in which state, so that rivals part."""
+"""Which added mass to test next, in which state, and with which sensors, so that rivals part."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.effects import compose
 from cvxshear.errors import NoModesError
-from cvxshear.experiment import Configuration, Experiment
-from cvxshear.frame import modes
+from cvxshear.experiment import Configuration
 from cvxshear.identification.efficient import Estimate
-from cvxshear.identification.misfit import Misfit
-from cvxshear.typing import Floats, Json
+from cvxshear.identification.separation import Disagreement, disagreement, imagined
+from cvxshear.typing import Ints, Json
 
 PARTS_OF_A_FLOOR = (0.1, 0.25, 0.5, 1.0)
 """Added masses that are tried, as parts of the mean floor mass."""
@@ -27,6 +25,15 @@ MOST_RIVALS = 4
 
 WORTHWHILE = 1.0
 """Standard deviations below which no test is proposed."""
+
+CLEAR = 3.0
+"""Standard deviations from which on a test needs no more sensors."""
+
+WORTH_A_SENSOR = 1.2
+"""Times as many standard deviations that a sensor more must give."""
+
+PROMISING = 8
+"""Tests, those that tell most with the sensors there are, that more sensors are tried in."""
 
 
 @dataclass(frozen=True)
@@ -42,24 +49,28 @@ class NextTest:
         In which it is tested.
     standard_deviations : float
         How far the predictions of the accepted model and of its nearest rival lie apart.
+    measured_floors : tuple of int or None
+        The floors with a sensor, where some are proposed beyond those of that configuration; else None.
     """
 
     floor: int
     added_mass: float
     state: str
     standard_deviations: float
+    measured_floors: tuple[int, ...] | None = None
 
     def to_dict(self) -> Json:
-        """The fields by name."""
+        """The documented JSON."""
         return dataclasses.asdict(self)
 
 
 def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None:
-    """The added mass whose test would best tell an accepted model from its rivals.
+    """The added mass whose test would best tell an accepted model from its rivals, and the sensors that it needs.
 
     For each state, each floor and a few masses, the test is simulated by the accepted model with the sensors and noise
-    of the state's first configuration, and the rivals' residual on it, r, weighed with what the fits so far leave
-    uncertain: D^2 = r' (1 + J C J' + J_r C_r J_r')^-1 r in units of the noise. The smallest D over the rivals counts.
+    of the state's first configuration, and compared with what each rival says of it (`identification/separation.py`).
+    The smallest distance over the rivals counts. Where that stays below `CLEAR`, floors without a sensor get one, the
+    best first, as long as each is worth it.
     """
     if not rivals:
         return None
@@ -72,16 +83,23 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
         for floor in range(1, accepted.experiment.stories + 1)
         for mass in masses
     ]
-    best: NextTest | None = None
+    found: list[tuple[NextTest, Configuration]] = []
     for first, floor, mass in tests:
         try:
-            apart = min(separation(accepted, rival, _imagined(accepted, first, floor, mass)) for rival in rivals)
+            said = _said(accepted, rivals, first, floor, mass)
         except NoModesError:
             # A model buckles under this mass; nobody would test it.
             continue
-        if best is None or apart > best.standard_deviations:
-            best = NextTest(floor, mass, first.state, apart)
-    return best if best is not None and best.standard_deviations >= WORTHWHILE else None
+        found.append((NextTest(floor, mass, first.state, _apart(said, first.measured_floors - 1)), first))
+    # The first of equals: the state, floor and mass that come first.
+    found.sort(key=lambda each: -each[0].standard_deviations)
+    if not found:
+        return None
+    best = found[0][0]
+    if best.standard_deviations < CLEAR:
+        more = [_with_sensors(accepted, rivals, test, first) for test, first in found[:PROMISING]]
+        best = max([best, *more], key=lambda test: test.standard_deviations)
+    return best if best.standard_deviations >= WORTHWHILE else None
 
 
 def _first_of_states(accepted: Estimate, rivals: Sequence[Estimate]) -> list[Configuration]:
@@ -93,38 +111,38 @@ def _first_of_states(accepted: Estimate, rivals: Sequence[Estimate]) -> list[Con
     return [first for state, first in firsts.items() if state in parted or state == here]
 
 
-def separation(accepted: Estimate, rival: Estimate, imagined: Experiment) -> float:
-    """How many standard deviations a test sets two models apart."""
-    noise = accepted.misfit.noise
-    mine = Misfit(imagined, accepted.effects, noise=noise).evaluate(accepted.theta)
-    other = Misfit(imagined, rival.effects, noise=noise).evaluate(rival.theta)
-    r = other.r - mine.r
-    spread = np.eye(len(r)) + _carried(mine.J, accepted) + _carried(other.J, rival)
-    return float(np.sqrt(r @ np.linalg.solve(spread, r)))
-
-
-def _carried(J: Floats, estimate: Estimate) -> Floats:
-    """The covariance of predictions that comes from that of the parameters."""
-    covariance: Floats = J @ estimate.uncertainty.covariance() @ J.T
-    return covariance
-
-
-def _imagined(estimate: Estimate, first: Configuration, floor: int, mass: float) -> Experiment:
-    """A test by itself: a configuration with this mass more, measured as the model predicts."""
+def _said(
+    accepted: Estimate, rivals: Sequence[Estimate], first: Configuration, floor: int, mass: float
+) -> list[Disagreement]:
+    """What the accepted model and each rival say of a configuration with this mass more."""
     added = first.added_mass.copy()
     added[floor - 1] += mass
-    blank = dataclasses.replace(first, name="next test", added_mass=added)
-    state = compose(estimate.experiment, blank, estimate.effects, estimate.theta, derivatives=False)
-    found = modes(state.system.M, state.system.K)
-    shapes = (found.shapes * state.gain)[np.ix_(first.modes - 1, first.measured_floors - 1)]
-    measured = dataclasses.replace(
-        blank,
-        frequencies=found.frequencies[first.modes - 1],
-        mode_shapes=np.where(first.measured, shapes, np.nan),
+    test = imagined(accepted, first, added)
+    return [disagreement(accepted, rival, test, first) for rival in rivals]
+
+
+def _apart(said: Sequence[Disagreement], floors: Ints) -> float:
+    """Standard deviations between the accepted model and the nearest rival with sensors at these floors."""
+    return min(each.at(floors) for each in said)
+
+
+def _with_sensors(accepted: Estimate, rivals: Sequence[Estimate], test: NextTest, first: Configuration) -> NextTest:
+    """The test with sensors at more floors, one after the other, while each is needed and worth it."""
+    if not first.measured.any():
+        # Frequencies alone: there are no sensors to add one to.
+        return test
+    said = _said(accepted, rivals, first, test.floor, test.added_mass)
+    floors = first.measured_floors - 1
+    apart = test.standard_deviations
+    while apart < CLEAR:
+        bare = np.setdiff1d(np.arange(accepted.experiment.stories), floors)
+        tried = [(_apart(said, np.union1d(floors, floor)), floor) for floor in bare]
+        if not tried or max(tried)[0] < WORTH_A_SENSOR * apart:
+            break
+        apart, floor = max(tried)
+        floors = np.union1d(floors, floor)
+    if len(floors) == len(first.measured_floors):
+        return test
+    return dataclasses.replace(
+        test, standard_deviations=apart, measured_floors=tuple(int(floor) + 1 for floor in floors)
     )
-    declared = estimate.experiment.frame
-    total = declared.total_mass or float(estimate.theta[: estimate.experiment.stories].sum())
-    frame = dataclasses.replace(
-        declared, reference=None, total_mass=None if declared.floor_masses is not None else total
-    )
-    return Experiment(frame, (measured,))

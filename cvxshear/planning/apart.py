@@ -78,16 +78,16 @@ class Apart:
 NONE = "none of them"
 
 
-def apart(targets: Sequence[Target], covariance: Floats) -> tuple[Apart, ...]:
+def apart(targets: Sequence[Target], information: Floats) -> tuple[Apart, ...]:
     """What becomes of each possibility: none of the effects, or one of them.
 
     Parameters
     ----------
     targets : sequence of Target
-    covariance : ndarray, shape (e, e)
-        Of their values in units of their sizes, all free, the frame marginalised.
+    information : ndarray, shape (e, e)
+        About their values in units of their sizes, the frame marginalised.
     """
-    G = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+    G = information
     right = _right(targets, G)
     result = [Apart(NONE, None, None, *_nearest_to_none(targets, G), right[0])]
     for i, each in enumerate(targets):

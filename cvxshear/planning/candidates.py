@@ -49,6 +49,11 @@ class Candidates:
         """Information that each candidate adds, G_j, shape (n, p, p)."""
         return self.rows.transpose(0, 2, 1) @ self.rows
 
+    @cached_property
+    def log_volume(self) -> float:
+        """log det of the covariance of what is asked for where that of z_a is the identity, in its own directions."""
+        return float(np.sum(np.log(np.linalg.svd(self.asked, compute_uv=False) ** 2)))
+
     @property
     def count(self) -> int:
         """How many candidates there are."""

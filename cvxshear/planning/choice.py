@@ -26,6 +26,18 @@ FEW = 20_000
 
 TYPICAL = 45
 
+AT_LAST = 2
+"""Times as many, of which every one is looked at where windows leave a gap: a few sensors on a tall frame."""
+
+ENOUGH = 0.05
+"""Gap from which on no closer bound is looked for."""
+
+WIDTHS = (4, 6, 8, 10)
+"""Floors in the windows of the closer bound, tried one after the other."""
+
+MOST_WORK = 6e7
+"""Parameters, times choices within a window, times the numbers that each takes: two seconds."""
+
 SEED = 2009
 DRAWS, FEWER_DRAWS = 8, 1
 """Choices drawn with the shares as odds; fewer where there are more than `MANY` candidates, and each takes long."""
@@ -44,12 +56,15 @@ class Choice:
     value : float
         The criterion's standard deviation.
     bound : float
-        What no choice of as many can beat: the convex program's, or the value itself where all were looked at.
+        What no choice of as many can beat; the value itself where all were looked at.
+    program : float
+        What the convex program alone says that no choice can beat; the value where it was not needed.
     """
 
     chosen: Ints
     value: float
     bound: float
+    program: float
 
     @property
     def gap(self) -> float:
@@ -57,7 +72,14 @@ class Choice:
         return self.value / self.bound - 1.0 if self.bound > 0 else float("inf")
 
 
-def choose(of: Candidates, number: int, by: Criterion, solver: str = "clarabel", enumerate_up_to: int = FEW) -> Choice:
+def choose(
+    of: Candidates,
+    number: int,
+    by: Criterion,
+    solver: str = "clarabel",
+    enumerate_up_to: int = FEW,
+    widths: Sequence[int] = WIDTHS,
+) -> Choice:
     """The best choice: of all, where there are few, else the best that rounding and exchange find.
 
     Parameters
@@ -69,13 +91,38 @@ def choose(of: Candidates, number: int, by: Criterion, solver: str = "clarabel",
     solver : str, optional
     enumerate_up_to : int, optional
         Where there are no more choices than this, each is looked at.
+    widths : sequence of int, optional
+        Of the windows with which a closer bound is looked for while the gap is above `ENOUGH`; none where the choice
+        alone is wanted.
     """
-    if comb(of.count, number) * len(of.base) ** 3 <= enumerate_up_to * TYPICAL**3:
-        value, chosen = exhaustive(of, number, by)
-        return Choice(np.array(chosen), value, value)
+    work = comb(of.count, number) * (len(of.base) / TYPICAL) ** 3
+    if work <= enumerate_up_to:
+        return _best_of_all(of, number, by)
     found = relaxed(of, number, by, solver)
     value, chosen = min(exchanged(of, start, by) for start in _roundings(found.shares, number))
-    return Choice(np.array(chosen), value, min(found.bound, value))
+    bound = found.bound
+    # Tangents at the program's own shares are far below where it leaves whole parts of the frame without any.
+    evened = (found.shares + number / of.count) / 2
+    for width in _affordable(widths, of):
+        if value <= (1 + ENOUGH) * bound:
+            break
+        higher, start = by.windowed(of, evened, number, width, value / (1 + ENOUGH))
+        bound = max(bound, higher)
+        value, chosen = min((value, chosen), exchanged(of, start, by))
+    if widths and value > (1 + ENOUGH) * bound and work <= AT_LAST * enumerate_up_to:
+        return _best_of_all(of, number, by, found.bound)
+    return Choice(np.array(chosen), value, min(bound, value), min(found.bound, value))
+
+
+def _best_of_all(of: Candidates, number: int, by: Criterion, program: float | None = None) -> Choice:
+    value, chosen = exhaustive(of, number, by)
+    return Choice(np.array(chosen), value, value, value if program is None else program)
+
+
+def _affordable(widths: Sequence[int], of: Candidates) -> list[int]:
+    """Those of the windows whose choices can all be looked at in a few seconds."""
+    n, d, _ = of.rows.shape
+    return [width for width in widths if width <= n and len(of.asked) * 2**width * n * d**2 <= MOST_WORK]
 
 
 def _roundings(shares: Floats, number: int) -> list[list[int]]:

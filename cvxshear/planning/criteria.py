@@ -13,6 +13,8 @@ import numpy as np
 
 from cvxshear import checks
 from cvxshear.planning.candidates import Candidates
+from cvxshear.planning.terms import of_volume, variance
+from cvxshear.planning.windows import least_of_largest, least_of_sum
 from cvxshear.typing import Floats
 
 POWER = 24
@@ -62,6 +64,31 @@ class Criterion(ABC):
             Positive semidefinite, of trace 1: the mixture of parameters that a solver found the hardest.
         """
 
+    @abstractmethod
+    def windowed(
+        self, of: Candidates, shares: Floats, number: int, width: int, enough: float
+    ) -> tuple[float, list[int]]:
+        """What no choice of so many candidates can beat, every choice within windows of neighbours looked at.
+
+        Parameters
+        ----------
+        of : Candidates
+        shares : ndarray, shape (n,)
+            Near which the bound is to be close.
+        number : int
+        width : int
+            Of the windows.
+        enough : float
+            The standard deviation at which looking for a higher bound may end.
+
+        Returns
+        -------
+        bound : float
+            A standard deviation.
+        chosen : list of int
+            The choice at which the bound is least: one to exchange from.
+        """
+
 
 class Determinant(Criterion):
     """D: the geometric mean of the standard deviations along the axes of the covariance's ellipsoid."""
@@ -70,14 +97,14 @@ class Determinant(Criterion):
     summary = "geometric mean standard deviation"
 
     def value_of(self, of: Candidates, own: Floats) -> Floats:
-        whole = self._constant(of) + np.linalg.slogdet(own)[1]
+        whole = of.log_volume + np.linalg.slogdet(own)[1]
         result: Floats = np.exp(whole / (2 * of.asked.shape[1]))
         return result
 
     def smooth(self, of: Candidates, shares: Floats) -> tuple[float, Floats]:
         information = of.information(shares)
         own = of.own(information)
-        volume = self._constant(of) + float(np.linalg.slogdet(own)[1])
+        volume = of.log_volume + float(np.linalg.slogdet(own)[1])
         weight = np.asarray(np.linalg.inv(own), dtype=np.float64)
         return volume, of.slopes(information, weight)
 
@@ -85,9 +112,12 @@ class Determinant(Criterion):
         volume, slopes = self.smooth(of, shares)
         return float(np.exp((volume + _least(slopes, shares, number)) / (2 * of.asked.shape[1])))
 
-    @staticmethod
-    def _constant(of: Candidates) -> float:
-        return float(np.sum(np.log(np.linalg.svd(of.asked, compute_uv=False) ** 2)))
+    def windowed(
+        self, of: Candidates, shares: Floats, number: int, width: int, enough: float
+    ) -> tuple[float, list[int]]:
+        terms, constant = of_volume(of, shares)
+        least, chosen = least_of_sum(terms, shares, number, width)
+        return float(np.exp((least + constant + of.log_volume) / (2 * of.asked.shape[1]))), chosen
 
 
 class _Mixture(Criterion):
@@ -124,12 +154,33 @@ class Trace(_Mixture):
         result: Floats = np.sqrt(np.sum(own * (of.asked.T @ of.asked), axis=(-2, -1)) / len(of.asked))
         return result
 
+    def windowed(
+        self, of: Candidates, shares: Floats, number: int, width: int, enough: float
+    ) -> tuple[float, list[int]]:
+        s = len(of.asked)
+        least, chosen = least_of_sum([variance(of, each) for each in np.eye(s)], shares, number, width)
+        return float(np.sqrt(max(least, 0.0) / s)), chosen
+
     def hardest(self, covariance: Floats) -> tuple[Floats, float]:
         s = len(covariance)
         return np.eye(s) / s, float(np.trace(covariance)) / s
 
 
-class Eigenvalue(_Mixture):
+class _Largest(_Mixture):
+    """The criteria that are the largest of many variances."""
+
+    def windowed(
+        self, of: Candidates, shares: Floats, number: int, width: int, enough: float
+    ) -> tuple[float, list[int]]:
+        least, chosen = least_of_largest(of, self.largest, shares, number, width, enough**2)
+        return float(np.sqrt(least)), chosen
+
+    @abstractmethod
+    def largest(self, covariance: Floats) -> tuple[Floats, Floats]:
+        """The largest variance, shape (...), of covariances (..., s, s), and its mixture of parameters, (..., s)."""
+
+
+class Eigenvalue(_Largest):
     """E: the standard deviation of the worst combination of the parameters."""
 
     name = "E"
@@ -139,13 +190,17 @@ class Eigenvalue(_Mixture):
         result: Floats = np.sqrt(np.linalg.eigvalsh(of.covariance(own))[..., -1])
         return result
 
+    def largest(self, covariance: Floats) -> tuple[Floats, Floats]:
+        values, axes = np.linalg.eigh(covariance)
+        return values[..., -1], axes[..., -1]
+
     def hardest(self, covariance: Floats) -> tuple[Floats, float]:
         values, axes = np.linalg.eigh(covariance)
         shares, mean = _power_mean(values)
         return (axes * shares) @ axes.T, mean
 
 
-class Worst(_Mixture):
+class Worst(_Largest):
     """The largest standard deviation of a parameter, each relative to its size: the worst coefficient of variation."""
 
     name = "worst"
@@ -155,6 +210,10 @@ class Worst(_Mixture):
         variances = np.sum((of.asked @ own) * of.asked, axis=-1)
         result: Floats = np.sqrt(np.max(variances, axis=-1))
         return result
+
+    def largest(self, covariance: Floats) -> tuple[Floats, Floats]:
+        variances = np.diagonal(covariance, axis1=-2, axis2=-1)
+        return np.max(variances, axis=-1), np.eye(variances.shape[-1])[np.argmax(variances, axis=-1)]
 
     def hardest(self, covariance: Floats) -> tuple[Floats, float]:
         shares, mean = _power_mean(np.diag(covariance))

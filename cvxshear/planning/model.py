@@ -13,6 +13,7 @@ from scipy import linalg
 from cvxshear.effects import Placed, compose
 from cvxshear.experiment import Configuration, Experiment
 from cvxshear.frame import Modes, mode_derivatives, modes
+from cvxshear.identification.separation import told
 from cvxshear.planning.candidates import Candidates, candidates
 from cvxshear.planning.design import Design
 from cvxshear.planning.noise import TestNoise
@@ -122,14 +123,19 @@ class TestModel:
         return np.hstack([rows, np.zeros((len(rows), len(self.targets)))])
 
     @cached_property
-    def known(self) -> Floats:
+    def learned(self) -> Floats:
         """What is known before the test, rows in standard deviations, shape (k, P)."""
         e = len(self.targets)
         values = np.array([each.null for each in self.targets])
         rows = self.design.known(self.effects, values)
         if e:
             rows = np.hstack([rows[:, :-e], rows[:, -e:] * self.units[-e:]])
-        return np.concatenate([rows, np.eye(len(self.units)) / VAGUE])
+        return rows
+
+    @cached_property
+    def known(self) -> Floats:
+        """The same, and that everything is known a little."""
+        return np.concatenate([self.learned, np.eye(len(self.units)) / VAGUE])
 
     def expected(self, added_mass: Floats) -> Expected:
         """What a test with these masses would show."""
@@ -175,6 +181,18 @@ class TestModel:
         half = free @ root
         result: Floats = half @ half.T
         return result
+
+    def told_of_effects(self, tests: Sequence[Expected], floors: Ints) -> Floats:
+        """Information about the effects' values after these tests at these floors, the frame following, shape (e, e).
+
+        Of a single effect, of its size: the square of how many standard deviations it is from none.
+        """
+        rows = np.concatenate([self.learned, *(test.at(floors) for test in tests)])
+        frame = 2 * self.design.stories
+        fixed = self.fixed[:, :frame]
+        free = linalg.null_space(fixed, rcond=1e-12) if len(fixed) else np.eye(frame)
+        found = told(rows[:, frame:], VAGUE * rows[:, :frame] @ free)
+        return found + np.eye(len(found)) / VAGUE**2
 
 
 def blank_test(added_mass: Floats, name: str) -> Configuration:

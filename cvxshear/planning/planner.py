@@ -167,7 +167,9 @@ def _masses(
         if number == n:
             break
         before = floors
-        floors = choose(model.sensors([expected[i] for i in found.chosen], number), number, by, solver).chosen
+        # On the way the choice is wanted, not how far it is from the best.
+        of = model.sensors([expected[i] for i in found.chosen], number)
+        floors = choose(of, number, by, solver, widths=()).chosen
         if np.array_equal(floors, before):
             break
     tests = refined(model, [grid[i] for i in found.chosen], floors, by, limits)
@@ -189,8 +191,6 @@ def _finished(
     wanted = [count for count in (number - 1, number, number + 1) if 1 <= count <= n]
     found = {count: choose(model.sensors(expected, count), count, by, solver) for count in {*wanted, n}}
     seen = {count: outlook(model, expected, choice) for count, choice in found.items()}
-    effects = slice(2 * n, None)
-    covariance = model.covariance(expected, found[number].chosen)[effects, effects]
     return Plan(
         model=model,
         criterion=by.name,
@@ -202,7 +202,7 @@ def _finished(
         more=seen.get(number + 1),
         everywhere=seen[n],
         tests_bound=tests_bound,
-        apart=apart(model.targets, covariance) if model.targets else (),
+        apart=apart(model.targets, model.told_of_effects(expected, found[number].chosen)) if model.targets else (),
     )
 
 

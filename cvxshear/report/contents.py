@@ -106,8 +106,6 @@ def readable_json(value: object) -> str:
     return json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False)
 
 
-
-
 def versions() -> Iterator[tuple[str, str]]:
     """Names and versions of what computed the result."""
     yield "cvxshear", __version__

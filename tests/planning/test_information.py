@@ -1,5 +1,7 @@
 """The information of floors and tests: against differences of another eigenvalue solver, and what must hold for it."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from cvxshear.errors import InputError
 from cvxshear.planning.candidates import candidates
 from cvxshear.planning.design import Design
 from cvxshear.planning.model import VAGUE
+from cvxshear.planning.targets import target
 from tests.planning.common import NOISE, design, frame_model, slow_covariance, tapered
 
 FLOORS = np.array([0, 2, 4])
@@ -77,3 +80,14 @@ def test_what_nothing_is_known_of_keeps_the_vague_standard_deviation():
     of = candidates(np.eye(2) / VAGUE, np.zeros((0, 2)), np.array([[[1e3, 0.0]]]), question, 1.0)
     std = np.sqrt(np.diag(of.covariance(of.own(of.subset([0])))))
     np.testing.assert_allclose(std, [1e-3, VAGUE], rtol=1e-6)
+
+
+def test_what_is_told_of_effects_is_the_inverse_of_their_covariance():
+    of = design([10.0, 7.5, 5.0], [1800.0, 1200.0, 600.0], frame={"story_heights": 1.0, "total_mass": 22.5})
+    targets = tuple(
+        target(name, of.frame, of.scale) for name in ("joint_rotation=0.05", "ground_spring@3=10", "gravity")
+    )
+    model = dataclasses.replace(frame_model(of), targets=targets, quantities=())
+    tests, floors = [model.expected(np.zeros(3)), model.expected(np.array([0, 3.0, 0]))], np.array([0, 2])
+    covariance = model.covariance(tests, floors)[6:, 6:]
+    np.testing.assert_allclose(model.told_of_effects(tests, floors), np.linalg.inv(covariance), rtol=1e-6)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from cvxshear.loop import VERDICTS, Closure
+from cvxshear.loop.next_test import NextTest
 from cvxshear.quantities import AUTOMATIC, Units, capital, chance, counted, listed, significant
 from cvxshear.report.describe.dispatch import describe, line
 from cvxshear.report.describe.errors import before_after, residual_section, steps_section
@@ -93,7 +94,8 @@ def _next(of: Closure, units: Units) -> str:
         factor, unit = units.of_mass([test.added_mass])
         return (
             f'Put {significant(test.added_mass / factor, 3)} {unit} more on floor {test.floor} of "{test.state}" and '
-            f"measure again: that would set the rivals {test.standard_deviations:.1f} standard deviations apart."
+            f"measure again{_with_sensors(of, test)}: that would set the rivals {test.standard_deviations:.1f} "
+            "standard deviations apart."
         )
     if of.verdict == "unexplained":
         return (
@@ -102,6 +104,17 @@ def _next(of: Closure, units: Units) -> str:
     if of.verdict == "ambiguous":
         return "No added mass up to that of a floor would tell the rivals apart."
     return "Nothing: no rival is left that another test would have to tell apart."
+
+
+def _with_sensors(of: Closure, test: NextTest) -> str:
+    """Which floors are to be measured too."""
+    if test.measured_floors is None:
+        return ""
+    first = next(each for each in of.experiment.configurations if each.state == test.state)
+    more = [str(floor) for floor in test.measured_floors if floor not in first.measured_floors]
+    return (
+        f", with {'a sensor' if len(more) == 1 else 'sensors'} at floor{'s' * (len(more) > 1)} {' and '.join(more)} too"
+    )
 
 
 def _effort(of: Closure) -> str:
