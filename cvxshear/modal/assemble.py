@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from cvxshear.modal.estimate import Details, Replication
+from cvxshear.modal.picking import PoleCandidate
 from cvxshear.modal.record import Record
 from cvxshear.modal.result import ModalResult, independent_std
 from cvxshear.modal.shapes import collinearity, lost_phase, sign_changes
@@ -56,7 +59,7 @@ def assembled(
         mode_shape_std=relative,
         entry_std=independent if full.scales is None else np.hypot(independent, _scale_std(full, covariance)),
         mass_normalized=full.scales is not None,
-        modes=_numbers(full.real, record),
+        modes=_numbers(full.real, record, setting.sweep.chosen),
         complex_shapes=full.shapes,
         phase_collinearity=np.array([collinearity(shape) for shape in full.shapes]),
         lost_phase=np.array([lost_phase(shape) for shape in full.shapes]),
@@ -99,8 +102,11 @@ def _scale_std(full: Details, covariance: Floats) -> Floats:
     return np.asarray(np.sqrt(floors * together * np.diag(of_scales))[:, None] * np.abs(full.real))
 
 
-def _numbers(shapes: Floats, record: Record) -> Ints:
-    """Which modes of the frame these are: by changes of sign where every floor is measured, else from 1 on."""
+def _numbers(shapes: Floats, record: Record, chosen: Sequence[PoleCandidate]) -> Ints:
+    """Which modes of the frame these are: as they were chosen or by changes of sign, where these tell; else from 1."""
+    numbers = np.array([item.number for item in chosen], dtype=np.int64)
+    if numbers.all():
+        return numbers
     if shapes.shape[1] == record.stories > 1:
         changes = np.array([sign_changes(shape) for shape in shapes], dtype=np.int64)
         if np.all(np.diff(changes) > 0):

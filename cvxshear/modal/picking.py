@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,7 +12,7 @@ from cvxshear.modal import signs
 from cvxshear.modal.clock import offsets, undone
 from cvxshear.modal.realization import Poles, Source, realize
 from cvxshear.modal.record import Complexes
-from cvxshear.modal.shapes import collinearity, mac, real_shape, sign_changes
+from cvxshear.modal.shapes import collinearity, mac, possible_changes, real_shape, sign_changes
 from cvxshear.modal.stabilization import (
     Cluster,
     Criteria,
@@ -28,9 +27,17 @@ from cvxshear.modal.stabilization import (
 from cvxshear.typing import Bools, Floats
 
 MOST_CANDIDATES = 8
-"""Candidates for one mode that are weighed against those for the others."""
+"""Strongest candidates that clock offsets are told by."""
+
+UNSURE = 0.05
+"""Of a shape's largest entry: smaller ones can have either sign, by noise or by a sensor that stands askew."""
+
 REACH = 0.03
 """Relative; a pole picked by hand is looked for so far around the frequency given."""
+
+
+_Rank = tuple[int, int, float]
+"""Modes, those among them whose signs fit as they stand, and the logarithm of the product of their energies."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +60,8 @@ class PoleCandidate:
         Why not, where it is not.
     shaky : bool
         Whether that is because pieces of the record give it another shape or frequency.
+    number : int
+        Which mode of the frame it is, where its changes of sign tell; 0 else.
     """
 
     members: tuple[tuple[int, int], ...]
@@ -63,6 +72,7 @@ class PoleCandidate:
     physical: bool = True
     reason: str = ""
     shaky: bool = False
+    number: int = 0
 
     @property
     def frequency(self) -> float:
@@ -126,7 +136,7 @@ def sweep_orders(
     Sweep
     """
     factor = source.factor()
-    poles = realize(factor, source.outputs, source.sampling_rate, criteria.orders)
+    poles = realize(factor, source.outputs, source.sampling_rate, criteria.orders(count))
     stable = stable_poles(poles, source.sampling_rate, criteria, shift)
     found = []
     for cluster in clusters(poles, stable, criteria):
@@ -145,6 +155,8 @@ def sweep_orders(
     chosen = _by_signs(usable, count) if by_signs else _by_energy(usable, count)
     if by_signs and not _grows(chosen):
         chosen = _but_for_one_slip(usable, count) or chosen
+    numbered = {item.members: item for item in chosen}
+    found = [numbered.get(item.members, item) for item in found]
     return Sweep(poles, stable, tuple(found), tuple(chosen))
 
 
@@ -221,19 +233,30 @@ def _by_energy(usable: list[PoleCandidate], count: int) -> list[PoleCandidate]:
 
 
 def _by_signs(usable: list[PoleCandidate], count: int) -> list[PoleCandidate]:
-    """The candidates, one for each number of sign changes at most, ascending, of most energy together.
+    """The candidates, one for each number of sign changes at most, ascending, with their numbers.
 
-    A mode that the record does not hold is left out rather than replaced by one of the wrong shape.
+    A mode that the record does not hold is left out rather than replaced by one of the wrong shape. Entries near zero
+    can have either sign: the most modes come first, then those whose signs fit as they stand, then the largest product
+    of energies.
     """
     if not usable:
         return []
-    changes = [sign_changes(shape) for shape in _straight(usable)]
-    options: list[list[PoleCandidate | None]] = []
-    for wanted in range(count):
-        fitting = [item for item, number in zip(usable, changes, strict=True) if number == wanted]
-        fitting.sort(key=lambda item: -item.energy)
-        options.append([*fitting[: 3 if count > 4 else MOST_CANDIDATES], None])
-    return _best_ascending(options)
+    straight = _straight(usable)
+    ranges = [possible_changes(shape, UNSURE) for shape in straight]
+    exact = [sign_changes(shape) for shape in straight]
+    # best[w] is the best choice among the candidates so far for the numbers up to w, as (rank, numbered candidates).
+    nothing: tuple[_Rank, tuple[PoleCandidate, ...]] = ((0, 0, 0.0), ())
+    best = [nothing] * (count + 1)
+    for item, (fewest, most), changes in zip(usable, ranges, exact, strict=True):
+        energy = float(np.log(max(item.energy, 1e-300)))
+        for number in range(min(count, most + 1), fewest, -1):
+            (modes, fits, product), chosen = best[number - 1]
+            rank = (modes + 1, fits + (changes == number - 1), product + energy)
+            if rank > best[number][0]:
+                best[number] = rank, (*chosen, dataclasses.replace(item, number=number))
+        for number in range(1, count + 1):
+            best[number] = max(best[number], best[number - 1], key=lambda choice: choice[0])
+    return list(best[count][1])
 
 
 def _grows(chosen: list[PoleCandidate]) -> bool:
@@ -258,32 +281,6 @@ def _but_for_one_slip(usable: list[PoleCandidate], count: int) -> list[PoleCandi
     shapes = _straight(strongest)
     slipped = signs.flipped(shapes) is not None or signs.exchanged(shapes) is not None
     return strongest if slipped else []
-
-
-def _best_ascending(options: list[list[PoleCandidate | None]]) -> list[PoleCandidate]:
-    """Most modes first, then the largest product of energies, among choices that ascend in frequency."""
-    if len(options) > 6:
-        return _ascending_greedily(options)
-    best: tuple[int, float] = (0, -np.inf)
-    result: list[PoleCandidate] = []
-    for choice in itertools.product(*options):
-        picked = [item for item in choice if item is not None]
-        if any(b.frequency <= a.frequency for a, b in itertools.pairwise(picked)):
-            continue
-        rank = (len(picked), float(np.sum(np.log([max(item.energy, 1e-300) for item in picked]))))
-        if rank > best:
-            best, result = rank, picked
-    return result
-
-
-def _ascending_greedily(options: list[list[PoleCandidate | None]]) -> list[PoleCandidate]:
-    result: list[PoleCandidate] = []
-    for several in options:
-        for item in several:
-            if item is not None and (not result or item.frequency > result[-1].frequency):
-                result.append(item)
-                break
-    return result
 
 
 @dataclass(frozen=True, eq=False)

@@ -82,6 +82,24 @@ def sign_changes(shape: Floats) -> int:
     return int(np.sum(signs[1:] != signs[:-1]))
 
 
+def possible_changes(shape: Floats, tolerance: float) -> tuple[int, int]:
+    """Fewest and most changes of sign, where entries below a part of the largest can have either sign.
+
+    Over a distance of d floors between entries whose sign is sure there are d changes at most, and an odd number of
+    them just where the signs differ.
+
+    Parameters
+    ----------
+    shape : array, shape (n,)
+    tolerance : float
+        Of the largest entry.
+    """
+    sure = np.flatnonzero(np.abs(shape) > tolerance * np.abs(shape).max())
+    distance, differ = np.diff(sure), np.diff(np.sign(shape[sure])) != 0
+    within = np.sum(distance - (distance % 2 != differ))
+    return int(differ.sum()), int(within + sure[0] + len(shape) - 1 - sure[-1])
+
+
 def scaled_to_one(shape: Floats) -> Floats:
     """The shape with a largest entry of 1."""
     return np.asarray(shape / shape[np.argmax(np.abs(shape))])

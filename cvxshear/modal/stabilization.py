@@ -19,6 +19,9 @@ from cvxshear.modal.record import Complexes
 from cvxshear.modal.shapes import mac
 from cvxshear.typing import Floats
 
+LEAST_ORDERS, STATES = 30, 3
+"""States of the largest model of a sweep: so many at least, and for each mode. A mode takes two, and has to last."""
+
 
 @dataclass(frozen=True)
 class Criteria:
@@ -27,7 +30,7 @@ class Criteria:
     Parameters
     ----------
     highest_order : int, optional
-        The sweep runs over 2, 4, ..., this many states.
+        The sweep runs over 2, 4, ..., this many states; where not given 30, or three for each mode that is wanted.
     frequency_change : float, optional
         Largest relative change of a stable pole's frequency from one order to the next.
     damping_change : float, optional
@@ -44,7 +47,7 @@ class Criteria:
         MPC, once clock offsets are removed.
     """
 
-    highest_order: int = 30
+    highest_order: int | None = None
     frequency_change: float = 0.01
     damping_change: float = 0.5
     shape_agreement: float = 0.95
@@ -54,14 +57,15 @@ class Criteria:
     least_collinearity: float = 0.7
 
     def __post_init__(self) -> None:
-        checks.whole(self.highest_order, "highest_order", least=4, most=400)
+        if self.highest_order is not None:
+            checks.whole(self.highest_order, "highest_order", least=4, most=400)
         for name in ("frequency_change", "damping_change", "highest_damping"):
             checks.number(getattr(self, name), name, above=0.0)
 
-    @property
-    def orders(self) -> range:
-        """The orders of the sweep."""
-        return range(2, self.highest_order + 1, 2)
+    def orders(self, count: int) -> range:
+        """The orders of a sweep for so many modes."""
+        highest = max(LEAST_ORDERS, STATES * count) if self.highest_order is None else self.highest_order
+        return range(2, highest + 1, 2)
 
 
 @dataclass(eq=False)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy import integrate
 
 import cvxshear
 from cvxshear.modal import Channel, Run, TimeRecord, identify_modes
-from cvxshear.modal.simulate import PAPER_FRAME, ambient_record, base_record, hammer_record
+from cvxshear.modal.shapes import possible_changes, sign_changes
+from cvxshear.modal.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
 from cvxshear.modal.study import scatter
 from tests.modal.shared import SEEDS, TWO_STORY_FREQUENCIES, TWO_STORY_RATIOS
 
@@ -148,3 +151,21 @@ def test_a_band_decimates_and_keeps_the_modes():
     )
     np.testing.assert_allclose(narrow.frequencies, PAPER_FREQUENCIES, rtol=5e-4)
     np.testing.assert_allclose(wide.frequencies, PAPER_FREQUENCIES, rtol=5e-4)
+
+
+def test_a_tall_frame_has_all_its_modes_each_with_its_number():
+    """Twelve modes ask for more than thirty states, and the highest have entries that are hardly more than noise."""
+    frame = KnownFrame(np.full(12, 10.0), np.linspace(40000.0, 25000.0, 12), 0.01)
+    result = identify_modes(base_record(frame, 1, noise=0.02, duration=300.0, sampling_rate=50.0))
+    assert result.modes.tolist() == list(range(1, 13))
+    np.testing.assert_allclose(result.frequencies, frame.modes()[0], rtol=5e-4)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_changes_of_sign_where_small_entries_can_have_either(seed):
+    shape = np.random.default_rng(seed).standard_normal(7)
+    unsure = np.abs(shape) <= 0.4 * np.abs(shape).max()
+    counts = [
+        sign_changes(np.where(unsure, np.abs(shape) * signs, shape)) for signs in itertools.product((-1, 1), repeat=7)
+    ]
+    assert possible_changes(shape, 0.4) == (min(counts), max(counts))

@@ -62,7 +62,7 @@ def errors(before: RecordComparison | None, after: RecordComparison) -> Table:
     )
     transfer = (f"H, mode {mode}" for mode in range(1, modes + 1))
     head = ("floor", "model", "error in time", "rms", "peak", *transfer)
-    return Table("prediction-errors", "predicted accelerations beside the measured", head, rows)
+    return Table("prediction-errors", "predicted accelerations beside the measured", head, rows, words=(0, 1))
 
 
 def _errors(side: RecordComparison, at: int, modes: int) -> Iterator[str]:
