@@ -1,12 +1,14 @@
 """The efficient estimator: incomplete data, scales, uncertainty, what it refuses to say."""
 
 import dataclasses
+import tracemalloc
 
 import numpy as np
 import pytest
 
 from cvxshear import Experiment, backends, identify
 from cvxshear.effects import Gravity, Placed
+from cvxshear.errors import UnsuitableError
 from cvxshear.identification.domain import domain_of
 from cvxshear.identification.efficient import efficient
 from cvxshear.identification.gauss_newton import Domain, gauss_newton
@@ -280,3 +282,18 @@ def test_frequencies_are_those_of_an_independent_eigenvalue_solution():
     found = identify(of6(configuration(MASS6, STIFFNESS6, [1e3] * 6)))
     frequencies, _ = modes_of(MASS6 + 1e3, STIFFNESS6)
     np.testing.assert_allclose(found.parts[0].predictions[0].frequencies, frequencies, rtol=1e-8)
+
+
+def test_a_fit_that_needs_too_much_memory_is_refused_before_it_is_made():
+    """Two thousand stories in one mode: 32 million entries of squares in the parameters, several times over."""
+    stories = 2000
+    declared = {
+        "frame": {"stories": stories, "total_mass": 1e6},
+        "configuration": [{"frequencies": [0.1], "mode_shapes": [np.linspace(0.001, 1.0, stories).tolist()]}],
+    }
+    tracemalloc.start()
+    with pytest.raises(UnsuitableError, match=r"would take about .* GB, more than the 1 GB that are allowed; name the"):
+        identify(Experiment.from_dict(declared))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 50e6

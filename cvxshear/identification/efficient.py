@@ -15,7 +15,7 @@ from cvxshear.data import NOISES
 from cvxshear.effects import Placed, Scale
 from cvxshear.effects.composition import slices
 from cvxshear.effects.state import heights_of
-from cvxshear.errors import CvxshearError, NoModesError, NoSolutionError
+from cvxshear.errors import CvxshearError, NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.experiment import Experiment
 from cvxshear.identification.domain import domain_of, refuse_contradicting
 from cvxshear.identification.gauss_newton import CONVERGED_STEP, Domain, Fit, gauss_newton
@@ -30,6 +30,10 @@ from cvxshear.typing import Floats
 
 FAR_OFF = 100.0
 """Chi-square a datum beyond which a starting point is not near the data: errors of ten standard deviations."""
+
+MEMORY = 1e9
+"""Bytes that a joint fit may take. It holds the derivatives of all data by all parameters some twelve times over, and
+squares in the parameters some 25 times (measured from 100 to 600 stories)."""
 
 MOST_NOISES = 4
 SAME_NOISE = 0.05
@@ -255,9 +259,12 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed
         Where declared masses and exact priors contradict each other.
     NoSolutionError
         Where no starting point leads to a fit.
+    UnsuitableError
+        Where the fit would take more than `MEMORY`.
     """
     refuse_contradicting(experiment)
     misfit = Misfit(experiment, effects)
+    _refuse_large(misfit)
     own = np.array([value for placed in effects for value in placed.start])
     best: Estimate | None = None
     failure: CvxshearError | None = None
@@ -274,6 +281,17 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed
     if best is None:
         raise failure if failure is not None else NoSolutionError(backend.name, "no starting point has modes")
     return best
+
+
+def _refuse_large(misfit: Misfit) -> None:
+    """Raise `UnsuitableError`, before anything is allocated, where a fit would not fit into `MEMORY`."""
+    rows, P = sum(datum.count for datum in misfit.data), misfit.parameters
+    needed = 8.0 * (12 * rows * P + 25 * P**2)
+    if needed > MEMORY:
+        raise UnsuitableError(
+            f"a joint fit of {rows:,} data by {P:,} parameters would take about {needed / 1e9:.1f} GB, more than the "
+            f"{MEMORY / 1e9:.0f} GB that are allowed; name the method one-shot or two-stage, or leave modes or floors out"
+        )
 
 
 def nearest_start(misfit: Misfit) -> Floats:

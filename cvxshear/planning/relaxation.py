@@ -43,7 +43,7 @@ MOST_PARAMETERS = 16
 
 ACCURACY: dict[str, dict[str, Any]] = {
     "clarabel": {"tol_gap_abs": 1e-6, "tol_gap_rel": 1e-6, "tol_feas": 1e-7},
-    "scs": {"eps_abs": 1e-5, "eps_rel": 1e-5, "max_iters": 20_000},
+    "scs": {"eps_abs": 1e-6, "eps_rel": 1e-6, "max_iters": 40_000},
 }
 
 
