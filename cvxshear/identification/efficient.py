@@ -290,7 +290,7 @@ def _refuse_large(misfit: Misfit) -> None:
     if needed > MEMORY:
         raise UnsuitableError(
             f"a joint fit of {rows:,} data by {P:,} parameters would take about {needed / 1e9:.1f} GB, more than the "
-            f"{MEMORY / 1e9:.0f} GB that are allowed; name the method one-shot or two-stage, or leave modes or floors out"
+            f"{MEMORY / 1e9:.0f} GB that are allowed; name the method one-shot or two-stage, or leave modes out"
         )
 
 
