@@ -7,19 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from cvxshear import checks
-from cvxshear.formats.record import (
-    RECORD_KEYS,
-    added_mass_of,
-    channels_of,
-    columns_of,
-    driver_of,
-    placed,
-    rate_of,
-    read_record,
-    refuse_two_rates,
-    runs_of,
-    tables_of,
-)
+from cvxshear.formats.record import RECORD_KEYS, columns_of, rate_of, read_record, refuse_two_rates
+from cvxshear.formats.record_tables import added_mass_of, channels_of, driver_of, placed, runs_of, tables_of
 from cvxshear.modal.motion import Drive, Motion
 
 

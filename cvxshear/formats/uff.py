@@ -23,8 +23,8 @@ from cvxshear.typing import Floats, Ints, Json
 from cvxshear.writing import write_file
 
 if TYPE_CHECKING:
-    from cvxshear.modal.record import Complexes
     from cvxshear.modal.result import ModalResult
+    from cvxshear.modal.runs import Complexes
 
 X_TRANSLATION = 1
 AXES = ("", "x", "y", "z", "rx", "ry", "rz")

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from cvxshear import checks
 from cvxshear.errors import InputError
-from cvxshear.modal.record import Complexes
 from cvxshear.modal.result import ModalResult
+from cvxshear.modal.runs import Complexes
 from cvxshear.modal.shapes import collinearity, lost_phase, main_axis, real_shape
 from cvxshear.typing import Floats
 

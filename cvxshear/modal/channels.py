@@ -9,7 +9,8 @@ from scipy import signal
 
 from cvxshear.errors import InputError
 from cvxshear.modal.findings import Finding
-from cvxshear.modal.record import FrfRecord, FrfRun, Record, Run, TimeRecord
+from cvxshear.modal.record import FrfRecord, Record, TimeRecord
+from cvxshear.modal.runs import FrfRun, Run
 from cvxshear.typing import Floats
 
 DEAD = 1e-4

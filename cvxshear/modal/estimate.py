@@ -13,8 +13,8 @@ from cvxshear.modal.frf import FixedSource
 from cvxshear.modal.jackknife import jackknife, surrogate
 from cvxshear.modal.picking import Sweep, Values, values_on
 from cvxshear.modal.realization import DampedModes, Impulse, Source
-from cvxshear.modal.record import Complexes
 from cvxshear.modal.residues import modal_products, modal_scale, participations, residues, unwrapped
+from cvxshear.modal.runs import Complexes
 from cvxshear.modal.shapes import main_axis, real_shape, signed_projection
 from cvxshear.typing import Bools, Floats, Ints
 

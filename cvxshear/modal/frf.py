@@ -14,7 +14,8 @@ import numpy as np
 from cvxshear import checks
 from cvxshear.errors import InputError
 from cvxshear.modal.realization import Impulse, block_hankel, left_factor
-from cvxshear.modal.record import Complexes, FrfRecord, Run, TimeRecord
+from cvxshear.modal.record import FrfRecord, TimeRecord
+from cvxshear.modal.runs import Complexes, Run
 from cvxshear.typing import Bools, Floats, Ints
 
 ESTIMATORS = ("h1", "h2")

@@ -15,7 +15,8 @@ from scipy import signal
 
 from cvxshear.modal.frf import Spectra, hit_spectra, table_spectra
 from cvxshear.modal.prepare import detrended, impulsive, without_offset
-from cvxshear.modal.record import Complexes, FrfRecord, Record, TimeRecord
+from cvxshear.modal.record import FrfRecord, Record, TimeRecord
+from cvxshear.modal.runs import Complexes
 from cvxshear.typing import Floats, Ints
 
 LINES = 512

@@ -20,7 +20,7 @@ from scipy import linalg
 
 from cvxshear.errors import NoSolutionError
 from cvxshear.modal.realization import Impulse, block_hankel, left_factor
-from cvxshear.modal.record import Complexes
+from cvxshear.modal.runs import Complexes
 from cvxshear.typing import Bools, Floats, Ints
 
 LAGS = 20

@@ -11,7 +11,7 @@ import numpy as np
 from cvxshear.modal import signs
 from cvxshear.modal.clock import offsets, undone
 from cvxshear.modal.realization import Poles, Source, realize
-from cvxshear.modal.record import Complexes
+from cvxshear.modal.runs import Complexes
 from cvxshear.modal.shapes import collinearity, mac, possible_changes, real_shape, sign_changes
 from cvxshear.modal.stabilization import (
     Cluster,

@@ -14,7 +14,8 @@ from cvxshear.errors import InputError, UnsuitableError
 from cvxshear.modal import covariance, okid, subspace
 from cvxshear.modal.frf import DecaySource, FrfSource, cut, hit_spectra, reached_lines, table_spectra
 from cvxshear.modal.realization import Source
-from cvxshear.modal.record import FrfRecord, Record, Run, TimeRecord
+from cvxshear.modal.record import FrfRecord, Record, TimeRecord
+from cvxshear.modal.runs import Run
 from cvxshear.typing import Floats
 
 METHODS = ("era", "okid", "subspace", "ssi")

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from scipy import linalg
 
-from cvxshear.modal.record import Complexes
+from cvxshear.modal.runs import Complexes
 from cvxshear.typing import Bools, Floats, Ints
 
 

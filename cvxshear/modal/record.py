@@ -1,4 +1,4 @@
-"""What was recorded: channels, runs, sampling, input. Time histories or frequency response functions.
+"""A record: channels and runs with their sampling and input. Time histories or frequency response functions.
 
 A record holds physical values: sign and calibration have been applied. Its arrays are read-only.
 """
@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from cvxshear import checks
 from cvxshear.errors import InputError
 from cvxshear.experiment import MOST_STORIES
+from cvxshear.modal.runs import Channel, FrfRun, Run
 from cvxshear.typing import Floats, Ints
-
-Complexes = NDArray[np.complex128]
 
 INPUTS = ("none", "free_decay", "force", "base")
 QUANTITIES = ("acceleration", "velocity", "displacement")
@@ -25,96 +24,6 @@ FEWEST_SAMPLES = 128
 """A run with fewer has too few periods for any of the methods."""
 FEWEST_LINES = 32
 """A frequency response with fewer lines has too few across any resonance."""
-
-
-@dataclass(frozen=True)
-class Channel:
-    """One measured response: where the sensor sits and which way it points.
-
-    Parameters
-    ----------
-    name : str
-        The column or data set it was read from.
-    floor : int
-        0 the ground, 1 the first floor above it.
-    axis : str, optional
-        Direction of shaking, any name ("x").
-    place : str, optional
-        Where the channel was declared, for messages ('line 12 of record.toml'); the name where empty.
-    """
-
-    name: str
-    floor: int
-    axis: str = "x"
-    place: str = ""
-
-    def __post_init__(self) -> None:
-        checks.text(self.name, "channel: name")
-        checks.whole(self.floor, f'channel "{self.name}": floor', least=0, most=MOST_STORIES)
-        checks.text(self.axis, f'channel "{self.name}": axis')
-
-    def __str__(self) -> str:
-        spot = f"floor {self.floor}" if self.floor else "ground"
-        return f'channel "{self.name}" ({spot}{", " + self.place if self.place else ""})'
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """One uninterrupted stretch of time: a hit, a release, an earthquake, an hour of wind.
-
-    Parameters
-    ----------
-    responses : array_like, shape (samples, channels)
-        m/s2, m/s or m, one column a channel of the record.
-    excitation : array_like, shape (samples,), optional
-        N for a force, m/s2 for a base acceleration.
-    floor : int, optional
-        Where the force acts; 0 for a base acceleration or none.
-    name : str, optional
-    """
-
-    responses: Floats
-    excitation: Floats | None = None
-    floor: int = 0
-    name: str = "run 1"
-
-    def __post_init__(self) -> None:
-        responses = _matrix(self.responses, f"{self.name}: responses", np.float64)
-        object.__setattr__(self, "responses", responses)
-        if self.excitation is not None:
-            excitation = np.asarray(_matrix([self.excitation], f"{self.name}: excitation", np.float64)[0])
-            if excitation.shape != (len(responses),):
-                raise InputError(
-                    f"{self.name}: excitation has {excitation.size} samples, the responses have {len(responses)}"
-                )
-            object.__setattr__(self, "excitation", checks.frozen(excitation))
-
-    @property
-    def samples(self) -> int:
-        """Number of samples."""
-        return len(self.responses)
-
-
-@dataclass(frozen=True, eq=False)
-class FrfRun:
-    """The responses to a unit force at one floor, by frequency.
-
-    Parameters
-    ----------
-    responses : array_like of complex, shape (lines, channels)
-        Response over force: accelerance (m/s2)/N, mobility (m/s)/N or receptance m/N.
-    floor : int
-        Where the force acts.
-    name : str, optional
-    """
-
-    responses: Complexes
-    floor: int
-    name: str = "run 1"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "responses", _matrix(self.responses, f"{self.name}: responses", np.complex128))
-        checks.whole(self.floor, f"{self.name}: input_floor", least=1, most=MOST_STORIES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,16 +216,6 @@ class FrfRecord(_Recorded):
 
 
 Record = TimeRecord | FrfRecord
-
-
-def _matrix(value: Any, where: str, dtype: type) -> Any:
-    try:
-        result: NDArray[Any] = np.array(value, dtype=dtype)
-    except (TypeError, ValueError):
-        raise InputError(f"{where} must be a table of numbers, samples by channels") from None
-    if result.ndim != 2 or 0 in result.shape:
-        raise InputError(f"{where} must be a table of samples by channels, not of shape {result.shape}")
-    return checks.frozen(result)
 
 
 def _refuse_nonfinite(values: NDArray[Any], where: str) -> None:

@@ -13,7 +13,7 @@ from cvxshear.modal.findings import Finding
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.knowledge import entry_std, frequency_std, other_modes
 from cvxshear.modal.picking import Sweep
-from cvxshear.modal.record import Complexes
+from cvxshear.modal.runs import Complexes
 from cvxshear.showing import Shown
 from cvxshear.typing import Floats, Ints, Json
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cvxshear.modal.record import Complexes
+from cvxshear.modal.runs import Complexes
 from cvxshear.typing import Floats
 
 RULES = ("magnitude", "projection")

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cvxshear.modal.record import FrfRecord, FrfRun, Record, Run, TimeRecord
+from cvxshear.modal.record import FrfRecord, Record, TimeRecord
+from cvxshear.modal.runs import FrfRun, Run
 from cvxshear.typing import Floats
 
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, signal
 
-from cvxshear.modal.record import Channel, Run, TimeRecord
+from cvxshear.modal.record import TimeRecord
+from cvxshear.modal.runs import Channel, Run
 from cvxshear.typing import Floats
 
 OVERSAMPLING = 8

@@ -15,7 +15,7 @@ import numpy as np
 
 from cvxshear import checks
 from cvxshear.modal.realization import Poles
-from cvxshear.modal.record import Complexes
+from cvxshear.modal.runs import Complexes
 from cvxshear.modal.shapes import mac
 from cvxshear.typing import Floats
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from cvxshear.errors import InputError
 from cvxshear.modal.functions import Functions
-from cvxshear.modal.record import Complexes
 from cvxshear.modal.result import ModalResult
+from cvxshear.modal.runs import Complexes
 from cvxshear.typing import Bools, Floats
 
 
