@@ -13,17 +13,12 @@ from cvxshear import checks
 from cvxshear.checks import MOST_STORIES
 from cvxshear.errors import InputError
 from cvxshear.other_modes import OtherModes, other_modes
+from cvxshear.repeated_shapes import copied_rows, proportional_rows
 from cvxshear.typing import Bools, Floats, Ints, Json
 
 DEFAULT_FREQUENCY_STD = 0.002
 DEFAULT_MODE_SHAPE_STD = 0.01
 NOISE_KINDS = ("additive", "multiplicative")
-
-ALIKE = 1e-12
-"""Two shapes are taken to be the same where the squared sine of the angle between them is less."""
-
-ENTRIES_OF_A_COPY = 3
-"""Where floors are missing two modes may look alike in one or two entries; the same three are a copied row."""
 
 
 def _no_floats() -> Floats:
@@ -185,7 +180,7 @@ class Configuration:
         Modes of one frame are orthogonal by its masses, so no two are proportional over `whole` shapes. At some
         of the floors they can be; there only a copied row is refused.
         """
-        pair = _proportional_rows(shapes) if whole else _copied_rows(shapes)
+        pair = proportional_rows(shapes) if whole else copied_rows(shapes)
         if pair is not None:
             raise InputError(
                 f"{self._at('mode_shapes')}, rows {pair[0] + 1} and {pair[1] + 1} are the same shape; each mode has "
@@ -329,25 +324,3 @@ class Configuration:
             std: Floats = relative * np.maximum(np.abs(self.mode_shapes), 1e-3 * largest)
             return std
         return np.broadcast_to(relative * largest, self.mode_shapes.shape)
-
-
-def _copied_rows(shapes: Floats) -> tuple[int, int] | None:
-    """The first two rows with the same numbers in the same places, of which there are several."""
-    seen: dict[bytes, int] = {}
-    for row, shape in enumerate(shapes):
-        if np.isfinite(shape).sum() >= ENTRIES_OF_A_COPY and (before := seen.setdefault(shape.tobytes(), row)) != row:
-            return before, row
-    return None
-
-
-def _proportional_rows(shapes: Floats) -> tuple[int, int] | None:
-    """The first two rows that were measured everywhere and are proportional to each other."""
-    places = np.flatnonzero(np.isfinite(shapes).all(axis=1))
-    if len(places) < 2:
-        return None
-    whole = shapes[places]
-    # Scaled by the largest entry first, so that no square overflows or vanishes.
-    whole = whole / np.max(np.abs(whole), axis=1, keepdims=True)
-    whole = whole / np.linalg.norm(whole, axis=1, keepdims=True)
-    later, earlier = np.nonzero(np.tril((whole @ whole.T) ** 2 >= 1 - ALIKE, -1))
-    return (int(places[earlier[0]]), int(places[later[0]])) if later.size else None

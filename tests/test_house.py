@@ -12,8 +12,8 @@ ROOMS = (
     ("typing",), ("text",), ("errors",), ("quantities",), ("checks",), ("parallel",), ("showing",), ("writing",),
     ("dataframe",), ("findings",), ("version",),
     # What was measured and declared: priors, static tests and what is expected of effects are part of an experiment.
-    ("priors",), ("other_modes",), ("configuration",), ("static_test",), ("expected_effect",), ("declaration",),
-    ("experiment",),
+    ("priors",), ("other_modes",), ("repeated_shapes",), ("configuration",), ("static_test",), ("expected_effect",),
+    ("declaration",), ("experiment",),
     # The model, the effects that act on it, and the kinds of data that it is compared with.
     ("frame",), ("effects",), ("data",),
     # Programs, what solves them, and the methods that are made of them.

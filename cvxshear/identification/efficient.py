@@ -15,21 +15,17 @@ from cvxshear.data import NOISES
 from cvxshear.effects import Placed, Scale
 from cvxshear.effects.composition import slices
 from cvxshear.effects.state import heights_of
-from cvxshear.errors import CvxshearError, NoModesError, NoSolutionError, UnsuitableError
+from cvxshear.errors import CvxshearError, NoSolutionError, UnsuitableError
 from cvxshear.experiment import Experiment
 from cvxshear.identification.domain import domain_of, refuse_contradicting
 from cvxshear.identification.gauss_newton import CONVERGED_STEP, Domain, Fit, gauss_newton
 from cvxshear.identification.misfit import Evaluation, Misfit
+from cvxshear.identification.nearest import nearest_first
 from cvxshear.identification.noise import LARGEST_NOISE, NoiseEstimate, estimated_noise
 from cvxshear.identification.quality import Quality, quality
 from cvxshear.identification.results import IdentifiedFrame, Prediction, SingleIdentification, predictions
-from cvxshear.identification.smooth import smooth_start
-from cvxshear.identification.start import starts, uniform
 from cvxshear.identification.uncertainty import Uncertainty, uncertainty
 from cvxshear.typing import Floats
-
-FAR_OFF = 100.0
-"""Chi-square a datum beyond which a starting point is not near the data: errors of ten standard deviations."""
 
 MEMORY = 1e9
 """Bytes that a joint fit may take. It holds the derivatives of all data by all parameters some twelve times over, and
@@ -268,7 +264,7 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed
     own = np.array([value for placed in effects for value in placed.start])
     best: Estimate | None = None
     failure: CvxshearError | None = None
-    for start in _nearest_first(misfit, own):
+    for start in nearest_first(misfit, own):
         try:
             found = fitted(misfit, np.concatenate([start, own]), backend)
         except NoSolutionError as error:
@@ -292,43 +288,3 @@ def _refuse_large(misfit: Misfit) -> None:
             f"a joint fit of {rows:,} data by {P:,} parameters would take about {needed / 1e9:.1f} GB, more than the "
             f"{MEMORY / 1e9:.0f} GB that are allowed; name the method one-shot or two-stage, or leave modes out"
         )
-
-
-def nearest_start(misfit: Misfit) -> Floats:
-    """The starting point nearest to the data, the effects' parameters where they start.
-
-    Parameters
-    ----------
-    misfit : Misfit
-
-    Returns
-    -------
-    ndarray, shape (P,)
-
-    Raises
-    ------
-    NoModesError
-        Where no starting point has modes.
-    """
-    own = np.array([value for placed in misfit.effects for value in placed.start])
-    for start in _nearest_first(misfit, own):
-        return np.concatenate([start, own])
-    raise NoModesError("no starting point has modes")
-
-
-def _nearest_first(misfit: Misfit, own: Floats) -> list[Floats]:
-    """The starting points with modes, the nearest to the data first; before them a smooth frame where none is near."""
-
-    def chi2(start: Floats) -> float:
-        try:
-            return misfit.evaluate(np.concatenate([start, own]), derivatives=False).chi2
-        except NoModesError:
-            return float("inf")
-
-    measured = [(chi2(start), start) for start in starts(misfit.experiment)]
-    usable = sorted((item for item in measured if np.isfinite(item[0])), key=lambda item: item[0])
-    ordered = [start for _, start in usable]
-    if usable and usable[0][0] <= FAR_OFF * misfit.count(np.concatenate([ordered[0], own])):
-        return ordered
-    smooth = smooth_start(misfit.experiment, uniform(misfit.experiment))
-    return [smooth, *ordered] if np.isfinite(chi2(smooth)) else ordered

@@ -12,10 +12,11 @@ from cvxshear.effects import Effect, Placed, Scale
 from cvxshear.effects.state import heights_of
 from cvxshear.errors import InputError
 from cvxshear.experiment import Experiment
-from cvxshear.identification.efficient import efficient, nearest_start
+from cvxshear.identification.efficient import efficient
 from cvxshear.identification.expectation import Expectation
 from cvxshear.identification.gauss_newton import CONVERGED_STEP
 from cvxshear.identification.misfit import Misfit
+from cvxshear.identification.nearest import nearest_start
 from cvxshear.loop.conclusion import conclude
 from cvxshear.loop.fitter import ROUGH, Fitter, with_stand_in
 from cvxshear.loop.hypotheses import Hypothesis, assumed, chosen, hypotheses
