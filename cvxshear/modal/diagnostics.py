@@ -13,7 +13,7 @@ from cvxshear.modal.estimate import Details, Replication
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.record import FrfRecord, Record
 from cvxshear.modal.result import ModalResult
-from cvxshear.quantities import ranged, significant
+from cvxshear.quantities import listed, ranged, significant
 from cvxshear.typing import Floats
 
 OF_CHANNELS = ("dead channel", "clipped channel", "held samples", "drift", "aliasing")
@@ -220,7 +220,8 @@ def _mode_findings(record: Record, result: ModalResult, setting: Replication, wa
             Finding(
                 "missing mode",
                 f"{len(record.channels)} of {record.stories} floors are measured: the modes found are taken to be the "
-                f"lowest {len(result.modes)}, which the record cannot show",
+                f"lowest that their changes of sign allow ({listed([str(mode) for mode in result.modes])}), which the "
+                "record cannot show",
                 {"measured": len(record.channels), "stories": record.stories},
             )
         )

@@ -155,6 +155,7 @@ def _identified(record: Record, options: Options) -> ModalResult:
             source,
             options.criteria,
             count=wanted,
+            stories=record.stories,
             by_signs=by_signs,
             band=record.band,
             shift=shift,

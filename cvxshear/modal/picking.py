@@ -107,6 +107,7 @@ def sweep_orders(
     criteria: Criteria,
     *,
     count: int,
+    stories: int,
     by_signs: bool,
     band: tuple[float, float] | None = None,
     shift: float = 0.0,
@@ -120,10 +121,12 @@ def sweep_orders(
     criteria : Criteria
     count : int
         Most modes to choose.
+    stories : int
+        Of the frame, which has as many modes.
     by_signs : bool
         Choose for mode r a shape with r - 1 changes of sign, which is what the modes of a shear frame have
         when every floor is measured (its stiffness matrix is a Jacobi matrix: Gantmacher and Krein 1950).
-        Otherwise the modes of most energy are chosen.
+        Otherwise the modes of most energy are chosen, and numbered as low as their changes of sign allow.
     band : (float, float), optional
         Hz.
     shift : float, optional
@@ -152,7 +155,7 @@ def sweep_orders(
     if picked:
         return Sweep(poles, stable, tuple(found), tuple(_by_hand(found, picked)))
     usable = [item for item in found if item.physical]
-    chosen = _by_signs(usable, count) if by_signs else _by_energy(usable, count)
+    chosen = _by_signs(usable, count) if by_signs else _as_low_as_can_be(_by_energy(usable, count), stories)
     if by_signs and not _grows(chosen):
         chosen = _but_for_one_slip(usable, count) or chosen
     numbered = {item.members: item for item in chosen}
@@ -257,6 +260,24 @@ def _by_signs(usable: list[PoleCandidate], count: int) -> list[PoleCandidate]:
         for number in range(1, count + 1):
             best[number] = max(best[number], best[number - 1], key=lambda choice: choice[0])
     return list(best[count][1])
+
+
+def _as_low_as_can_be(chosen: list[PoleCandidate], stories: int) -> list[PoleCandidate]:
+    """The candidates with the lowest numbers that they can have where some floors are not measured.
+
+    At some of the floors mode r changes sign r - 1 times at most. Where that asks for more modes than the frame has,
+    the weakest candidates are left out, being none of it.
+    """
+    while chosen:
+        number, numbered = 0, []
+        for item, shape in zip(chosen, _straight(chosen), strict=True):
+            number = max(number, possible_changes(shape, UNSURE)[0]) + 1
+            numbered.append(dataclasses.replace(item, number=number))
+        if number <= stories:
+            return numbered
+        weakest = min(chosen, key=lambda item: item.energy)
+        chosen = [item for item in chosen if item is not weakest]
+    return []
 
 
 def _grows(chosen: list[PoleCandidate]) -> bool:
