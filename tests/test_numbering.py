@@ -2,12 +2,14 @@
 
 import copy
 import dataclasses
+import json
 
 import numpy as np
 import pytest
 
 import cvxshear
 from cvxshear import Experiment, backends, close_loop
+from cvxshear.cli import main
 from cvxshear.errors import InputError
 from cvxshear.formats.measurement import write_measurement
 from cvxshear.identification.efficient import efficient
@@ -41,6 +43,12 @@ def lose(declared, mode, where=slice(None)):
     return declared
 
 
+def status(arguments):
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    return stopped.value.code
+
+
 def numbers(closure):
     return dict(closure.numberings[0].changes)
 
@@ -67,7 +75,7 @@ def test_before_is_the_model_with_the_numbers_as_given():
     declared, _ = measured_frame("gravity", 41, configurations=3)
     closure = close_loop(Experiment.from_dict(lose(declared, 2)))
     assert [step.action for step in closure.steps] == [
-        "the shear model",
+        "the shear model, the modes numbered as given",
         "with the modes numbered otherwise",
         "with gravity",
     ]
@@ -103,6 +111,43 @@ def test_the_probability_of_other_modes_is_that_of_their_evidence_and_their_odds
         sets.append(other / given / (probability / (1.0 - probability)))
     assert sets[0] == pytest.approx(sets[1], rel=1e-9)
     assert 1e-3 < sets[0] < 1e3
+
+
+def test_numbers_that_nothing_tells_are_said_to_be_in_doubt():
+    """One floor and three frequencies: whatever was said beforehand stays, and the page says how to find out."""
+    declared, _ = measured_frame(None, 44, modes=3, floors=(7,))
+    declared["configuration"][0]["other_modes"] = [{"modes": [1, 2, 4], "probability": 0.5}]
+    closure = close_loop(Experiment.from_dict(declared), effects=["total_mass"])
+    assert closure.verdict == "ambiguous"
+    assert 0.1 < closure.numberings[1].probability < 0.5
+    page = " ".join(str(closure).split())
+    assert "AMBIGUOUS: " in page
+    assert "Sensors at more floors: the changes of sign" in page
+    assert ("the shear model alone, the modes" in page) == (len({item.changes for item in closure.models}) > 1)
+
+
+def test_the_loop_weighs_what_a_file_names_and_check_refuses(tmp_path, capsys):
+    declared, _ = measured_frame(None, 41)
+    (configuration,) = lose(declared, 3)["configuration"]
+    path = tmp_path / "a.toml"
+    write_measurement(path, declared)
+    assert status(["loop", str(path), "--json", "-"]) == 2
+    assert "write modes = [1, 2, 4, 5]" in capsys.readouterr().err
+    configuration["other_modes"] = [{"modes": [1, 2, 4, 5], "probability": 0.3}]
+    write_measurement(path, declared)
+    assert status(["loop", str(path), "--json", "-"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["numberings"][0]["changes"] == [{"configuration": "test 1", "modes": [1, 2, 4, 5]}]
+    assert [(item["name"], item["refuses"]) for item in result["warnings"]] == [("missing_mode", False)]
+
+
+def test_shapes_at_every_floor_that_contradict_their_numbers_put_them_in_question():
+    declared, _ = measured_frame(None, 46, floors=range(1, 8), modes=6)
+    (found,) = overlooked_in_all(Experiment.from_dict(lose(declared, 3)))[1:2]
+    assert found.changes == (("test 1", (1, 2, 4, 5, 6)),)
+    closure = close_loop(Experiment.from_dict(declared))
+    assert numbers(closure) == {"test 1": (1, 2, 4, 5, 6)}
+    assert not closure.effects
 
 
 def test_what_is_in_question():

@@ -129,7 +129,6 @@ def loop(
     Example: cvxshear loop paper
     """
     from cvxshear import close_loop
-    from cvxshear.findings import NUMBERS
     from cvxshear.quantities import Units
     from cvxshear.report import terminal
     from cvxshear.report.sheets import sheets_of_closure
@@ -141,8 +140,9 @@ def loop(
         from cvxshear.report.html import write_report
     with progress("closing the loop", quiet) as advance:
         experiment, found = measured(sources, jobs=jobs, progress=advance)
-        # A record has no numbers to put right: which modes it holds is weighed with the effects.
-        doubts = refuse_mistakes(experiment, NUMBERS if found else ())
+        # A record has no numbers to put right, and who names others asks for it: they are weighed with the effects.
+        weighed = [each.name for each in experiment.configurations if found or each.other_modes]
+        doubts = refuse_mistakes(experiment, weighed)
         result = close_loop(experiment, effects=names(effects), assume=names(assume) or (), backend=backend, jobs=jobs)
         models = models_of_loop(result, mass_known=not _needs_mass(found))
         damping = damping_of(experiment, models.after, backend)

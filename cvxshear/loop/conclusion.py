@@ -19,7 +19,7 @@ from cvxshear.loop.hypotheses import Hypothesis
 from cvxshear.loop.linear import Linearised
 from cvxshear.loop.model_class import RESIDUAL_LEVEL
 from cvxshear.loop.next_test import next_test
-from cvxshear.loop.numbering import NumberingProbability
+from cvxshear.loop.numbering import OVERLOOKED, NumberingProbability
 from cvxshear.loop.posterior import Posterior
 from cvxshear.loop.residual import where_it_sits
 from cvxshear.loop.results import AddedEffect, Candidate, Closure, EffectSet, Step, parameters_of, stds_of
@@ -27,6 +27,10 @@ from cvxshear.loop.search import Search
 
 EXPLAINED = 0.95
 """Probability at its place that each added effect has where the data are called explained."""
+
+NUMBERED = 1.0 - 2.0 * OVERLOOKED
+"""Probability of the numbers of the modes as given from which on a shear model that does not ask for others is called
+adequate: data that tell nothing of them leave what there was beforehand."""
 
 NEGLIGIBLE_FREQUENCY, NEGLIGIBLE_SHAPE = 1e-5, 1e-4
 """Largest relative errors of a frequency and of a shape entry that no engineer would look into."""
@@ -95,7 +99,7 @@ def _verdict(added: Sequence[AddedEffect], numbering: NumberingProbability, *, u
     if unexplained:
         return "unexplained"
     if not added and not numbering.changes:
-        return "adequate"
+        return "adequate" if numbering.probability >= NUMBERED else "ambiguous"
     sure = min([numbering.probability, *(item.probability for item in added)])
     return "explained" if sure >= EXPLAINED else "ambiguous"
 
@@ -113,7 +117,7 @@ def _steps(final: Estimate, posterior: Posterior, fitter: Fitter, as_given: Fitt
     The most probable effect comes first; all are in the noise of the last.
     """
     order = _by_probability(posterior, final, fitter)
-    what = "the shear model"
+    what = "the shear model" if fitter is as_given else "the shear model, the modes numbered as given"
     if fitter.assumed:
         what += f" with {', '.join(placed.label for placed in fitter.assumed)} assumed"
     ways: list[tuple[str, Callable[[], Estimate]]] = [(what, lambda: _in_noise_of(final, [], as_given))]
@@ -223,6 +227,10 @@ def _candidates(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[C
     return sorted(found, key=lambda each: (-each.probability, each.chi2))
 
 
+def _quoted(names: Sequence[str]) -> str:
+    return " and ".join(f'"{name}"' for name in names)
+
+
 def _rests_on(final: Estimate) -> str:
     """What the verdict rests on."""
     if final.dof <= 0:
@@ -245,6 +253,9 @@ def _information(search: Search, posterior: Posterior, final: Estimate, *, negli
             "the residual is significant but negligible: frequencies are off by "
             f"{final.quality.max_frequency_error:.1g} at most, less than anybody needs"
         )
+    named = [each.name for each in experiment.configurations if each.other_modes]
+    if named and all(not each.changes for each in posterior.numberings if each.probability >= SHOWN):
+        yield f"the modes of {_quoted(named)} are those given: that they are the other ones named is hardly probable"
     if not final.fit.converged:
         yield f"the final fit did not converge ({final.fit.reason}); its numbers are where it stopped"
     for placed in posterior.untold():

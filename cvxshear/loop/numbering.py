@@ -16,6 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.experiment import Configuration, Experiment
+from cvxshear.screening.reading import Reading
+from cvxshear.screening.signs import violations
 from cvxshear.typing import Ints, Json
 
 OVERLOOKED = 0.05
@@ -83,10 +85,7 @@ def named_numberings(experiment: Experiment) -> list[Numbering]:
 
 
 def overlooked_in_all(experiment: Experiment) -> list[Numbering]:
-    """The numbers that follow where all configurations that could have overlooked a mode have.
-
-    Configurations that name other modes themselves keep theirs.
-    """
+    """The numbers that follow where all configurations that could have overlooked a mode have."""
     return [item[0] for item in _overlooked(experiment)]
 
 
@@ -118,24 +117,28 @@ def _together_or_alone(
 
 
 def _without(experiment: Experiment, mode: int) -> list[tuple[str, tuple[int, ...]]]:
-    """The configurations that may have overlooked a mode, with their modes then."""
-    return [
-        (each.name, tuple(_moved(each.modes, mode).tolist()))
-        for each in experiment.configurations
-        if not each.other_modes and _may_be_overlooked(each, mode, experiment.stories)
-    ]
+    """The configurations that may have overlooked a mode, with their modes then, where they do not name these."""
+    found = []
+    for each in experiment.configurations:
+        moved = tuple(_moved(each.modes, mode).tolist())
+        named = any(tuple(other.modes.tolist()) == moved for other in each.other_modes)
+        if not named and _may_be_overlooked(each, mode, experiment.stories):
+            found.append((each.name, moved))
+    return found
 
 
 def _may_be_overlooked(configuration: Configuration, mode: int, stories: int) -> bool:
     """Whether what goes by this number may be the next mode, and so all above.
 
-    The lowest mode is not overlooked, and shapes known at every floor tell their numbers.
+    The lowest mode is not overlooked, and shapes known at every floor tell their numbers: those given, unless their
+    signs speak against these.
     """
     modes = configuration.modes
     if mode not in modes[1:] or modes[-1] >= stories:
         return False
     above = configuration.measured[modes >= mode]
-    return not (above.shape[1] == stories and bool(above.all(axis=1).any()))
+    whole = above.shape[1] == stories and bool(above.all(axis=1).any())
+    return not whole or bool(violations(Reading.of(configuration)))
 
 
 def _moved(modes: Ints, lost: int) -> Ints:

@@ -9,6 +9,7 @@ import numpy as np
 
 from cvxshear.errors import InputError
 from cvxshear.experiment import Configuration, Experiment
+from cvxshear.findings import NUMBERS
 from cvxshear.screening.finding import Finding
 from cvxshear.screening.mistakes import TALLEST, Verdict, judge
 from cvxshear.screening.reading import Reading
@@ -43,14 +44,14 @@ def screen(experiment: Experiment) -> tuple[Finding, ...]:
     return tuple(item for item in found if not item.accepted(experiment.frame.accept))
 
 
-def refuse_mistakes(experiment: Experiment, left_open: Collection[str] = ()) -> tuple[Finding, ...]:
+def refuse_mistakes(experiment: Experiment, weighed: Collection[str] = ()) -> tuple[Finding, ...]:
     """The warnings of `screen`, where nothing refuses.
 
     Parameters
     ----------
     experiment : Experiment
-    left_open : collection of str, optional
-        Mistakes of which what follows makes its own judgement; they are warnings then.
+    weighed : collection of str, optional
+        Configurations of which what follows weighs the numbers of the modes itself; that they look wrong is a warning.
 
     Raises
     ------
@@ -58,7 +59,8 @@ def refuse_mistakes(experiment: Experiment, left_open: Collection[str] = ()) -> 
         Naming the first mistake found, what to change and how to accept it.
     """
     found = tuple(
-        dataclasses.replace(item, refuses=item.refuses and item.name not in left_open) for item in screen(experiment)
+        dataclasses.replace(item, refuses=item.refuses and not _left_to_the_loop(item, weighed))
+        for item in screen(experiment)
     )
     for item in found:
         if item.refuses:
@@ -67,6 +69,10 @@ def refuse_mistakes(experiment: Experiment, left_open: Collection[str] = ()) -> 
                 f"{where}{item.found}. To mend it: {item.change}; or, if it is right as it is: {item.how_to_accept}"
             )
     return found
+
+
+def _left_to_the_loop(item: Finding, weighed: Collection[str]) -> bool:
+    return item.name in NUMBERS and item.configuration in weighed
 
 
 def mistakes(configuration: Configuration) -> list[Finding]:

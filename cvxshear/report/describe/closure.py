@@ -13,7 +13,7 @@ from cvxshear.report.describe.evidence import candidates_section, effect_section
 from cvxshear.report.describe.experiment import declared, measured_modes
 from cvxshear.report.describe.frame import frame_table
 from cvxshear.report.describe.headline import NAMED, headline
-from cvxshear.report.describe.numbering import numbering_sections
+from cvxshear.report.describe.numbering import in_doubt, numbering_sections
 from cvxshear.report.describe.parameters import in_words
 from cvxshear.report.describe.vocabulary import Block, Document, Points, Section, Sentence
 
@@ -51,7 +51,12 @@ def _line(of: Closure) -> str:
 def verdict_section(of: Closure) -> Section:
     """What the verdict means and rests on."""
     assumed = f" In the model from the start: {', '.join(placed.label for placed in of.assumed)}." if of.assumed else ""
-    return Section("verdict", "Verdict", (Sentence(f"{VERDICTS[of.verdict]} It rests on {of.rests_on}.{assumed}"),))
+    meaning = VERDICTS[of.verdict]
+    if not of.effects and of.verdict == "explained":
+        meaning = "The shear model explains the data, once the modes are numbered otherwise; no effect was added."
+    if not of.effects and of.verdict == "ambiguous":
+        meaning = "The shear model explains the data; which modes of the frame were measured is in question."
+    return Section("verdict", "Verdict", (Sentence(f"{meaning} It rests on {of.rests_on}.{assumed}"),))
 
 
 def frame_section(of: Closure, units: Units) -> Section:
@@ -100,6 +105,10 @@ def _next(of: Closure, units: Units) -> str:
     if of.verdict == "unexplained":
         return (
             "No added mass is proposed: no effect that was looked for makes the residual. Look first at where it sits."
+        )
+    if of.verdict == "ambiguous" and in_doubt(of) and not any(item.rivals for item in of.effects):
+        return (
+            "Sensors at more floors: the changes of sign of a shape that is known at every floor tell which mode it is."
         )
     if of.verdict == "ambiguous":
         return "No added mass up to that of a floor would tell the rivals apart."

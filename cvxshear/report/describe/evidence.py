@@ -8,6 +8,7 @@ from cvxshear.loop import Closure
 from cvxshear.loop.results import AddedEffect, Candidate, EffectSet
 from cvxshear.quantities import Units, capital, chance, listed, per_force, probability, significants, with_std
 from cvxshear.report.describe.consequences import consequences
+from cvxshear.report.describe.numbering import numbers_in_words
 from cvxshear.report.describe.parameters import in_words
 from cvxshear.report.describe.vocabulary import Block, Facts, Points, Row, Section, Sentence, Table
 
@@ -69,12 +70,20 @@ def sets_section(of: Closure) -> Section:
     """The sets of effects with their probabilities."""
     chi2 = significants([item.chi2 for item in of.models])
     rows = tuple(
-        Row((_set_label(item, of.models[0]), chance(item.probability), shown), exact=(item.probability, item.chi2))
+        Row((_label(item, of), chance(item.probability), shown), exact=(item.probability, item.chi2))
         for item, shown in zip(of.models, chi2, strict=True)
     )
     head = ("set", "probability", "chi-square")
     table = Table("models", "Sets of effects, the most probable first", head, rows, brief=BRIEF_SETS)
     return Section("sets", "Which effects together", (table,) if rows else (), below=True)
+
+
+def _label(item: EffectSet, of: Closure) -> str:
+    """Its effects, and how its modes are numbered where that is other than in the verdict's set."""
+    label = _set_label(item, of.models[0])
+    if item.changes == of.numberings[0].changes:
+        return label
+    return f"{label}, {numbers_in_words(item.changes) if item.changes else 'the modes as given'}"
 
 
 def _set_label(of: EffectSet, first: EffectSet) -> str:

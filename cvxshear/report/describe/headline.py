@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from cvxshear.identification.quality import Quality
 from cvxshear.loop import Closure
-from cvxshear.loop.conclusion import EXPLAINED
 from cvxshear.loop.results import AddedEffect
 from cvxshear.quantities import chance, listed, percents
 from cvxshear.report.describe.noise import noise_in_words
-from cvxshear.report.describe.numbering import numbers_in_words
+from cvxshear.report.describe.numbering import in_doubt, numbers_in_words, other_numbers
 
 NAMED = 2
 """Effects up to which a sentence names them all; more are a matter for the table."""
@@ -29,9 +28,11 @@ def headline(of: Closure) -> str:
     if not found.changes:
         return says[of.verdict](of)
     numbers = f"{numbers_in_words(found.changes)} ({chance(found.probability)} probable)"
+    renumbered = change_in_words(of.before.estimate.quality, of.steps[1].estimate.quality)
     if of.effects or of.verdict == "unexplained":
-        return f"{numbers}; {says[of.verdict](of)}"
-    return f"{numbers}; so numbered, {_model(of)} explains the data, and {_change(of)}."
+        return f"{numbers}, and with these numbers {renumbered}; {says[of.verdict](of)}"
+    doubt = f"; but perhaps {other_numbers(of)} ({chance(of.numberings[1].probability)})" if in_doubt(of) else ""
+    return f"{numbers}; so numbered, {_model(of)} explains the data, and {renumbered}{doubt}."
 
 
 def _adequate(of: Closure) -> str:
@@ -52,16 +53,16 @@ def _explained(of: Closure) -> str:
 
 
 def _ambiguous(of: Closure) -> str:
+    if not of.effects:
+        return f"{_model(of)} explains the data, but {_doubt(of)}."
     return f"{_model(of)} lacks {_effects(of.effects)}, but {_doubt(of)}; with {_them(of)} {_change(of)}."
 
 
 def _doubt(of: Closure) -> str:
     """Why the verdict is ambiguous."""
     doubtful = [item for item in of.effects if item.rivals]
-    if not doubtful and len(of.numberings) > 1 and of.numberings[1].probability > 1.0 - EXPLAINED:
-        other = of.numberings[1]
-        numbers = numbers_in_words(other.changes) if other.changes else "the modes are those given"
-        return f"perhaps {numbers} ({chance(other.probability)})"
+    if not doubtful and in_doubt(of):
+        return f"perhaps {other_numbers(of)} ({chance(of.numberings[1].probability)})"
     if not doubtful:
         return f"whether {_them(of).replace('them', 'each')} is there at all is less sure than 95 %"
     if len(of.effects) <= NAMED:
@@ -115,7 +116,9 @@ def _rivals(item: AddedEffect, *, several: bool) -> str:
 
 
 def _change(of: Closure) -> str:
-    return change_in_words(of.before.estimate.quality, of.after.estimate.quality)
+    """What the effects change; what other numbers of the modes do to the errors is said by itself."""
+    before = of.steps[1] if of.numberings[0].changes else of.before
+    return change_in_words(before.estimate.quality, of.after.estimate.quality)
 
 
 def change_in_words(before: Quality, after: Quality) -> str:

@@ -9,6 +9,9 @@ from cvxshear.loop.numbering import Changes
 from cvxshear.quantities import chance, listed
 from cvxshear.report.describe.vocabulary import Row, Section, Table
 
+DOUBT = 0.05
+"""Probability of other numbers above which a reader is told of them in a sentence."""
+
 
 def numbers_in_words(changes: Changes) -> str:
     """Such as 'the modes of "ambient" are 1, 2 and 4 of the frame'.
@@ -22,6 +25,17 @@ def numbers_in_words(changes: Changes) -> str:
         names.setdefault(modes, []).append(f'"{name}"')
     said = [f"the modes of {listed(who)} are {listed([str(mode) for mode in modes])}" for modes, who in names.items()]
     return f"{listed(said)} of the frame"
+
+
+def in_doubt(of: Closure) -> bool:
+    """Whether other numbers of the modes are more than hardly probable."""
+    return len(of.numberings) > 1 and of.numberings[1].probability > DOUBT
+
+
+def other_numbers(of: Closure) -> str:
+    """The second most probable numbering in words."""
+    other = of.numberings[1]
+    return numbers_in_words(other.changes) if other.changes else "the modes are those given"
 
 
 def numbering_sections(of: Closure) -> Iterator[Section]:
