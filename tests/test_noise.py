@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cvxshear import Experiment, backends, identify
+from cvxshear import Experiment, backends, close_loop, identify
 from cvxshear.data import NOISES, Noise
 from cvxshear.identification.efficient import efficient
 from cvxshear.identification.misfit import Misfit
@@ -150,3 +150,19 @@ def test_noise_that_no_instrument_has_is_improbable():
     assert estimate.p_value < 0.01
     sound = efficient(experiment_with(7, 0.004, 0.02), backends.get("auto"))
     assert sound.p_value > 0.01
+
+
+def test_a_mode_that_cannot_be_ends_in_numbers():
+    """A frequency of 3e12 Hz makes the noise of frequencies unbounded, and its curvature 1e20 times that of shapes."""
+    declared = {
+        "frame": {"stories": 3, "total_mass": 22.5},
+        "configuration": [
+            {
+                "frequencies": [1.03359792, 2.20985874, 3.28118804e12],
+                "mode_shapes": [[0.3018, 6.48535272e11, 1.0], [-0.6790, -0.6066, 1.0], [2.4396, -2.5419, 1.0]],
+            }
+        ],
+    }
+    closure = close_loop(Experiment.from_dict(declared))
+    assert closure.verdict == "unexplained"
+    assert all(np.isfinite(each["factor"]) for each in closure.noise.to_dict().values())

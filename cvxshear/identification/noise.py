@@ -29,6 +29,9 @@ nineteen in twenty within a quarter and four times."""
 LARGEST_NOISE = {"frequency": 15.0, "mode_shape": 15.0, "displacement": 15.0}
 """Factors beyond which no instrument is as bad: frequencies uncertain to 3 %, shapes and displacements to 15 %."""
 
+SHARPEST = 1e-12
+"""Least ratio of the curvatures of two directions."""
+
 STEP = 1e-3
 """Of the differences that give the curvature in u."""
 
@@ -92,7 +95,9 @@ def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats) -> NoiseEstima
     if not kinds:
         return NoiseEstimate()
     marginal = _Marginal(misfit, at, free, kinds)
-    u: Floats = np.asarray(optimize.fmin_bfgs(marginal.loss, marginal.here, fprime=marginal.slope, disp=False))
+    best = optimize.fmin_bfgs(marginal.loss, marginal.here, fprime=marginal.slope, disp=False)
+    # Where the marginal has no maximum the search runs off.
+    u: Floats = np.clip(best, -LARGEST, LARGEST)
     covariance: Floats = np.asarray(np.linalg.inv(_curvature(marginal, u)), dtype=np.float64)
     return NoiseEstimate(kinds, u, covariance, _log_integral(marginal, u, covariance))
 
@@ -151,7 +156,11 @@ class _Marginal:
 
 
 def _curvature(of: _Marginal, u: Floats) -> Floats:
-    """Minus the second derivatives, by differences of the first, at least those of the prior alone times a tenth."""
+    """Minus the second derivatives, by differences of the first, at least those of the prior alone times a tenth.
+
+    Nor is one direction known so much better than another that the inverse would lose its sign in rounding.
+    """
     rows = [(of.negative(u + step)[1] - of.negative(u - step)[1]) / (2 * STEP) for step in STEP * np.eye(len(u))]
     values, vectors = np.linalg.eigh(0.5 * (np.array(rows) + np.array(rows).T))
-    return np.asarray((vectors * np.maximum(values, 0.1 / WIDTH**2)) @ vectors.T)
+    least = max(0.1 / WIDTH**2, SHARPEST * float(values[-1]))
+    return np.asarray((vectors * np.maximum(values, least)) @ vectors.T)

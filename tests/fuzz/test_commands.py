@@ -77,7 +77,7 @@ CHANGES = st.lists(st.tuples(PLACES, st.sampled_from(VALUES)), min_size=1, max_s
 def test_a_measurement_that_is_read_is_identified_or_refused(command, fuzz_budget, tmp_path, capsys):
     path = tmp_path / "x.toml"
     options = {"identify": [["--method", each] for each in ("efficient", "two-stage", "one-shot", "berman", "qi")]}
-    choices = options.get(command, [["--effects", "ground_spring,story_change"]])
+    choices = options.get(command, [["--effects", "ground_spring,story_change"], []])
 
     @seed(5)
     @many(fuzz_budget, SHARE if command == "identify" else 4 * SHARE)
