@@ -23,11 +23,32 @@ from cvxshear.modal.realization import Impulse, block_hankel, left_factor
 from cvxshear.modal.runs import Complexes
 from cvxshear.typing import Bools, Floats, Ints
 
-LAGS = 20
+LAGS, LAGS_A_STATE = 20, 7.0
+"""Lags of the observer: so many at least, and as many as give seven past responses for each state of the frame. Under
+noise an observer of few outputs forgets slowly; cut short, it bends the high modes by ten of their deviations."""
+
+MOST_UNKNOWNS = 0.1
+"""Of the samples: more of them an observer of that many lags would not average over."""
+
 LARGEST_GROWTH = 1.002
 """A sample; a lightly damped pole may come out that much unstable by chance."""
 ROWS = 60
 COLUMNS = 600
+
+
+def lags_for(stories: int, outputs: int, samples: int) -> int:
+    """The lags of an observer of a frame's responses.
+
+    Parameters
+    ----------
+    stories : int
+        The frame has twice as many states.
+    outputs : int
+    samples : int
+        In the whole record.
+    """
+    wanted = int(np.ceil(LAGS_A_STATE * 2 * stories / outputs))
+    return max(LAGS, min(wanted, int(MOST_UNKNOWNS * samples / (1 + outputs))))
 
 
 class OkidSource:

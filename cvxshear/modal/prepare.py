@@ -163,14 +163,16 @@ def _release(responses: Floats) -> int:
 
 
 def _driven(record: TimeRecord, method: str, blocks: int) -> Source:
-    before = okid.LAGS if method == "okid" else 2 * subspace.ROWS - 1
+    samples = sum(run.samples for run in record.runs)
+    lags = okid.lags_for(record.stories, len(record.channels), samples)
+    before = lags if method == "okid" else 2 * subspace.ROWS - 1
     pieces = []
     for run, start, stop in _cuts(record, blocks, before, 0):
         if run.excitation is None:
             raise InputError(f"{run.name} lacks the input channel")
         pieces.append((run.excitation[start - before : stop, None], run.responses[start - before : stop]))
     if method == "okid":
-        return okid.OkidSource(pieces, record.sampling_rate, _one_floor(record))
+        return okid.OkidSource(pieces, record.sampling_rate, _one_floor(record), lags)
     return subspace.SubspaceSource(pieces, record.sampling_rate)
 
 
