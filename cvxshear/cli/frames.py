@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cvxshear.cli.checked import input_files
 from cvxshear.cli.output import (
     BackendName,
     File,
@@ -115,7 +116,9 @@ def loop(
     report: ReportOut = None,
     validate: Annotated[
         str | None,
-        typer.Option(help="A record file: predict it by the models before and after.", metavar="RECORD"),
+        typer.Option(
+            help="A record file: predict it by the models before and after.", metavar="RECORD", callback=input_files
+        ),
     ] = None,
     units: UnitsOption = None,
     figure: FiguresOut = None,

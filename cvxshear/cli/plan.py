@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from cvxshear.cli.output import FigureOut, JsonOut, Quiet, deliver, figures_for, progress
+from cvxshear.cli.checked import input_files
+from cvxshear.cli.output import FigureOut, JsonOut, Quiet, deliver, figures_for, progress, writes
 from cvxshear.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ def plan(
         typer.Argument(
             help="Design values ([frame] and nominal priors in TOML), a measurement file, a result's JSON, or 'paper'.",
             metavar="FILE",
+            callback=input_files,
         ),
     ],
     sensors: Annotated[int | None, typer.Option(help="How many floors can be measured; all where not given.")] = None,
@@ -63,7 +65,8 @@ def plan(
     solver: Annotated[str, typer.Option(help="clarabel or scs.")] = "clarabel",
     fresh: Annotated[bool, typer.Option("--fresh", help="Count nothing that FILE measured as known.")] = False,
     output: Annotated[
-        str | None, typer.Option("--output", "-o", help="Write a measurement file to fill in.", metavar="TOML")
+        str | None,
+        writes("--output", "-o", what="Write a measurement file to fill in.", metavar="TOML", endings=(".toml",)),
     ] = None,
     figure: FigureOut = None,
     quiet: Quiet = False,
@@ -93,11 +96,12 @@ def plan(
             fresh=fresh,
             solver=solver,
         )
+    files: list[Callable[[], None]] = []
     if output is not None:
-        write_template(output, result)
+        files.append(lambda: write_template(output, result))
     if drawing is not None:
-        drawing.save(drawing.plan(result), figure)
-    deliver(result.to_dict(), out, lambda: terminal.shown(result))
+        files.append(lambda: drawing.save(drawing.plan(result), figure))
+    deliver(result.to_dict(), out, lambda: terminal.shown(result), *files)
 
 
 def _noise(

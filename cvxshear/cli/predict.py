@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cvxshear.cli.checked import claim, input_files
+from cvxshear.cli.output import FIGURES as FIGURE_ENDINGS
 from cvxshear.cli.output import BackendName, JsonOut, Quiet, ReportOut, deliver, figures_for, progress, typed
 from cvxshear.errors import InputError
 
@@ -24,15 +27,22 @@ FIGURES = {
 
 
 def predict(
+    context: typer.Context,
     file: Annotated[
         str,
         typer.Argument(
             help="What the model is made of: a measurement file, a record file, or what 'loop --json' wrote.",
             metavar="FILE",
+            callback=input_files,
         ),
     ],
     record: Annotated[
-        str, typer.Option("--record", help="A record file: the base motion or force, and responses to compare with.")
+        str,
+        typer.Option(
+            "--record",
+            help="A record file: the base motion or force, and responses to compare with.",
+            callback=input_files,
+        ),
     ],
     backend: BackendName = "auto",
     damping: Annotated[
@@ -72,6 +82,7 @@ def predict(
     from cvxshear.response import predict as run
 
     files = Files(series, export or [], figure or [])
+    files.claim(context)
     pages: list[Callable[[], None]] = []
     if report is not None:
         from cvxshear.report.html import write_prediction_report
@@ -79,8 +90,7 @@ def predict(
         pages.append(lambda: write_prediction_report(result, report, shlex.join(["cvxshear", *typed])))
     with progress("predicting", quiet):
         result = run(file, record, backend, damping=damping, configuration=configuration, detrend=detrend)
-    files.write(result)
-    deliver(result.to_dict(), out, lambda: terminal.shown(result), *pages)
+    deliver(result.to_dict(), out, lambda: terminal.shown(result), *files.of(result), *pages)
 
 
 class Files:
@@ -110,18 +120,30 @@ class Files:
             model_kind(each)
         self.drawing = figures_for(*(path for _, path in self.figures))
 
-    def write(self, result: RecordPrediction) -> None:
-        """Write them."""
+    def claim(self, context: typer.Context) -> None:
+        """Refuse, before the run, what could not be written, or would be written over what is read."""
+        from cvxshear.report import handover
+        from cvxshear.report import series as tables
+
+        wanted = [("--out", self.series, tables.WRITERS)] if self.series is not None else []
+        wanted += [("--export", each, handover.WRITERS) for each in self.models]
+        for option, path, kinds in wanted:
+            claim(context, option, path, [f".{kind}" for kind in kinds])
+        for _, path in self.figures:
+            claim(context, "--figure", path, FIGURE_ENDINGS)
+
+    def of(self, result: RecordPrediction) -> list[Callable[[], None]]:
+        """What writes each of them."""
         from cvxshear.report.handover import write_model
         from cvxshear.report.series import write_series
 
-        if self.series is not None:
-            write_series(self.series, result)
-        for each in self.models:
-            write_model(each, result)
+        writers = [] if self.series is None else [partial(write_series, self.series, result)]
+        writers += [partial(write_model, each, result) for each in self.models]
+        return [*writers, *(partial(self._draw, kind, path, result) for kind, path in self.figures)]
+
+    def _draw(self, kind: str, path: str, result: RecordPrediction) -> None:
         if self.drawing is not None:
-            for kind, path in self.figures:
-                self.drawing.save(getattr(self.drawing, FIGURES[kind])(result), path)
+            self.drawing.save(getattr(self.drawing, FIGURES[kind])(result), path)
 
 
 def _figure(text: str) -> tuple[str, str]:

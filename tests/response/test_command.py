@@ -1,6 +1,8 @@
 """`cvxshear predict`, and what `identify` and `loop` say of damping."""
 
+import errno
 import json
+import os
 
 import numpy as np
 import pytest
@@ -162,3 +164,19 @@ def test_json_that_is_not_what_loop_wrote(folder, capsys, change, message):
     status, _, err = run(capsys, "predict", "loop.json", "--record", "shaken.toml")
     assert status == 2
     assert message in err
+
+
+def test_the_prediction_is_printed_where_a_file_cannot_be_written_after_all(folder, capsys, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    before = sorted(folder.iterdir())
+    status, out, err = run(
+        capsys, "predict", "frame.toml", "--record", "shaken.toml", "--out", "s.csv", "--export", "m.json",
+        "--figure", "peaks:p.svg",
+    )  # fmt: skip
+    assert status == 2
+    assert "peaks ± standard deviation" in out
+    assert err.count("cannot be written: No space left on device") == 3
+    assert sorted(folder.iterdir()) == before
