@@ -323,10 +323,10 @@ REFUSED = {
     "it, by a link": (["plan", "s.json", "-o", "s.toml"], "--output: s.toml would be written over s.json"),
     "it, as what is known": (["plan", "s.json", "-o", "s.json"], "--output: s.json must end in .toml"),
     "the raw record that is predicted": (
-        ["predict", "paper", "--out", "sound.csv", "--record", "r.toml"], "--out: sound.csv would be written over sound",
+        ["predict", "paper", "--out", "sound.csv", "--record", "r.toml"], "--out: sound.csv would be written over",
     ),
     "the model that predicts": (
-        ["predict", "s.json", "--record", "r.toml", "--export", "s.json"], "--export: s.json would be written over s.js",
+        ["predict", "s.json", "--record", "r.toml", "--export", "s.json"], "--export: s.json would be written over",
     ),
     "it, by JSON": (["predict", "s.json", "--record", "r.toml", "--json", "s.json"], "--json: s.json would be written"),
     "a record of which the measurement is made": (
@@ -342,10 +342,10 @@ REFUSED = {
         ["predict", "paper", "--record", "r.toml", "--figure", "peaks:none/a.svg"], "--figure: none/a.svg cannot be wr",
     ),
     "a model and its drawing": (
-        ["predict", "paper", "--record", "r.toml", "--export", "b.json", "--json", "b.json"], "--export and --json name",
+        ["predict", "paper", "--record", "r.toml", "--export", "b.json", "--json", "b.json"], "--export and --json",
     ),
     "the record that validates": (
-        ["loop", "paper", "--csv", "sound.csv", "--validate", "r.toml"], "--csv: sound.csv would be written over sound.",
+        ["loop", "paper", "--csv", "sound.csv", "--validate", "r.toml"], "--csv: sound.csv would be written over",
     ),
     "what is checked": (["check", "m.toml", "--json", "link.json"], "--json: link.json would be written over m.toml"),
     "what is compared": (["backends", "m.toml", "--json", "link.json"], "--json: link.json would be written over m.to"),

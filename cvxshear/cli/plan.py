@@ -76,15 +76,18 @@ def plan(
 
     Example: cvxshear plan paper --fresh --tests 2 --added-mass 41 --for gravity
     """
+    from cvxshear.planning import measurement_of, write_template
     from cvxshear.planning import plan as run
-    from cvxshear.planning import write_template
     from cvxshear.report import terminal
+    from cvxshear.screening import in_json, refuse_mistakes
 
     drawing = figures_for(figure)
     noise = _noise((frequency_std, mode_shape_std), duration, (excitation, damping, sensor_noise))
+    measured = measurement_of(file)
+    doubts = None if measured is None else refuse_mistakes(measured)
     with progress("planning", quiet):
         result = run(
-            file,
+            measured or file,
             sensors,
             _count(tests),
             modes=_modes(modes),
@@ -101,7 +104,8 @@ def plan(
         files.append(lambda: write_template(output, result))
     if drawing is not None:
         files.append(lambda: drawing.save(drawing.plan(result), figure))
-    deliver(result.to_dict(), out, lambda: terminal.shown(result), *files)
+    said = {**result.to_dict(), **in_json(doubts)}
+    deliver(said, out, lambda: [*terminal.doubts(doubts or ()), *terminal.shown(result)], *files)
 
 
 def _noise(

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,10 +13,13 @@ import typer
 from cvxshear.cli.checked import claim, input_files
 from cvxshear.cli.output import FIGURES as FIGURE_ENDINGS
 from cvxshear.cli.output import BackendName, JsonOut, Quiet, ReportOut, deliver, figures_for, progress, typed
+from cvxshear.cli.records import measured, needs_mass
 from cvxshear.errors import InputError
 
 if TYPE_CHECKING:
     from cvxshear.response import RecordPrediction
+    from cvxshear.response.sources import ModelSource
+    from cvxshear.screening import Finding
 
 FIGURES = {
     "history": "response_histories",
@@ -80,6 +84,7 @@ def predict(
     """
     from cvxshear.report import terminal
     from cvxshear.response import predict as run
+    from cvxshear.screening import in_json
 
     files = Files(series, export or [], figure or [])
     files.claim(context)
@@ -89,8 +94,29 @@ def predict(
 
         pages.append(lambda: write_prediction_report(result, report, shlex.join(["cvxshear", *typed])))
     with progress("predicting", quiet):
-        result = run(file, record, backend, damping=damping, configuration=configuration, detrend=detrend)
-    deliver(result.to_dict(), out, lambda: terminal.shown(result), *files.of(result), *pages)
+        source, doubts = _screened(file, backend)
+        result = run(source, record, backend, damping=damping, configuration=configuration, detrend=detrend)
+    said = {**result.to_dict(), **in_json(doubts)}
+    deliver(
+        said, out, lambda: [*terminal.doubts(doubts or ()), *terminal.shown(result)], *files.of(result), *pages
+    )
+
+
+def _screened(file: str, backend: str) -> tuple[ModelSource, Sequence[Finding] | None]:
+    """What the model is made of, without mistakes, and its warnings; None where `loop` looked for them before."""
+    from cvxshear import backends, close_loop
+    from cvxshear.findings import NUMBERS
+    from cvxshear.response import models_of_loop
+    from cvxshear.screening import refuse_mistakes
+
+    if Path(file).suffix.lower() == ".json":
+        return file, None
+    experiment, found = measured([file])
+    doubts = refuse_mistakes(experiment, NUMBERS if found else ())
+    if not found:
+        return experiment, doubts
+    closure = close_loop(experiment, backend=backends.get(backend))
+    return models_of_loop(closure, mass_known=not needs_mass(found)), doubts
 
 
 class Files:
@@ -125,10 +151,10 @@ class Files:
         from cvxshear.report import handover
         from cvxshear.report import series as tables
 
-        wanted = [("--out", self.series, tables.WRITERS)] if self.series is not None else []
-        wanted += [("--export", each, handover.WRITERS) for each in self.models]
-        for option, path, kinds in wanted:
-            claim(context, option, path, [f".{kind}" for kind in kinds])
+        if self.series is not None:
+            claim(context, "--out", self.series, [f".{kind}" for kind in tables.WRITERS])
+        for path in self.models:
+            claim(context, "--export", path, [f".{kind}" for kind in handover.WRITERS])
         for _, path in self.figures:
             claim(context, "--figure", path, FIGURE_ENDINGS)
 
