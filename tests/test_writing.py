@@ -16,7 +16,7 @@ import pytest
 
 import cvxshear
 from cvxshear.errors import InputError
-from cvxshear.writing import check_output, same_file, write_file
+from cvxshear.writing import check_output, ending_of, same_file, write_file
 from tests.fuzz import files
 
 PACKAGE = Path(cvxshear.__file__).parent
@@ -144,6 +144,25 @@ def test_a_device_is_written_to(tmp_path, terminal):
         assert os.read(ours, 10) == b"x"
     assert stat.S_ISCHR(Path(name).stat().st_mode)
     assert (tmp_path / "link").is_symlink()
+
+
+def test_a_device_has_no_ending_to_go_by(tmp_path, terminal):
+    _, name = terminal
+    os.mkfifo(tmp_path / "pipe.png")
+    assert ending_of(name, ("svg", "png"), "a figure is written as") == "svg"
+    assert ending_of(name, ("npz", "json"), "a model is written as", device="json") == "json"
+    assert ending_of(tmp_path / "pipe.png", ("svg", "png"), "a figure is written as") == "png"
+    with pytest.raises(InputError, match=r"a figure is written as \.svg or \.png"):
+        ending_of(tmp_path / "none", ("svg", "png"), "a figure is written as")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device here")
+def test_what_does_not_fit_on_a_device_is_told_after_the_result(run):
+    for option in ("-o", "--figure"):
+        status, out, err = run("plan", "paper", "--fresh", option, "/dev/full")
+        assert status == 2
+        assert out.startswith("Measure every floor")
+        assert err == "cvxshear: /dev/full cannot be written: No space left on device\n"
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="no /proc here")

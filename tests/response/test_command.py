@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -219,3 +220,12 @@ def test_doubts_are_told_with_a_prediction(folder, capsys):
     assert out.count("WARNING: ") == 1
     (item,) = json.loads(run(capsys, *asked, "--json", "-")[1])["warnings"]
     assert "story_heights" in item["found"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device here")
+@pytest.mark.parametrize("place", [("--out", "/dev/full"), ("--export", "/dev/full"), ("--figure", "peaks:/dev/full")])
+def test_a_device_is_written_to_whatever_it_is_called(folder, capsys, place):
+    status, out, err = run(capsys, "predict", "frame.toml", "--record", "shaken.toml", *place)
+    assert status == 2
+    assert "peaks ± standard deviation" in out
+    assert err == "cvxshear: /dev/full cannot be written: No space left on device\n"
