@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from cvxshear.cli.checked import input_files
-from cvxshear.cli.output import FigureOut, JsonOut, Quiet, deliver, figures_for, progress, writes
+from cvxshear.cli.output import FigureOut, JsonOut, Quiet, UnitsOption, deliver, figures_for, progress, writes
 from cvxshear.errors import InputError
 
 if TYPE_CHECKING:
@@ -68,6 +68,7 @@ def plan(
         str | None,
         writes("--output", "-o", what="Write a measurement file to fill in.", metavar="TOML", endings=(".toml",)),
     ] = None,
+    units: UnitsOption = None,
     figure: FigureOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
@@ -78,10 +79,11 @@ def plan(
     """
     from cvxshear.planning import measurement_of, write_template
     from cvxshear.planning import plan as run
+    from cvxshear.quantities import Units
     from cvxshear.report import terminal
     from cvxshear.screening import in_json, refuse_mistakes
 
-    drawing = figures_for(figure)
+    drawing, display = figures_for(figure), Units.parse(units)
     noise = _noise((frequency_std, mode_shape_std), duration, (excitation, damping, sensor_noise))
     measured = measurement_of(file)
     doubts = None if measured is None else refuse_mistakes(measured)
@@ -105,7 +107,7 @@ def plan(
     if drawing is not None:
         files.append(lambda: drawing.save(drawing.plan(result), figure))
     said = {**result.to_dict(), **in_json(doubts)}
-    deliver(said, out, lambda: [*terminal.doubts(doubts or ()), *terminal.shown(result)], *files)
+    deliver(said, out, lambda: [*terminal.doubts(doubts or ()), *terminal.shown(result, display)], *files)
 
 
 def _noise(
