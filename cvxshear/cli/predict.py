@@ -97,9 +97,7 @@ def predict(
         source, doubts = _screened(file, backend)
         result = run(source, record, backend, damping=damping, configuration=configuration, detrend=detrend)
     said = {**result.to_dict(), **in_json(doubts)}
-    deliver(
-        said, out, lambda: [*terminal.doubts(doubts or ()), *terminal.shown(result)], *files.of(result), *pages
-    )
+    deliver(said, out, lambda: [*terminal.doubts(doubts or ()), *terminal.shown(result)], *files.of(result), *pages)
 
 
 def _screened(file: str, backend: str) -> tuple[ModelSource, Sequence[Finding] | None]:
