@@ -89,7 +89,7 @@ def check_output(path: PathLike, *, endings: Iterable[str] = (), keep: Iterable[
             raise InputError(f"{path} would be written over {each}, which it is made from; name another")
 
 
-def ending_of(path: str | Path, endings: Iterable[str], what: str) -> str:
+def ending_of(path: str | Path, endings: Iterable[str], what: str, *, device: str | None = None) -> str:
     """The ending of a file's name, without its dot, once it is one that something is written as.
 
     Parameters
@@ -98,15 +98,20 @@ def ending_of(path: str | Path, endings: Iterable[str], what: str) -> str:
     endings : iterable of str
     what : str
         For the message: "a model is written as".
+    device : str, optional
+        Which of them is meant by a device or a pipe, whose name tells none; the first where not given.
 
     Raises
     ------
     InputError
         Where it ends in something else.
     """
+    known = list(endings)
     ending = Path(path).suffix.lower().removeprefix(".")
-    if ending not in endings:
-        there = listed([f".{name}" for name in endings], "or")
+    if ending not in known and _is_stream(path):
+        return known[0] if device is None else device
+    if ending not in known:
+        there = listed([f".{name}" for name in known], "or")
         raise InputError(f"{path}: {what} {there}; give a name with one of these endings")
     return ending
 

@@ -16,7 +16,7 @@ import pytest
 
 import cvxshear
 from cvxshear.errors import InputError
-from cvxshear.writing import check_output, same_file, write_file
+from cvxshear.writing import check_output, ending_of, same_file, write_file
 from tests.fuzz import files
 
 PACKAGE = Path(cvxshear.__file__).parent
@@ -144,6 +144,25 @@ def test_a_device_is_written_to(tmp_path, terminal):
         assert os.read(ours, 10) == b"x"
     assert stat.S_ISCHR(Path(name).stat().st_mode)
     assert (tmp_path / "link").is_symlink()
+
+
+def test_a_device_has_no_ending_to_go_by(tmp_path, terminal):
+    _, name = terminal
+    os.mkfifo(tmp_path / "pipe.png")
+    assert ending_of(name, ("svg", "png"), "a figure is written as") == "svg"
+    assert ending_of(name, ("npz", "json"), "a model is written as", device="json") == "json"
+    assert ending_of(tmp_path / "pipe.png", ("svg", "png"), "a figure is written as") == "png"
+    with pytest.raises(InputError, match=r"a figure is written as \.svg or \.png"):
+        ending_of(tmp_path / "none", ("svg", "png"), "a figure is written as")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device here")
+def test_what_does_not_fit_on_a_device_is_told_after_the_result(run):
+    for option in ("-o", "--figure"):
+        status, out, err = run("plan", "paper", "--fresh", option, "/dev/full")
+        assert status == 2
+        assert out.startswith("Measure every floor")
+        assert err == "cvxshear: /dev/full cannot be written: No space left on device\n"
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="no /proc here")
@@ -316,6 +335,39 @@ REFUSED = {
     "the record": (["modes", "r.toml", "-o", "r.toml"], "--output: r.toml would be written over r.toml, which is read"),
     "the raw record": (["modes", "r.toml", "--json", "raw.json"], "--json: raw.json would be written over sound.csv"),
     "one file twice": (["loop", "paper", "--figure", "a.svg", "--json", "twin.json"], "--json and --figure name"),
+    "the design that a plan is for": (["plan", "m.toml", "-o", "m.toml"], "--output: m.toml would be written over m.t"),
+    "a plan that is no measurement file": (["plan", "paper", "-o", "x.pdf"], "--output: x.pdf must end in .toml"),
+    "a plan in no folder": (["plan", "paper", "-o", "none/a.toml"], "--output: none/a.toml cannot be written: there"),
+    "the result that a plan is after": (["plan", "s.json", "--json", "s.json"], "--json: s.json would be written over"),
+    "it, by a link": (["plan", "s.json", "-o", "s.toml"], "--output: s.toml would be written over s.json"),
+    "it, as what is known": (["plan", "s.json", "-o", "s.json"], "--output: s.json must end in .toml"),
+    "the raw record that is predicted": (
+        ["predict", "paper", "--out", "sound.csv", "--record", "r.toml"], "--out: sound.csv would be written over",
+    ),
+    "the model that predicts": (
+        ["predict", "s.json", "--record", "r.toml", "--export", "s.json"], "--export: s.json would be written over",
+    ),
+    "it, by JSON": (["predict", "s.json", "--record", "r.toml", "--json", "s.json"], "--json: s.json would be written"),
+    "a record of which the measurement is made": (
+        ["predict", "r.toml", "--record", "r.toml", "--report", "raw.html"], "--report: raw.html would be written over",
+    ),
+    "series in no folder": (
+        ["predict", "paper", "--record", "r.toml", "--out", "none/a.csv"], "--out: none/a.csv cannot be written: there",
+    ),
+    "a model in no folder": (
+        ["predict", "paper", "--record", "r.toml", "--export", "none/a.py"], "--export: none/a.py cannot be written: ",
+    ),
+    "a drawing in no folder": (
+        ["predict", "paper", "--record", "r.toml", "--figure", "peaks:none/a.svg"], "--figure: none/a.svg cannot be wr",
+    ),
+    "a model and its drawing": (
+        ["predict", "paper", "--record", "r.toml", "--export", "b.json", "--json", "b.json"], "--export and --json",
+    ),
+    "the record that validates": (
+        ["loop", "paper", "--csv", "sound.csv", "--validate", "r.toml"], "--csv: sound.csv would be written over",
+    ),
+    "what is checked": (["check", "m.toml", "--json", "link.json"], "--json: link.json would be written over m.toml"),
+    "what is compared": (["backends", "m.toml", "--json", "link.json"], "--json: link.json would be written over m.to"),
 }  # fmt: skip
 
 
@@ -325,11 +377,16 @@ def test_a_bad_output_is_refused_before_the_run(kind, run, tmp_path, monkeypatch
     monkeypatch.setattr("cvxshear.identification.methods", lambda *_, **__: pytest.fail("it ran"))
     monkeypatch.setattr("cvxshear.loop.close_loop", lambda *_, **__: pytest.fail("it ran"))
     monkeypatch.setattr("cvxshear.formats.modes.identify_modes", lambda *_, **__: pytest.fail("it ran"))
+    monkeypatch.setattr("cvxshear.planning.plan", lambda *_, **__: pytest.fail("it ran"))
+    monkeypatch.setattr("cvxshear.response.predict", lambda *_, **__: pytest.fail("it ran"))
     Path("m.toml").write_bytes(files.measurement())
     files.table(tmp_path)
     Path("r.toml").write_text(files.record_text("sound.csv"))
     Path("link.json").hardlink_to("m.toml")
     Path("raw.json").symlink_to("sound.csv")
+    Path("raw.html").symlink_to("sound.csv")
+    Path("s.json").write_text('{"verdict": "adequate"}')
+    Path("s.toml").symlink_to("s.json")
     Path("a.svg").write_text("")
     Path("twin.json").symlink_to("a.svg")
     before = content_of(tmp_path)
@@ -351,4 +408,17 @@ def test_the_result_is_printed_where_a_file_cannot_be_written_after_all(run, tmp
     assert status == 2
     assert "13.045" in out
     assert err == f"cvxshear: {path} cannot be written: No space left on device\n"
+    assert not content_of(tmp_path)
+
+
+def test_the_plan_is_printed_where_its_file_cannot_be_written_after_all(run, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    places = {option: tmp_path / f"a{ending}" for option, ending in (("-o", ".toml"), ("--figure", ".svg"))}
+    status, out, err = run("plan", "paper", "--fresh", *(word for pair in places.items() for word in pair))
+    assert status == 2
+    assert out.startswith("Measure every floor in 1 test")
+    assert err.count("cannot be written: No space left on device") == 2
     assert not content_of(tmp_path)

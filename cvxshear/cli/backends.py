@@ -6,11 +6,13 @@ from typing import Annotated
 
 import typer
 
+from cvxshear.cli.checked import input_files
 from cvxshear.cli.output import FigureOut, JsonOut, Quiet, deliver, figures_for, names, progress
 from cvxshear.errors import InputError
 
 OptionalFile = Annotated[
-    str | None, typer.Argument(help="A measurement file (TOML), or 'paper'; without one: what is installed.")
+    str | None,
+    typer.Argument(help="A measurement file (TOML), or 'paper'; without one: what is installed.", callback=input_files),
 ]
 
 

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from cvxshear.cli.checked import input_files
 from cvxshear.cli.output import JsonOut, deliver
 from cvxshear.cli.records import measured
 
@@ -15,7 +16,11 @@ MISTAKEN = 2
 def check(
     file: Annotated[
         str,
-        typer.Argument(help="A measurement file or a record file (TOML), or 'paper' for the example.", metavar="FILE"),
+        typer.Argument(
+            help="A measurement file or a record file (TOML), or 'paper' for the example.",
+            metavar="FILE",
+            callback=input_files,
+        ),
     ],
     out: JsonOut = None,
 ) -> None:

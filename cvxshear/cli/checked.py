@@ -69,14 +69,14 @@ def claim(context: typer.Context, name: str, path: str, endings: Sequence[str]) 
 
 def input_files(context: typer.Context, files: Any) -> Any:
     """Note what a command reads, one file or several, and refuse to write over it."""
-    if context.resilient_parsing:
+    if files is None or context.resilient_parsing:
         return files
     from cvxshear.formats.toml import files_of
 
     for file in [files] if isinstance(files, str) else files:
         # What a pipe holds can be read once; a file that is not there is for the command to complain of.
         context.meta[READ] = (*context.meta.get(READ, ()), *(files_of(file) if Path(file).is_file() else ()))
-    _refuse_overlap(context.meta.get(WRITTEN, ()), context.meta[READ])
+    _refuse_overlap(context.meta.get(WRITTEN, ()), context.meta.get(READ, ()))
     return files
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cvxshear.cli.checked import input_files
 from cvxshear.cli.output import (
     BackendName,
     File,
@@ -23,7 +24,7 @@ from cvxshear.cli.output import (
     typed,
 )
 from cvxshear.cli.pictures import FiguresOut, Pictures
-from cvxshear.cli.records import measured, records_in_json, tables_of
+from cvxshear.cli.records import measured, needs_mass, records_in_json, tables_of
 from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
 from cvxshear.errors import UnsuitableError
 
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 
     from rich.console import RenderableType
 
-    from cvxshear.campaign import IdentifiedRecord
     from cvxshear.response import IdentifiedDamping
 
 
@@ -115,7 +115,9 @@ def loop(
     report: ReportOut = None,
     validate: Annotated[
         str | None,
-        typer.Option(help="A record file: predict it by the models before and after.", metavar="RECORD"),
+        typer.Option(
+            help="A record file: predict it by the models before and after.", metavar="RECORD", callback=input_files
+        ),
     ] = None,
     units: UnitsOption = None,
     figure: FiguresOut = None,
@@ -144,7 +146,7 @@ def loop(
         weighed = [each.name for each in experiment.configurations if found or each.other_modes]
         doubts = refuse_mistakes(experiment, weighed)
         result = close_loop(experiment, effects=names(effects), assume=names(assume) or (), backend=backend, jobs=jobs)
-        models = models_of_loop(result, mass_known=not _needs_mass(found))
+        models = models_of_loop(result, mass_known=not needs_mass(found))
         damping = damping_of(experiment, models.after, backend)
         tried = None if validate is None else predict(models, validate, backend)
     said = {
@@ -172,14 +174,6 @@ def loop(
         ],
         *files,
     )
-
-
-def _needs_mass(found: Iterable[IdentifiedRecord]) -> bool:
-    """Whether a total mass of 1 kg stands for one that nobody gave."""
-    from cvxshear.campaign.merge import scale_unknown
-
-    tests = list(found)
-    return bool(tests) and scale_unknown(tests)
 
 
 def _damping_of(found: IdentifiedDamping | None) -> Iterable[RenderableType]:

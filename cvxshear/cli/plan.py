@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from cvxshear.cli.output import FigureOut, JsonOut, Quiet, deliver, figures_for, progress
+from cvxshear.cli.checked import input_files
+from cvxshear.cli.output import FigureOut, JsonOut, Quiet, UnitsOption, deliver, figures_for, progress, writes
 from cvxshear.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ def plan(
         typer.Argument(
             help="Design values ([frame] and nominal priors in TOML), a measurement file, a result's JSON, or 'paper'.",
             metavar="FILE",
+            callback=input_files,
         ),
     ],
     sensors: Annotated[int | None, typer.Option(help="How many floors can be measured; all where not given.")] = None,
@@ -63,8 +65,10 @@ def plan(
     solver: Annotated[str, typer.Option(help="clarabel or scs.")] = "clarabel",
     fresh: Annotated[bool, typer.Option("--fresh", help="Count nothing that FILE measured as known.")] = False,
     output: Annotated[
-        str | None, typer.Option("--output", "-o", help="Write a measurement file to fill in.", metavar="TOML")
+        str | None,
+        writes("--output", "-o", what="Write a measurement file to fill in.", metavar="TOML", endings=(".toml",)),
     ] = None,
+    units: UnitsOption = None,
     figure: FigureOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
@@ -73,15 +77,19 @@ def plan(
 
     Example: cvxshear plan paper --fresh --tests 2 --added-mass 41 --for gravity
     """
+    from cvxshear.planning import measurement_of, write_template
     from cvxshear.planning import plan as run
-    from cvxshear.planning import write_template
+    from cvxshear.quantities import Units
     from cvxshear.report import terminal
+    from cvxshear.screening import in_json, refuse_mistakes
 
-    drawing = figures_for(figure)
+    drawing, display = figures_for(figure), Units.parse(units)
     noise = _noise((frequency_std, mode_shape_std), duration, (excitation, damping, sensor_noise))
+    measured = measurement_of(file)
+    doubts = None if measured is None else refuse_mistakes(measured)
     with progress("planning", quiet):
         result = run(
-            file,
+            measured or file,
             sensors,
             _count(tests),
             modes=_modes(modes),
@@ -93,11 +101,13 @@ def plan(
             fresh=fresh,
             solver=solver,
         )
+    files: list[Callable[[], None]] = []
     if output is not None:
-        write_template(output, result)
+        files.append(lambda: write_template(output, result))
     if drawing is not None:
-        drawing.save(drawing.plan(result), figure)
-    deliver(result.to_dict(), out, lambda: terminal.shown(result))
+        files.append(lambda: drawing.save(drawing.plan(result), figure))
+    said = {**result.to_dict(), **in_json(doubts)}
+    deliver(said, out, lambda: [*terminal.doubts(doubts or ()), *terminal.shown(result, display)], *files)
 
 
 def _noise(

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cvxshear.cli.checked import claim, input_files
+from cvxshear.cli.output import FIGURES as FIGURE_ENDINGS
 from cvxshear.cli.output import BackendName, JsonOut, Quiet, ReportOut, deliver, figures_for, progress, typed
+from cvxshear.cli.records import measured, needs_mass
 from cvxshear.errors import InputError
 
 if TYPE_CHECKING:
     from cvxshear.response import RecordPrediction
+    from cvxshear.response.sources import ModelSource
+    from cvxshear.screening import Finding
 
 FIGURES = {
     "history": "response_histories",
@@ -24,15 +31,22 @@ FIGURES = {
 
 
 def predict(
+    context: typer.Context,
     file: Annotated[
         str,
         typer.Argument(
             help="What the model is made of: a measurement file, a record file, or what 'loop --json' wrote.",
             metavar="FILE",
+            callback=input_files,
         ),
     ],
     record: Annotated[
-        str, typer.Option("--record", help="A record file: the base motion or force, and responses to compare with.")
+        str,
+        typer.Option(
+            "--record",
+            help="A record file: the base motion or force, and responses to compare with.",
+            callback=input_files,
+        ),
     ],
     backend: BackendName = "auto",
     damping: Annotated[
@@ -70,17 +84,37 @@ def predict(
     """
     from cvxshear.report import terminal
     from cvxshear.response import predict as run
+    from cvxshear.screening import in_json
 
     files = Files(series, export or [], figure or [])
+    files.claim(context)
     pages: list[Callable[[], None]] = []
     if report is not None:
         from cvxshear.report.html import write_prediction_report
 
         pages.append(lambda: write_prediction_report(result, report, shlex.join(["cvxshear", *typed])))
     with progress("predicting", quiet):
-        result = run(file, record, backend, damping=damping, configuration=configuration, detrend=detrend)
-    files.write(result)
-    deliver(result.to_dict(), out, lambda: terminal.shown(result), *pages)
+        source, doubts = _screened(file, backend)
+        result = run(source, record, backend, damping=damping, configuration=configuration, detrend=detrend)
+    said = {**result.to_dict(), **in_json(doubts)}
+    deliver(said, out, lambda: [*terminal.doubts(doubts or ()), *terminal.shown(result)], *files.of(result), *pages)
+
+
+def _screened(file: str, backend: str) -> tuple[ModelSource, Sequence[Finding] | None]:
+    """What the model is made of, without mistakes, and its warnings; None where `loop` looked for them before."""
+    from cvxshear import backends, close_loop
+    from cvxshear.findings import NUMBERS
+    from cvxshear.response import models_of_loop
+    from cvxshear.screening import refuse_mistakes
+
+    if Path(file).suffix.lower() == ".json":
+        return file, None
+    experiment, found = measured([file])
+    doubts = refuse_mistakes(experiment, NUMBERS if found else ())
+    if not found:
+        return experiment, doubts
+    closure = close_loop(experiment, backend=backends.get(backend))
+    return models_of_loop(closure, mass_known=not needs_mass(found)), doubts
 
 
 class Files:
@@ -110,18 +144,30 @@ class Files:
             model_kind(each)
         self.drawing = figures_for(*(path for _, path in self.figures))
 
-    def write(self, result: RecordPrediction) -> None:
-        """Write them."""
+    def claim(self, context: typer.Context) -> None:
+        """Refuse, before the run, what could not be written, or would be written over what is read."""
+        from cvxshear.report import handover
+        from cvxshear.report import series as tables
+
+        if self.series is not None:
+            claim(context, "--out", self.series, [f".{kind}" for kind in tables.WRITERS])
+        for path in self.models:
+            claim(context, "--export", path, [f".{kind}" for kind in handover.WRITERS])
+        for _, path in self.figures:
+            claim(context, "--figure", path, FIGURE_ENDINGS)
+
+    def of(self, result: RecordPrediction) -> list[Callable[[], None]]:
+        """What writes each of them."""
         from cvxshear.report.handover import write_model
         from cvxshear.report.series import write_series
 
-        if self.series is not None:
-            write_series(self.series, result)
-        for each in self.models:
-            write_model(each, result)
+        writers = [] if self.series is None else [partial(write_series, self.series, result)]
+        writers += [partial(write_model, each, result) for each in self.models]
+        return [*writers, *(partial(self._draw, kind, path, result) for kind, path in self.figures)]
+
+    def _draw(self, kind: str, path: str, result: RecordPrediction) -> None:
         if self.drawing is not None:
-            for kind, path in self.figures:
-                self.drawing.save(getattr(self.drawing, FIGURES[kind])(result), path)
+            self.drawing.save(getattr(self.drawing, FIGURES[kind])(result), path)
 
 
 def _figure(text: str) -> tuple[str, str]:

@@ -134,14 +134,21 @@ def measured(
 
 def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
     """The modes of each record."""
-    from cvxshear.campaign.merge import UNKNOWN_SCALE, scale_unknown
+    from cvxshear.campaign.merge import UNKNOWN_SCALE
     from cvxshear.report import terminal
 
     for test in tests:
         yield from terminal.shown(test.modes)
         yield ""
-    if tests and scale_unknown(tests):
+    if needs_mass(tests):
         yield f"scale: {UNKNOWN_SCALE}"
+
+
+def needs_mass(tests: Sequence[IdentifiedRecord]) -> bool:
+    """Whether a total mass of 1 kg stands for one that nobody gave."""
+    from cvxshear.campaign.merge import scale_unknown
+
+    return bool(tests) and scale_unknown(tests)
 
 
 def records_in_json(tests: Sequence[IdentifiedRecord]) -> Json:

@@ -131,7 +131,7 @@ def files_of(path: str | Path) -> tuple[Path, ...]:
     Parameters
     ----------
     path : str or Path
-        Or the name of a built-in example, made of none.
+        Or the name of a built-in example, made of none. A result's JSON names no other file.
 
     Raises
     ------
@@ -141,8 +141,14 @@ def files_of(path: str | Path) -> tuple[Path, ...]:
     if is_built_in(path):
         return ()
     path = Path(path)
+    try:
+        declared = parse(read_text(path), path)
+    except InputError:
+        if path.suffix.lower() != ".json":
+            raise
+        return (path,)
     tables: list[object] = []
-    for value in parse(read_text(path), path).values():
+    for value in declared.values():
         tables += value if isinstance(value, list) else [value]
     named = [each.get(key) for each in tables if isinstance(each, dict) for key in NAMING_KEYS]
     return (path, *(path.parent / name for name in named if isinstance(name, str)))

@@ -6,7 +6,7 @@ from cvxshear.planning.noise import Declared, Recorded, TestNoise
 from cvxshear.planning.planner import plan
 from cvxshear.planning.results import Outlook, Plan
 from cvxshear.planning.rivals import Proposal, best_test
-from cvxshear.planning.source import read_design
+from cvxshear.planning.source import measurement_of, read_design
 from cvxshear.planning.template import predicted, write_template
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "Recorded",
     "TestNoise",
     "best_test",
+    "measurement_of",
     "plan",
     "predicted",
     "read_design",

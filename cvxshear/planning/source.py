@@ -43,6 +43,22 @@ def read_design(source: str | Path | Experiment, *, fresh: bool = False) -> Desi
     return Design.of_experiment(load(path), fresh=fresh)
 
 
+def measurement_of(source: str | Path) -> Experiment | None:
+    """What a file tells to have been measured; None where it holds design values or the JSON of a result.
+
+    Raises
+    ------
+    InputError
+        Naming the file and what would be right.
+    """
+    if is_built_in(source):
+        return load(source)
+    path = Path(source)
+    if path.suffix.lower() == ".json" or "configuration" not in parse(read_text(path), path):
+        return None
+    return load(path)
+
+
 def _parsed(path: Path) -> dict[str, object]:
     try:
         found = json.loads(read_text(path))

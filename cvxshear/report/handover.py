@@ -31,7 +31,7 @@ def write_model(path: str | Path, result: RecordPrediction) -> None:
     path : str or Path
         Ending in .npz, .mat or .json: matrices, modes and state-space form by the names of
         `response.handover.matrices`; .py: a script for OpenSeesPy; .xlsx: masses, stiffnesses, their standard
-        deviations, effects and residuals.
+        deviations, effects and residuals. A device is written JSON to.
     result : RecordPrediction
 
     Raises
@@ -52,7 +52,7 @@ def model_kind(path: str | Path) -> str:
     InputError
         Where it ends in something else.
     """
-    return ending_of(path, WRITERS, "a model is written as")
+    return ending_of(path, WRITERS, "a model is written as", device="json")
 
 
 def _npz(result: RecordPrediction) -> bytes:

@@ -28,7 +28,7 @@ def write_series(path: str | Path, result: RecordPrediction) -> None:
     Parameters
     ----------
     path : str or Path
-        Ending in .csv, .mat, .npz or .uff.
+        Ending in .csv, .mat, .npz or .uff; a device is written CSV to.
     result : RecordPrediction
 
     Raises

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 from cvxshear.typing import Json
@@ -54,3 +54,8 @@ class Finding:
             "refuses": self.refuses,
             "rivals": list(self.rivals),
         }
+
+
+def in_json(found: Iterable[Finding] | None) -> Json:
+    """What the findings add to a result's JSON; nothing where nobody looked for any."""
+    return {} if found is None else {"warnings": [item.to_dict() for item in found]}

@@ -260,3 +260,16 @@ def test_a_wrong_option_of_the_command_ends_with_2(file, capsys, arguments, mess
 def test_the_figure_is_readable(paper, file):
     assert_readable(figures.plan(paper))
     assert_readable(figures.plan(plan(file, 2, 2, added_mass=5.0, noise=Recorded("shaker", 600.0))))
+
+
+def test_the_command_shows_quantities_in_the_units_that_were_asked_for(file, run):
+    asked = ("plan", file, "--modes", "2", "--added-mass", "2000", "--tests", "2")
+    status, out, _ = run(*asked, "--units", "t,kN,mm")
+    assert status == 0
+    assert "mass, t" in out
+    assert "stiffness, kN/mm" in out
+    assert "added mass, t" in out
+    assert "added mass, kg" in run(*asked)[1]
+    status, out, err = run(*asked, "--units", "lb")
+    assert (status, out) == (2, "")
+    assert "there is no display unit 'lb'" in err

@@ -95,13 +95,32 @@ def test_a_plan_is_described_by_its_expected_deviations(planned):
     assert describe(planned).headline.startswith(f"Measure floors {planned.sensors[0]}, {planned.sensors[1]} in 1 test")
 
 
-def test_a_plans_masses_are_told_in_kg_unless_another_unit_is_asked_for(planned):
-    mass = planned.model.design.floor_mass
-    assert table(planned, "accuracy-table").head[1] == "mass, kg"
-    assert column(table(planned, "accuracy-table"), 1) == pytest.approx(mass, rel=1e-3)
-    tonnes = table(planned, "accuracy-table", Units.parse("t"))
-    assert tonnes.head[1] == "mass, t"
-    assert column(tonnes, 1) == pytest.approx(mass / 1000, rel=1e-3)
+def test_a_plan_is_told_in_units_that_fit_and_what_is_laid_on_floors_in_kg(planned):
+    mass, stiffness = planned.model.design.floor_mass, planned.model.design.story_stiffness
+    shown = table(planned, "accuracy-table")
+    assert shown.head[1] == "mass, t"
+    assert column(shown, 1) == pytest.approx(mass / 1e3, rel=1e-3)
+    assert table(planned, "added-mass").title == "tests: added mass, kg"
+    kilograms = table(planned, "accuracy-table", Units.parse("kg,kN,mm"))
+    at = kilograms.head.index("stiffness, kN/mm")
+    assert kilograms.head[1] == "mass, kg"
+    assert column(kilograms, 1) == pytest.approx(mass, rel=1e-3)
+    assert column(kilograms, at) == pytest.approx(stiffness / 1e6, rel=1e-3)
+    assert table(planned, "added-mass", Units.parse("t")).title == "tests: added mass, t"
+
+
+def test_what_a_plan_leaves_open_is_called_so():
+    """Below 100 % of its size an effect is a number; from there on its standard deviation says nothing."""
+    cannot = plan("paper", goal="gravity", fresh=True)
+    can = plan("paper", tests="declared", goal="gravity")
+    assert cannot.objective > 5.0
+    assert can.objective < 1.0
+    said = [sentence.text for sentence in parts(cannot, Sentence)]
+    assert "worst coefficient of variation (worst): open, 100 % of the effects' sizes or more" in said
+    assert {cell for row in table(cannot, "counts").rows for cell in row.cells[2:]} == {"open"}
+    said = [sentence.text for sentence in parts(can, Sentence)]
+    assert any(f"(worst): {100 * can.objective:.2f} % of the effects' sizes" in each for each in said)
+    assert "open" not in {cell for row in table(can, "counts").rows[1:] for cell in row.cells[2:]}
 
 
 def test_a_prediction_is_described_by_its_peaks_and_errors(predicted, shaken):

@@ -1,13 +1,17 @@
 """`cvxshear predict`, and what `identify` and `loop` say of damping."""
 
+import errno
 import json
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import cvxshear
 from cvxshear.cli import main
 from cvxshear.formats.measurement import write_measurement
-from cvxshear.response import DampedModel, Drive, response
+from cvxshear.response import DampedModel, Drive, predict, response
 from tests.modal.shared import csv
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
 
@@ -162,3 +166,66 @@ def test_json_that_is_not_what_loop_wrote(folder, capsys, change, message):
     status, _, err = run(capsys, "predict", "loop.json", "--record", "shaken.toml")
     assert status == 2
     assert message in err
+
+
+def test_the_prediction_is_printed_where_a_file_cannot_be_written_after_all(folder, capsys, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    before = sorted(folder.iterdir())
+    status, out, err = run(
+        capsys, "predict", "frame.toml", "--record", "shaken.toml", "--out", "s.csv", "--export", "m.json",
+        "--figure", "peaks:p.svg",
+    )  # fmt: skip
+    assert status == 2
+    assert "peaks ± standard deviation" in out
+    assert err.count("cannot be written: No space left on device") == 3
+    assert sorted(folder.iterdir()) == before
+
+
+def test_a_record_as_the_model_is_that_of_its_modes(folder, capsys):
+    """The command looks for mistakes on the way; the function does not, and both predict the same."""
+    status, out, _ = run(capsys, "predict", "shaken.toml", "--record", "shaken.toml", "--json", "-")
+    assert status == 0
+    said = json.loads(out)
+    assert said.pop("warnings") == []
+    assert any("have no scale" in remark for remark in said["remarks"])
+    assert said == json.loads(json.dumps(predict("shaken.toml", "shaken.toml").to_dict()))
+
+
+def test_a_mistake_is_refused_before_anything_is_predicted(folder, capsys, monkeypatch):
+    path = folder / "frame.toml"
+    declared = cvxshear.load(path).to_dict()
+    for row in declared["configuration"][0]["mode_shapes"]:
+        row[0], row[2] = row[2], row[0]
+    write_measurement(path, declared)
+    with monkeypatch.context() as patched:
+        patched.setattr("cvxshear.response.predict", lambda *_, **__: pytest.fail("it ran"))
+        status, out, err = run(capsys, "predict", "frame.toml", "--record", "shaken.toml")
+    assert (status, out) == (2, "")
+    assert "To mend it:" in err
+    assert "[frame] accept = [" in err
+
+
+def test_doubts_are_told_with_a_prediction(folder, capsys):
+    """Stories of 4 km are taken for millimetres."""
+    path = folder / "frame.toml"
+    declared = cvxshear.load(path).to_dict()
+    declared["frame"]["story_heights"] = [4000.0] * 3
+    write_measurement(path, declared)
+    asked = ("predict", "frame.toml", "--record", "shaken.toml")
+    status, out, _ = run(capsys, *asked)
+    assert status == 0
+    assert out.count("WARNING: ") == 1
+    (item,) = json.loads(run(capsys, *asked, "--json", "-")[1])["warnings"]
+    assert "story_heights" in item["found"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device here")
+@pytest.mark.parametrize("place", [("--out", "/dev/full"), ("--export", "/dev/full"), ("--figure", "peaks:/dev/full")])
+def test_a_device_is_written_to_whatever_it_is_called(folder, capsys, place):
+    status, out, err = run(capsys, "predict", "frame.toml", "--record", "shaken.toml", *place)
+    assert status == 2
+    assert "peaks ± standard deviation" in out
+    assert err == "cvxshear: /dev/full cannot be written: No space left on device\n"

@@ -1,6 +1,7 @@
 """The command `check`, and what identify, loop and modes say before they run."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -40,7 +41,7 @@ def test_a_mistake_is_status_two_with_what_to_change(run, swapped):
     assert (item["name"], item["configuration"], item["refuses"]) == ("swapped_sensors", "test 1", True)
 
 
-@pytest.mark.parametrize("command", ["identify", "loop"])
+@pytest.mark.parametrize("command", ["identify", "loop", "plan"])
 def test_a_mistake_is_refused_before_anything_is_fitted(run, swapped, tmp_path, command):
     file, word = swapped
     status, out, err = run(command, file, "--json", tmp_path / "result.json")
@@ -70,6 +71,15 @@ def test_a_doubt_stands_above_the_result(run, tmp_path):
     assert out.startswith("WARNING: gravity = 981 m/s2 is not the Earth's")
     (warning,) = json.loads(run("identify", tmp_path / "test.toml", "--json", "-")[1])["warnings"]
     assert warning["name"] == "gravity"
+    status, out, _ = run("plan", tmp_path / "test.toml")
+    assert status == 0
+    assert out.startswith("WARNING: gravity = 981 m/s2 is not the Earth's")
+    assert json.loads(run("plan", tmp_path / "test.toml", "--json", "-")[1])["warnings"] == [warning]
+
+
+def test_design_values_have_no_modes_to_look_through(run):
+    design = Path(__file__).parents[2] / "examples/eight_story_design.toml"
+    assert "warnings" not in json.loads(run("plan", design, "--modes", "2", "--json", "-")[1])
 
 
 def test_a_model_that_the_noise_rules_out_says_so_first(run, tmp_path):

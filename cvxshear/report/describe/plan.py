@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.planning.apart import SUFFICES
-from cvxshear.planning.results import Outlook, Plan
+from cvxshear.planning.results import OPEN, Outlook, Plan
 from cvxshear.quantities import AUTOMATIC, Units, counted, percent, significant
 from cvxshear.report.describe.dispatch import describe
 from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, plain_rows
@@ -41,13 +41,18 @@ def sure(of: Plan) -> str:
     """The objective, and how far from the best the choice can be."""
     unit = "of the effects' sizes" if of.apart else "relative"
     said = f"{of.measure} ({of.criterion}): {percent(of.objective)} {unit}"
+    if of.objective >= OPEN:
+        said = f"{of.measure} ({of.criterion}): open, {percent(OPEN, 0)} {unit} or more"
     if len(of.sensors) == of.model.design.stories:
         return said
     if of.gap < PROVEN:
         return f"{said}; every choice of as many floors was looked at, none is better"
     if not np.isfinite(of.gap):
         return f"{said}; the convex program gives no bound"
-    return f"{said}; no choice of as many floors is below {percent(of.bound)} (gap {percent(of.gap, 1)})"
+    if of.bound >= OPEN:
+        return f"{said}; no choice of as many floors is better than open"
+    gap = "" if of.objective >= OPEN else f" (gap {percent(of.gap, 1)})"
+    return f"{said}; no choice of as many floors is below {percent(of.bound)}{gap}"
 
 
 def expected_modes(of: Plan) -> Table:
@@ -68,7 +73,8 @@ def expected_modes(of: Plan) -> Table:
 
 def added_masses(of: Plan, units: Units) -> Table:
     """Added mass of each test, the top floor first."""
-    factor, unit = _mass_unit(np.concatenate(of.tests), units)
+    # They are laid on floors by hand, and asked for in kg, whatever their size.
+    factor, unit = (1.0, "kg") if units.mass is None else units.of_mass(np.concatenate(of.tests).tolist())
     rows = plain_rows(
         (
             str(floor),
@@ -117,7 +123,7 @@ def accuracy(of: Plan, units: Units) -> Table:
     )
     shown = [(name, each) for name, each in options if each is not None]
     names = tuple(name for name, _ in shown)
-    mass_factor, mass_unit = _mass_unit(design.floor_mass, units)
+    mass_factor, mass_unit = units.of_mass(design.floor_mass.tolist())
     factor, unit = units.of_stiffness(design.story_stiffness.tolist())
     rows = plain_rows(
         (
@@ -133,16 +139,16 @@ def accuracy(of: Plan, units: Units) -> Table:
     return Table("accuracy-table", "expected standard deviations (of the shear model)", head, rows)
 
 
-def _mass_unit(values: Floats, units: Units) -> tuple[float, str]:
-    """Masses are laid on floors by hand, so they are told in kg, whatever their size, where nobody asks otherwise."""
-    return (1.0, "kg") if units.mass is None else units.of_mass(values.tolist())
-
-
 def _std(std: Floats, at: int, value: float) -> str:
     """A standard deviation, relative."""
     if np.isnan(std[at]):
         return "open"
     return "exact" if std[at] < 1e-9 * value else percent(float(std[at]) / value)
+
+
+def _value(objective: float) -> str:
+    """The criterion's standard deviation, relative."""
+    return "open" if objective >= OPEN else percent(objective)
 
 
 def counts(of: Plan) -> Table:
@@ -154,8 +160,8 @@ def counts(of: Plan) -> Table:
         (
             str(count),
             "all" if count == of.model.design.stories else ", ".join(map(str, each.floors)),
-            percent(each.objective),
-            percent(each.bound),
+            _value(each.objective),
+            _value(each.bound),
         )
         for count, each in sorted(outlooks.items())
     )

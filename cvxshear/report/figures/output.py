@@ -28,7 +28,7 @@ def save(figure: Figure, path: str | Path) -> None:
     ----------
     figure : Figure
     path : str or Path
-        Ending in .svg, .png or .pdf.
+        Ending in .svg, .png or .pdf; a device is written SVG to.
 
     Raises
     ------
