@@ -250,3 +250,15 @@ def test_an_answer_whose_inequalities_cannot_be_told_is_refused(monkeypatch):
     monkeypatch.setattr(active_set, "ROUNDS", 0)
     with pytest.raises(NoSolutionError, match=r"which inequalities hold it cannot be told, and so not how far off"):
         backends.get("clarabel").solve(bounded(0)[0])
+
+
+@pytest.mark.parametrize("name", BOUNDED)
+def test_an_unknown_that_the_objective_hardly_sees_still_keeps_the_constraints(name):
+    """Solvers answer with -1e11 for the last unknown, its column 1e-30 of the others', where the sum must be 22.5."""
+    R = np.array([[-0.3147, -0.6040, 1.5e-60], [3.8e-31, -0.8437, 5.1e-31], [-6.7e-31, 0.6200, 4.0e-31]])
+    program = LeastSquares(R=R, s=np.zeros(3), A=np.ones((1, 3)), b=np.array([22.5]), lower=np.full(3, 0.0075))
+    try:
+        x = backends.get(name).solve(program).x
+    except NoSolutionError:
+        return
+    np.testing.assert_allclose(x, [0.0075, 0.0075, 22.485], rtol=1e-2)

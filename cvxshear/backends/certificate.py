@@ -23,6 +23,10 @@ NEAR_NOTHING = 1e-7
 nothing but rounding, a violation of it as well."""
 
 
+FARTHEST = 1e6
+"""Times what the constraints say of an unknown that it could be at most, however little the objective sees of it."""
+
+
 @dataclass(frozen=True)
 class Certificate:
     r"""How well a solution meets the optimality conditions, computed here from the program and the solution.
@@ -46,6 +50,7 @@ class Certificate:
 
     .. math:: X_j = |x_j| + (10^{-3} \sqrt{\textstyle\sum_k |R_k|^2 x_k^2} + 10^{-7} |s|) / |R_j|,
 
+    its second term no more than a million times the largest of :math:`|b| / |a_j|` over the constraints that it is in,
     and what is set in relation is
 
     * a violation of :math:`a'x \le b` to :math:`|b| + \sum_j |a_j| X_j`;
@@ -146,7 +151,16 @@ class Assembled:
     def size(self, x: Floats) -> Floats:
         """Size of each unknown, see `Certificate`."""
         reach = NEAR_ZERO * np.linalg.norm(self.lengths * x) + NEAR_NOTHING * np.linalg.norm(self.s)
-        return np.asarray(np.abs(x) + reach / self.lengths)
+        return np.asarray(np.abs(x) + np.minimum(reach / self.lengths, FARTHEST * self.constrained_sizes))
+
+    @cached_property
+    def constrained_sizes(self) -> Floats:
+        """The largest that a constraint's right side makes of each unknown by itself; infinite where none does."""
+        rows, sides = np.vstack([self.A, self.G]), np.abs(np.concatenate([self.b, self.h]))
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            each = np.where((rows != 0) & (sides[:, None] > 0), sides[:, None] / np.abs(rows), 0.0)
+        largest = np.max(each, axis=0, initial=0.0)
+        return np.asarray(np.where(largest > 0, largest, np.inf))
 
     def magnitude(self, x: Floats) -> float:
         """The sizes of what is added up to R x - s: the columns times the unknowns, and s."""
