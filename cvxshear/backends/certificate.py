@@ -23,7 +23,7 @@ NEAR_NOTHING = 1e-7
 nothing but rounding, a violation of it as well."""
 
 
-FARTHEST = 1e6
+FARTHEST = 1e3
 """Times what the constraints say of an unknown that it could be at most, however little the objective sees of it."""
 
 
@@ -50,7 +50,7 @@ class Certificate:
 
     .. math:: X_j = |x_j| + (10^{-3} \sqrt{\textstyle\sum_k |R_k|^2 x_k^2} + 10^{-7} |s|) / |R_j|,
 
-    its second term no more than a million times the largest of :math:`|b| / |a_j|` over the constraints that it is in,
+    its second term no more than a thousand times the largest of :math:`|b| / |a_j|` over the constraints that it is in,
     and what is set in relation is
 
     * a violation of :math:`a'x \le b` to :math:`|b| + \sum_j |a_j| X_j`;
