@@ -81,7 +81,8 @@ def masses(experiment: Experiment) -> Iterator[Finding]:
         return
     yield Finding(
         "masses", None,
-        f"floors of {quantity(floor, 'kg', 3)} each under stories of {significant(height, 3)} m look like masses in {unit}",
+        f"floors of {quantity(floor, 'kg', 3)} each under stories of {significant(height, 3)} m look like masses in "
+        f"{unit}",
         "write masses in kg", refuses=False,
     )  # fmt: skip
 
@@ -98,7 +99,8 @@ def angular_frequency(experiment: Experiment) -> Iterator[Finding]:
     elif lowest is not None and heights is not None and BUILDING_STORY <= heights.mean() <= HIGHEST_STORY:
         if lowest * heights.sum() <= HIGHEST_TIMES_FREQUENCY:
             return
-        said = f"a first frequency of {significant(lowest, 3)} Hz is high for a building of {significant(heights.sum(), 3)} m"
+        height = significant(heights.sum(), 3)
+        said = f"a first frequency of {significant(lowest, 3)} Hz is high for a building of {height} m"
     else:
         return
     yield Finding(

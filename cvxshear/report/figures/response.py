@@ -152,7 +152,9 @@ def _measured_peaks(axes: Axes, result: RecordPrediction) -> None:
 
 @styled
 def transfer_functions(result: RecordPrediction) -> Figure:
-    """Sizes of the transfer functions from the excitation to the floors: measured and predicted, before and after where they differ.
+    """Sizes of the transfer functions from the excitation to the floors: measured and predicted.
+
+    Predicted before and after, where something was added to the shear model.
 
     Parameters
     ----------
