@@ -190,6 +190,12 @@ def with_std(value: float | None, std: float | None, unit: str = "", factor: flo
     return f"{_to_digits(value, std)} {unit}".strip()
 
 
+def quantity(value: float, unit: str, digits: int = 4) -> str:
+    """A value with so many significant digits, in the size of its unit that fits it."""
+    factor, unit = fitting([value], unit)
+    return f"{significant(value / factor, digits)} {unit}"
+
+
 def per_force(value: float, std: float | None, unit: str) -> str:
     """A flexibility ± its standard deviation, by as many newtons as make the number easy to read: "1.4 rad/(MN m)".
 

@@ -141,6 +141,48 @@ def test_bounds_hold_and_change_a_noisy_answer(method, backend):
     assert held.floor_mass.sum() == pytest.approx(22.5, rel=1e-9)
 
 
+def test_what_a_declared_bound_holds_is_at_a_bound_and_has_no_deviation():
+    free = identify(noisy())
+    assert free.to_dict()["at_bounds"] == []
+    limit = 0.97 * free.frame.floor_mass[0]
+    held = identify(noisy(), priors=[Bounds("floor_mass", upper=[limit, 22.5, 22.5])])
+    said = held.to_dict()
+    assert said["at_bounds"] == ["floor_mass 1"]
+    assert said["frame"]["floor_mass"][0] == pytest.approx(limit, rel=1e-6)
+    assert said["frame"]["floor_mass_std"][0] is None
+    assert min(said["frame"]["floor_mass_std"][1:]) > 0
+    assert np.isnan(held.to_dataframe().floor_mass_std[0])
+    assert "(at a bound)" in str(held)
+
+
+def test_the_least_that_counts_as_positive_is_shown_as_a_bound():
+    """Modes 1, 2, 4 and 5 of seven given as the first four, from which floor 5 comes out without mass."""
+    declared = {
+        "frame": {"story_heights": 3.2, "total_mass": 133e3},
+        "configuration": [
+            {
+                "measured_floors": [1, 3, 5, 7],
+                "frequencies": [1.7435, 4.7482, 9.9342, 11.9182],
+                "mode_shapes": [
+                    [-0.1703, -0.5334, -0.8328, -0.9893],
+                    [-0.4341, -0.8413, -0.0426, 0.9879],
+                    [0.9948, -0.8472, 0.7141, -1.0103],
+                    [0.7084, -0.723, 0.5075, 0.5539],
+                ],
+                "frequency_std": 0.001,
+                "mode_shape_std": 0.01,
+            }
+        ],
+    }
+    found = identify(Experiment.from_dict(declared))
+    said = found.to_dict()
+    assert said["at_bounds"] == ["floor_mass 5"]
+    assert said["frame"]["floor_mass"][4] < 1e-3 * 133e3 / 7
+    assert said["frame"]["floor_mass_std"][4] is None
+    assert "0.015 (at a bound)" in str(found)
+    assert "Floor mass 5 is at a bound" in str(found)
+
+
 @pytest.mark.parametrize("method", ["two-stage", "one-shot", "efficient"])
 def test_an_exact_ratio_holds(method):
     prior = Ratio("story_stiffness", of=1, to=3, value=3.0)

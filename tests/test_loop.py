@@ -376,3 +376,20 @@ def test_the_json_has_the_documented_keys_and_is_json():
     assert [len(item["frequencies"]) for item in result["predictions"]] == [2, 2, 2]
     assert {"name", "floor", "probability", "chi2", "dof", "p_value"} <= set(result["candidates"][0])
     assert result["next_test"] is None
+
+
+def test_a_noise_that_comes_out_as_the_default_is_still_what_the_verdict_rests_on():
+    """The shortest file of the documentation: its noise is the default one, and the fit never left it."""
+    shapes = [[0.61071, 1.0], [-1.65840, 1.0]]
+    given = Experiment.from_dict({
+        "frame": {"total_mass": 31.33},
+        "configuration": [{"frequencies": [2.990, 7.934], "mode_shapes": shapes}],
+    })  # fmt: skip
+    closure = close_loop(given)
+    assert closure.after.estimate.misfit.noise.factors == ()
+    factors = [closure.noise.noise.of(kind) for kind in ("frequency", "mode_shape")]
+    frequency, shape = (f"{factor:.2g}" for factor in factors)
+    assert factors == pytest.approx([1.0, 1.0], abs=0.05)
+    assert closure.rests_on == (
+        f"estimated noise (frequency {frequency} times the default, mode shape {shape} times the default)"
+    )

@@ -32,6 +32,9 @@ MEMORY = 1e9
 squares in the parameters some 25 times (measured from 100 to 600 stories)."""
 
 MOST_NOISES = 4
+HELD = 1e-9
+"""Relative standard deviation of what a bound holds: nothing but rounding."""
+
 SAME_NOISE = 0.05
 """Estimates of an undeclared noise, and the relative change of its factors that counts as none."""
 
@@ -130,7 +133,8 @@ class Estimate:
         n = self.experiment.stories
         values = np.where(self.uncertainty.determined, self.theta, np.nan)
         std = self.std
-        return IdentifiedFrame(values[:n], values[n : 2 * n], std[:n], std[n : 2 * n])
+        held = self._held_by_bounds(std)
+        return IdentifiedFrame(values[:n], values[n : 2 * n], std[:n], std[n : 2 * n], held)
 
     def own(self, placed: Placed) -> slice:
         """Where an effect's parameters stand in theta."""
@@ -142,7 +146,19 @@ class Estimate:
         names = parameter_names(self.experiment, self.effects)
         n = self.experiment.stories
         std = uncertainty(self.fit.at.triangle[0], self.theta, self.domain, names).std()
-        return IdentifiedFrame(self.theta[:n], self.theta[n : 2 * n], std[:n], std[n : 2 * n])
+        held = self._held_by_bounds(std)
+        return IdentifiedFrame(self.theta[:n], self.theta[n : 2 * n], std[:n], std[n : 2 * n], held)
+
+    def _held_by_bounds(self, std: Floats) -> tuple[str, ...]:
+        """The masses and stiffnesses that bounds leave no freedom.
+
+        Not those of which a bound on several together, such as a ratio, is active: they have a deviation still.
+        """
+        n = self.experiment.stories
+        names = parameter_names(self.experiment, self.effects)[: 2 * n]
+        active = set(self.uncertainty.active)
+        none_left = std[: 2 * n] <= HELD * np.abs(self.theta[: 2 * n])
+        return tuple(name for name, held in zip(names, none_left, strict=True) if held and name in active)
 
     @property
     def free_directions(self) -> Floats:

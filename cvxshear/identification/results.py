@@ -14,7 +14,7 @@ from cvxshear.experiment import Configuration, Experiment
 from cvxshear.identification.ending import Ending
 from cvxshear.identification.quality import Quality
 from cvxshear.showing import Shown
-from cvxshear.typing import Floats, Json
+from cvxshear.typing import Bools, Floats, Json
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,31 +39,44 @@ class IdentifiedFrame:
         N/m.
     floor_mass_std, story_stiffness_std : ndarray, shape (N,), optional
         Standard deviations in the same units, of the methods that give them.
+    at_bounds : tuple of str, optional
+        What only a bound keeps from going on, such as "floor_mass 5": its value is the bound's, and a standard
+        deviation would be nothing but rounding, so that what is written of the frame has none.
     """
 
     floor_mass: Floats
     story_stiffness: Floats
     floor_mass_std: Floats | None = None
     story_stiffness_std: Floats | None = None
+    at_bounds: tuple[str, ...] = ()
+
+    def stopped(self, quantity: str) -> Bools:
+        """Where "floor_mass" or "story_stiffness" is at a bound, shape (N,)."""
+        return np.array([f"{quantity} {place}" in self.at_bounds for place in range(1, len(self.floor_mass) + 1)])
+
+    def _stds(self, quantity: str, std: Floats | None) -> Floats | None:
+        return None if std is None else np.where(self.stopped(quantity), np.nan, std)
 
     @property
     def columns(self) -> dict[str, list[float]]:
-        """The fields by name, floor by floor from the lowest; nan where there is no standard deviation."""
+        """Values and deviations by name, floor by floor from the lowest; nan where there is no standard deviation."""
         unknown = np.full(len(self.floor_mass), np.nan)
+        mass_std = self._stds("floor_mass", self.floor_mass_std)
+        stiffness_std = self._stds("story_stiffness", self.story_stiffness_std)
         return {
             "floor_mass": self.floor_mass.tolist(),
-            "floor_mass_std": (unknown if self.floor_mass_std is None else self.floor_mass_std).tolist(),
+            "floor_mass_std": (unknown if mass_std is None else mass_std).tolist(),
             "story_stiffness": self.story_stiffness.tolist(),
-            "story_stiffness_std": (unknown if self.story_stiffness_std is None else self.story_stiffness_std).tolist(),
+            "story_stiffness_std": (unknown if stiffness_std is None else stiffness_std).tolist(),
         }
 
     def to_dict(self) -> Json:
-        """The fields as lists."""
+        """Values and deviations as lists."""
         return {
             "floor_mass": plain(self.floor_mass),
-            "floor_mass_std": plain(self.floor_mass_std),
+            "floor_mass_std": plain(self._stds("floor_mass", self.floor_mass_std)),
             "story_stiffness": plain(self.story_stiffness),
-            "story_stiffness_std": plain(self.story_stiffness_std),
+            "story_stiffness_std": plain(self._stds("story_stiffness", self.story_stiffness_std)),
         }
 
 
@@ -239,6 +252,7 @@ class Identification(Shown):
             result["parameters"] = list(self.parameter_names)
             result["correlation"] = plain(self.correlation)
             result["undetermined"] = [list(names) for names in self.undetermined]
+            result["at_bounds"] = [name for part in self.parts for name in part.frame.at_bounds]
         else:
             result["configurations"] = [part.to_dict() for part in self.parts]
         return result

@@ -237,8 +237,9 @@ def _rests_on(final: Estimate) -> str:
         return "nothing that could speak against it: the model has as many parameters as there are data"
     if not final.misfit.open_noises:
         return "the declared standard deviations"
+    # Not the noise of the misfit, which names no factor where the fit stopped at the default.
     told = ", ".join(
-        f"{kind.replace('_', ' ')} {factor:.2g} times the default" for kind, factor in final.misfit.noise.factors
+        f"{kind.replace('_', ' ')} {factor:.2g} times the default" for kind, factor in final.noise.noise.factors
     )
     partly = len(final.misfit.open_noises) < len({datum.noise for datum in final.misfit.data})
     return f"{'declared and ' if partly else ''}estimated noise ({told})"

@@ -17,6 +17,8 @@ from cvxshear.typing import Floats
 STEPS = 4001
 LONGEST = 0.05
 """s; a longer offset is looked for with the eyes."""
+FOLDED = 0.85
+"""Of half the sampling rate, above which what folds back from beyond it turns the phases of a resonance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +45,11 @@ class Offsets:
 
 
 def offsets(
-    eigenvalues: Complexes, shapes: Complexes, participations: Complexes | None = None, reference: int | None = None
+    eigenvalues: Complexes,
+    shapes: Complexes,
+    participations: Complexes | None = None,
+    reference: int | None = None,
+    sampling_rate: float = np.inf,
 ) -> Offsets:
     """Estimate the offset of every channel's clock.
 
@@ -57,12 +63,18 @@ def offsets(
         clock is then estimated as well.
     reference : int, optional
         The clock to count from; the one nearest to all the others where None.
+    sampling_rate : float, optional
+        Hz. Modes above `FOLDED` of its half do not count, where two others are left.
 
     Returns
     -------
     Offsets
     """
     omega = np.abs(eigenvalues.imag)
+    heard = omega <= FOLDED * np.pi * sampling_rate
+    if 2 <= np.count_nonzero(heard) < len(omega):
+        omega, shapes = omega[heard], shapes[heard]
+        participations = None if participations is None else participations[heard]
     if participations is not None:
         phasors = shapes * participations[:, None]
     else:

@@ -91,7 +91,11 @@ def details(setting: Replication, values: Values, keep: Bools | None, reference:
     products, driven = _products(setting, values, keep)
     turned = None if products is None else participations(products, values.shapes)
     clocks = offsets(
-        values.eigenvalues, values.shapes, turned, None if reference is None else reference.clocks.reference
+        values.eigenvalues,
+        values.shapes,
+        turned,
+        None if reference is None else reference.clocks.reference,
+        setting.source.sampling_rate,
     )
     straight = undone(values.eigenvalues, values.shapes, clocks.seconds)
     shapes = np.array([main_axis(shape) for shape in straight])

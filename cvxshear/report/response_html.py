@@ -38,6 +38,14 @@ CAPTIONS = {
 }
 """For each figure what it is to whoever cannot see it, and what stands below it."""
 
+ONE_MODEL = {
+    "transfer": (
+        "Sizes of the transfer functions from the excitation to the floors: measured and predicted.",
+        "Size of each floor's transfer function, measured and predicted. Both go through the same estimate.",
+    ),
+}
+"""The same where nothing was added to the shear model, so that before and after are one."""
+
 
 def write_prediction_report(result: RecordPrediction, path: str | Path, command: str) -> None:
     """Write the report of a prediction, one HTML file that refers to nothing outside itself.
@@ -89,7 +97,7 @@ def prediction_contents(result: RecordPrediction) -> Json:
     return {
         "prediction": describe(result),
         "prediction_json": readable_json(result.to_dict()),
-        "captions": CAPTIONS,
+        "captions": CAPTIONS | (ONE_MODEL if result.otherwise_before is None else {}),
         "figures_of": figures_of,
         # matplotlib has escaped the texts in them.
         "figure": {name: Markup(inline_svg(figure, name)) for name, figure in drawn.items()},

@@ -10,8 +10,12 @@ import numpy as np
 from cvxshear.identification.results import plain
 from cvxshear.modal.motion import Motion
 from cvxshear.response.model import DampedModel, Response
-from cvxshear.response.transfer import Transfer, errors, peak, segment, transfer
+from cvxshear.response.transfer import Transfer, errors, peak, power_at, segment, transfer
 from cvxshear.typing import Floats, Ints, Json
+
+FALLEN = 0.8
+"""Of a peak's power, below which a transfer function has fallen at another's peak. The top of a damped resonance is
+flat, so that noise and leakage move its largest line by up to ten lines; they leave 0.8 of the power there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,11 +126,17 @@ def compared(model: DampedModel, responses: Sequence[Response], motion: Motion) 
 
 
 def _shifts(measured: Transfer, predicted: Transfer, natural: Floats) -> tuple[Shift, ...]:
-    """The modes whose resonance is more than a line of the spectrum away from the model's."""
+    """The modes whose resonance is elsewhere than the model's.
+
+    By more than a line of the spectrum, and so far that either transfer function has fallen where the other peaks.
+    """
     line = measured.frequencies[1] - measured.frequencies[0]
     found = []
     for mode in range(len(natural)):
-        tops = peak(measured, natural, mode), peak(predicted, natural, mode)
-        if tops[0] is not None and tops[1] is not None and abs(tops[0] - tops[1]) > line:
-            found.append(Shift(mode + 1, tops[0], tops[1]))
+        seen, made = peak(measured, natural, mode), peak(predicted, natural, mode)
+        if seen is None or made is None or abs(seen - made) <= line:
+            continue
+        left = power_at(measured, natural, mode, made), power_at(predicted, natural, mode, seen)
+        if max(left) < FALLEN:
+            found.append(Shift(mode + 1, seen, made))
     return tuple(found)

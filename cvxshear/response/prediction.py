@@ -82,6 +82,16 @@ class RecordPrediction(Shown):
     acceleration_std: tuple[Floats, ...]
     remarks: tuple[str, ...]
 
+    @property
+    def otherwise_before(self) -> Side | None:
+        """What the shear model predicts, where that is not what `after` does: None where nothing was added to it."""
+        if self.before is None:
+            return None
+        before, after = self.before.fitted, self.after.fitted
+        # Nothing added is the same estimate, whose numbers a file keeps exactly.
+        same = not before.effects and not after.effects and np.array_equal(before.theta, after.theta)
+        return None if same else self.before
+
     @cached_property
     def spectra(self) -> FloorSpectra:
         """Response spectra of the floors at 5 % damping, the largest over all runs."""

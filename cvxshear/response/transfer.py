@@ -128,6 +128,13 @@ def errors(measured: Transfer, predicted: Transfer, natural: Floats) -> Floats:
     return result
 
 
+def power_at(of: Transfer, natural: Floats, mode: int, frequency: float) -> float:
+    """Squared size of the transfer functions of all floors together at a frequency, over the largest near a mode."""
+    power = np.sum(np.abs(of.functions) ** 2, axis=1)
+    largest = power[around(of.frequencies, natural, mode)].max()
+    return float(np.interp(frequency, of.frequencies, power) / largest)
+
+
 def peak(of: Transfer, natural: Floats, mode: int) -> float | None:
     """Where the transfer functions of all floors together peak near a mode, Hz; None where they do not.
 

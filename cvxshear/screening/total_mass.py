@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 
 from cvxshear.experiment import Experiment
 from cvxshear.frame import mass_matrix, modes, stiffness_matrix
+from cvxshear.quantities import quantity
 from cvxshear.screening.finding import Finding
 from cvxshear.screening.reading import Reading
 from cvxshear.screening.shear_fit import MASS_SPREAD, STIFFNESS_SPREAD, WIDEST, shape_residual
@@ -46,8 +47,8 @@ def total_mass(experiment: Experiment) -> Iterator[Finding]:
     if std > POOREST or abs(off) < max(LEAST, SIGNIFICANT * std):
         return
     said = (
-        f"the added masses changed the frequencies as they would those of a frame of {total:.3g} kg "
-        f"(give or take {100 * std:.0f} %), and {declared:.6g} kg are declared"
+        f"the added masses changed the frequencies as they would those of a frame of {quantity(total, 'kg', 3)} "
+        f"(give or take {100 * std:.0f} %), and {quantity(declared, 'kg', 6)} are declared"
     )
     unit = next((unit for unit, factor in (("g", 1e3), ("t", 1e-3)) if abs(off - np.log(factor)) < UNIT), None)
     if unit is not None:

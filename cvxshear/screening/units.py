@@ -12,6 +12,7 @@ import numpy as np
 from cvxshear.experiment import Experiment
 from cvxshear.frame import mass_matrix, modes, stiffness_matrix
 from cvxshear.priors import Nominal
+from cvxshear.quantities import quantity, significant
 from cvxshear.screening.finding import Finding
 from cvxshear.typing import Floats
 
@@ -71,16 +72,17 @@ def masses(experiment: Experiment) -> Iterator[Finding]:
     frame = experiment.frame
     if frame.story_heights is None or frame.known_total is None:
         return
-    height, mass = float(np.mean(frame.story_heights)), frame.known_total / experiment.stories
-    if BUILDING_STORY <= height <= HIGHEST_STORY and mass < LIGHTEST_FLOOR:
+    height, floor = float(np.mean(frame.story_heights)), frame.known_total / experiment.stories
+    if BUILDING_STORY <= height <= HIGHEST_STORY and floor < LIGHTEST_FLOOR:
         unit = "t"
-    elif height <= MODEL_STORY and mass > HEAVIEST_MODEL_FLOOR:
+    elif height <= MODEL_STORY and floor > HEAVIEST_MODEL_FLOOR:
         unit = "g"
     else:
         return
     yield Finding(
         "masses", None,
-        f"floors of {mass:.3g} kg each under stories of {height:.3g} m look like masses in {unit}",
+        f"floors of {quantity(floor, 'kg', 3)} each under stories of {significant(height, 3)} m look like masses in "
+        f"{unit}",
         "write masses in kg", refuses=False,
     )  # fmt: skip
 
@@ -97,7 +99,8 @@ def angular_frequency(experiment: Experiment) -> Iterator[Finding]:
     elif lowest is not None and heights is not None and BUILDING_STORY <= heights.mean() <= HIGHEST_STORY:
         if lowest * heights.sum() <= HIGHEST_TIMES_FREQUENCY:
             return
-        said = f"a first frequency of {lowest:.3g} Hz is high for a building of {heights.sum():.3g} m"
+        height = significant(heights.sum(), 3)
+        said = f"a first frequency of {significant(lowest, 3)} Hz is high for a building of {height} m"
     else:
         return
     yield Finding(

@@ -13,7 +13,7 @@ from cvxshear.modal.clock import offsets
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.knowledge import SENSOR_STD, entry_std
 from cvxshear.modal.shift import shifted
-from cvxshear.modal.simulate import PAPER_FRAME, ambient_record, base_record, hammer_record
+from cvxshear.modal.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
 from tests.modal.shared import TWO_STORY_FREQUENCIES, two_story_frf
 
 QUIET = {"clock offset", "sign", "swapped channels", "amplitude", "reciprocity", "dead channel", "clipped channel"}
@@ -67,6 +67,30 @@ def test_offsets_of_exact_shapes():
     late = np.array([0.004, 0.0, -0.002])
     turned = shapes * np.exp(-1j * eigenvalues.imag[:, None] * late) * np.exp([[0.3j], [2j], [-1j]])
     np.testing.assert_allclose(offsets(eigenvalues, turned).seconds, late, atol=1e-9)
+
+
+def test_a_mode_next_to_half_the_sampling_rate_says_nothing_of_clocks():
+    """Phases of such a mode are off by up to 15 degrees, of which the others know nothing."""
+    eigenvalues = 2j * np.pi * np.array([2.0, 6.0, 9.0]) - 0.1
+    shapes = np.array([[0.4, 0.8, 1.0], [1.0, 0.3, -0.8], [-0.7, 1.0, -0.5]])
+    late = np.array([0.004, 0.0, -0.002])
+    turned = shapes * np.exp(-1j * eigenvalues.imag[:, None] * late)
+    turned[2] *= np.exp(1j * np.radians([15.0, 0.0, -8.0]))
+    np.testing.assert_allclose(offsets(eigenvalues, turned, sampling_rate=20.0).seconds, late, atol=1e-9)
+    assert np.max(np.abs(offsets(eigenvalues, turned, sampling_rate=40.0).seconds - late)) > 1e-3
+    # Two modes are what an offset is told by at least.
+    pair = offsets(eigenvalues[1:], turned[1:], sampling_rate=20.0)
+    np.testing.assert_array_equal(pair.seconds, offsets(eigenvalues[1:], turned[1:]).seconds)
+
+
+def test_no_clock_of_a_tall_frame_is_off_whose_highest_mode_is_next_to_half_the_sampling_rate():
+    stories = 14
+    soft = KnownFrame(np.full(stories, 2e5), np.linspace(1.5e8, 0.8e8, stories), 0.01)
+    stiffnesses = soft.stiffnesses * (9.0 / soft.modes()[0][-1]) ** 2
+    frame = KnownFrame(soft.masses, stiffnesses, 0.01)
+    result = identify_modes(base_record(frame, 0, noise=0.02, duration=300.0))
+    assert len(result.frequencies) == stories
+    assert found(result, "clock offset") == []
 
 
 def test_shift_is_exact_for_a_slow_sine(record):

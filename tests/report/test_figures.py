@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 import cvxshear
 from cvxshear.errors import InputError
 from cvxshear.report import figures
+from cvxshear.report.figures.mac import written
 from cvxshear.report.figures.output import inline_svg
 from cvxshear.report.figures.style import letters, power_of_ten, spread
 from cvxshear.report.shapes import mac_tables, mode_shapes
@@ -193,6 +194,22 @@ def test_the_mac_matrix_is_that_of_the_predictions(paper):
     assert min(np.diag(table).min() for _, table in mac_tables(paper)) == pytest.approx(
         paper.after.estimate.quality.min_mac
     )
+
+
+@pytest.mark.parametrize(
+    ("value", "two", "four"),
+    [
+        (1.0, "1.00", "1.0000"),
+        (1.0 - 2e-16, "1.00", "1.0000"),
+        (0.99999, "> 0.99", "> 0.9999"),
+        (0.9962, "> 0.99", "0.9962"),
+        (0.9946, "0.99", "0.9946"),
+        (0.98766, "0.99", "0.9877"),
+        (0.0, "0.00", "0.0000"),
+    ],
+)
+def test_a_mac_is_rounded_and_1_only_where_shapes_are_the_same(value, two, four):
+    assert (written(value, 2), written(value, 4)) == (two, four)
 
 
 def test_convergence_shows_the_history(paper):

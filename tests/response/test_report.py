@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 import cvxshear
+from cvxshear import close_loop
 from cvxshear.cli import main
 from cvxshear.formats.measurement import write_measurement
 from cvxshear.modal.motion import Drive, Motion
+from cvxshear.report.describe import describe
+from cvxshear.report.figures import transfer_functions
 from cvxshear.report.html import render
 from cvxshear.report.response_html import render_prediction
-from cvxshear.response import DampedModel, models_of_loop, predict, response
+from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
 from tests.modal.shared import csv
 from tests.report.conftest import NASTY
 from tests.report.test_html import Page
@@ -69,6 +72,29 @@ def test_pictures_and_numbers(prediction):
     said = json.loads(html.unescape(re.search(r'<pre id="result">(.*?)</pre>', text, re.DOTALL)[1]))
     assert said == json.loads(json.dumps(prediction.to_dict()))
     assert text.count("<tr") > 3
+
+
+def test_one_set_of_errors_where_nothing_was_added(closed):
+    """Exact modes of a shear frame: before and after are one model, in the terminal, on the page and in the picture."""
+    assert closed.estimate.effects == ()
+    alike = predict(models_of_loop(closed), motion(measured=True))
+    assert alike.to_dict()["before"] == alike.to_dict()["after"]
+    table = next(part for section in describe(alike).sections for part in section.parts if section.key == "errors")
+    assert table.head[:2] == ("floor", "error in time")
+    assert [row.cells[0] for row in table.rows] == ["3", "2", "1"]
+    assert "(before)" not in render_prediction(alike, COMMAND)
+    legend = [text.get_text() for text in transfer_functions(alike).legends[0].get_texts()]
+    assert sorted(legend) == ["measured", "predicted"]
+
+
+def test_two_sets_of_errors_where_an_effect_was_added(closed):
+    gained = close_loop(closed.experiment, effects=[], assume=["gravity"]).estimate
+    pair = Models(Fitted.of(closed.estimate), Fitted.of(gained))
+    found = predict(pair, motion(measured=True))
+    table = next(part for section in describe(found).sections for part in section.parts if section.key == "errors")
+    assert [row.cells[:2] for row in table.rows[:2]] == [("3", "before"), ("3", "after")]
+    assert "(before)" in render_prediction(found, COMMAND)
+    assert len(transfer_functions(found).legends[0].get_texts()) == 3
 
 
 def test_a_part_of_the_report_of_the_loop(closed, prediction):

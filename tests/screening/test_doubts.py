@@ -50,6 +50,20 @@ def test_another_unit_is_warned_of(frame, name):
     assert told(building(frame=frame)) == [name]
 
 
+def test_masses_are_told_in_the_units_of_the_library():
+    declared = Experiment.from_dict(building(frame={"total_mass": 2.0e6}))
+    total, std = implied_total(declared)
+    assert [item.found for item in screen(declared)] == [
+        f"the added masses changed the frequencies as they would those of a frame of {total / 1e3:.0f} t "
+        f"(give or take {100 * std:.0f} %), and 2000 t are declared"
+    ]
+    alone = building(frame={"total_mass": 52178.9 * 3, "story_heights": 0.3})
+    alone["configuration"].pop()
+    assert [item.found for item in screen(Experiment.from_dict(alone))] == [
+        "floors of 52.2 t each under stories of 0.3 m look like masses in g"
+    ]
+
+
 def test_masses_in_tons_are_told_from_heights_where_one_configuration_is_all_there_is():
     declared = building(frame={"total_mass": 600.0, "story_heights": 3.2})
     declared["configuration"].pop()

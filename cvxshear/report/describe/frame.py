@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from cvxshear.identification import IdentifiedFrame
-from cvxshear.quantities import EXACT, UNKNOWN, Units, significants, with_std
+from cvxshear.quantities import EXACT, UNKNOWN, Units, significant, significants, with_std
 from cvxshear.report.describe.vocabulary import Table, columns
 from cvxshear.typing import Floats
 
@@ -29,8 +29,16 @@ def frame_table(
         head += [f"averaged mass, {mass_unit}", f"averaged stiffness, {unit}"]
     cells = [[str(i) for i in range(1, len(frame.floor_mass) + 1)]]
     for each in shown:
-        cells.append(_column(each.floor_mass, each.floor_mass_std, mass_factor))
-        cells.append(_column(each.story_stiffness, each.story_stiffness_std, factor))
+        for quantity, values, std, size in (
+            ("floor_mass", each.floor_mass, each.floor_mass_std, mass_factor),
+            ("story_stiffness", each.story_stiffness, each.story_stiffness_std, factor),
+        ):
+            stopped = each.stopped(quantity)
+            written = _column(values, std, size)
+            cells.append([
+                f"{significant(value / size, 2)} (at a bound)" if at_bound else text
+                for value, text, at_bound in zip(values.tolist(), written, stopped, strict=True)
+            ])  # fmt: skip
     return Table(key, title, tuple(head), tuple(reversed(columns(*cells))))
 
 

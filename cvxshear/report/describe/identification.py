@@ -10,6 +10,7 @@ from cvxshear.identification import Identification, SingleIdentification
 from cvxshear.quantities import (
     AUTOMATIC,
     Units,
+    capital,
     counted,
     equals,
     percent,
@@ -68,11 +69,25 @@ def part_section(of: Identification, part: SingleIdentification, place: int, uni
     title = "All configurations together" if of.joint else part.name
     parts = [
         frame_table(part.frame, "Identified frame (masses without added mass)", units, key=f"identified-{place}"),
+        *_bounds(part),
         *how_it_ended(part),
         *([] if part.mass_matrix is None else [_matrix(part.mass_matrix, place, units)]),
         Sentence(_fit(part)),
     ]
     return Section(f"part-{place}", title, tuple(parts))
+
+
+def _bounds(part: SingleIdentification) -> Iterator[Sentence]:
+    """What would have gone on but for a bound."""
+    held = part.frame.at_bounds
+    if held:
+        are, them = ("is", "it") if len(held) == 1 else ("are", "them")
+        yield Sentence(
+            f"{capital(in_words(held))} {are} at a bound, a declared one or the least that counts as positive; the "
+            f"data alone would have {them} beyond it. That is no measurement, and the other standard deviations "
+            "hold only as far as the bound is true.",
+            "warning",
+        )
 
 
 def how_it_ended(part: SingleIdentification) -> Iterator[Sentence]:

@@ -30,7 +30,7 @@ def _prediction(of: RecordPrediction, units: Units = AUTOMATIC) -> Document:
     how = f"by the {of.after.fitted.label}, {of.damping.kind} damping, backend {of.backend}"
     sections = [Section("how", "", (Sentence(how),))]
     if of.after.comparison is not None:
-        before = None if of.before is None else of.before.comparison
+        before = None if of.otherwise_before is None else of.otherwise_before.comparison
         sections.append(Section("errors", "Beside the record", (errors(before, of.after.comparison),)))
     sections += [
         Section("peaks", "Peaks", (peaks(of),)),
@@ -52,17 +52,20 @@ def _headline(of: RecordPrediction) -> str:
 
 
 def errors(before: RecordComparison | None, after: RecordComparison) -> Table:
-    """Errors of each floor's acceleration, before and after, the top floor first."""
+    """Errors of each floor's acceleration, before (where there is one) and after, the top floor first."""
     modes = min(after.frf_error.shape[1], SHOWN_MODES)
-    sides = [(word, side) for word, side in (("before", before), ("after", after)) if side is not None]
+    sides: list[tuple[tuple[str, ...], RecordComparison]] = [((), after)]
+    if before is not None:
+        sides = [(("before",), before), (("after",), after)]
     rows = plain_rows(
-        (str(after.floors[at]), word, *_errors(side, at, modes))
+        (str(after.floors[at]), *word, *_errors(side, at, modes))
         for at in reversed(range(len(after.floors)))
         for word, side in sides
     )
     transfer = (f"H, mode {mode}" for mode in range(1, modes + 1))
-    head = ("floor", "model", "error in time", "rms", "peak", *transfer)
-    return Table("prediction-errors", "predicted accelerations beside the measured", head, rows, words=(0, 1))
+    head = ("floor", *(("model",) if before is not None else ()), "error in time", "rms", "peak", *transfer)
+    words = (0,) if before is None else (0, 1)
+    return Table("prediction-errors", "predicted accelerations beside the measured", head, rows, words=words)
 
 
 def _errors(side: RecordComparison, at: int, modes: int) -> Iterator[str]:

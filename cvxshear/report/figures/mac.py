@@ -16,6 +16,9 @@ from cvxshear.typing import Floats
 NUMBERED = 8
 """Modes up to which the cells hold their numbers."""
 
+SAME = 1e-12
+"""What a MAC of two shapes that are the same lacks of 1 by rounding."""
+
 
 @styled
 def mac(result: Closure | Identification) -> Figure:
@@ -65,7 +68,19 @@ def _numbers(axes: Axes, table: Floats) -> None:
     digits = 4 if table.shape[1] <= 4 else 2
     for (row, column), value in np.ndenumerate(table):
         if not np.isnan(value):
-            # Cut, not rounded: 1 stands for two shapes that are the same.
-            shown = np.floor(value * 10**digits + 1e-9) / 10**digits
             colour = "black" if value > 0.5 else "white"
-            axes.text(column, row, f"{shown:.{digits}f}", ha="center", va="center", color=colour, fontsize=6.5)
+            axes.text(column, row, written(value, digits), ha="center", va="center", color=colour, fontsize=6.5)
+
+
+def written(value: float, digits: int) -> str:
+    """A MAC with so many decimals, rounded, but for what would round to 1: that stands for shapes that are the same.
+
+    Parameters
+    ----------
+    value : float
+    digits : int
+    """
+    shown = f"{value:.{digits}f}"
+    if float(shown) < 1 or value > 1 - SAME:
+        return shown
+    return f"> {1 - 10.0**-digits:.{digits}f}"

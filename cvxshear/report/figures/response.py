@@ -152,7 +152,9 @@ def _measured_peaks(axes: Axes, result: RecordPrediction) -> None:
 
 @styled
 def transfer_functions(result: RecordPrediction) -> Figure:
-    """Sizes of the transfer functions from the excitation to the floors: measured, before, after.
+    """Sizes of the transfer functions from the excitation to the floors: measured and predicted.
+
+    Predicted before and after, where something was added to the shear model.
 
     Parameters
     ----------
@@ -169,15 +171,16 @@ def transfer_functions(result: RecordPrediction) -> Figure:
         figure.text(0.5, 0.5, "the record has no accelerations of floors", ha="center", va="center", color=QUIET)
         return figure
     floors = _floors(result)
-    before = None if result.before is None else result.before.comparison
+    before = None if result.otherwise_before is None else result.otherwise_before.comparison
     natural = result.after.damped.model.modes.frequencies
     shown = (after.measured.frequencies > 0.3 * natural[0]) & (after.measured.frequencies < 1.4 * natural[-1])
     lines = after.measured.frequencies[shown]
     figure = new_figure(PAGE_WIDTH, 1.5 * len(floors) + 0.9)
     for axes, floor in zip(panels(figure, len(floors), 1, sharex=True, sharey=True), floors, strict=True):
         column = int(np.flatnonzero(after.floors == floor)[0])
-        curves = [(after.measured, MEASURED, "-", "measured"), (after.predicted, AFTER, "--", "after")]
+        curves = [(after.measured, MEASURED, "-", "measured"), (after.predicted, AFTER, "--", "predicted")]
         if before is not None:
+            curves[1] = (after.predicted, AFTER, "--", "after")
             curves.append((before.predicted, BEFORE, ":", "before: shear model"))
         for of, colour, dashes, label in curves:
             axes.semilogy(lines, np.abs(of.functions[shown, column]), color=colour, ls=dashes, lw=1.1, label=label)
