@@ -49,6 +49,21 @@ def test_a_new_file_and_a_merged_one():
     validator("measurement").validate(merged(tests))
 
 
+def test_every_table_of_a_measurement_file():
+    declared = cvxshear.load(EXAMPLES / "three_story.toml").to_dict()
+    declared["configuration"][0] |= {"damping_ratios": [0.01] * 3, "damping_ratio_std": 0.1}
+    declared["static"] = [{"force": [0.0, 0.0, 10.0], "displacement": [0.005, 0.01, 0.02], "displacement_std": 0.01}]
+    declared["effect"] = [{"name": "sensor_gain", "floor": 2, "size": 0.02, "probability": 0.3}]
+    declared["damping"] = {"kind": "story"}
+    validator("measurement").validate(cvxshear.Experiment.from_dict(declared).to_dict())
+    for table, key in (("static", "forces"), ("effect", "sized")):
+        wrong = copy.deepcopy(declared)
+        wrong[table][0][key] = 1.0
+        assert not validator("measurement").is_valid(wrong)
+        with pytest.raises(InputError):
+            cvxshear.Experiment.from_dict(wrong)
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [("frequencies", ["2.0"]), ("added_mass", [-1.0]), ("damping_ratios", 2.0), ("frequency", [2.0]), ("csv", "a.csv")],
