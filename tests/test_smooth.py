@@ -5,9 +5,9 @@ import pytest
 
 from cvxshear import Experiment, NoSolutionError, backends, identify
 from cvxshear.identification.domain import domain_of
-from cvxshear.identification.efficient import FAR_OFF
 from cvxshear.identification.gauss_newton import gauss_newton
 from cvxshear.identification.misfit import Misfit
+from cvxshear.identification.nearest import FAR_OFF
 from cvxshear.identification.smooth import smooth_start
 from cvxshear.identification.start import starts, uniform
 from tests.frames import configuration, experiment

@@ -24,7 +24,7 @@ nothing but rounding, a violation of it as well."""
 
 
 FARTHEST = 1e3
-"""Times what the constraints say of an unknown that it could be at most, however little the objective sees of it."""
+"""Times what an equality makes of an unknown that its size is at most, however little the objective sees of it."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Certificate:
 
     .. math:: X_j = |x_j| + (10^{-3} \sqrt{\textstyle\sum_k |R_k|^2 x_k^2} + 10^{-7} |s|) / |R_j|,
 
-    its second term no more than a thousand times the largest of :math:`|b| / |a_j|` over the constraints that it is in,
+    its second term no more than a thousand times the largest of :math:`|b| / |a_j|` over the equalities that it is in,
     and what is set in relation is
 
     * a violation of :math:`a'x \le b` to :math:`|b| + \sum_j |a_j| X_j`;
@@ -155,10 +155,10 @@ class Assembled:
 
     @cached_property
     def constrained_sizes(self) -> Floats:
-        """The largest that a constraint's right side makes of each unknown by itself; infinite where none does."""
-        rows, sides = np.vstack([self.A, self.G]), np.abs(np.concatenate([self.b, self.h]))
+        """The largest that an equality's right side makes of each unknown by itself; infinite where none does."""
+        sides = np.abs(self.b)[:, None]
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-            each = np.where((rows != 0) & (sides[:, None] > 0), sides[:, None] / np.abs(rows), 0.0)
+            each = np.where((self.A != 0) & (sides > 0), sides / np.abs(self.A), 0.0)
         largest = np.max(each, axis=0, initial=0.0)
         return np.asarray(np.where(largest > 0, largest, np.inf))
 
