@@ -6,7 +6,7 @@ import sys
 def main() -> None:
     """Run the command line; one that is interrupted while it loads ends as one that is interrupted later."""
     try:
-        from cvxshear.cli import main as run  # noqa: PLC0415
+        from cvxshear.cli import main as run  # noqa: PLC0415 - here an interruption while it loads is caught
 
         run()
     except KeyboardInterrupt:

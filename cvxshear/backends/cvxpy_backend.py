@@ -99,6 +99,7 @@ def _parametrised(unknowns: int, equalities: int, inequalities: int, singular: b
     """The problem of this shape; |C z - q|^2 / 2 where C is not the identity, else |z|^2 / 2 - q'z."""
     z = cp.Variable(unknowns)
     parameters = {"q": cp.Parameter(unknowns)}
+    # cvxpy exports `sum_squares` in a way that type checkers do not see.
     if singular:
         parameters["C"] = cp.Parameter((unknowns, unknowns))
         objective = 0.5 * cp.sum_squares(parameters["C"] @ z - parameters["q"])  # type: ignore[attr-defined]

@@ -137,7 +137,7 @@ def _stated(program: LeastSquares) -> bytes:
 
 
 def _scaled(program: LeastSquares) -> bytes:
-    import qpsolvers  # noqa: PLC0415
+    import qpsolvers  # noqa: PLC0415 - imports every solver
 
     scaled = canonical(program)
     inequalities = (scaled.F, scaled.f) if len(scaled.f) else (None, None)

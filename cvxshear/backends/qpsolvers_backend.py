@@ -74,8 +74,8 @@ class Qpsolvers(Backend):
 
     def _stated(self, problem: Canonical) -> qpsolvers.Problem:
         """The problem in the solver's preferred matrix format: z'C'C z / 2 - (C'q)'z."""
-        import qpsolvers  # noqa: PLC0415
-        from scipy import sparse  # noqa: PLC0415
+        import qpsolvers  # noqa: PLC0415 - as in `answer`
+        from scipy import sparse  # noqa: PLC0415 - only some solvers take it
 
         scale = self._scale
         stored = np.asarray if self.name in qpsolvers.dense_solvers else sparse.csc_matrix

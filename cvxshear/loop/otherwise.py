@@ -28,7 +28,9 @@ Begun = Callable[[Numbering], Search]
 
 
 def searches(experiment: Experiment, begun: Begun) -> list[Search]:
-    """Finished searches, that with the modes numbered as given first, and one more for each numbering near the best.
+    """The searches that count, that with the modes numbered as given first, then one for each numbering near the best.
+
+    Each is searched to its end, but the one with the modes as given where others leave it far behind.
 
     Parameters
     ----------
@@ -78,7 +80,7 @@ def _leader(given: Search, others: Sequence[Search]) -> Search:
 
 
 def _kept(given: Search, others: Sequence[Search], leader: Search) -> list[Search]:
-    """The numbers as given, and what is near the best, each searched to its end."""
+    """What is near the best, searched to its end, and the numbers as given, so searched where they may still win."""
     rest = sorted((each for each in (given, *others) if each is not leader), key=lambda search: -search.base.score)
     kept = {id(given), id(leader)}
     best = leader.best.score
