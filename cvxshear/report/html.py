@@ -15,7 +15,7 @@ try:
     from markupsafe import Markup
 
     from cvxshear.report import figures
-    from cvxshear.report.figures.output import inline_svg
+    from cvxshear.report.drawings import drawings
     from cvxshear.report.pages import environment
     from cvxshear.report.response_html import prediction_contents, write_prediction_report
 except ImportError as error:
@@ -94,7 +94,7 @@ def render(
 
 
 def _figures(result: Closure, comparison: Comparison) -> dict[str, Markup]:
-    """The drawings by name; matplotlib has escaped the texts in them."""
+    """The drawings by name."""
     drawn = {
         "frame": figures.frame(result),
         "shapes": figures.shapes(result),
@@ -105,4 +105,4 @@ def _figures(result: Closure, comparison: Comparison) -> dict[str, Markup]:
         drawn["mac"] = figures.mac(result)
     if result.candidates:
         drawn["ranking"] = figures.ranking(result)
-    return {name: Markup(inline_svg(figure, name)) for name, figure in drawn.items()}
+    return drawings(drawn)

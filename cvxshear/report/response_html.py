@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from markupsafe import Markup
-
 from cvxshear.report import figures
 from cvxshear.report.contents import readable_json, versions
 from cvxshear.report.describe import describe
-from cvxshear.report.figures.output import inline_svg
+from cvxshear.report.drawings import drawings
 from cvxshear.report.pages import environment
 from cvxshear.response import RecordPrediction
 from cvxshear.typing import Json
@@ -99,6 +97,5 @@ def prediction_contents(result: RecordPrediction) -> Json:
         "prediction_json": readable_json(result.to_dict()),
         "captions": CAPTIONS | (ONE_MODEL if result.otherwise_before is None else {}),
         "figures_of": figures_of,
-        # matplotlib has escaped the texts in them.
-        "figure": {name: Markup(inline_svg(figure, name)) for name, figure in drawn.items()},
+        "figure": drawings(drawn),
     }
