@@ -9,8 +9,8 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from cvxshear import showing
-from cvxshear.errors import (
+from cvxshear.util import showing
+from cvxshear.util.errors import (
     CvxshearError,
     InfeasibleError,
     InputError,
@@ -24,11 +24,11 @@ from cvxshear.version import __version__ as __version__
 if TYPE_CHECKING:
     from cvxshear import backends, effects, priors
     from cvxshear.backends import Comparison
-    from cvxshear.experiment import Configuration, Experiment, Frame
-    from cvxshear.formats.toml import load
-    from cvxshear.identification import Identification, compare_backends
-    from cvxshear.identification.methods import identify
+    from cvxshear.files.toml import load
     from cvxshear.loop import Closure, close_loop
+    from cvxshear.measurement.experiment import Configuration, Experiment, Frame
+    from cvxshear.methods import Identification, compare_backends
+    from cvxshear.methods.run import identify
     from cvxshear.planning import plan
     from cvxshear.priors import Prior
     from cvxshear.response import predict
@@ -64,15 +64,15 @@ __all__ = [
 _HOMES = {
     "Closure": "cvxshear.loop",
     "Comparison": "cvxshear.backends",
-    "Configuration": "cvxshear.experiment",
-    "Experiment": "cvxshear.experiment",
-    "Frame": "cvxshear.experiment",
-    "Identification": "cvxshear.identification",
+    "Configuration": "cvxshear.measurement.experiment",
+    "Experiment": "cvxshear.measurement.experiment",
+    "Frame": "cvxshear.measurement.experiment",
+    "Identification": "cvxshear.methods",
     "Prior": "cvxshear.priors",
     "close_loop": "cvxshear.loop",
-    "compare_backends": "cvxshear.identification",
-    "identify": "cvxshear.identification",
-    "load": "cvxshear.formats.toml",
+    "compare_backends": "cvxshear.methods",
+    "identify": "cvxshear.methods",
+    "load": "cvxshear.files.toml",
     "plan": "cvxshear.planning",
     "predict": "cvxshear.response",
 }

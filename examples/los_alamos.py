@@ -7,9 +7,9 @@ import json
 from pathlib import Path
 
 import cvxshear
-from cvxshear.quantities import chance
 from cvxshear.report import figures
 from cvxshear.report.figures.style import AFTER, BEFORE, PAGE_WIDTH, new_figure, styled
+from cvxshear.util.quantities import chance
 
 # LA-14393, Table 2. Floor 1 is the base plate, story 2 the one above it; a column at 12.5 % of its bending stiffness
 # takes 7/32 from its story, two take 7/16.

@@ -7,8 +7,8 @@ from scipy.optimize import minimize
 
 import cvxshear
 from cvxshear.backends import Answer, Backend, register
-from cvxshear.errors import NoSolutionError
 from cvxshear.priors import Bounds
+from cvxshear.util.errors import NoSolutionError
 
 
 class Slsqp(Backend):

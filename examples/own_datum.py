@@ -8,7 +8,7 @@ import numpy as np
 
 import cvxshear
 from cvxshear.data import Datum, Residual, register
-from cvxshear.experiment import Configuration
+from cvxshear.measurement.experiment import Configuration
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 import cvxshear
-from cvxshear.formats.modes import modes_from_file
+from cvxshear.files.modes import modes_from_file
 from cvxshear.response import models_of_loop, predict
 from tests.modal.shared import mini_table
 

@@ -15,13 +15,13 @@ import numpy as np
 
 import cvxshear
 from cvxshear import backends
-from cvxshear.identification.efficient import efficient
+from cvxshear.fit.efficient import efficient
 from cvxshear.modal.motion import Drive
-from cvxshear.parallel import each
 from cvxshear.response import DampedModel, Fitted, response
 from cvxshear.response.peaks import largest
 from cvxshear.response.propagation import propagated, sampled
 from cvxshear.response.uncertain import UncertainFrame
+from cvxshear.util.parallel import each
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
 
 STORIES = (3, 8, 20)

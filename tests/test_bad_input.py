@@ -12,10 +12,10 @@ import pytest
 from hypothesis import HealthCheck, example, given, seed, settings
 from hypothesis import strategies as st
 
-from cvxshear.errors import CvxshearError, InputError
-from cvxshear.experiment import Experiment
-from cvxshear.formats import toml
-from cvxshear.formats.toml import load
+from cvxshear.files import toml
+from cvxshear.files.toml import load
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.util.errors import CvxshearError, InputError
 
 FREQUENCIES = [2.0, 5.0]
 SHAPES = [[0.6, 1.0], [-1.7, 1.0]]

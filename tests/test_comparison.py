@@ -17,7 +17,7 @@ from cvxshear.backends.comparison import condition_number
 from cvxshear.backends.export import export
 from cvxshear.backends.qpsolvers_backend import Qpsolvers
 from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS, Solver
-from cvxshear.identification import programs_of
+from cvxshear.methods import programs_of
 from cvxshear.programs import LeastSquares
 
 THREE = "examples/three_story.toml"

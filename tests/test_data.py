@@ -10,7 +10,7 @@ from cvxshear import Experiment, close_loop, identify
 from cvxshear.data import Datum, Frequencies, Model, Residual, Shapes, Static, data_of, register
 from cvxshear.data import registry as registry_module
 from cvxshear.effects import compose
-from cvxshear.identification.misfit import Misfit
+from cvxshear.fit.misfit import Misfit
 from tests.effects.common import ADDED, HEIGHTS, MASS, STIFFNESS, theta
 from tests.effects.test_derivatives import CASES, SCALES
 from tests.frames import chain, configuration, experiment, modes_of

@@ -8,14 +8,14 @@ import pytest
 
 from cvxshear import Experiment, backends, identify
 from cvxshear.effects import Gravity, Placed
-from cvxshear.errors import UnsuitableError
-from cvxshear.identification.domain import domain_of
-from cvxshear.identification.efficient import efficient
-from cvxshear.identification.gauss_newton import Domain, gauss_newton
-from cvxshear.identification.misfit import Misfit
-from cvxshear.identification.start import starts
-from cvxshear.identification.uncertainty import uncertainty
+from cvxshear.fit.domain import domain_of
+from cvxshear.fit.efficient import efficient
+from cvxshear.fit.gauss_newton import Domain, gauss_newton
+from cvxshear.fit.misfit import Misfit
+from cvxshear.fit.start import starts
+from cvxshear.fit.uncertainty import uncertainty
 from cvxshear.priors import Bounds, Nominal, Value
+from cvxshear.util.errors import UnsuitableError
 from tests.frames import configuration, experiment, modes_of
 
 MASS = np.array([10.0, 7.5, 5.0])

@@ -6,10 +6,10 @@ from scipy import integrate, special, stats
 
 from cvxshear import Experiment, backends
 from cvxshear.effects import Place, Placed, Scale, named
-from cvxshear.identification.efficient import fitted
-from cvxshear.identification.expectation import MASS_WIDTH, STIFFNESS_WIDTH, Expectation
-from cvxshear.identification.misfit import Misfit
-from cvxshear.identification.noise import WIDTH
+from cvxshear.fit.efficient import fitted
+from cvxshear.fit.expectation import MASS_WIDTH, STIFFNESS_WIDTH, Expectation
+from cvxshear.fit.misfit import Misfit
+from cvxshear.fit.noise import WIDTH
 from cvxshear.loop.evidence import log_evidence, log_interval, log_normal_between
 from tests.frames import chain, experiment
 

@@ -10,10 +10,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import cvxshear
-from cvxshear.errors import InputError
-from cvxshear.experiment import Configuration, Experiment, Frame, Prior
-from cvxshear.formats.toml import load
+from cvxshear.files.toml import load
+from cvxshear.measurement.experiment import Configuration, Experiment, Frame, Prior
 from cvxshear.planning import read_design
+from cvxshear.util.errors import InputError
 from tests.frames import DESIGNS, EXAMPLES, MEASURED
 
 FREQUENCIES = [2.0, 5.0, 8.0]

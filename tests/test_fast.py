@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 
 from cvxshear import Experiment, InputError, NoSolutionError, UnsuitableError, backends, close_loop, identify
-from cvxshear.frame import mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
-from cvxshear.identification.separate import complete_test
-from cvxshear.parallel import each
+from cvxshear.methods.separate import complete_test
+from cvxshear.model.shear import mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
 from cvxshear.priors import Bounds, Nominal, Ratio
 from cvxshear.programs import mass_correction, one_shot_masses, story_stiffnesses
 from cvxshear.programs.feasibility import _plainly_feasible, feasible
@@ -25,6 +24,7 @@ from cvxshear.programs.normal import digits_lost, factored, pair_adjoint, pair_n
 from cvxshear.programs.rows import statements
 from cvxshear.studies.parallel import frames_of, identify_many
 from cvxshear.studies.setups import three_story
+from cvxshear.util.parallel import each
 from tests.frames import configuration, experiment
 
 KKT = backends.get("kkt")
@@ -118,7 +118,7 @@ LARGE = textwrap.dedent("""
     from pathlib import Path
     import numpy as np
     from cvxshear import Configuration, Experiment, Frame, identify
-    from cvxshear.frame import mass_matrix, modes, stiffness_matrix
+    from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
     n = 1000
     rng = np.random.default_rng(0)
     mass, stiffness = 2e4 * rng.uniform(0.7, 1.3, n), 2e10 * rng.uniform(0.7, 1.3, n)

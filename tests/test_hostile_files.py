@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 from scipy import io
 
-from cvxshear.errors import InputError
-from cvxshear.formats import toml
-from cvxshear.formats.csv import read_csv
-from cvxshear.formats.mat import read_mat
-from cvxshear.formats.record import read_record
-from cvxshear.formats.toml import files_of, load
-from cvxshear.formats.uff import read_uff
+from cvxshear.files import toml
+from cvxshear.files.csv import read_csv
+from cvxshear.files.mat import read_mat
+from cvxshear.files.record import read_record
+from cvxshear.files.toml import files_of, load
+from cvxshear.files.uff import read_uff
+from cvxshear.util.errors import InputError
 from tests.fuzz import files
 
 HEADER = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<HH", 0x0100, 0x4D49)
@@ -30,8 +30,8 @@ LIMITED = """
 import resource, sys
 from pathlib import Path
 import numpy, scipy.io, h5py
-from cvxshear.formats.mat import read_mat
-from cvxshear.errors import InputError
+from cvxshear.files.mat import read_mat
+from cvxshear.util.errors import InputError
 taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (taken + 500_000_000,) * 2)
 resource.setrlimit(resource.RLIMIT_CPU, (60, 60))

@@ -8,22 +8,18 @@ import cvxshear
 ROOT = Path(cvxshear.__file__).parent
 
 ROOMS = (
-    # What anything may use: exceptions, names of types, checks of what comes in, how quantities are written.
-    ("typing",), ("text",), ("errors",), ("quantities",), ("checks",), ("parallel",), ("showing",), ("writing",),
-    ("dataframe",), ("findings",), ("version",),
-    # What was measured and declared: priors, static tests and what is expected of effects are part of an experiment.
-    ("priors",), ("other_modes",), ("repeated_shapes",), ("configuration",), ("static_test",), ("expected_effect",),
-    ("declaration",), ("experiment",),
+    # What anything may use, and what was measured and declared, priors among it.
+    ("util",), ("version",), ("priors",), ("measurement",),
     # The model, the effects that act on it, and the kinds of data that it is compared with.
-    ("frame",), ("effects",), ("data",),
+    ("model",), ("effects",), ("data",),
     # Programs, what solves them, and the methods that are made of them.
-    ("programs",), ("backends",), ("screening",), ("identification",), ("loop",),
+    ("programs",), ("backends",), ("fit",), ("methods",), ("loop",),
     # Records and files, one and many: both end in an experiment.
-    ("modal",), ("formats",), ("campaign",),
+    ("modal",), ("files",), ("campaign",), ("screening",),
     # What is made of many identifications, and of an identified frame.
     ("studies",), ("response",), ("planning",),
-    # How results are shown, the published numbers, the public face, the command line.
-    ("report",), ("paper",), ("__init__",), ("cli",), ("__main__",),
+    # The published numbers, how results are shown, the public face, the command line.
+    ("paper",), ("report",), ("__init__",), ("cli",), ("__main__",),
 )  # fmt: skip
 """From the ground up; a room imports from itself and from those before it."""
 

@@ -31,7 +31,7 @@ def loaded_by(statement):
 )
 def test_importing_cvxshear_loads_no_solver_no_plotting_and_no_command_line(statement):
     modules = loaded_by(statement)
-    assert "cvxshear.errors" in modules
+    assert "cvxshear.util.errors" in modules
     assert modules.isdisjoint({*SLOW, "typer", "rich", "cvxshear.cli"})
 
 
@@ -61,7 +61,7 @@ def test_the_public_names_are_what_their_modules_define():
     rooms = set(cvxshear.__all__) - set(cvxshear._HOMES)
     for name in rooms:
         value = getattr(cvxshear, name)
-        assert value is sys.modules.get(f"cvxshear.{name}", getattr(cvxshear.errors, name, None))
+        assert value is sys.modules.get(f"cvxshear.{name}", getattr(cvxshear.util.errors, name, None))
 
 
 def test_a_name_that_does_not_exist_is_an_attribute_error():

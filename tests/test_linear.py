@@ -5,9 +5,9 @@ import pytest
 
 from cvxshear import Experiment, backends
 from cvxshear.effects import Place, Placed, Scale, named
-from cvxshear.identification.efficient import efficient, fitted_with
-from cvxshear.identification.expectation import Expectation
-from cvxshear.identification.misfit import Misfit
+from cvxshear.fit.efficient import efficient, fitted_with
+from cvxshear.fit.expectation import Expectation
+from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.evidence import log_evidence
 from cvxshear.loop.linear import Linearised
 from tests.frames import configuration, experiment, modes_of

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.formats.modes import modes_from_file
+from cvxshear.files.modes import modes_from_file
 from tests.frames import shared
 from tests.modal.shared import mini_table, southampton
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from cvxshear import Experiment, close_loop
-from cvxshear.quantities import Units
 from cvxshear.report.describe import closure as described
+from cvxshear.util.quantities import Units
 from tests.fe.experiments import simulated
 
 NOISE = 3.0

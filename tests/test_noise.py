@@ -5,9 +5,9 @@ import pytest
 
 from cvxshear import Experiment, backends, close_loop, identify
 from cvxshear.data import NOISES, Noise
-from cvxshear.identification.efficient import efficient
-from cvxshear.identification.misfit import Misfit
-from cvxshear.identification.noise import _Marginal
+from cvxshear.fit.efficient import efficient
+from cvxshear.fit.misfit import Misfit
+from cvxshear.fit.noise import _Marginal
 from cvxshear.priors import Value
 from tests.frames import configuration, experiment
 

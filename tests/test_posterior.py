@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from cvxshear.effects import Place, Placed, named
-from cvxshear.errors import NoSolutionError
-from cvxshear.identification.results import IdentifiedFrame
+from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.hypotheses import Hypothesis
 from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.posterior import Posterior
+from cvxshear.util.errors import NoSolutionError
 
 
 def put(name, **place):

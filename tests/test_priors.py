@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from cvxshear.errors import InfeasibleError, InputError
-from cvxshear.experiment import Experiment, Frame
+from cvxshear.measurement.experiment import Experiment, Frame
 from cvxshear.priors import Bounds, Constraints, Monotone, Nominal, Prior, Ratio, Value
 from cvxshear.programs.feasibility import NamedConstraints, feasible, refuse_contradictions
 from cvxshear.programs.rows import statements
+from cvxshear.util.errors import InfeasibleError, InputError
 
 AT = np.array([10.0, 7.5, 5.0])
 """Where soft priors are looked at: the floor masses of the paper's three-story frame, kg."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cvxshear import backends
-from cvxshear.frame import stiffness_matrix
+from cvxshear.model.shear import stiffness_matrix
 from cvxshear.programs import LeastSquares, mass_correction, one_shot_masses, story_stiffnesses
 from cvxshear.programs.least_squares import remaining
 from cvxshear.programs.mass import normalized

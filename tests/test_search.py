@@ -8,9 +8,9 @@ import pytest
 
 from cvxshear import Experiment, backends, close_loop
 from cvxshear.effects import Effect, GroundSpring, Parameter, Place, Placed, SensorGain
-from cvxshear.identification.efficient import efficient, fitted_with
-from cvxshear.identification.expectation import Expectation
-from cvxshear.identification.misfit import Misfit
+from cvxshear.fit.efficient import efficient, fitted_with
+from cvxshear.fit.expectation import Expectation
+from cvxshear.fit.misfit import Misfit
 from cvxshear.loop import conclusion
 from cvxshear.loop import fitter as fitter_module
 from cvxshear.loop.evidence import log_evidence

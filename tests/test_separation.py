@@ -8,8 +8,8 @@ import pytest
 import cvxshear
 from cvxshear import backends
 from cvxshear.effects import Gravity, Placed
-from cvxshear.identification.efficient import efficient
-from cvxshear.identification.separation import disagreement, imagined, told
+from cvxshear.fit.efficient import efficient
+from cvxshear.fit.separation import disagreement, imagined, told
 from tests.frames import configuration, experiment, modes_of
 
 MASS, STIFFNESS = [10.0, 10.0, 9.0, 8.0], [24e3, 20e3, 16e3, 10e3]

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from cvxshear import Experiment, NoSolutionError, backends, identify
-from cvxshear.identification.domain import domain_of
-from cvxshear.identification.gauss_newton import gauss_newton
-from cvxshear.identification.misfit import Misfit
-from cvxshear.identification.nearest import FAR_OFF
-from cvxshear.identification.smooth import smooth_start
-from cvxshear.identification.start import starts, uniform
+from cvxshear.fit.domain import domain_of
+from cvxshear.fit.gauss_newton import gauss_newton
+from cvxshear.fit.misfit import Misfit
+from cvxshear.fit.smooth import smooth_start
+from cvxshear.fit.start import starts, uniform
+from cvxshear.fit.starting import FAR_OFF
 from tests.frames import configuration, experiment
 
 

@@ -9,9 +9,9 @@ import pytest
 import cvxshear
 from cvxshear import Experiment, backends, close_loop
 from cvxshear.effects import Place, Placed, named
-from cvxshear.errors import CvxshearError
-from cvxshear.identification.efficient import efficient
+from cvxshear.fit.efficient import efficient
 from cvxshear.loop.fitter import with_stand_in
+from cvxshear.util.errors import CvxshearError
 from tests.fe.experiments import simulated
 from tests.frames import configuration, experiment, modes_of
 

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from cvxshear.cli import main
-from cvxshear.errors import InputError, LostProcessError
-from cvxshear.experiment import Experiment
-from cvxshear.formats.toml import load
-from cvxshear.identification import identify
-from cvxshear.parallel import each
-from cvxshear.text import printable
+from cvxshear.files.toml import load
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.methods import identify
+from cvxshear.util.errors import InputError, LostProcessError
+from cvxshear.util.parallel import each
+from cvxshear.util.text import printable
 from tests.fuzz import files
 
 COMMAND = [sys.executable, "-W", "error", "-m", "cvxshear"]

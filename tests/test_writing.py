@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 import cvxshear
-from cvxshear.errors import InputError
-from cvxshear.writing import check_output, ending_of, same_file, write_file
+from cvxshear.util.errors import InputError
+from cvxshear.util.writing import check_output, ending_of, same_file, write_file
 from tests.fuzz import files
 
 PACKAGE = Path(cvxshear.__file__).parent
@@ -167,7 +167,10 @@ def test_what_does_not_fit_on_a_device_is_told_after_the_result(run):
 
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="no /proc here")
 def test_an_open_file_of_the_process_is_written_on_from_where_it_stands(tmp_path):
-    code = "import sys; from cvxshear.writing import write_file; print('a', flush=True); write_file('/dev/stdout', 'b')"
+    code = (
+        "import sys; from cvxshear.util.writing import write_file; "
+        "print('a', flush=True); write_file('/dev/stdout', 'b')"
+    )
     with (tmp_path / "out").open("w") as out:
         subprocess.run([sys.executable, "-c", code], stdout=out, check=True)
     assert content_of(tmp_path) == {"out": b"a\nb"}
@@ -251,7 +254,7 @@ def test_no_other_module_writes():
             if name in {"write_text", "write_bytes"}:
                 found.add((path.relative_to(PACKAGE).as_posix(), name))
     # A standard stream that was closed is given the null device.
-    assert found == {("writing.py", "fdopen"), ("writing.py", "replace"), ("cli/streams.py", "open")}
+    assert found == {("util/writing.py", "fdopen"), ("util/writing.py", "replace"), ("cli/streams.py", "open")}
 
 
 KILLED = """
@@ -259,8 +262,8 @@ import json, os, signal, sys
 from pathlib import Path
 from matplotlib.figure import Figure
 from cvxshear.cli.output import deliver
-from cvxshear.formats.modes import write_modes
-from cvxshear.formats.uff import write_uff
+from cvxshear.files.modes import write_modes
+from cvxshear.files.uff import write_uff
 from cvxshear.modal import from_arrays
 from cvxshear.report import figures, html
 
@@ -374,9 +377,9 @@ REFUSED = {
 @pytest.mark.parametrize("kind", REFUSED)
 def test_a_bad_output_is_refused_before_the_run(kind, run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("cvxshear.identification.methods", lambda *_, **__: pytest.fail("it ran"))
+    monkeypatch.setattr("cvxshear.methods.run", lambda *_, **__: pytest.fail("it ran"))
     monkeypatch.setattr("cvxshear.loop.close_loop", lambda *_, **__: pytest.fail("it ran"))
-    monkeypatch.setattr("cvxshear.formats.modes.identify_modes", lambda *_, **__: pytest.fail("it ran"))
+    monkeypatch.setattr("cvxshear.files.modes.identify_modes", lambda *_, **__: pytest.fail("it ran"))
     monkeypatch.setattr("cvxshear.planning.plan", lambda *_, **__: pytest.fail("it ran"))
     monkeypatch.setattr("cvxshear.response.predict", lambda *_, **__: pytest.fail("it ran"))
     Path("m.toml").write_bytes(files.measurement())

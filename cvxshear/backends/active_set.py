@@ -15,7 +15,7 @@ from scipy.linalg import lapack
 
 from cvxshear.backends.certificate import Assembled, Point
 from cvxshear.backends.independence import independent_rows
-from cvxshear.typing import Bools, Floats
+from cvxshear.util.typing import Bools, Floats
 
 ROUNDS = 10
 """Sets of inequalities that are tried; a guess that is nearly right needs one or two."""

@@ -16,7 +16,7 @@ from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
 from cvxshear.backends.certificate import Assembled
 from cvxshear.backends.solution import Solution
-from cvxshear.errors import NoSolutionError, UnsuitableError
+from cvxshear.util.errors import NoSolutionError, UnsuitableError
 
 
 class Auto(Backend):

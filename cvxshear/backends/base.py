@@ -13,8 +13,8 @@ from cvxshear.backends.active_set import UndeterminedError, UnsettledError, mini
 from cvxshear.backends.canonical import Answer, Canonical, canonical
 from cvxshear.backends.certificate import Assembled, Certificate, Point, certify, largest_relative
 from cvxshear.backends.solution import Solution
-from cvxshear.errors import NoSolutionError
 from cvxshear.programs import LeastSquares
+from cvxshear.util.errors import NoSolutionError
 
 ACCEPTED = 1e-6
 """Largest residual of a certificate with which a solution is let through."""

@@ -24,9 +24,9 @@ from scipy.linalg import lapack
 
 from cvxshear.backends.independence import independent_rows
 from cvxshear.backends.solution import Solution
-from cvxshear.errors import InfeasibleError, InputError
 from cvxshear.programs import LeastSquares
-from cvxshear.typing import Bools, Floats
+from cvxshear.util.errors import InfeasibleError, InputError
+from cvxshear.util.typing import Bools, Floats
 
 SINGULAR = 1e-12
 """Reciprocal condition number of the scaled rows below which they are taken not to determine the unknowns."""

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from cvxshear.programs import LeastSquares
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 NEAR_ZERO = 1e-3
 """Part of what an unknown could be, were the whole answer its own, that is added to its size: a bound at zero is kept

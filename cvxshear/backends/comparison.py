@@ -8,15 +8,15 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from cvxshear import checks
 from cvxshear.backends.base import Backend
 from cvxshear.backends.certificate import Assembled
 from cvxshear.backends.registry import available, get
 from cvxshear.backends.solution import Solution
-from cvxshear.errors import CvxshearError
 from cvxshear.programs import LeastSquares
-from cvxshear.showing import Shown
-from cvxshear.typing import Floats, Json
+from cvxshear.util import checks
+from cvxshear.util.errors import CvxshearError
+from cvxshear.util.showing import Shown
+from cvxshear.util.typing import Floats, Json
 
 REPEATS = 3
 MOST_REPEATS = 10_000

@@ -18,8 +18,8 @@ import cvxpy as cp
 import numpy as np
 from scipy import sparse
 
-from cvxshear.errors import UnsuitableError
-from cvxshear.typing import Floats, Ints
+from cvxshear.util.errors import UnsuitableError
+from cvxshear.util.typing import Floats, Ints
 
 FIRST_MARK = 1001.0
 """The parameters are marked by integers from this one on, which no constant of a compiled problem is."""

@@ -13,7 +13,7 @@ from cvxshear.backends import settings
 from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
 from cvxshear.backends.compiled import Compiled, Parametrised
-from cvxshear.errors import NoSolutionError
+from cvxshear.util.errors import NoSolutionError
 
 ACCURATE: dict[str, dict[str, Any]] = {
     "CLARABEL": settings.accurate("clarabel"),

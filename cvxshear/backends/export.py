@@ -14,9 +14,9 @@ import numpy as np
 
 from cvxshear.backends.canonical import canonical
 from cvxshear.backends.comparison import BenchmarkProgram
-from cvxshear.errors import InputError
 from cvxshear.programs import LeastSquares
-from cvxshear.writing import write_file
+from cvxshear.util.errors import InputError
+from cvxshear.util.writing import write_file
 
 if TYPE_CHECKING:
     import qpsolvers

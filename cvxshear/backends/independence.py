@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg
 
-from cvxshear.typing import Bools, Floats
+from cvxshear.util.typing import Bools, Floats
 
 DEPENDENT = 1e-12
 """Part of a row of unit length that is left beside the span of the others where it counts as following from them."""

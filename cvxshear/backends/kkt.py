@@ -8,7 +8,7 @@ from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
 from cvxshear.backends.nearest import nearest
 from cvxshear.backends.solution import Solution
-from cvxshear.errors import NoSolutionError, UnsuitableError
+from cvxshear.util.errors import NoSolutionError, UnsuitableError
 
 
 class Kkt(Backend):

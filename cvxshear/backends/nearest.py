@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from cvxshear.backends.canonical import Canonical
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 
 def nearest(problem: Canonical) -> tuple[Floats, Floats]:

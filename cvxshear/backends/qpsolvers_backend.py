@@ -12,7 +12,7 @@ import numpy as np
 from cvxshear.backends import settings
 from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
-from cvxshear.errors import NoSolutionError
+from cvxshear.util.errors import NoSolutionError
 
 if TYPE_CHECKING:
     import qpsolvers

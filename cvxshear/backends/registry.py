@@ -11,8 +11,8 @@ from cvxshear.backends.base import Backend
 from cvxshear.backends.kkt import Kkt
 from cvxshear.backends.qpsolvers_backend import Qpsolvers
 from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS
-from cvxshear.errors import InputError
-from cvxshear.typing import Json
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Json
 
 DEFINITE = ("daqp", "clarabel")
 SINGULAR = ("clarabel", "daqp")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cvxshear.backends.certificate import Certificate
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 
 @dataclass(frozen=True, eq=False)

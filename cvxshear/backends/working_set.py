@@ -16,7 +16,7 @@ import numpy as np
 
 from cvxshear.backends.canonical import Answer, Canonical
 from cvxshear.backends.nearest import nearest
-from cvxshear.typing import Bools
+from cvxshear.util.typing import Bools
 
 FAR = 1e3
 """An inequality whose slack at zero is greater than this, in scaled units, is moved in to it for a solve."""

@@ -7,8 +7,8 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
-from cvxshear.errors import InputError
-from cvxshear.formats.toml import is_record_file
+from cvxshear.files.toml import is_record_file
+from cvxshear.util.errors import InputError
 
 
 def record_files(names: Iterable[str | Path]) -> tuple[list[Path], list[Path]]:

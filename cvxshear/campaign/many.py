@@ -8,10 +8,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cvxshear.errors import CvxshearError, NoSolutionError
-from cvxshear.formats.record import read_record
+from cvxshear.files.record import read_record
 from cvxshear.modal import ModalResult, identify_modes
-from cvxshear.parallel import Progress, each
+from cvxshear.util.errors import CvxshearError, NoSolutionError
+from cvxshear.util.parallel import Progress, each
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from cvxshear.campaign.many import IdentifiedRecord
-from cvxshear.checks import shown
-from cvxshear.errors import InputError
-from cvxshear.experiment import Experiment
-from cvxshear.formats.measurement import write_measurement
+from cvxshear.files.measurement import write_measurement
+from cvxshear.measurement.experiment import Experiment
 from cvxshear.modal.result import frame_in
-from cvxshear.typing import Json
+from cvxshear.util.checks import shown
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Json
 
 PLACES = ("kind", "quantity", "at", "of", "to")
 """Keys of a prior that say what it speaks of; the others are what it says."""

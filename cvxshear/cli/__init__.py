@@ -13,7 +13,7 @@ from cvxshear.cli import plan as planning
 from cvxshear.cli.output import typed
 from cvxshear.cli.predict import predict
 from cvxshear.cli.streams import OutputError, sound_streams
-from cvxshear.errors import CvxshearError, LostProcessError, NoSolutionError
+from cvxshear.util.errors import CvxshearError, LostProcessError, NoSolutionError
 
 app = typer.Typer(
     name="cvxshear",

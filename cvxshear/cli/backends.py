@@ -8,7 +8,7 @@ import typer
 
 from cvxshear.cli.checked import input_files
 from cvxshear.cli.output import FigureOut, JsonOut, Quiet, deliver, figures_for, names, progress
-from cvxshear.errors import InputError
+from cvxshear.util.errors import InputError
 
 OptionalFile = Annotated[
     str | None,
@@ -51,7 +51,7 @@ def backends(
     experiment = load(file)
     if export is not None:
         from cvxshear.backends.export import export as write
-        from cvxshear.identification import programs_of
+        from cvxshear.methods import programs_of
 
         write(programs_of(experiment)[0], export)
     with progress("comparing backends", quiet):

@@ -8,8 +8,8 @@ from typing import Any
 
 import typer
 
-from cvxshear.errors import InputError
-from cvxshear.writing import check_output, same_file
+from cvxshear.util.errors import InputError
+from cvxshear.util.writing import check_output, same_file
 
 OTHERS_ENDINGS = (".toml", ".csv", ".xlsx", ".mat", ".uff", ".html", ".htm", ".svg", ".png", ".pdf")
 """What a file of JSON must not be called, lest a slip of the keyboard replace something else."""
@@ -71,7 +71,7 @@ def input_files(context: typer.Context, files: Any) -> Any:
     """Note what a command reads, one file or several, and refuse to write over it."""
     if files is None or context.resilient_parsing:
         return files
-    from cvxshear.formats.toml import files_of
+    from cvxshear.files.toml import files_of
 
     for file in [files] if isinstance(files, str) else files:
         # What a pipe holds can be read once; a file that is not there is for the command to complain of.

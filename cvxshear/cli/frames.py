@@ -26,7 +26,7 @@ from cvxshear.cli.output import (
 from cvxshear.cli.pictures import FiguresOut, Pictures
 from cvxshear.cli.records import measured, needs_mass, records_in_json, tables_of
 from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
-from cvxshear.errors import UnsuitableError
+from cvxshear.util.errors import UnsuitableError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -65,11 +65,11 @@ def identify(
     # The solvers load slowly, and help needs none of them.
     from cvxshear import identify as run
     from cvxshear import load
-    from cvxshear.quantities import Units
     from cvxshear.report import terminal
     from cvxshear.report.sheets import sheets_of_identification
     from cvxshear.response import Fitted, damping_of
     from cvxshear.screening import refuse_mistakes
+    from cvxshear.util.quantities import Units
 
     pictures, tables, display = Pictures(figure, "identification"), Spreadsheets(csv, xlsx), Units.parse(units)
     experiment, start = load(file), numbers(initial_mass, "--initial-mass")
@@ -131,11 +131,11 @@ def loop(
     Example: cvxshear loop paper
     """
     from cvxshear import close_loop
-    from cvxshear.quantities import Units
     from cvxshear.report import terminal
     from cvxshear.report.sheets import sheets_of_closure
     from cvxshear.response import damping_of, models_of_loop, predict
     from cvxshear.screening import refuse_mistakes
+    from cvxshear.util.quantities import Units
 
     pictures, tables, display = Pictures(figure, "closure"), Spreadsheets(csv, xlsx), Units.parse(units)
     if report is not None:

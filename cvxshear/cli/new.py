@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from cvxshear.cli.output import writes
-from cvxshear.errors import InputError
-from cvxshear.writing import write_file
+from cvxshear.util.errors import InputError
+from cvxshear.util.writing import write_file
 
 
 def new(
@@ -27,7 +27,7 @@ def new(
 
     Example: cvxshear new --stories 5 -o test.toml
     """
-    from cvxshear.formats.template import template, template_from
+    from cvxshear.files.template import template, template_from
 
     if modes is not None and stories is not None:
         raise InputError("give either --from, whose floors tell the stories, or --stories")

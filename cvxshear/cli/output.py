@@ -14,15 +14,15 @@ import typer
 
 from cvxshear.cli.checked import input_files, output_file
 from cvxshear.cli.streams import printing, takes_unicode
-from cvxshear.errors import InputError
-from cvxshear.text import printable
-from cvxshear.writing import write_file
+from cvxshear.util.errors import InputError
+from cvxshear.util.text import printable
+from cvxshear.util.writing import write_file
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.segment import Segment
 
-    from cvxshear.typing import Json
+    from cvxshear.util.typing import Json
 
 File = Annotated[
     str,

@@ -11,7 +11,7 @@ import typer
 
 from cvxshear.cli.checked import claim
 from cvxshear.cli.output import FIGURES, figures_for
-from cvxshear.errors import InputError
+from cvxshear.util.errors import InputError
 
 if TYPE_CHECKING:
     from cvxshear.report.figures.kinds import Figures

@@ -9,7 +9,7 @@ import typer
 
 from cvxshear.cli.checked import input_files
 from cvxshear.cli.output import FigureOut, JsonOut, Quiet, UnitsOption, deliver, figures_for, progress, writes
-from cvxshear.errors import InputError
+from cvxshear.util.errors import InputError
 
 if TYPE_CHECKING:
     from cvxshear.planning import TestNoise
@@ -79,9 +79,9 @@ def plan(
     """
     from cvxshear.planning import measurement_of, write_template
     from cvxshear.planning import plan as run
-    from cvxshear.quantities import Units
     from cvxshear.report import terminal
     from cvxshear.screening import in_json, refuse_mistakes
+    from cvxshear.util.quantities import Units
 
     drawing, display = figures_for(figure), Units.parse(units)
     noise = _noise((frequency_std, mode_shape_std), duration, (excitation, damping, sensor_noise))

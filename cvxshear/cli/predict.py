@@ -14,7 +14,7 @@ from cvxshear.cli.checked import claim, input_files
 from cvxshear.cli.output import FIGURES as FIGURE_ENDINGS
 from cvxshear.cli.output import BackendName, JsonOut, Quiet, ReportOut, deliver, figures_for, progress, typed
 from cvxshear.cli.records import measured, needs_mass
-from cvxshear.errors import InputError
+from cvxshear.util.errors import InputError
 
 if TYPE_CHECKING:
     from cvxshear.response import RecordPrediction
@@ -103,9 +103,9 @@ def predict(
 def _screened(file: str, backend: str) -> tuple[ModelSource, Sequence[Finding] | None]:
     """What the model is made of, without mistakes, and its warnings; None where `loop` looked for them before."""
     from cvxshear import backends, close_loop
-    from cvxshear.findings import NUMBERS
     from cvxshear.response import models_of_loop
     from cvxshear.screening import refuse_mistakes
+    from cvxshear.util.findings import NUMBERS
 
     if Path(file).suffix.lower() == ".json":
         return file, None

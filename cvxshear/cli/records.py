@@ -25,14 +25,14 @@ from cvxshear.cli.output import (
 )
 from cvxshear.cli.pictures import FiguresOut, Pictures
 from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
-from cvxshear.errors import CvxshearError, InputError
-from cvxshear.writing import check_output
+from cvxshear.util.errors import CvxshearError, InputError
+from cvxshear.util.writing import check_output
 
 if TYPE_CHECKING:
     from cvxshear import Experiment
     from cvxshear.campaign import IdentifiedRecord
-    from cvxshear.parallel import Progress
-    from cvxshear.typing import Json
+    from cvxshear.util.parallel import Progress
+    from cvxshear.util.typing import Json
 
 
 def modes(
@@ -64,7 +64,7 @@ def modes(
     Example: cvxshear modes bare.toml loaded.toml -o test.toml
     """
     from cvxshear.campaign import identify_modes_many, write_merged
-    from cvxshear.formats.uff import write_uff
+    from cvxshear.files.uff import write_uff
     from cvxshear.report.sheets import sheets_of_modes
 
     sources = _files(records, output)
@@ -115,7 +115,7 @@ def measured(
     """
     from cvxshear import Experiment, load
     from cvxshear.campaign import identify_modes_many, merged
-    from cvxshear.formats.toml import is_built_in, is_record_file
+    from cvxshear.files.toml import is_built_in, is_record_file
 
     files = list(names) if len(names) == 1 and is_built_in(names[0]) else _files(names)
     if len(files) == 1 and not is_record_file(files[0]):

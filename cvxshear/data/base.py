@@ -12,9 +12,9 @@ import numpy as np
 
 from cvxshear.data.pairing import paired
 from cvxshear.effects.state import State
-from cvxshear.experiment import Configuration, Experiment, Tested
-from cvxshear.frame import Modes, System, mode_derivatives, modes
-from cvxshear.typing import Bools, Floats, Ints, Json
+from cvxshear.measurement.experiment import Configuration, Experiment, Tested
+from cvxshear.model.shear import Modes, System, mode_derivatives, modes
+from cvxshear.util.typing import Bools, Floats, Ints, Json
 
 NOISES = ("frequency", "mode_shape", "displacement")
 """What is measured with a noise of its own."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.data.base import Datum, Deviation, Model, Residual
-from cvxshear.experiment import Configuration, Experiment
-from cvxshear.typing import Bools, Floats
+from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.util.typing import Bools, Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from cvxshear.experiment import Configuration
-from cvxshear.frame import Modes
-from cvxshear.typing import Floats, Ints
+from cvxshear.measurement.experiment import Configuration
+from cvxshear.model.shear import Modes
+from cvxshear.util.typing import Floats, Ints
 
 PAIRED = 0.5
 """Modal assurance criterion below which a measured mode is looked for among the other modes of the model."""

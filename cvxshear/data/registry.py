@@ -6,7 +6,7 @@ from cvxshear.data.base import Datum
 from cvxshear.data.frequencies import Frequencies
 from cvxshear.data.shapes import Shapes
 from cvxshear.data.static import Static
-from cvxshear.experiment import Experiment
+from cvxshear.measurement.experiment import Experiment
 
 _kinds: dict[str, type[Datum]] = {kind.__name__: kind for kind in (Frequencies, Shapes, Static)}
 

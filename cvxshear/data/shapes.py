@@ -9,8 +9,8 @@ import numpy as np
 
 from cvxshear.data.base import Datum, Deviation, Model, Residual
 from cvxshear.data.pairing import mac, scaled
-from cvxshear.experiment import Configuration, Experiment
-from cvxshear.typing import Bools, Floats
+from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.util.typing import Bools, Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,8 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.data.base import Datum, Deviation, Model, Residual
-from cvxshear.experiment import Experiment, StaticTest
-from cvxshear.typing import Floats
+from cvxshear.measurement.experiment import Experiment, StaticTest
+from cvxshear.util.typing import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,8 @@ import numpy as np
 from cvxshear.effects.base import Effect, Parameter, Place
 from cvxshear.effects.flexibility import add_flexibility
 from cvxshear.effects.state import Scale, State
-from cvxshear.quantities import per_force
-from cvxshear.typing import Floats
+from cvxshear.util.quantities import per_force
+from cvxshear.util.typing import Floats
 
 
 class AxialColumns(Effect):

@@ -10,13 +10,13 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from cvxshear import checks
 from cvxshear.effects.state import Scale, State
-from cvxshear.errors import InputError
-from cvxshear.experiment import Experiment, Tested
+from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.priors import Constraints
-from cvxshear.quantities import with_std
-from cvxshear.typing import Floats, Json
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import with_std
+from cvxshear.util.typing import Floats, Json
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ import numpy as np
 
 from cvxshear.effects.base import Placed
 from cvxshear.effects.state import STAGES, State
-from cvxshear.errors import UnsuitableError
-from cvxshear.experiment import Experiment, Tested
-from cvxshear.frame import ShearSystem, System, mass_matrix, shear_system, stiffness_matrix
-from cvxshear.typing import Floats
+from cvxshear.measurement.experiment import Experiment, Tested
+from cvxshear.model.shear import ShearSystem, System, mass_matrix, shear_system, stiffness_matrix
+from cvxshear.util.errors import UnsuitableError
+from cvxshear.util.typing import Floats
 
 MOST_BYTES = 1e9
 """Of the derivatives of one state's matrices, where effects act on them."""

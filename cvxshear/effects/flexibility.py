@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.effects.state import State
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 
 def add_flexibility(state: State, p: float, D: Floats, own: slice) -> State:

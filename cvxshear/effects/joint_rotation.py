@@ -9,8 +9,8 @@ import numpy as np
 
 from cvxshear.effects.base import Effect, Parameter, Place
 from cvxshear.effects.state import Scale, State
-from cvxshear.quantities import with_std
-from cvxshear.typing import Floats
+from cvxshear.util.quantities import with_std
+from cvxshear.util.typing import Floats
 
 
 class JointRotation(Effect):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cvxshear import checks
 from cvxshear.effects.added_mass import AddedMass
 from cvxshear.effects.axial_columns import AxialColumns
 from cvxshear.effects.base import Effect
@@ -16,6 +15,7 @@ from cvxshear.effects.mass_coupling import MassCoupling
 from cvxshear.effects.sensor_gain import SensorGain
 from cvxshear.effects.story_change import StoryChange
 from cvxshear.effects.total_mass import TotalMass
+from cvxshear.util import checks
 
 _catalogue: dict[str, Effect] = {
     effect.name: effect

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.experiment import Experiment, Tested
-from cvxshear.frame import System
-from cvxshear.typing import Floats
+from cvxshear.measurement.experiment import Experiment, Tested
+from cvxshear.model.shear import System
+from cvxshear.util.typing import Floats
 
 STAGES = ("story", "elastic", "flexibility", "spring", "mass", "gravity", "inertia", "shape")
 """The order in which effects act on a tested state, whatever the order they were named in: story stiffnesses,

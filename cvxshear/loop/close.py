@@ -10,13 +10,11 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.effects import Effect, Placed, Scale
 from cvxshear.effects.state import heights_of
-from cvxshear.errors import InputError
-from cvxshear.experiment import Experiment
-from cvxshear.identification.efficient import efficient
-from cvxshear.identification.expectation import Expectation
-from cvxshear.identification.gauss_newton import CONVERGED_STEP
-from cvxshear.identification.misfit import Misfit
-from cvxshear.identification.nearest import nearest_start
+from cvxshear.fit.efficient import efficient
+from cvxshear.fit.expectation import Expectation
+from cvxshear.fit.gauss_newton import CONVERGED_STEP
+from cvxshear.fit.misfit import Misfit
+from cvxshear.fit.starting import nearest_start
 from cvxshear.loop.conclusion import conclude
 from cvxshear.loop.fitter import ROUGH, Fitter, with_stand_in
 from cvxshear.loop.hypotheses import Hypothesis, assumed, chosen, hypotheses
@@ -24,8 +22,10 @@ from cvxshear.loop.numbering import Numbering
 from cvxshear.loop.otherwise import searches
 from cvxshear.loop.results import Closure
 from cvxshear.loop.search import Search
+from cvxshear.measurement.experiment import Experiment
 from cvxshear.priors import Prior
-from cvxshear.typing import Floats
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats
 
 
 def close_loop(

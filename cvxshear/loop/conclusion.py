@@ -11,8 +11,7 @@ from scipy import stats
 
 from cvxshear.backends import Backend
 from cvxshear.effects import Effect, Placed
-from cvxshear.errors import NoModesError
-from cvxshear.identification.efficient import Estimate, fitted_with, parameter_names
+from cvxshear.fit.efficient import Estimate, fitted_with, parameter_names
 from cvxshear.loop.fitter import Fitter, with_stand_in
 from cvxshear.loop.held_out import held_out_frequency_errors
 from cvxshear.loop.hypotheses import Hypothesis
@@ -24,6 +23,7 @@ from cvxshear.loop.posterior import Posterior
 from cvxshear.loop.residual import where_it_sits
 from cvxshear.loop.results import AddedEffect, Candidate, Closure, EffectSet, Step, parameters_of, stds_of
 from cvxshear.loop.search import Search
+from cvxshear.util.errors import NoModesError
 
 EXPLAINED = 0.95
 """Probability at its place that each added effect has where the data are called explained."""

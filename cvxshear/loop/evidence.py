@@ -21,11 +21,11 @@ from scipy import optimize, special
 
 from cvxshear.effects import Placed
 from cvxshear.effects.composition import slices
-from cvxshear.identification.efficient import Estimate
-from cvxshear.identification.expectation import Expectation
+from cvxshear.fit.efficient import Estimate
+from cvxshear.fit.expectation import Expectation
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.rows import constrained
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 FAR = 6.0
 """Standard deviations from an inequality beyond which it cuts nothing off."""

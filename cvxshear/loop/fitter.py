@@ -11,18 +11,18 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.effects import Placed
 from cvxshear.effects.composition import slices
-from cvxshear.errors import CvxshearError, NoModesError, NoSolutionError, UnsuitableError
-from cvxshear.experiment import Experiment
-from cvxshear.identification.efficient import Estimate, fitted
-from cvxshear.identification.expectation import Expectation
-from cvxshear.identification.gauss_newton import CONVERGED_STEP
-from cvxshear.identification.misfit import Evaluation, Misfit
+from cvxshear.fit.efficient import Estimate, fitted
+from cvxshear.fit.expectation import Expectation
+from cvxshear.fit.gauss_newton import CONVERGED_STEP
+from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.loop.evidence import log_evidence
 from cvxshear.loop.hypotheses import Hypothesis
 from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.numbering import Numbering
-from cvxshear.parallel import each as in_parallel
-from cvxshear.typing import Floats
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.util.errors import CvxshearError, NoModesError, NoSolutionError, UnsuitableError
+from cvxshear.util.parallel import each as in_parallel
+from cvxshear.util.typing import Floats
 
 ROUGH = 1e-2
 """Tolerance of Gauss-Newton, in standard deviations, while sets are looked for."""

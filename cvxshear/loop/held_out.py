@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.effects import compose
-from cvxshear.errors import CvxshearError
-from cvxshear.experiment import Experiment
-from cvxshear.frame import mode_derivatives, modes
-from cvxshear.identification.efficient import Estimate, fitted_with
-from cvxshear.identification.misfit import Misfit
+from cvxshear.fit.efficient import Estimate, fitted_with
+from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.fitter import Fitter
-from cvxshear.typing import Bools
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.model.shear import mode_derivatives, modes
+from cvxshear.util.errors import CvxshearError
+from cvxshear.util.typing import Bools
 
 DETERMINED = 1e-3
 """Largest change of the logarithm of a frequency along a direction left open, for the prediction to count."""

@@ -8,10 +8,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from cvxshear import checks
 from cvxshear.effects import Effect, Place, Placed, catalogue
-from cvxshear.errors import InputError
-from cvxshear.experiment import ExpectedEffect, Experiment
+from cvxshear.measurement.experiment import ExpectedEffect, Experiment
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
 
 T = TypeVar("T")
 

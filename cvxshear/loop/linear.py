@@ -12,11 +12,11 @@ import numpy as np
 
 from cvxshear.effects import Placed
 from cvxshear.effects.composition import slices
-from cvxshear.identification.efficient import Estimate
-from cvxshear.identification.expectation import Expectation
-from cvxshear.identification.misfit import Misfit
+from cvxshear.fit.efficient import Estimate
+from cvxshear.fit.expectation import Expectation
+from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.evidence import log_constants, log_interval
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 MOST_TAKEN = 40
 """Effects that are taken in one go at most."""

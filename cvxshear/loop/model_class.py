@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cvxshear.effects import Placed
-from cvxshear.errors import CvxshearError
-from cvxshear.identification.efficient import Estimate
+from cvxshear.fit.efficient import Estimate
 from cvxshear.loop.numbering import Changes
+from cvxshear.util.errors import CvxshearError
 
 RESIDUAL_LEVEL = 0.01
 """Probability below which a residual, or a noise, counts as improbable."""

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.errors import NoModesError
-from cvxshear.experiment import Configuration
-from cvxshear.identification.efficient import Estimate
-from cvxshear.identification.separation import Disagreement, disagreement, imagined
-from cvxshear.typing import Ints, Json
+from cvxshear.fit.efficient import Estimate
+from cvxshear.fit.separation import Disagreement, disagreement, imagined
+from cvxshear.measurement.experiment import Configuration
+from cvxshear.util.errors import NoModesError
+from cvxshear.util.typing import Ints, Json
 
 PARTS_OF_A_FLOOR = (0.1, 0.25, 0.5, 1.0)
 """Added masses that are tried, as parts of the mean floor mass."""
@@ -68,7 +68,7 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
     """The added mass whose test would best tell an accepted model from its rivals, and the sensors that it needs.
 
     For each state, each floor and a few masses, the test is simulated by the accepted model with the sensors and noise
-    of the state's first configuration, and compared with what each rival says of it (`identification/separation.py`).
+    of the state's first configuration, and compared with what each rival says of it (`fit/separation.py`).
     The smallest distance over the rivals counts. Where that stays below `CLEAR`, floors without a sensor get one, the
     best first, as long as each is worth it.
     """

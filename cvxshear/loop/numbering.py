@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.experiment import Configuration, Experiment
-from cvxshear.screening.reading import Reading
-from cvxshear.screening.signs import violations
-from cvxshear.typing import Ints, Json
+from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.measurement.reading import Reading
+from cvxshear.measurement.sign_rule import violations
+from cvxshear.util.typing import Ints, Json
 
 OVERLOOKED = 0.05
 """Probability that a test overlooked a mode between those that it found, where nothing is said of it. Ambient tests of

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-from cvxshear.errors import CvxshearError
-from cvxshear.experiment import Experiment
 from cvxshear.loop.numbering import Numbering, named_numberings, overlooked_in_all, overlooked_in_one
 from cvxshear.loop.search import REACH, Search
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.util.errors import CvxshearError
 
 PROBED = 4
 """Numberings, the best by their shear models, that are probed with effects before one is searched to its end."""

@@ -9,11 +9,11 @@ from functools import cached_property
 import numpy as np
 
 from cvxshear.effects import Placed
-from cvxshear.identification.results import IdentifiedFrame
+from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.hypotheses import Hypothesis
 from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.numbering import Changes, NumberingProbability
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 ADDED = 0.5
 """Probability from which on an effect is added: the median model predicts best (Barbieri and Berger 2004)."""

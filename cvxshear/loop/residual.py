@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from cvxshear.data import Datum, Deviation, Model
-from cvxshear.identification.efficient import Estimate
+from cvxshear.fit.efficient import Estimate
 
 CONSPICUOUS = 0.01
 """Probability below which a part of the residual is pointed out, the number of parts accounted for."""

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cvxshear.dataframe import data_frame
 from cvxshear.effects import Placed
-from cvxshear.experiment import Experiment
-from cvxshear.identification.efficient import Estimate
-from cvxshear.identification.noise import NoiseEstimate
-from cvxshear.identification.results import IdentifiedFrame
+from cvxshear.fit.efficient import Estimate
+from cvxshear.fit.noise import NoiseEstimate
+from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.next_test import NextTest
 from cvxshear.loop.numbering import Changes, NumberingProbability, changes_to_dict
 from cvxshear.loop.posterior import Rival
 from cvxshear.loop.residual import by_floor, by_part
-from cvxshear.showing import Shown
-from cvxshear.typing import Json
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.util.dataframe import data_frame
+from cvxshear.util.showing import Shown
+from cvxshear.util.typing import Json
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -14,8 +14,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from cvxshear.effects import Placed
-from cvxshear.identification.efficient import Estimate
-from cvxshear.identification.gauss_newton import CONVERGED_STEP
+from cvxshear.fit.efficient import Estimate
+from cvxshear.fit.gauss_newton import CONVERGED_STEP
 from cvxshear.loop.fitter import Fitter
 from cvxshear.loop.linear import Linearised
 from cvxshear.loop.model_class import ModelClass

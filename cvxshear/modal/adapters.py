@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cvxshear import checks
-from cvxshear.errors import InputError
 from cvxshear.modal.result import ModalResult
 from cvxshear.modal.runs import Complexes
 from cvxshear.modal.shapes import collinearity, lost_phase, main_axis, real_shape
-from cvxshear.typing import Floats
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats
 
 ASSUMED_FREQUENCY_STD = 0.002
 ASSUMED_SHAPE_STD = 0.01

@@ -11,7 +11,7 @@ from cvxshear.modal.findings import Finding
 from cvxshear.modal.frf import FixedSource
 from cvxshear.modal.picking import values_on
 from cvxshear.modal.result import ModalResult
-from cvxshear.typing import Bools, Floats
+from cvxshear.util.typing import Bools, Floats
 
 SIGNIFICANT = 3.0
 SMALLEST = 5e-4

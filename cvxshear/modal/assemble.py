@@ -11,7 +11,7 @@ from cvxshear.modal.picking import PoleCandidate
 from cvxshear.modal.record import Record
 from cvxshear.modal.result import ModalResult, independent_std
 from cvxshear.modal.shapes import collinearity, lost_phase, sign_changes
-from cvxshear.typing import Floats, Ints
+from cvxshear.util.typing import Floats, Ints
 
 
 def assembled(

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 from scipy import signal
 
-from cvxshear.errors import InputError
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.record import FrfRecord, Record, TimeRecord
 from cvxshear.modal.runs import FrfRun, Run
-from cvxshear.typing import Floats
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats
 
 DEAD = 1e-4
 """Of the median channel's standard deviation: a channel below it measures nothing."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.modal.runs import Complexes
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 STEPS = 4001
 LONGEST = 0.05

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.modal.realization import block_hankel, left_factor
-from cvxshear.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Bools, Floats, Ints
 
 ROWS = 40
 COLUMNS = 40

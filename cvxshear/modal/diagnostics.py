@@ -6,15 +6,15 @@ import itertools
 
 import numpy as np
 
-from cvxshear.errors import InputError
 from cvxshear.modal import signs
 from cvxshear.modal.amplitude import amplitude_findings
 from cvxshear.modal.estimate import Details, Replication
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.record import FrfRecord, Record
 from cvxshear.modal.result import ModalResult
-from cvxshear.quantities import listed, ranged, significant
-from cvxshear.typing import Floats
+from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import listed, ranged, significant
+from cvxshear.util.typing import Floats
 
 OF_CHANNELS = ("dead channel", "clipped channel", "held samples", "drift", "aliasing")
 SIGNIFICANT = 3.0

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.errors import InputError
 from cvxshear.modal.clock import Offsets, offsets, undone
 from cvxshear.modal.frf import FixedSource
 from cvxshear.modal.jackknife import jackknife, surrogate
@@ -16,7 +15,8 @@ from cvxshear.modal.realization import DampedModes, Impulse, Source
 from cvxshear.modal.residues import modal_products, modal_scale, participations, residues, unwrapped
 from cvxshear.modal.runs import Complexes
 from cvxshear.modal.shapes import main_axis, real_shape, signed_projection
-from cvxshear.typing import Bools, Floats, Ints
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Bools, Floats, Ints
 
 SURROGATES = 20
 FEW_PIECES = 6

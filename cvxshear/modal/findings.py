@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from cvxshear.typing import Json
+from cvxshear.util.typing import Json
 
 
 @dataclass(frozen=True)

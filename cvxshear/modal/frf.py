@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear import checks
-from cvxshear.errors import InputError
 from cvxshear.modal.realization import Impulse, block_hankel, left_factor
 from cvxshear.modal.record import FrfRecord, TimeRecord
 from cvxshear.modal.runs import Complexes, Run
-from cvxshear.typing import Bools, Floats, Ints
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Bools, Floats, Ints
 
 ESTIMATORS = ("h1", "h2")
 ROWS = 60

@@ -17,7 +17,7 @@ from cvxshear.modal.frf import Spectra, hit_spectra, table_spectra
 from cvxshear.modal.prepare import detrended, impulsive, without_offset
 from cvxshear.modal.record import FrfRecord, Record, TimeRecord
 from cvxshear.modal.runs import Complexes
-from cvxshear.typing import Floats, Ints
+from cvxshear.util.typing import Floats, Ints
 
 LINES = 512
 """Lines of a continuous record over the range that is shown: fine enough to see, averaged as often as that allows."""

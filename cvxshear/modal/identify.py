@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cvxshear import checks
-from cvxshear.errors import InputError, NoSolutionError
 from cvxshear.modal import diagnostics
 from cvxshear.modal.assemble import assembled
 from cvxshear.modal.channels import channel_findings, without_dead
@@ -27,6 +25,8 @@ from cvxshear.modal.result import ModalResult
 from cvxshear.modal.shapes import RULES
 from cvxshear.modal.shift import shifted
 from cvxshear.modal.stabilization import Criteria
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError, NoSolutionError
 
 LARGEST_SHAPE_STD = 0.3
 """Of an entry, over the mode's largest: a shape less sure is none."""

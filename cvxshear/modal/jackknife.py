@@ -10,8 +10,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cvxshear.errors import InputError
-from cvxshear.typing import Bools, Floats, Ints
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Bools, Floats, Ints
 
 Estimate = Callable[[Bools], Floats | None]
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.overlooked import OVERLOOKED
-from cvxshear.typing import Floats, Ints, Json
+from cvxshear.util.typing import Floats, Ints, Json
 
 SENSOR_STD = 0.005
 """Standard deviation of a shape entry, over the mode's largest, that no scatter shows: a sensor 5 degrees askew loses

@@ -15,7 +15,7 @@ from cvxshear.modal.findings import Finding
 from cvxshear.modal.frf import FrfSource
 from cvxshear.modal.picking import Values
 from cvxshear.modal.record import FrfRecord, Record
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 NOTICEABLE = 0.01
 """Share of a mode's impulse response that is left at the end of the window."""

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import signal
 
-from cvxshear import checks
-from cvxshear.errors import InputError
-from cvxshear.experiment import MOST_STORIES
+from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.modal.record import Record, TimeRecord
-from cvxshear.typing import Floats, Ints
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats, Ints
 
 DRIVEN = ("base", "force")
 

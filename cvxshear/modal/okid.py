@@ -18,10 +18,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg
 
-from cvxshear.errors import NoSolutionError
 from cvxshear.modal.realization import Impulse, block_hankel, left_factor
 from cvxshear.modal.runs import Complexes
-from cvxshear.typing import Bools, Floats, Ints
+from cvxshear.util.errors import NoSolutionError
+from cvxshear.util.typing import Bools, Floats, Ints
 
 LAGS, LAGS_A_STATE = 20, 7.0
 """Lags of the observer: so many at least, and as many as give seven past responses for each state of the frame. Under

@@ -13,8 +13,8 @@ import numpy as np
 
 from cvxshear.modal.findings import Finding
 from cvxshear.modal.picking import PoleCandidate
-from cvxshear.quantities import listed
-from cvxshear.typing import Floats, Ints
+from cvxshear.util.quantities import listed
+from cvxshear.util.typing import Floats, Ints
 
 A_MODE = 0.3
 """Probability that a stable pole of no reproducible shape between two modes is a mode of the frame: of another

@@ -24,7 +24,7 @@ from cvxshear.modal.stabilization import (
     stable_poles,
     undivided,
 )
-from cvxshear.typing import Bools, Floats
+from cvxshear.util.typing import Bools, Floats
 
 MOST_CANDIDATES = 8
 """Strongest candidates that clock offsets are told by."""

@@ -9,14 +9,14 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from scipy import signal
 
-from cvxshear import checks
-from cvxshear.errors import InputError, UnsuitableError
 from cvxshear.modal import covariance, okid, subspace
 from cvxshear.modal.frf import DecaySource, FrfSource, cut, hit_spectra, reached_lines, table_spectra
 from cvxshear.modal.realization import Source
 from cvxshear.modal.record import FrfRecord, Record, TimeRecord
 from cvxshear.modal.runs import Run
-from cvxshear.typing import Floats
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError, UnsuitableError
+from cvxshear.util.typing import Floats
 
 METHODS = ("era", "okid", "subspace", "ssi")
 BLOCKS = 20

@@ -10,10 +10,10 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
-from cvxshear.errors import InputError, NoSolutionError
 from cvxshear.modal.picking import Sweep
 from cvxshear.modal.realization import Source
 from cvxshear.modal.record import Record
+from cvxshear.util.errors import InputError, NoSolutionError
 
 FACTORS = (2, 4, 8, 16, 32, 64)
 LOWEST_SHARE = 0.1

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.modal.runs import Complexes
-from cvxshear.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Bools, Floats, Ints
 
 
 class Source(Protocol):

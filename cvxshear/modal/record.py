@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cvxshear import checks
-from cvxshear.errors import InputError
-from cvxshear.experiment import MOST_STORIES
+from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.modal.runs import Channel, FrfRun, Run
-from cvxshear.typing import Floats, Ints
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats, Ints
 
 INPUTS = ("none", "free_decay", "force", "base")
 QUANTITIES = ("acceleration", "velocity", "displacement")

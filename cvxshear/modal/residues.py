@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.modal.runs import Complexes
-from cvxshear.typing import Floats, Ints
+from cvxshear.util.typing import Floats, Ints
 
 DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
 

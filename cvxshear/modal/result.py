@@ -14,8 +14,8 @@ from cvxshear.modal.functions import Functions
 from cvxshear.modal.knowledge import entry_std, frequency_std, other_modes
 from cvxshear.modal.picking import Sweep
 from cvxshear.modal.runs import Complexes
-from cvxshear.showing import Shown
-from cvxshear.typing import Floats, Ints, Json
+from cvxshear.util.showing import Shown
+from cvxshear.util.typing import Floats, Ints, Json
 
 DRAWN = 0.3
 """Weight of equal variances against those that the covariance asks for."""

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cvxshear import checks
-from cvxshear.errors import InputError
-from cvxshear.experiment import MOST_STORIES
-from cvxshear.typing import Floats
+from cvxshear.measurement.experiment import MOST_STORIES
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats
 
 Complexes = NDArray[np.complex128]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from cvxshear.modal.record import FrfRecord, Record, TimeRecord
 from cvxshear.modal.runs import FrfRun, Run
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 
 def shifted(record: Record, offsets: Mapping[str, tuple[float, float]]) -> Record:

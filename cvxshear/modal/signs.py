@@ -11,7 +11,7 @@ import itertools
 import numpy as np
 
 from cvxshear.modal.shapes import sign_changes
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 SLACK = 0.02
 """Of the largest entry: by so much noise may bend the first mode."""

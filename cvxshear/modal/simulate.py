@@ -9,7 +9,7 @@ from scipy import linalg, signal
 
 from cvxshear.modal.record import TimeRecord
 from cvxshear.modal.runs import Channel, Run
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 OVERSAMPLING = 8
 """The load is a straight line between samples this many times denser than the record's."""

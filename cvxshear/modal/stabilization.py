@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cvxshear import checks
 from cvxshear.modal.realization import Poles
 from cvxshear.modal.runs import Complexes
 from cvxshear.modal.shapes import mac
-from cvxshear.typing import Floats
+from cvxshear.util import checks
+from cvxshear.util.typing import Floats
 
 LEAST_ORDERS, STATES = 30, 3
 """States of the largest model of a sweep: so many at least, and for each mode. A mode takes two, and has to last."""

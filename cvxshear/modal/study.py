@@ -16,7 +16,7 @@ from cvxshear.modal.record import TimeRecord
 from cvxshear.modal.result import ModalResult
 from cvxshear.modal.shapes import scaled_to_one
 from cvxshear.modal.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
-from cvxshear.typing import Floats, Json
+from cvxshear.util.typing import Floats, Json
 
 MAKERS: dict[str, Callable[..., TimeRecord]] = {
     "hammer": hammer_record,

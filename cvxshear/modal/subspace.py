@@ -14,7 +14,7 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.modal.realization import left_factor
-from cvxshear.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Bools, Floats, Ints
 
 ROWS = 30
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from cvxshear.errors import InputError
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.result import ModalResult
 from cvxshear.modal.runs import Complexes
-from cvxshear.typing import Bools, Floats
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Bools, Floats
 
 
 def synthesized(result: ModalResult) -> Complexes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cvxshear.paper import tables
-from cvxshear.typing import Json
+from cvxshear.util.typing import Json
 
 EXACT = "to the last digit"
 ROUNDED = "from rounded figures"

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize
 
-from cvxshear.frame import mass_matrix, modes, stiffness_matrix
+from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.programs import story_stiffnesses
 from cvxshear.programs.mass import normalized
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,12 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.formats.toml import load
-from cvxshear.identification import identify
+from cvxshear.files.toml import load
+from cvxshear.methods import identify
 from cvxshear.paper import tables
 from cvxshear.paper.results import Row, Section
 from cvxshear.paper.shapes import RecoveredShapes, recovered_shapes
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 KILO = 1e3
 ORDINALS = (1, 2)

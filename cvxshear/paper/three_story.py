@@ -9,14 +9,14 @@ import numpy as np
 
 from cvxshear import backends
 from cvxshear.backends import Backend
-from cvxshear.experiment import Configuration, Experiment, Frame
-from cvxshear.identification import SingleIdentification, identify
-from cvxshear.identification.separate import complete_test
-from cvxshear.identification.stiffness import identified_stiffness
+from cvxshear.measurement.experiment import Configuration, Experiment, Frame
+from cvxshear.methods import SingleIdentification, identify
+from cvxshear.methods.separate import complete_test
+from cvxshear.methods.story_stiffness import identified_stiffness
 from cvxshear.paper import tables
 from cvxshear.paper.results import Row, Section
 from cvxshear.studies.setups import three_story
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 KILO = 1e3
 

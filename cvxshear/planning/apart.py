@@ -21,7 +21,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from cvxshear.planning.targets import Target
-from cvxshear.typing import Floats, Json
+from cvxshear.util.typing import Floats, Json
 
 SURE = 0.95
 """Probability from which on a verdict is given."""

@@ -16,8 +16,8 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg
 
-from cvxshear.errors import InputError
-from cvxshear.typing import Floats, Ints
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats, Ints
 
 NEGLIGIBLE = 1e-12
 """Length of a row of the question, each parameter in its own size, below which the parameter is known exactly."""

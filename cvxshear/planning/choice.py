@@ -13,7 +13,7 @@ from cvxshear.planning.candidates import Candidates
 from cvxshear.planning.criteria import Criterion
 from cvxshear.planning.others import equally_spaced
 from cvxshear.planning.relaxation import relaxed
-from cvxshear.typing import Floats, Ints
+from cvxshear.util.typing import Floats, Ints
 
 IMPROVES = 1e-9
 """Relative gain from which on an exchange is made; less is rounding."""

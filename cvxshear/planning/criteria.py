@@ -11,11 +11,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from cvxshear import checks
 from cvxshear.planning.candidates import Candidates
 from cvxshear.planning.terms import of_volume, variance
 from cvxshear.planning.windows import least_of_largest, least_of_sum
-from cvxshear.typing import Floats
+from cvxshear.util import checks
+from cvxshear.util.typing import Floats
 
 POWER = 24
 """The largest of the variances is taken for the power mean (sum of v^24)^(1/24) where a derivative is needed: above it

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, minimize
 
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 
 def descended(

@@ -9,15 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from cvxshear import backends, checks
+from cvxshear import backends
 from cvxshear.effects import Placed, Scale
-from cvxshear.errors import InputError
-from cvxshear.experiment import Configuration, Experiment, Frame, Prior
-from cvxshear.identification.efficient import efficient
-from cvxshear.identification.misfit import Misfit
+from cvxshear.fit.efficient import efficient
+from cvxshear.fit.misfit import Misfit
+from cvxshear.measurement.experiment import Configuration, Experiment, Frame, Prior
 from cvxshear.priors.nominal import Nominal
 from cvxshear.priors.value import Value
-from cvxshear.typing import Floats
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats
 
 QUANTITIES = ("floor_mass", "story_stiffness")
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import LinearConstraint
 
-from cvxshear import checks
-from cvxshear.errors import InputError
 from cvxshear.planning.criteria import Criterion
 from cvxshear.planning.descent import descended
 from cvxshear.planning.model import Expected, TestModel
-from cvxshear.typing import Floats, Ints
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats, Ints
 
 PARTS = (0.5, 1.0)
 """Of what a floor can carry, that the grid's tests put on it."""

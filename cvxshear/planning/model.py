@@ -11,14 +11,14 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.effects import Placed, compose
-from cvxshear.experiment import Configuration, Experiment
-from cvxshear.frame import Modes, mode_derivatives, modes
-from cvxshear.identification.separation import told
+from cvxshear.fit.separation import told
+from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.model.shear import Modes, mode_derivatives, modes
 from cvxshear.planning.candidates import Candidates, candidates
 from cvxshear.planning.design import Design
 from cvxshear.planning.noise import TestNoise
 from cvxshear.planning.targets import Target
-from cvxshear.typing import Floats, Ints
+from cvxshear.util.typing import Floats, Ints
 
 VAGUE = 10.0
 """Standard deviation, in its own size, of a parameter of which nothing is known: everything is known a little, so that

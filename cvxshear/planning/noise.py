@@ -21,9 +21,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from cvxshear import checks
-from cvxshear.frame import Modes
-from cvxshear.typing import Floats, Ints
+from cvxshear.model.shear import Modes
+from cvxshear.util import checks
+from cvxshear.util.typing import Floats, Ints
 
 KINDS = ("ambient", "shaker", "hammer")
 

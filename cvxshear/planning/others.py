@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cvxshear.errors import InputError
-from cvxshear.typing import Floats
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats
 
 
 def equally_spaced(floors: int, number: int) -> list[int]:

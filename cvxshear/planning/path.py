@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cvxshear.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Bools, Floats, Ints
 
 
 def patterns(width: int) -> Ints:

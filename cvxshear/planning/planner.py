@@ -8,9 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cvxshear import checks
-from cvxshear.errors import InputError
-from cvxshear.experiment import Experiment
+from cvxshear.measurement.experiment import Experiment
 from cvxshear.planning.apart import apart
 from cvxshear.planning.choice import Choice, choose
 from cvxshear.planning.criteria import Criterion, criterion_named
@@ -22,7 +20,9 @@ from cvxshear.planning.relaxation import SOLVERS
 from cvxshear.planning.results import OPEN, Outlook, Plan
 from cvxshear.planning.source import read_design
 from cvxshear.planning.targets import target
-from cvxshear.typing import Floats, Ints
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats, Ints
 
 GOALS = {
     "masses": ("floor_mass",),

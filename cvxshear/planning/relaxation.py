@@ -23,12 +23,12 @@ from typing import Any
 import numpy as np
 from scipy.optimize import LinearConstraint
 
-from cvxshear import checks
-from cvxshear.errors import NoSolutionError
 from cvxshear.planning.candidates import Candidates
 from cvxshear.planning.criteria import Criterion
 from cvxshear.planning.descent import descended
-from cvxshear.typing import Floats
+from cvxshear.util import checks
+from cvxshear.util.errors import NoSolutionError
+from cvxshear.util.typing import Floats
 
 SOLVERS = ("clarabel", "scs")
 

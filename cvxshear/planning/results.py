@@ -6,12 +6,12 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from cvxshear.identification.results import plain
+from cvxshear.fit.results import plain
 from cvxshear.planning.apart import Apart
 from cvxshear.planning.criteria import CRITERIA
 from cvxshear.planning.model import TestModel
-from cvxshear.showing import Shown
-from cvxshear.typing import Floats, Ints, Json
+from cvxshear.util.showing import Shown
+from cvxshear.util.typing import Floats, Ints, Json
 
 OPEN = 1.0
 """Relative standard deviation from which on a parameter counts as not determined."""

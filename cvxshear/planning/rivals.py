@@ -9,16 +9,16 @@ from itertools import combinations
 
 import numpy as np
 
-from cvxshear import checks
 from cvxshear.effects import compose
-from cvxshear.errors import InputError, NoModesError
-from cvxshear.experiment import Configuration
-from cvxshear.frame import modes
-from cvxshear.identification.efficient import Estimate
-from cvxshear.identification.separation import Disagreement, disagreement, imagined
+from cvxshear.fit.efficient import Estimate
+from cvxshear.fit.separation import Disagreement, disagreement, imagined
+from cvxshear.measurement.experiment import Configuration
+from cvxshear.model.shear import modes
 from cvxshear.planning.masses import Limits
 from cvxshear.planning.noise import TestNoise
-from cvxshear.typing import Floats, Ints, Json
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError, NoModesError
+from cvxshear.util.typing import Floats, Ints, Json
 
 WORTHWHILE = 1.0
 """Standard deviations below which no test is proposed."""

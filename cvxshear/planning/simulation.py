@@ -11,17 +11,17 @@ import numpy as np
 from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.effects import Placed, compose
-from cvxshear.experiment import Configuration, Experiment, Prior
-from cvxshear.frame import modes
-from cvxshear.identification.efficient import Estimate, fitted
-from cvxshear.identification.misfit import Misfit
+from cvxshear.fit.efficient import Estimate, fitted
+from cvxshear.fit.misfit import Misfit
+from cvxshear.measurement.experiment import Configuration, Experiment, Prior
+from cvxshear.model.shear import modes
 from cvxshear.planning.apart import SURE, evidence_of
 from cvxshear.planning.results import Plan
 from cvxshear.planning.targets import Target
 from cvxshear.planning.template import predicted
 from cvxshear.priors.nominal import Nominal
 from cvxshear.priors.value import Value
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 
 @dataclass(frozen=True, eq=False)

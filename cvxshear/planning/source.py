@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from cvxshear.checks import shown
-from cvxshear.errors import InputError
-from cvxshear.experiment import Experiment
-from cvxshear.formats.toml import is_built_in, load, parse, read_text
+from cvxshear.files.toml import is_built_in, load, parse, read_text
+from cvxshear.measurement.experiment import Experiment
 from cvxshear.planning.design import Design
+from cvxshear.util.checks import shown
+from cvxshear.util.errors import InputError
 
 
 def read_design(source: str | Path | Experiment, *, fresh: bool = False) -> Design:

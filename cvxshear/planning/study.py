@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cvxshear.formats.toml import parse, read_text
-from cvxshear.frame import mass_matrix, modes, stiffness_matrix
+from cvxshear.files.toml import parse, read_text
+from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.planning.candidates import Candidates
 from cvxshear.planning.choice import choose, exhaustive, values_of
 from cvxshear.planning.criteria import CRITERIA
@@ -23,7 +23,7 @@ from cvxshear.planning.noise import Declared
 from cvxshear.planning.others import effective_independence, equally_spaced, qr_pivots
 from cvxshear.planning.planner import GOALS, plan
 from cvxshear.planning.simulation import right_verdicts, scatter
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 NOISE = Declared(frequency_std=0.002, mode_shape_std=0.02)
 MODES = 3

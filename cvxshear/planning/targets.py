@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear import checks
 from cvxshear.effects import Place, Placed, Scale, named
-from cvxshear.errors import InputError
-from cvxshear.experiment import Frame
+from cvxshear.measurement.experiment import Frame
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cvxshear.experiment import Configuration, Experiment
-from cvxshear.formats.measurement import write_measurement
+from cvxshear.files.measurement import write_measurement
+from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.planning.model import Expected
 from cvxshear.planning.results import Plan
-from cvxshear.typing import Floats, Ints, Json
+from cvxshear.util.typing import Floats, Ints, Json
 
 
 def predicted(plan: Plan) -> Experiment:

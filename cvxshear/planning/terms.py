@@ -14,7 +14,7 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.planning.candidates import Candidates
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ import numpy as np
 from cvxshear.planning.candidates import Candidates
 from cvxshear.planning.path import least_largest, least_sum, patterns
 from cvxshear.planning.terms import Term, variance
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 ROUNDS = 60
 """Of looking for what bounds the best choice so far."""

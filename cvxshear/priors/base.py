@@ -13,10 +13,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from cvxshear import checks
-from cvxshear.errors import InputError
-from cvxshear.quantities import fitting
-from cvxshear.typing import Floats, Json
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import fitting
+from cvxshear.util.typing import Floats, Json
 
 QUANTITIES = ("floor_mass", "story_stiffness", "story_damping")
 UNITS = {"floor_mass": "kg", "story_stiffness": "N/m", "story_damping": "N s/m"}

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from cvxshear import checks
 from cvxshear.priors.base import Constraints, Prior, check_quantity
+from cvxshear.util import checks
 
 DIRECTIONS = ("decreasing", "increasing")
 

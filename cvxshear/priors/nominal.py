@@ -8,10 +8,10 @@ from typing import ClassVar
 import numpy as np
 from scipy.linalg import helmert
 
-from cvxshear import checks
-from cvxshear.errors import InputError
 from cvxshear.priors.base import Constraints, Prior, certainty, check_quantity, check_std, listed, set_field
-from cvxshear.typing import Floats
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats
 
 
 @dataclass(frozen=True, eq=False)

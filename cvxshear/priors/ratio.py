@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from cvxshear import checks
-from cvxshear.errors import InputError
 from cvxshear.priors.base import Constraints, Prior, certainty, check_place, check_quantity, check_std, set_field
-from cvxshear.typing import Floats
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from cvxshear import checks
 from cvxshear.priors.base import (
     Constraints,
     Prior,
@@ -18,7 +17,8 @@ from cvxshear.priors.base import (
     listed,
     set_field,
 )
-from cvxshear.typing import Floats
+from cvxshear.util import checks
+from cvxshear.util.typing import Floats
 
 
 @dataclass(frozen=True, eq=False)

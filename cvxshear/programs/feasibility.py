@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linprog
 
-from cvxshear.errors import InfeasibleError, InputError
 from cvxshear.priors import Constraints
-from cvxshear.typing import Floats
+from cvxshear.util.errors import InfeasibleError, InputError
+from cvxshear.util.typing import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 ROUNDING = 1e-13
 """Relative size of a difference that counts as none."""

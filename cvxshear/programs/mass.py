@@ -8,7 +8,7 @@ import numpy as np
 
 from cvxshear.programs.least_squares import LeastSquares, remaining
 from cvxshear.programs.normal import factored, keeps_rows, pair_adjoint, pair_normal
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 
 def pair_products(columns: Floats, *, diagonal: bool = True) -> Floats:

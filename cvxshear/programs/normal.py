@@ -21,7 +21,7 @@ import numpy as np
 from scipy import linalg
 from scipy.linalg import lapack
 
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 ROWS_UP_TO = 30
 """Stories up to which a program keeps its rows where the caller names no form: they are cheap there."""

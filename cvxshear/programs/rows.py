@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cvxshear.experiment import Frame
+from cvxshear.measurement.experiment import Frame
 from cvxshear.priors import Constraints, Prior
 from cvxshear.programs.feasibility import NamedConstraints
 from cvxshear.programs.least_squares import LeastSquares, remaining
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 
 def statements(

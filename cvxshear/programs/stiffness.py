@@ -7,7 +7,7 @@ import numpy as np
 from cvxshear.programs.least_squares import LeastSquares
 from cvxshear.programs.mass import pair_products
 from cvxshear.programs.normal import factored, keeps_rows, pair_adjoint, pair_normal
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 
 def story_stiffnesses(

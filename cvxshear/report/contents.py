@@ -9,12 +9,12 @@ from importlib import metadata
 
 from cvxshear.backends import Comparison
 from cvxshear.loop import Closure
-from cvxshear.quantities import AUTOMATIC, Units, capital
 from cvxshear.report import motion
 from cvxshear.report.describe import describe
 from cvxshear.report.describe.headline import headline
 from cvxshear.response.fitted import without_nan
-from cvxshear.typing import Json
+from cvxshear.util.quantities import AUTOMATIC, Units, capital
+from cvxshear.util.typing import Json
 from cvxshear.version import __version__
 
 PACKAGES = (

@@ -12,13 +12,13 @@ import numpy as np
 from scipy import io
 
 from cvxshear.data import Deviation
-from cvxshear.errors import InputError
-from cvxshear.identification.misfit import Misfit
+from cvxshear.fit.misfit import Misfit
 from cvxshear.report.opensees import opensees_script
 from cvxshear.response import Fitted, RecordPrediction
 from cvxshear.response.handover import matrices
-from cvxshear.typing import Floats
-from cvxshear.writing import ending_of, write_file
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats
+from cvxshear.util.writing import ending_of, write_file
 
 Cells = list[str | float | int | None]
 

@@ -10,7 +10,7 @@ from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.table import Column, Table
 from rich.text import Text
 
-from cvxshear.text import printable
+from cvxshear.util.text import printable
 
 GAP = 2
 """Spaces between columns."""

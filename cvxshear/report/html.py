@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from cvxshear.backends import Comparison
-from cvxshear.errors import CvxshearError
-from cvxshear.identification import compare_backends
 from cvxshear.loop import Closure
-from cvxshear.quantities import AUTOMATIC, Units
-from cvxshear.writing import write_file
+from cvxshear.methods import compare_backends
+from cvxshear.util.errors import CvxshearError
+from cvxshear.util.quantities import AUTOMATIC, Units
+from cvxshear.util.writing import write_file
 
 try:
     from markupsafe import Markup

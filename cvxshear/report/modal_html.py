@@ -14,8 +14,8 @@ from cvxshear.report.describe import Sentence, Table, describe
 from cvxshear.report.figures import kinds
 from cvxshear.report.figures.output import inline_svg
 from cvxshear.report.pages import environment
-from cvxshear.typing import Json
-from cvxshear.writing import write_file
+from cvxshear.util.typing import Json
+from cvxshear.util.writing import write_file
 
 MOST_SHAPES = 4
 """Mode shapes beside each other on the page; more go below."""

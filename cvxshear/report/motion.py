@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.experiment import Experiment
-from cvxshear.identification import Prediction
 from cvxshear.loop import Closure
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.methods import Prediction
 
 WIDTH, HEIGHT = 120.0, 170.0
 """Of one drawing, in its own units."""

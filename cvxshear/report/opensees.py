@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from cvxshear.errors import UnsuitableError
 from cvxshear.response.uncertain import Damped
-from cvxshear.typing import Floats
+from cvxshear.util.errors import UnsuitableError
+from cvxshear.util.typing import Floats
 
 SCRIPT = '''"""{title}: the identified frame for OpenSeesPy; units m, kg, s, N.
 

@@ -7,7 +7,7 @@ from functools import cache
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from cvxshear.text import printable
+from cvxshear.util.text import printable
 
 
 @cache

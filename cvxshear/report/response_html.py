@@ -10,8 +10,8 @@ from cvxshear.report.describe import describe
 from cvxshear.report.drawings import drawings
 from cvxshear.report.pages import environment
 from cvxshear.response import RecordPrediction
-from cvxshear.typing import Json
-from cvxshear.writing import write_file
+from cvxshear.util.typing import Json
+from cvxshear.util.writing import write_file
 
 CAPTIONS = {
     "history": (

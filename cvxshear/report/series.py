@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from scipy import io
 
-from cvxshear.errors import InputError
 from cvxshear.response import RecordPrediction
 from cvxshear.response.series import series
-from cvxshear.typing import Floats, Json
-from cvxshear.writing import ending_of, write_file
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats, Json
+from cvxshear.util.writing import ending_of, write_file
 
 TIME, X_TRANSLATION = 1, 1
 ACCELERATION, DISPLACEMENT, FORCE = 12, 8, 13

@@ -8,11 +8,11 @@ import numpy as np
 
 from cvxshear.data import Model, Shapes
 from cvxshear.data.pairing import mac
-from cvxshear.experiment import Configuration, Experiment
-from cvxshear.identification import Identification
-from cvxshear.identification.efficient import Estimate
+from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import Closure
-from cvxshear.typing import Floats, Ints
+from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.methods import Identification
+from cvxshear.util.typing import Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cvxshear.errors import InputError
-from cvxshear.experiment import Experiment
-from cvxshear.identification import Identification
 from cvxshear.loop import Closure
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.methods import Identification
 from cvxshear.modal import ModalResult
 from cvxshear.report.describe.errors import ERRORS
-from cvxshear.typing import Json
-from cvxshear.writing import write_file
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Json
+from cvxshear.util.writing import write_file
 
 Cell = str | float | int | None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from cvxshear.report.describe import line
 from cvxshear.report.notebook import notebook_html
 from cvxshear.report.terminal import text
-from cvxshear.showing import Renderers, register
-from cvxshear.text import printable
+from cvxshear.util.showing import Renderers, register
+from cvxshear.util.text import printable
 
 register(Renderers(line=lambda result: printable(line(result)), text=text, html=notebook_html))

@@ -10,15 +10,15 @@ from rich.table import Table as Grid
 from rich.text import Text
 
 from cvxshear.backends import ListedBackend
-from cvxshear.identification import Identification
-from cvxshear.quantities import AUTOMATIC, Units
+from cvxshear.methods import Identification
 from cvxshear.report.describe import Document, Facts, Points, Section, Sentence, Table, describe
 from cvxshear.report.describe.damping import damping_section
 from cvxshear.report.describe.screening import doubts_section
 from cvxshear.report.house_table import HouseTable, plain_table
 from cvxshear.response import IdentifiedDamping
 from cvxshear.screening import Finding
-from cvxshear.text import printable
+from cvxshear.util.quantities import AUTOMATIC, Units
+from cvxshear.util.text import printable
 
 __all__ = [
     "HouseTable",

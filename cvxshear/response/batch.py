@@ -10,7 +10,7 @@ from cvxshear.response.hold import held_at
 from cvxshear.response.instants import possible_instants
 from cvxshear.response.model import DampedModel, response
 from cvxshear.response.uncertain import UncertainFrame
-from cvxshear.typing import Floats, Ints
+from cvxshear.util.typing import Floats, Ints
 
 CHUNK = 64
 """Frames whose motion is held in memory at once."""

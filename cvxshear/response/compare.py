@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.identification.results import plain
+from cvxshear.fit.results import plain
 from cvxshear.modal.motion import Motion
 from cvxshear.response.model import DampedModel, Response
 from cvxshear.response.transfer import Transfer, errors, peak, power_at, segment, transfer
-from cvxshear.typing import Floats, Ints, Json
+from cvxshear.util.typing import Floats, Ints, Json
 
 FALLEN = 0.8
 """Of a peak's power, below which a transfer function has fallen at another's peak. The top of a damped resonance is

@@ -6,17 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear import backends, checks
+from cvxshear import backends
 from cvxshear.backends import Backend
-from cvxshear.experiment import Experiment
-from cvxshear.identification.efficient import Estimate
-from cvxshear.identification.results import plain
+from cvxshear.fit.efficient import Estimate
+from cvxshear.fit.results import plain
+from cvxshear.measurement.experiment import Experiment
 from cvxshear.response.fitted import Fitted
 from cvxshear.response.propagation import propagated
 from cvxshear.response.ratios import known
 from cvxshear.response.uncertain import Damped, UncertainFrame
-from cvxshear.showing import Shown
-from cvxshear.typing import Floats, Json
+from cvxshear.util import checks
+from cvxshear.util.showing import Shown
+from cvxshear.util.typing import Floats, Json
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.errors import NoSolutionError, UnsuitableError
-from cvxshear.frame import Modes, stiffness_matrix
+from cvxshear.model.shear import Modes, stiffness_matrix
 from cvxshear.priors import Prior
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.feasibility import refuse_contradictions
@@ -17,7 +16,8 @@ from cvxshear.programs.mass import pair_products
 from cvxshear.programs.rows import constrained, softened, statements
 from cvxshear.response.poles import coupled, modal_damping
 from cvxshear.response.ratios import Ratios
-from cvxshear.typing import Bools, Floats, Ints
+from cvxshear.util.errors import NoSolutionError, UnsuitableError
+from cvxshear.util.typing import Bools, Floats, Ints
 
 QUANTITY = "story_damping"
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.response.poles import UNCOUPLED, Complexes
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 
 @dataclass(frozen=True, eq=False)

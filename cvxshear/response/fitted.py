@@ -9,13 +9,13 @@ from functools import cached_property
 
 import numpy as np
 
-from cvxshear import checks
 from cvxshear.effects import Place, Placed, named
-from cvxshear.errors import InputError
-from cvxshear.experiment import Experiment
-from cvxshear.identification import Identification
-from cvxshear.identification.efficient import Estimate
-from cvxshear.typing import Floats, Json
+from cvxshear.fit.efficient import Estimate
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.methods import Identification
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats, Json
 
 NEGLIGIBLE = 1e-12
 """Eigenvalue of a correlation matrix, relative to the largest, that is rounding."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from cvxshear.response.model import DampedModel
 from cvxshear.response.uncertain import Damped
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 
 def matrices(damped: Damped) -> dict[str, Floats]:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import signal
 
 from cvxshear.response.poles import Complexes
-from cvxshear.typing import Floats, Ints
+from cvxshear.util.typing import Floats, Ints
 
 SMALL = 0.1
 """|s h| below which the differences are taken from their series, before they cancel."""

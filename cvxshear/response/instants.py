@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cvxshear.response.family import Family
 from cvxshear.response.hold import held
 from cvxshear.response.poles import Complexes
-from cvxshear.typing import Floats, Ints
+from cvxshear.util.typing import Floats, Ints
 
 Singles = NDArray[np.float32]
 

@@ -7,12 +7,12 @@ from functools import cached_property
 
 import numpy as np
 
-from cvxshear.errors import InputError
-from cvxshear.frame import Modes, modes
 from cvxshear.modal.motion import Drive
+from cvxshear.model.shear import Modes, modes
 from cvxshear.response.hold import held
 from cvxshear.response.poles import Poles, modal_damping, poles
-from cvxshear.typing import Floats
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats
 
 
 @dataclass(frozen=True, eq=False)

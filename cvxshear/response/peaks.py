@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.response.model import Response
-from cvxshear.typing import Floats, Json
+from cvxshear.util.typing import Floats, Json
 
 QUANTITIES = {
     "floor_acceleration": "m/s2",

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cvxshear.frame import Modes, modes
-from cvxshear.typing import Floats
+from cvxshear.model.shear import Modes, modes
+from cvxshear.util.typing import Floats
 
 Complexes = NDArray[np.complex128]
 

@@ -10,10 +10,8 @@ import numpy as np
 
 from cvxshear import backends
 from cvxshear.backends import Backend
-from cvxshear.errors import InputError
-from cvxshear.experiment import Configuration
+from cvxshear.measurement.experiment import Configuration
 from cvxshear.modal.motion import Motion
-from cvxshear.parallel import Progress, each
 from cvxshear.response.compare import RecordComparison, compared
 from cvxshear.response.damping import IdentifiedDamping, described, parts_of
 from cvxshear.response.fitted import Fitted, Models
@@ -23,8 +21,10 @@ from cvxshear.response.propagation import propagated
 from cvxshear.response.sources import ModelSource, MotionSource, models_of, motion_of, state_of
 from cvxshear.response.spectra import FloorSpectra, floor_spectra, spectrum_lines
 from cvxshear.response.uncertain import Damped, UncertainFrame
-from cvxshear.showing import Shown
-from cvxshear.typing import Floats, Json
+from cvxshear.util.errors import InputError
+from cvxshear.util.parallel import Progress, each
+from cvxshear.util.showing import Shown
+from cvxshear.util.typing import Floats, Json
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +194,7 @@ def predict_many(
     records : sequence
         Each as for `predict`.
     jobs : int, optional
-        Processes; -1 takes every core, or every worker of a Dask cluster (see `cvxshear.parallel`).
+        Processes; -1 takes every core, or every worker of a Dask cluster (see `cvxshear.util.parallel`).
     progress : callable, optional
         Called with the number of records done and to do.
 

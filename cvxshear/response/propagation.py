@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from cvxshear.response.uncertain import Damped, UncertainFrame
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 FARTHEST = 0.5
 """Largest relative change of a mass or stiffness on the way; a direction that would change one by more is gone along

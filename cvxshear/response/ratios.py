@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.errors import InputError
-from cvxshear.experiment import Configuration, Experiment
-from cvxshear.quantities import ranged
-from cvxshear.typing import Bools, Floats
+from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import ranged
+from cvxshear.util.typing import Bools, Floats
 
 DEFAULT_STD = 0.2
 """Relative, of a measured damping ratio whose deviation is not declared: what repeated tests scatter by."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.errors import UnsuitableError
-from cvxshear.frame import Modes
+from cvxshear.model.shear import Modes
 from cvxshear.programs import LeastSquares
 from cvxshear.response.dashpots import LEAST_RATIO
 from cvxshear.response.ratios import Ratios
-from cvxshear.typing import Floats
+from cvxshear.util.errors import UnsuitableError
+from cvxshear.util.typing import Floats
 
 
 def rayleigh(of: Modes, ratios: Ratios, backend: Backend) -> Floats:

@@ -6,7 +6,7 @@ import numpy as np
 
 from cvxshear.response.peaks import histories
 from cvxshear.response.prediction import RecordPrediction
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 NAMES = {
     "floor_acceleration": "acceleration",

@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.checks import choice, shown
-from cvxshear.errors import InputError
-from cvxshear.experiment import Configuration, Experiment
-from cvxshear.formats.modes import modes_from_file
-from cvxshear.formats.motion import read_motion
-from cvxshear.formats.toml import is_record_file, load, read_text
-from cvxshear.identification.efficient import Estimate
+from cvxshear.files.modes import modes_from_file
+from cvxshear.files.motion import read_motion
+from cvxshear.files.toml import is_record_file, load, read_text
+from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import Closure, close_loop
+from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.modal import Record
 from cvxshear.modal.motion import Motion
 from cvxshear.modal.record import FrfRecord, TimeRecord
 from cvxshear.response.fitted import Fitted, Models
-from cvxshear.typing import Floats
+from cvxshear.util.checks import choice, shown
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats
 
 ModelSource = str | Path | Experiment | Closure | Estimate | Models
 MotionSource = str | Path | Record | Motion

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.identification.results import plain
+from cvxshear.fit.results import plain
 from cvxshear.response.hold import held
-from cvxshear.typing import Floats, Json
+from cvxshear.util.typing import Floats, Json
 
 LINES = 60
 

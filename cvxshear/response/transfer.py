@@ -13,7 +13,7 @@ import numpy as np
 from scipy import signal
 
 from cvxshear.response.poles import Complexes
-from cvxshear.typing import Bools, Floats
+from cvxshear.util.typing import Bools, Floats
 
 SEGMENTS = 4
 """Pieces, half overlapping, that the shortest run is cut into at least: fewer show no coherence."""

@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear import checks
 from cvxshear.backends import Backend
 from cvxshear.effects import State, compose
-from cvxshear.experiment import DAMPING_KINDS, Configuration
-from cvxshear.frame import Modes, modes, stiffness_matrix
+from cvxshear.measurement.experiment import DAMPING_KINDS, Configuration
+from cvxshear.model.shear import Modes, modes, stiffness_matrix
 from cvxshear.response.dashpots import Dashpots, story_dashpots
 from cvxshear.response.fitted import Fitted
 from cvxshear.response.model import DampedModel
 from cvxshear.response.ratios import Ratios, damping_ratios
 from cvxshear.response.rayleigh import rayleigh
-from cvxshear.typing import Floats
+from cvxshear.util import checks
+from cvxshear.util.typing import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
-from cvxshear.typing import Json
+from cvxshear.util.typing import Json
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.screening.reading import Reading
+from cvxshear.measurement.reading import Reading
 from cvxshear.screening.repairs import KINDS, Repair
 from cvxshear.screening.shear_fit import Fit, distance, farthest, fit, misfit, modes_at, robust_fit, starts
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 TOLD = 25.0
 """Gain in squared standard deviations from which on a mistake is told; 2 log of the number of choices comes on top."""

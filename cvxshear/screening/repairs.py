@@ -14,9 +14,9 @@ from math import comb
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from cvxshear.frame import Modes
-from cvxshear.screening.reading import Reading
-from cvxshear.typing import Floats, Ints
+from cvxshear.measurement.reading import Reading
+from cvxshear.model.shear import Modes
+from cvxshear.util.typing import Floats, Ints
 
 MOST_NUMBERINGS = 60
 """Sets of mode numbers are all tried where there are no more; else those that leave out one mode."""
@@ -29,7 +29,7 @@ class Repair:
     Parameters
     ----------
     name : str
-        Of the mistake that it mends, a key of `cvxshear.findings.MISTAKES`.
+        Of the mistake that it mends, a key of `cvxshear.util.findings.MISTAKES`.
     found, change : str
         What the mistake would be, and what to change: parts of sentences.
     reading : Reading

@@ -6,11 +6,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
-from cvxshear.experiment import Experiment
+from cvxshear.measurement.experiment import Experiment
 from cvxshear.screening.finding import Finding
 from cvxshear.screening.screen import screen
-from cvxshear.showing import Shown
-from cvxshear.typing import Json
+from cvxshear.util.showing import Shown
+from cvxshear.util.typing import Json
 
 
 class Remark(Protocol):

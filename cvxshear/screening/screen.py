@@ -7,15 +7,15 @@ from collections.abc import Collection
 
 import numpy as np
 
-from cvxshear.errors import InputError
-from cvxshear.experiment import Configuration, Experiment
-from cvxshear.findings import NUMBERS
+from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.measurement.reading import Reading
+from cvxshear.measurement.sign_rule import violations
 from cvxshear.screening.finding import Finding
 from cvxshear.screening.mistakes import TALLEST, Verdict, judge
-from cvxshear.screening.reading import Reading
-from cvxshear.screening.signs import violations
 from cvxshear.screening.total_mass import total_mass
 from cvxshear.screening.units import angular_frequency, gravity, heights, masses
+from cvxshear.util.errors import InputError
+from cvxshear.util.findings import NUMBERS
 
 DOUBTS = (angular_frequency, heights, masses, gravity)
 """What is looked for in the declaration, whatever the shapes are like."""

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from cvxshear.frame import Modes, mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
-from cvxshear.screening.reading import Reading
-from cvxshear.typing import Floats
+from cvxshear.measurement.reading import Reading
+from cvxshear.model.shear import Modes, mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
+from cvxshear.util.typing import Floats
 
 MASS_SPREAD = 0.6
 """Standard deviation of the logarithm of a floor's mass."""

@@ -12,13 +12,13 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.optimize import least_squares
 
-from cvxshear.experiment import Experiment
-from cvxshear.frame import mass_matrix, modes, stiffness_matrix
-from cvxshear.quantities import quantity
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.measurement.reading import Reading
+from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.screening.finding import Finding
-from cvxshear.screening.reading import Reading
 from cvxshear.screening.shear_fit import MASS_SPREAD, STIFFNESS_SPREAD, WIDEST, shape_residual
-from cvxshear.typing import Floats
+from cvxshear.util.quantities import quantity
+from cvxshear.util.typing import Floats
 
 SIGNIFICANT = 4.0
 """Standard deviations between the logarithms of the two totals."""

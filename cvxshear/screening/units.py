@@ -9,12 +9,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cvxshear.experiment import Experiment
-from cvxshear.frame import mass_matrix, modes, stiffness_matrix
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.priors import Nominal
-from cvxshear.quantities import quantity, significant
 from cvxshear.screening.finding import Finding
-from cvxshear.typing import Floats
+from cvxshear.util.quantities import quantity, significant
+from cvxshear.util.typing import Floats
 
 EARTH = (9.7, 10.0)
 """m/s2; between the equator and the poles it is 9.78 to 9.83, and often rounded."""

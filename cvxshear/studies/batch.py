@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.frame import transformation
-from cvxshear.identification.two_stage import MOST_ITERATIONS, TOLERANCE
+from cvxshear.methods.two_stage import MOST_ITERATIONS, TOLERANCE
+from cvxshear.model.shear import transformation
 from cvxshear.programs.normal import pair_normal
-from cvxshear.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Bools, Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)

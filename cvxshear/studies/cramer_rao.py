@@ -12,7 +12,7 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.studies.setups import Setup
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 STEP = 1e-5
 """Relative step of the central differences: their error is of its square."""

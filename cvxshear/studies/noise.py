@@ -14,16 +14,16 @@ from functools import partial
 
 import numpy as np
 
-from cvxshear import checks
-from cvxshear.errors import InputError, NoSolutionError
-from cvxshear.identification import METHODS, identify
-from cvxshear.parallel import Progress, each
-from cvxshear.showing import Shown
+from cvxshear.methods import METHODS, identify
 from cvxshear.studies.batch import one_shot_batch, two_stage_batch
 from cvxshear.studies.cramer_rao import bound
 from cvxshear.studies.scatter import Scatter
 from cvxshear.studies.setups import Setup, six_story, three_story
-from cvxshear.typing import Floats, Json
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError, NoSolutionError
+from cvxshear.util.parallel import Progress, each
+from cvxshear.util.showing import Shown
+from cvxshear.util.typing import Floats, Json
 
 SIGMAS = (0.01, 0.02, 0.03, 0.04, 0.05)
 """The paper's noise levels."""

@@ -14,7 +14,7 @@ from rich.text import Text
 from cvxshear.studies.noise import NoiseStudy
 from cvxshear.studies.scatter import Scatter
 from cvxshear.studies.setups import Setup
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 Line = tuple[str, ...]
 """Method, figure, and its value for each parameter."""

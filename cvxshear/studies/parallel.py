@@ -7,11 +7,11 @@ from functools import partial
 
 import numpy as np
 
-from cvxshear.errors import NoSolutionError
-from cvxshear.experiment import Experiment
-from cvxshear.identification import Identification, identify
-from cvxshear.parallel import Progress, each
-from cvxshear.typing import Floats
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.methods import Identification, identify
+from cvxshear.util.errors import NoSolutionError
+from cvxshear.util.parallel import Progress, each
+from cvxshear.util.typing import Floats
 
 
 def identify_many(

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.experiment import Configuration, Experiment, Frame
-from cvxshear.frame import mass_matrix, modes, stiffness_matrix
-from cvxshear.identification import identify
-from cvxshear.typing import Floats
+from cvxshear.measurement.experiment import Configuration, Experiment, Frame
+from cvxshear.methods import identify
+from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
+from cvxshear.util.typing import Floats
 
 SPREAD = 0.3
 """Masses and stiffnesses lie within this part of their mean."""

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.identification.results import plain
+from cvxshear.fit.results import plain
 from cvxshear.studies.setups import Setup
-from cvxshear.typing import Bools, Floats, Json
+from cvxshear.util.typing import Bools, Floats, Json
 
 NORMAL_95 = 1.959964
 """Half width of a 95 % interval in standard deviations."""

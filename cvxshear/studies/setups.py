@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cvxshear import checks
-from cvxshear.experiment import Configuration, Experiment, Frame
-from cvxshear.frame import mass_matrix, modes, stiffness_matrix
-from cvxshear.typing import Floats, Ints, Json
+from cvxshear.measurement.experiment import Configuration, Experiment, Frame
+from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
+from cvxshear.util import checks
+from cvxshear.util.typing import Floats, Ints, Json
 
 
 def _none() -> Ints:

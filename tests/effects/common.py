@@ -10,8 +10,8 @@ import numpy as np
 from cvxshear.effects import Placed, State, compose
 from cvxshear.effects import named as effects_named
 from cvxshear.effects.base import Place
-from cvxshear.experiment import Experiment
-from cvxshear.frame import Modes, modes
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.model.shear import Modes, modes
 from tests.fe.elements import Floats
 from tests.fe.frame import Building, SwayModes
 

@@ -10,8 +10,8 @@ import pytest
 from cvxshear.effects import Effect, Parameter, Place, Placed, Scale, catalogue, compose, named, register
 from cvxshear.effects import registry as registry_module
 from cvxshear.effects.state import STAGES
-from cvxshear.errors import InputError
-from cvxshear.experiment import Experiment, Frame
+from cvxshear.measurement.experiment import Experiment, Frame
+from cvxshear.util.errors import InputError
 from tests.effects.common import ADDED, HEIGHTS, MASS, NAMES, STIFFNESS, composed, experiment, placed, theta
 from tests.effects.test_derivatives import CASES
 

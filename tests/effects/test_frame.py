@@ -3,8 +3,16 @@
 import numpy as np
 import pytest
 
-from cvxshear.errors import NoModesError
-from cvxshear.frame import System, mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix, transformation
+from cvxshear.model.shear import (
+    System,
+    mass_matrix,
+    mode_derivatives,
+    modes,
+    shear_system,
+    stiffness_matrix,
+    transformation,
+)
+from cvxshear.util.errors import NoModesError
 
 MASS = np.array([10.0, 7.5, 5.0])
 STIFFNESS = np.array([1800.0, 1200.0, 600.0])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cvxshear.effects import Place, Placed, compose, named
-from cvxshear.experiment import Experiment
-from cvxshear.frame import modes
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.model.shear import modes
 from tests.fe.experiments import CHANGES, FREQUENCY_STD, MODE_SHAPE_STD, measured, simulated
 from tests.fe.frame import SwayModes
 

@@ -9,9 +9,8 @@ import pytest
 from scipy import linalg
 
 import cvxshear
-from cvxshear.errors import InputError
-from cvxshear.formats.template import template, template_from
-from cvxshear.formats.uff import write_uff
+from cvxshear.files.template import template, template_from
+from cvxshear.files.uff import write_uff
 from cvxshear.modal import from_arrays
 from cvxshear.report.sheets import (
     sheets_of_closure,
@@ -20,6 +19,7 @@ from cvxshear.report.sheets import (
     write_csv,
     write_xlsx,
 )
+from cvxshear.util.errors import InputError
 
 FREQUENCIES = [2.990, 7.934]
 SHAPES = [[0.61071, 1.0], [-1.65840, 1.0]]

@@ -13,10 +13,10 @@ import pytest
 import cvxshear
 from cvxshear.campaign import IdentifiedRecord, merged
 from cvxshear.cli.records import _said
-from cvxshear.errors import InputError
-from cvxshear.formats.template import template
+from cvxshear.files.template import template
 from cvxshear.modal import from_arrays, identify_modes
 from cvxshear.modal.simulate import PAPER_FRAME, base_record
+from cvxshear.util.errors import InputError
 from tests.frames import EXAMPLES, MEASURED
 
 jsonschema = pytest.importorskip("jsonschema")

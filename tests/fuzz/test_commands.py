@@ -11,9 +11,9 @@ from hypothesis import HealthCheck, Phase, assume, given, seed, settings
 from hypothesis import strategies as st
 
 from cvxshear.cli import main
-from cvxshear.errors import CvxshearError
-from cvxshear.formats.record import read_record
-from cvxshear.formats.toml import load
+from cvxshear.files.record import read_record
+from cvxshear.files.toml import load
+from cvxshear.util.errors import CvxshearError
 from tests.fuzz import files
 from tests.fuzz.mutations import JUNK, PLACES, WORD, apply, damaged
 from tests.modal.shared import csv

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
-from cvxshear.errors import CvxshearError, InputError
-from cvxshear.formats.columns import Columns
-from cvxshear.formats.csv import read_csv
-from cvxshear.formats.mat import read_mat
-from cvxshear.formats.record import read_record
-from cvxshear.formats.toml import load
-from cvxshear.formats.uff import read_uff
+from cvxshear.files.columns import Columns
+from cvxshear.files.csv import read_csv
+from cvxshear.files.mat import read_mat
+from cvxshear.files.record import read_record
+from cvxshear.files.toml import load
+from cvxshear.files.uff import read_uff
+from cvxshear.util.errors import CvxshearError, InputError
 from tests.fuzz import files
 from tests.fuzz.mutations import apply, damaged, deflated
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cvxshear.errors import CvxshearError, InputError, NoSolutionError, UnsuitableError
-from cvxshear.formats.modes import modes_from_file
-from cvxshear.formats.record import read_record
+from cvxshear.files.modes import modes_from_file
+from cvxshear.files.record import read_record
 from cvxshear.modal import Channel, FrfRecord, FrfRun, Run, TimeRecord, identify_modes
 from cvxshear.modal.simulate import PAPER_FRAME, base_record
+from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError, UnsuitableError
 from tests.modal.shared import csv
 
 RECORD = """

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cvxshear.formats.modes import modes_from_file
+from cvxshear.files.modes import modes_from_file
 from cvxshear.modal import Channel, Run, TimeRecord, from_pyoma, from_sdypy, identify_modes
 from cvxshear.modal.shapes import mac
 from cvxshear.modal.simulate import PAPER_FRAME, ambient_record, base_record

@@ -11,15 +11,15 @@ import pytest
 from scipy import io
 
 import cvxshear
-from cvxshear.errors import InputError
-from cvxshear.formats.csv import read_csv
-from cvxshear.formats.mat import read_mat
-from cvxshear.formats.mat5 import read
-from cvxshear.formats.measurement import write_measurement
-from cvxshear.formats.modes import write_modes
-from cvxshear.formats.record import read_record
-from cvxshear.formats.uff import read_modes, read_uff, write_uff
+from cvxshear.files.csv import read_csv
+from cvxshear.files.mat import read_mat
+from cvxshear.files.mat5 import read
+from cvxshear.files.measurement import write_measurement
+from cvxshear.files.modes import write_modes
+from cvxshear.files.record import read_record
+from cvxshear.files.uff import read_modes, read_uff, write_uff
 from cvxshear.modal import from_arrays
+from cvxshear.util.errors import InputError
 from tests.modal.shared import csv
 
 NAMES = ["t", "force", "a1", "a2"]
@@ -262,7 +262,7 @@ def test_modes_are_identified_without_a_reader_or_a_writer():
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             names += [each.name for each in node.names] if isinstance(node, ast.Import) else []
-            assert not any(name.startswith("cvxshear.formats") for name in names), path.name
+            assert not any(name.startswith("cvxshear.files") for name in names), path.name
 
 
 @pytest.mark.parametrize("direction", [100, -100])

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cvxshear.errors import InputError
 from cvxshear.modal import Channel, Run, TimeRecord, from_arrays, identify_modes
 from cvxshear.modal.functions import measured_functions
 from cvxshear.modal.simulate import PAPER_FRAME, ambient_record, hammer_record, shaker_record
 from cvxshear.modal.synthesis import band_of, synthesized
+from cvxshear.util.errors import InputError
 
 
 @pytest.fixture(scope="module")

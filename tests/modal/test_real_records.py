@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.formats.modes import modes_from_file
+from cvxshear.files.modes import modes_from_file
 from tests.modal.shared import mini_table, needs_mini_table, needs_southampton, southampton
 
 FLEXIBLE = ([3.68, 11.12, 16.60], [(0.427, 0.810, 1), (1, 0.372, -0.773), (-0.745, 1, -0.537)])

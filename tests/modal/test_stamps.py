@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cvxshear.errors import InputError
-from cvxshear.formats.columns import Columns, sampling_rate_of
-from cvxshear.formats.stamps import rounding_of
+from cvxshear.files.columns import Columns, sampling_rate_of
+from cvxshear.files.stamps import rounding_of
+from cvxshear.util.errors import InputError
 
 
 def rate(time, declared=None):

@@ -5,10 +5,10 @@ import pytest
 from scipy.integrate import quad
 
 from cvxshear.effects import Gravity, GroundSpring, JointRotation, Place, Placed, Scale
-from cvxshear.errors import InputError
-from cvxshear.experiment import Frame
+from cvxshear.measurement.experiment import Frame
 from cvxshear.planning.apart import NONE, apart, evidence_of
 from cvxshear.planning.targets import Target, target
+from cvxshear.util.errors import InputError
 
 ROTATION = Target(Placed(JointRotation()), 0.05)
 SPRING = Target(Placed(GroundSpring(), Place(floor=3)), 10.0)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.optimize import check_grad
 
-from cvxshear.errors import InputError
 from cvxshear.planning.choice import choose, exchanged, exhaustive, values_of
 from cvxshear.planning.criteria import CRITERIA, criterion_named
 from cvxshear.planning.relaxation import relaxed
 from cvxshear.planning.study import OTHERS, beside_others, floors_of, random_frame
+from cvxshear.util.errors import InputError
 from tests.planning.common import frame_model, tapered
 
 NAMES = tuple(CRITERIA)

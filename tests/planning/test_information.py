@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from cvxshear.errors import InputError
 from cvxshear.planning.candidates import candidates
 from cvxshear.planning.design import Design
 from cvxshear.planning.model import VAGUE
 from cvxshear.planning.targets import target
+from cvxshear.util.errors import InputError
 from tests.planning.common import NOISE, design, frame_model, slow_covariance, tapered
 
 FLOORS = np.array([0, 2, 4])

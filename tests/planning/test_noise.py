@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from cvxshear.errors import InputError
-from cvxshear.frame import mass_matrix, modes, stiffness_matrix
 from cvxshear.modal.simulate import PAPER_FRAME
+from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.planning.noise import BAND, Declared, Recorded, band_factors
+from cvxshear.util.errors import InputError
 
 WHICH = np.arange(3)
 

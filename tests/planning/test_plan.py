@@ -8,13 +8,13 @@ import pytest
 
 import cvxshear
 from cvxshear.cli import main
-from cvxshear.errors import InputError
 from cvxshear.planning import Declared, Limits, Recorded, best_test, plan, predicted, read_design, write_template
 from cvxshear.planning.criteria import criterion_named
 from cvxshear.planning.masses import value_of
 from cvxshear.planning.simulation import right_verdicts, scatter
 from cvxshear.planning.study import paper_design
 from cvxshear.report import figures
+from cvxshear.util.errors import InputError
 from tests.frames import configuration, experiment
 from tests.planning.common import NOISE, design, tapered
 from tests.report.test_figures import assert_readable

@@ -12,7 +12,7 @@ import pytest
 
 import cvxshear
 from cvxshear import backends
-from cvxshear.identification.efficient import efficient
+from cvxshear.fit.efficient import efficient
 from cvxshear.modal import identify_modes
 from cvxshear.modal.motion import Drive, Motion
 from cvxshear.modal.simulate import PAPER_FRAME, base_record, hammer_record

@@ -9,11 +9,18 @@ import pytest
 from rich.cells import cell_len
 
 import cvxshear
-from cvxshear.errors import InputError
-from cvxshear.identification.ending import Ending
-from cvxshear.identification.results import IdentifiedFrame
+from cvxshear.fit.ending import Ending
+from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.posterior import Rival
-from cvxshear.quantities import (
+from cvxshear.report import terminal
+from cvxshear.report.describe import describe
+from cvxshear.report.describe.frame import frame_table
+from cvxshear.report.describe.headline import change_in_words, headline
+from cvxshear.report.describe.parameters import in_words
+from cvxshear.report.describe.vocabulary import Table, plain_rows
+from cvxshear.report.house_table import plain_table
+from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import (
     Units,
     chance,
     equals,
@@ -27,13 +34,6 @@ from cvxshear.quantities import (
     with_std,
     with_stds,
 )
-from cvxshear.report import terminal
-from cvxshear.report.describe import describe
-from cvxshear.report.describe.frame import frame_table
-from cvxshear.report.describe.headline import change_in_words, headline
-from cvxshear.report.describe.parameters import in_words
-from cvxshear.report.describe.vocabulary import Table, plain_rows
-from cvxshear.report.house_table import plain_table
 from tests.report.conftest import NASTY, experiment
 
 EVERY = ["paper", "eight", "unexplained", "twenty", "nine", "ambiguous"]

@@ -12,10 +12,10 @@ from rich.cells import cell_len
 import cvxshear
 from cvxshear.modal.findings import Finding
 from cvxshear.planning import plan
-from cvxshear.quantities import Units
 from cvxshear.report.describe import Sentence, Table, describe
 from cvxshear.response import Drive, Motion, predict
 from cvxshear.screening import Screening
+from cvxshear.util.quantities import Units
 from tests.planning.common import NOISE, slow_covariance, tapered
 from tests.report.conftest import NASTY
 from tests.response.common import damped_frame, declared, integrated, matrices, pole_ratios, shaking

@@ -12,12 +12,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import cvxshear
-from cvxshear.errors import InputError
 from cvxshear.report import figures
 from cvxshear.report.figures.mac import written
 from cvxshear.report.figures.output import inline_svg
 from cvxshear.report.figures.style import letters, power_of_ten, spread
 from cvxshear.report.shapes import mac_tables, mode_shapes
+from cvxshear.util.errors import InputError
 
 ODDS = [1.0] + [0.0] * 13
 OF_A_LOOP = [figures.frame, figures.shapes, figures.residual, figures.ranking, figures.mac]

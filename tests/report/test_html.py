@@ -12,9 +12,9 @@ import pytest
 
 import cvxshear
 from cvxshear.effects import compose
-from cvxshear.errors import InputError
 from cvxshear.report.describe.consequences import changes, consequences
 from cvxshear.report.html import render, write_report
+from cvxshear.util.errors import InputError
 from tests.report.conftest import NASTY, experiment
 
 COMMAND = "cvxshear loop 'a & b.toml' --report <out>.html"

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.errors import InputError
 from cvxshear.modal import from_arrays, identify_modes
 from cvxshear.modal.simulate import PAPER_FRAME, KnownFrame, base_record, hammer_record, shaker_record
 from cvxshear.report import figures
 from cvxshear.report.figures.residual import _decades
 from cvxshear.report.shapes import mode_shapes
+from cvxshear.util.errors import InputError
 from tests.frames import chain
 from tests.report.test_figures import assert_readable
 

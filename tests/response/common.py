@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 from scipy import integrate, linalg
 
-from cvxshear.frame import modes
+from cvxshear.model.shear import modes
 from cvxshear.response.uncertain import modal_matrix
 from tests.frames import chain, modes_of
 

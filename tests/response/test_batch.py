@@ -5,9 +5,9 @@ import pytest
 
 import cvxshear
 from cvxshear import backends
-from cvxshear.frame import modes
-from cvxshear.identification.efficient import efficient
+from cvxshear.fit.efficient import efficient
 from cvxshear.modal.motion import Drive, Motion
+from cvxshear.model.shear import modes
 from cvxshear.response import DampedModel, Fitted, batch_peaks, predict, predict_many, response, sample_peaks
 from cvxshear.response.family import Family
 from cvxshear.response.hold import held, held_at

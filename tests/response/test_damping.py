@@ -7,14 +7,14 @@ import pytest
 
 import cvxshear
 from cvxshear import backends
-from cvxshear.errors import InputError, UnsuitableError
-from cvxshear.frame import modes
-from cvxshear.identification.efficient import efficient
+from cvxshear.fit.efficient import efficient
+from cvxshear.model.shear import modes
 from cvxshear.response import Fitted, damping_of
 from cvxshear.response.dashpots import story_dashpots
 from cvxshear.response.propagation import propagated, sampled
 from cvxshear.response.ratios import Ratios
 from cvxshear.response.uncertain import UncertainFrame
+from cvxshear.util.errors import InputError, UnsuitableError
 from tests.frames import modes_of
 from tests.response.common import damped_frame, declared, matrices, pole_ratios
 

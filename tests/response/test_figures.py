@@ -5,7 +5,7 @@ import pytest
 
 import cvxshear
 from cvxshear import backends
-from cvxshear.identification.efficient import efficient
+from cvxshear.fit.efficient import efficient
 from cvxshear.modal.motion import Drive, Motion
 from cvxshear.report import figures
 from cvxshear.response import DampedModel, Fitted, Models, predict, response

@@ -9,13 +9,13 @@ import pytest
 import cvxshear
 from cvxshear import backends, effects
 from cvxshear.effects import Placed
-from cvxshear.errors import InputError
-from cvxshear.identification.efficient import efficient
+from cvxshear.fit.efficient import efficient
 from cvxshear.modal import Channel, Run, TimeRecord
 from cvxshear.modal.motion import Drive, Motion
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
 from cvxshear.response.series import series
 from cvxshear.response.transfer import peak
+from cvxshear.util.errors import InputError
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
 from tests.response_study import coverage, linear_over_sampled
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cvxshear.formats.measurement import write_measurement
+from cvxshear.files.measurement import write_measurement
 from tests.fe.experiments import simulated
 from tests.mistakes import with_mistake
 

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 from cvxshear.loop import VERDICTS, Closure
 from cvxshear.loop.next_test import NextTest
-from cvxshear.quantities import AUTOMATIC, Units, capital, chance, counted, listed, significant
 from cvxshear.report.describe.dispatch import describe, line
 from cvxshear.report.describe.errors import before_after, residual_section, steps_section
 from cvxshear.report.describe.evidence import candidates_section, effect_sections, effects_section, sets_section
@@ -16,6 +15,7 @@ from cvxshear.report.describe.headline import NAMED, headline
 from cvxshear.report.describe.numbering import in_doubt, numbering_sections
 from cvxshear.report.describe.parameters import in_words
 from cvxshear.report.describe.vocabulary import Block, Document, Points, Section, Sentence
+from cvxshear.util.quantities import AUTOMATIC, Units, capital, chance, counted, listed, significant
 
 
 @describe.register

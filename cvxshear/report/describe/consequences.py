@@ -9,11 +9,11 @@ import numpy as np
 
 from cvxshear.effects import Placed, compose
 from cvxshear.effects.state import State
-from cvxshear.experiment import Configuration
-from cvxshear.frame import modes
-from cvxshear.identification.efficient import Estimate
-from cvxshear.quantities import AUTOMATIC, Units, percent
-from cvxshear.typing import Floats
+from cvxshear.fit.efficient import Estimate
+from cvxshear.measurement.experiment import Configuration
+from cvxshear.model.shear import modes
+from cvxshear.util.quantities import AUTOMATIC, Units, percent
+from cvxshear.util.typing import Floats
 
 NOTHING = 1e-9
 """Relative change below which nothing is said of it."""

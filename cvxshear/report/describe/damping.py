@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from cvxshear.quantities import AUTOMATIC, Units, counted, significant, with_std
 from cvxshear.report.describe.dispatch import describe
 from cvxshear.report.describe.vocabulary import Block, Document, Section, Sentence, Table, plain_rows
 from cvxshear.response import IdentifiedDamping
+from cvxshear.util.quantities import AUTOMATIC, Units, counted, significant, with_std
 
 
 @describe.register

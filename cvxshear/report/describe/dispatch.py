@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from functools import singledispatch
 
-from cvxshear.quantities import AUTOMATIC, Units
 from cvxshear.report.describe.vocabulary import Document
+from cvxshear.util.quantities import AUTOMATIC, Units
 
 
 @singledispatch

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator, Sequence
 from cvxshear.data import Deviation
 from cvxshear.loop import Closure
 from cvxshear.loop.residual import by_part
-from cvxshear.quantities import percents, probability, signed, significant, significants
 from cvxshear.report.describe.noise import noise_facts
 from cvxshear.report.describe.vocabulary import Block, Exact, Row, Section, Sentence, Table, columns
+from cvxshear.util.quantities import percents, probability, signed, significant, significants
 
 Writer = Callable[[Sequence[float | None]], list[str]]
 

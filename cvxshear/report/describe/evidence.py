@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 from cvxshear.loop import Closure
 from cvxshear.loop.results import AddedEffect, Candidate, EffectSet
-from cvxshear.quantities import Units, capital, chance, listed, per_force, probability, significants, with_std
 from cvxshear.report.describe.consequences import consequences
 from cvxshear.report.describe.numbering import numbers_in_words
 from cvxshear.report.describe.parameters import in_words
 from cvxshear.report.describe.vocabulary import Block, Facts, Points, Row, Section, Sentence, Table
+from cvxshear.util.quantities import Units, capital, chance, listed, per_force, probability, significants, with_std
 
 BRIEF_SETS = 6
 BRIEF_CANDIDATES = 8

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cvxshear.experiment import Configuration, Experiment
-from cvxshear.quantities import AUTOMATIC, Units, counted, percents, ranged, significant
+from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.report.describe.dispatch import describe, line
 from cvxshear.report.describe.vocabulary import Block, Document, Facts, Row, Section, Sentence, Table
-from cvxshear.typing import Floats
+from cvxshear.util.quantities import AUTOMATIC, Units, counted, percents, ranged, significant
+from cvxshear.util.typing import Floats
 
 MOST_COLUMNS = 11
 """Of a table of measured modes beside the modes' numbers; more go below."""

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from cvxshear.identification import IdentifiedFrame
-from cvxshear.quantities import EXACT, UNKNOWN, Units, significant, significants, with_std
+from cvxshear.methods import IdentifiedFrame
 from cvxshear.report.describe.vocabulary import Table, columns
-from cvxshear.typing import Floats
+from cvxshear.util.quantities import EXACT, UNKNOWN, Units, significant, significants, with_std
+from cvxshear.util.typing import Floats
 
 
 def frame_table(

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from cvxshear.identification.quality import Quality
+from cvxshear.fit.quality import Quality
 from cvxshear.loop import Closure
 from cvxshear.loop.results import AddedEffect
-from cvxshear.quantities import chance, listed, percents
 from cvxshear.report.describe.noise import noise_in_words
 from cvxshear.report.describe.numbering import in_doubt, numbers_in_words, other_numbers
+from cvxshear.util.quantities import chance, listed, percents
 
 NAMED = 2
 """Effects up to which a sentence names them all; more are a matter for the table."""

@@ -6,8 +6,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cvxshear.identification import Identification, SingleIdentification
-from cvxshear.quantities import (
+from cvxshear.methods import Identification, SingleIdentification
+from cvxshear.report.describe import vocabulary
+from cvxshear.report.describe.dispatch import describe, line
+from cvxshear.report.describe.experiment import declared
+from cvxshear.report.describe.frame import frame_table
+from cvxshear.report.describe.parameters import in_words
+from cvxshear.report.describe.vocabulary import Document, Row, Section, Sentence, Table
+from cvxshear.util.quantities import (
     AUTOMATIC,
     Units,
     capital,
@@ -18,13 +24,7 @@ from cvxshear.quantities import (
     significant,
     significants,
 )
-from cvxshear.report.describe import vocabulary
-from cvxshear.report.describe.dispatch import describe, line
-from cvxshear.report.describe.experiment import declared
-from cvxshear.report.describe.frame import frame_table
-from cvxshear.report.describe.parameters import in_words
-from cvxshear.report.describe.vocabulary import Document, Row, Section, Sentence, Table
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 RULED_OUT = 1e-3
 """Probability of a chi-square so large below which the model is said to be ruled out."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.modal import ModalResult
-from cvxshear.quantities import AUTOMATIC, Units, capital, counted, percents, ranged, with_stds
 from cvxshear.report.describe.dispatch import describe, line
 from cvxshear.report.describe.vocabulary import Block, Document, Section, Sentence, Table, columns
-from cvxshear.typing import Floats
+from cvxshear.util.quantities import AUTOMATIC, Units, capital, counted, percents, ranged, with_stds
+from cvxshear.util.typing import Floats
 
 METHODS = {
     "era": "eigensystem realization (era)",

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from cvxshear.configuration import DEFAULT_FREQUENCY_STD, DEFAULT_MODE_SHAPE_STD
 from cvxshear.loop import Closure
-from cvxshear.quantities import listed, significant, with_std
+from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD, DEFAULT_MODE_SHAPE_STD
+from cvxshear.measurement.static_test import DEFAULT_DISPLACEMENT_STD
 from cvxshear.report.describe.vocabulary import Facts
-from cvxshear.static_test import DEFAULT_DISPLACEMENT_STD
+from cvxshear.util.quantities import listed, significant, with_std
 
 DEFAULTS = {
     "frequency": DEFAULT_FREQUENCY_STD,

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 from cvxshear.loop import Closure
 from cvxshear.loop.numbering import Changes
-from cvxshear.quantities import chance, listed
 from cvxshear.report.describe.vocabulary import Row, Section, Table
+from cvxshear.util.quantities import chance, listed
 
 DOUBT = 0.05
 """Probability of other numbers above which a reader is told of them in a sentence."""

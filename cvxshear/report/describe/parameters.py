@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from cvxshear.quantities import listed, ranged
+from cvxshear.util.quantities import listed, ranged
 
 PLURALS = {"floor_mass": "floor masses", "story_stiffness": "story stiffnesses"}
 """Of what a frame has one at each floor or story."""

@@ -6,10 +6,10 @@ import numpy as np
 
 from cvxshear.planning.apart import SUFFICES
 from cvxshear.planning.results import OPEN, Outlook, Plan
-from cvxshear.quantities import AUTOMATIC, Units, counted, percent, significant
 from cvxshear.report.describe.dispatch import describe
 from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, plain_rows
-from cvxshear.typing import Floats
+from cvxshear.util.quantities import AUTOMATIC, Units, counted, percent, significant
+from cvxshear.util.typing import Floats
 
 PROVEN = 1e-9
 """Gap below which a choice is the best there is."""

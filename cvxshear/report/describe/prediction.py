@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cvxshear.quantities import AUTOMATIC, Units, percent, scaled, with_std
 from cvxshear.report.describe.damping import damping_section
 from cvxshear.report.describe.dispatch import describe
 from cvxshear.report.describe.vocabulary import Document, Row, Section, Sentence, Table, plain_rows
 from cvxshear.response import RecordComparison, RecordPrediction
+from cvxshear.util.quantities import AUTOMATIC, Units, percent, scaled, with_std
 
 SHOWN_MODES = 6
 """Columns of the transfer functions' errors; the higher modes stand in the JSON."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from cvxshear.quantities import AUTOMATIC, Units, counted, listed
 from cvxshear.report.describe.dispatch import describe
 from cvxshear.report.describe.vocabulary import Block, Document, Facts, Section, Sentence
 from cvxshear.screening import Finding, Screening
+from cvxshear.util.quantities import AUTOMATIC, Units, counted, listed
 
 
 @describe.register

@@ -7,8 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from cvxshear.errors import InputError
-from cvxshear.identification import Identification, SingleIdentification
+from cvxshear.methods import Identification, SingleIdentification
 from cvxshear.report.figures.style import (
     COLOURS,
     LINES,
@@ -22,7 +21,8 @@ from cvxshear.report.figures.style import (
     panels,
     styled,
 )
-from cvxshear.typing import Floats
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats
 
 MOST_LINES = 6
 """Floors that have a line each; with more, the largest and the median are drawn."""

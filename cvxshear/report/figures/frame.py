@@ -7,13 +7,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from cvxshear.experiment import Experiment
-from cvxshear.identification import Identification, IdentifiedFrame
 from cvxshear.loop import Closure
-from cvxshear.quantities import AUTOMATIC
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.methods import Identification, IdentifiedFrame
 from cvxshear.report.describe.frame import in_one_unit
 from cvxshear.report.figures.style import AFTER, PALE, QUIET, grid_of, letters, new_figure, panels, spread, styled
-from cvxshear.typing import Floats
+from cvxshear.util.quantities import AUTOMATIC
+from cvxshear.util.typing import Floats
 
 LINE = 0.17
 """inch, what a line of text needs."""

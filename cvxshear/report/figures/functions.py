@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from cvxshear.errors import InputError
 from cvxshear.modal import ModalResult
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.synthesis import band_of, synthesized
@@ -28,6 +27,7 @@ from cvxshear.report.figures.style import (
     panels_by_group,
     styled,
 )
+from cvxshear.util.errors import InputError
 
 FUNCTIONS = {
     "acceleration": "accelerance, (m/s²)/N",

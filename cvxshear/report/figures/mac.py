@@ -7,11 +7,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
-from cvxshear.identification import Identification
 from cvxshear.loop import Closure
+from cvxshear.methods import Identification
 from cvxshear.report.figures.style import PAGE_WIDTH, grid_of, letters, new_figure, panels, styled
 from cvxshear.report.shapes import mac_tables
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 NUMBERED = 8
 """Modes up to which the cells hold their numbers."""

@@ -9,7 +9,6 @@ from matplotlib.ticker import MaxNLocator
 
 from cvxshear.modal import ModalResult
 from cvxshear.modal.shapes import mac, scaled_to_one
-from cvxshear.quantities import percents
 from cvxshear.report.figures.mac import draw_matrix
 from cvxshear.report.figures.style import (
     AFTER,
@@ -24,7 +23,8 @@ from cvxshear.report.figures.style import (
     panels_by_group,
     styled,
 )
-from cvxshear.typing import Floats
+from cvxshear.util.quantities import percents
+from cvxshear.util.typing import Floats
 
 MOST_COLUMNS = 5
 

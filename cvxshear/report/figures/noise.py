@@ -11,7 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from cvxshear.errors import InputError
 from cvxshear.report.figures.style import (
     COLOURS,
     HATCHES,
@@ -26,6 +25,7 @@ from cvxshear.report.figures.style import (
 )
 from cvxshear.studies.noise import NoiseStudy
 from cvxshear.studies.scatter import Scatter
+from cvxshear.util.errors import InputError
 
 BOX = 0.8
 """Of the distance between two noise levels, what the boxes of all methods take."""

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from cvxshear.report.figures.style import settings
-from cvxshear.writing import ending_of, write_file
+from cvxshear.util.writing import ending_of, write_file
 
 KINDS = ("svg", "png", "pdf")
 ENLARGED = 1.4

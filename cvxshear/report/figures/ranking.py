@@ -11,9 +11,9 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from cvxshear.loop import Closure
 from cvxshear.loop.results import Candidate
-from cvxshear.quantities import chance
 from cvxshear.report.figures.style import AFTER, BEFORE, PAGE_WIDTH, QUIET, letters, new_figure, styled
-from cvxshear.typing import Floats
+from cvxshear.util.quantities import chance
+from cvxshear.util.typing import Floats
 
 SHOWN = 14
 """Effects that are drawn, the most probable first; those that were added always are."""

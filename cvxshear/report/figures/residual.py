@@ -13,7 +13,7 @@ from cvxshear.data import Deviation
 from cvxshear.loop import Closure
 from cvxshear.loop.residual import by_part
 from cvxshear.report.figures.style import AFTER, BEFORE, PAGE_WIDTH, QUIET, letters, new_figure, power_of_ten, styled
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 USUAL = 2.0
 """Standard deviations that chance rarely exceeds."""

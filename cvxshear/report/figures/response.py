@@ -7,7 +7,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
 
-from cvxshear.quantities import scaled
 from cvxshear.report.figures.style import (
     AFTER,
     BEFORE,
@@ -24,7 +23,8 @@ from cvxshear.report.figures.style import (
 )
 from cvxshear.response import RecordPrediction
 from cvxshear.response.compare import seen
-from cvxshear.typing import Floats, Ints
+from cvxshear.util.quantities import scaled
+from cvxshear.util.typing import Floats, Ints
 
 MOST_FLOORS = 4
 """Floors that have a panel of their own."""

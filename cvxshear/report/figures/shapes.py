@@ -22,7 +22,7 @@ from cvxshear.report.figures.style import (
     styled,
 )
 from cvxshear.report.shapes import ModeShape, mode_shapes
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 MOST_COLUMNS = 5
 ABOVE, BELOW, TITLE = 0.3, 0.55, 0.5

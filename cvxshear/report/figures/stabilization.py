@@ -7,12 +7,12 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cvxshear.errors import InputError
 from cvxshear.modal import ModalResult
 from cvxshear.modal.picking import Sweep
 from cvxshear.report.describe.modal import method_in_words
 from cvxshear.report.figures.style import AFTER, BEFORE, PAGE_WIDTH, QUIET, letters, new_figure, panels, spread, styled
-from cvxshear.typing import Floats
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats
 
 LABEL = 0.14
 """inch, what a label standing on end needs in width."""

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.ft2font import FT2Font
 from matplotlib.ticker import FuncFormatter, LogLocator
 
-from cvxshear.typing import Floats
+from cvxshear.util.typing import Floats
 
 P = ParamSpec("P")
 

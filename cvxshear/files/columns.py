@@ -1,0 +1,149 @@
+"""Tables of named columns, whatever file they came from, and the checks that name a column and a line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NoReturn
+
+import numpy as np
+
+from cvxshear.files.stamps import rate_within_rounding, rounding_of
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import counted
+from cvxshear.util.typing import Floats, Ints
+
+FEWEST_ROWS = 32
+LIMIT = 100_000_000
+"""Bytes that a file of a record, and the numbers in it, may have where nothing else is said."""
+TOO_LARGE = "cut it into runs, or raise the limit by size_limit, in MB, in the table [record]"
+UNEVEN = 0.25
+"""Of the median step: a step further off than that is a gap, a repetition or another rate."""
+
+COARSE = 0.1
+"""Of all steps: so many that differ from the usual one are no handful of gaps."""
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Columns of equal length.
+
+    Parameters
+    ----------
+    source : str
+        The file, for messages.
+    names : tuple of str
+    values : array, shape (rows, columns)
+    lines : array of int, shape (rows,), optional
+        The line of the file that each row stands on; None for a binary file.
+    """
+
+    source: str
+    names: tuple[str, ...]
+    values: Floats
+    lines: Ints | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.values) < FEWEST_ROWS:
+            raise InputError(f"{self.source} holds {len(self.values)} samples; at least {FEWEST_ROWS} are needed")
+        seen: set[str] = set()
+        for name in self.names:
+            if name in seen:
+                raise InputError(f'{self.source} has two columns named "{name}"')
+            seen.add(name)
+
+    def at(self, row: int) -> str:
+        """The place of a row as a person would name it."""
+        if self.lines is None:
+            return f"{self.source}, sample {row + 1}"
+        return f"{self.source}, line {int(self.lines[row])}"
+
+    def column(self, name: str, asked: str) -> Floats:
+        """The values of a column, once they are known to be finite, shape (rows,).
+
+        Parameters
+        ----------
+        name : str
+        asked : str
+            Who asks for it, for messages.
+        """
+        if name not in self.names:
+            shown = ", ".join(each[:60] for each in self.names[:12]) + (", ..." if len(self.names) > 12 else "")
+            raise InputError(f'{asked}: {self.source} has no column "{name[:60]}"; it has {shown}')
+        values = self.values[:, self.names.index(name)]
+        bad = np.flatnonzero(~(np.abs(values) <= checks.LARGEST))
+        if bad.size:
+            raise InputError(
+                f'{self.at(int(bad[0]))}: channel "{name}" holds {values[bad[0]]} ({bad.size} such values in '
+                "all); mend the record or cut it before that line"
+            )
+        return checks.frozen(values.copy())
+
+
+def sampling_rate_of(time: Floats, columns: Columns, name: str, declared: float | None = None) -> float:
+    """The sampling rate that a time column shows, Hz.
+
+    Stamps that a logger has rounded, 0.004, 0.008, 0.012, ... s at 256 Hz, show the rate that all of them fit.
+
+    Parameters
+    ----------
+    time : array, shape (samples,)
+        s.
+    columns : Columns
+    name : str
+        Of the column.
+    declared : float, optional
+        Hz; with it the stamps may be coarser than the samples.
+
+    Raises
+    ------
+    InputError
+        Where the column does not ascend, has a gap, or changes its step, naming the line.
+    """
+    steps = np.diff(time)
+    step = float(np.median(steps))
+    odd = np.flatnonzero(np.abs(steps - step) > UNEVEN * abs(step))
+    if step > 0 and not odd.size:
+        return float((len(time) - 1) / (time[-1] - time[0]))
+    rounded = rate_within_rounding(time, declared)
+    if rounded is None:
+        if step <= 0 or odd.size > COARSE * len(steps):
+            _refuse_coarse(time, step, columns, name)
+        _refuse_uneven(steps, step, odd, columns, name)
+    return rounded
+
+
+def _refuse_coarse(time: Floats, step: float, columns: Columns, name: str) -> None:
+    """Refuse stamps that repeat because they are rounded to more than a sample, where they do."""
+    rounding = rounding_of(time)
+    repeats = bool(np.any(np.isclose(step, (0.0, rounding), atol=1e-9))) and bool(np.all(np.diff(time) >= 0))
+    if repeats and time[-1] > time[0]:
+        raise InputError(
+            f'{columns.source}: column "{name}" is rounded to {rounding:g} s, more than a sample, so that stamps '
+            "repeat; give record: sampling_rate, in Hz"
+        )
+    if step <= 0:
+        raise InputError(f'{columns.source}: column "{name}" must ascend; its median step is {step:g} s')
+
+
+def _refuse_uneven(steps: Floats, step: float, odd: Ints, columns: Columns, name: str) -> NoReturn:
+    first = int(odd[0])
+    if steps[first] <= 0:
+        raise InputError(
+            f'{columns.at(first + 1)}: channel "{name}" goes back, or stands still, by {steps[first]:g} s after the '
+            "sample before"
+        )
+    # A handful of odd steps are gaps; a fifth of all, each like the next, are a second rate.
+    others = float(np.median(steps[odd]))
+    alike = np.mean(np.abs(steps[odd] - others) < UNEVEN * others)
+    if odd.size > 0.1 * len(steps) and alike > 0.9:
+        before = float(steps[0])
+        change = int(np.argmax(np.abs(steps - before) > UNEVEN * before))
+        raise InputError(
+            f'{columns.at(change + 1)}: channel "{name}" has two sampling rates, {1 / before:.6g} Hz and from here '
+            f"{1 / float(steps[change]):.6g} Hz; hand in the stretches as separate records or resample them to one rate"
+        )
+    raise InputError(
+        f'{columns.at(first + 1)}: channel "{name}" has a gap of {steps[first]:g} s where the step is {step:g} s '
+        f"({counted(int(odd.size), 'uneven step')} in all); hand in what lies before and after as two runs"
+    )

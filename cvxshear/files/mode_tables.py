@@ -1,0 +1,273 @@
+"""Modes from tables and files that other programs write, in place of lists in a measurement file.
+
+A table has one row a mode and a header that names its columns:
+
+    mode; frequency, Hz; damping; frequency std; floor 1; floor 2; floor 3; floor 1 std; ...
+
+Only the frequency and one floor at least must be there; an empty cell of a shape is an entry that was not measured.
+Shapes that carry the scale say so by their unit, "floor 1, 1/sqrt(kg)".
+"""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import io
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cvxshear.files.reading import read_bytes
+from cvxshear.files.uff import read_modes
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
+
+LARGEST = 5_000_000
+"""Bytes of a table of modes."""
+TOO_LARGE = "too many for a table of modes; is it a record?"
+SEPARATORS = (";", "\t", ",")
+COLUMNS = {
+    "mode": "modes",
+    "frequency": "frequencies",
+    "frequency hz": "frequencies",
+    "f": "frequencies",
+    "f hz": "frequencies",
+    "frequency std": "frequency_std",
+    "damping": "damping_ratios",
+    "damping ratio": "damping_ratios",
+}
+"""What a header may say, in lower case without punctuation, and the key of a configuration that it fills."""
+
+Cell = str | float | None
+Rows = list[tuple[int, list[Cell]]]
+
+
+def read_mode_csv(path: str | Path) -> dict[str, Any]:
+    """The modes of a table in a CSV file.
+
+    Parameters
+    ----------
+    path : str or Path
+        Cells separated by semicolons, tabs or commas, whichever the header has first in that order; a decimal comma
+        is understood where the separator is none. Lines that begin with # are comments.
+
+    Returns
+    -------
+    dict
+        Keys of a table [[configuration]].
+
+    Raises
+    ------
+    InputError
+        Naming the file, the line and the column.
+    """
+    path = Path(path)
+    try:
+        text = read_bytes(path, LARGEST, TOO_LARGE).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path!s} is not UTF-8 text (byte {error.start}); is it a CSV file?") from None
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip() and line[0] != "#"]
+    separator = next((mark for mark in SEPARATORS if lines and mark in lines[0][1]), ",")
+    cells = csv.reader(io.StringIO("\n".join(line for _, line in lines)), delimiter=separator, skipinitialspace=True)
+    comma = "," if separator == "," else "."
+    rows: Rows = [
+        (number, [cell.replace(",", comma) if place else cell for cell in row])
+        for place, ((number, _), row) in enumerate(zip(lines, cells, strict=False))
+    ]
+    return _modes_of(rows, str(path))
+
+
+def read_mode_xlsx(path: str | Path) -> dict[str, Any]:
+    """The modes of a table on the first sheet of a workbook.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    dict
+        Keys of a table [[configuration]].
+
+    Raises
+    ------
+    InputError
+        Naming the file, the row and the column; where openpyxl (the extra `xlsx`) is not installed.
+    """
+    path = Path(path)
+    try:
+        openpyxl = importlib.import_module("openpyxl")
+    except ImportError:
+        raise InputError(f"{path!s}: workbooks need openpyxl: pip install openpyxl") from None
+    content = io.BytesIO(read_bytes(path, LARGEST, TOO_LARGE))
+    try:
+        book = openpyxl.load_workbook(content, read_only=True, data_only=True)
+        found = [list(row) for row in book.worksheets[0].iter_rows(values_only=True)]
+    except Exception as error:
+        # openpyxl raises whatever its parsing of the archive runs into.
+        raise InputError(f"{path!s} is not a workbook that can be read: {str(error)[:200]}") from None
+    rows: Rows = [(number, row) for number, row in enumerate(found, 1) if any(cell not in (None, "") for cell in row)]
+    return _modes_of(rows, str(path))
+
+
+def read_mode_uff(path: str | Path) -> dict[str, Any]:
+    """The modes of a universal file, its nodes 1, 2, ... being the floors.
+
+    Parameters
+    ----------
+    path : str or Path
+        With data sets 55; the x direction is taken, complex shapes are made real on their main axis.
+
+    Returns
+    -------
+    dict
+        Keys of a table [[configuration]].
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read or holds no mode.
+    """
+    frequencies, damping, shapes, nodes = read_modes(path)
+    upward, rising = np.argsort(nodes), np.argsort(frequencies)
+    turn = np.exp(-0.5j * np.angle(np.sum(shapes**2, axis=1, keepdims=True)))
+    result: dict[str, Any] = {
+        "measured_floors": nodes[upward].tolist(),
+        "frequencies": frequencies[rising].tolist(),
+        "mode_shapes": (shapes * turn).real[rising][:, upward].tolist(),
+    }
+    if np.any(damping > 0):
+        result["damping_ratios"] = damping[rising].tolist()
+    return result
+
+
+READERS: dict[str, Callable[[str | Path], dict[str, Any]]] = {
+    "csv": read_mode_csv,
+    "xlsx": read_mode_xlsx,
+    "uff": read_mode_uff,
+}
+"""By the key of a configuration that names the file."""
+
+
+def with_modes_read(declared: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The tables of a measurement file, the files that its configurations name read.
+
+    Parameters
+    ----------
+    declared : dict
+    folder : Path
+        Where the files are looked for.
+
+    Returns
+    -------
+    dict
+        What a configuration says itself goes before what its file says.
+
+    Raises
+    ------
+    InputError
+        Naming the configuration, and what is wrong with its file.
+    """
+    tables = declared.get("configuration")
+    if not isinstance(tables, list):
+        return dict(declared)
+    return {**declared, "configuration": [_resolved(table, place, folder) for place, table in enumerate(tables, 1)]}
+
+
+def _resolved(table: object, place: int, folder: Path) -> object:
+    named = [key for key in READERS if isinstance(table, Mapping) and key in table]
+    if not named or not isinstance(table, Mapping):
+        return table
+    where = f"configuration {place}"
+    said = [*named, *(key for key in ("frequencies", "mode_shapes") if key in table)]
+    if len(said) > 1:
+        raise InputError(f"{where}: {' and '.join(said)} all say what the modes are; give one")
+    key = named[0]
+    file = folder / checks.text(table[key], f"{where}: {key}")
+    return {**READERS[key](file), **{name: value for name, value in table.items() if name != key}}
+
+
+def _modes_of(rows: Rows, source: str) -> dict[str, Any]:
+    """The keys of a configuration that a table's rows hold, the header first."""
+    if len(rows) < 2:
+        raise InputError(f"{source} holds no modes: a header that names the columns, and a row a mode, are needed")
+    header = [str(cell or "") for cell in rows[0][1]]
+    keys, entries, stds, scaled = _columns(header, source)
+    values = [[_number(cell, number, name, source) for cell, name in zip(row, header, strict=True)]
+              for number, row in _padded(rows[1:], len(header), source)]  # fmt: skip
+    table = np.array(values)
+    result: dict[str, Any] = {
+        "measured_floors": sorted(entries),
+        "mode_shapes": [[row[entries[floor]] for floor in sorted(entries)] for row in values],
+    }
+    if scaled:
+        result["mass_normalized"] = True
+    if stds:
+        lacking = sorted(set(entries) - set(stds))
+        if lacking:
+            raise InputError(f"{source} has no std for floor {lacking[0]}, and one for others; give each one, or none")
+        result["mode_shape_std"] = [[row[stds[floor]] for floor in sorted(entries)] for row in values]
+    for key, place in keys.items():
+        column = table[:, place]
+        if np.any(np.isnan(column)):
+            number = rows[1 + int(np.flatnonzero(np.isnan(column))[0])][0]
+            raise InputError(f'{source}, line {number}: column "{header[place]}" is empty')
+        result[key] = [int(value) for value in column] if key == "modes" else column.tolist()
+    return result
+
+
+def _columns(header: Sequence[str], source: str) -> tuple[dict[str, int], dict[int, int], dict[int, int], bool]:
+    """Places of the columns: by key of a configuration, of the entries by floor, of their deviations by floor.
+
+    Last, whether the entries' unit is 1/sqrt(kg).
+    """
+    scaled: set[bool] = set()
+    keys: dict[str, int] = {}
+    entries: dict[int, int] = {}
+    stds: dict[int, int] = {}
+    for place, name in enumerate(header):
+        plain = " ".join(re.sub(r"[^a-z0-9%]+", " ", name.lower()).split())
+        floor = re.fullmatch(r"floor ?(\d+)( std)?( 1 (?:sqrt )?kg)?", plain)
+        if plain in COLUMNS:
+            taken = COLUMNS[plain] in keys
+            keys[COLUMNS[plain]] = place
+        elif floor:
+            several = stds if floor[2] else entries
+            taken = int(floor[1]) in several
+            several[int(floor[1])] = place
+            scaled |= set() if floor[2] else {floor[3] is not None}
+        else:
+            raise InputError(
+                f'{source}: column "{name}" is not one of a table of modes: mode, frequency, frequency std, damping, '
+                "floor 1, floor 1 std, floor 2, ..."
+            )
+        if taken:
+            raise InputError(f'{source}: the column "{name}" is there twice')
+    if "frequencies" not in keys or not entries:
+        raise InputError(f'{source} needs a column "frequency" and one "floor 1", "floor 2", ... a measured floor')
+    if len(scaled) > 1:
+        raise InputError(f"{source}: some floors are in 1/sqrt(kg), others have no unit; give all of them the same")
+    return keys, entries, stds, True in scaled
+
+
+def _padded(rows: Rows, width: int, source: str) -> Rows:
+    """Rows of one length; what a row leaves out at its end is empty."""
+    for number, row in rows:
+        if any(cell not in (None, "") for cell in row[width:]):
+            raise InputError(f"{source}, line {number} has more cells than the header has columns, {width}")
+    return [(number, [*row[:width], *[None] * (width - len(row))]) for number, row in rows]
+
+
+def _number(cell: Cell, number: int, name: str, source: str) -> float:
+    """A cell's number; nan where it is empty."""
+    if cell is None or (isinstance(cell, str) and not cell.strip()):
+        return math.nan
+    try:
+        return float(cell)
+    except (TypeError, ValueError):
+        said = checks.shown(cell)
+        raise InputError(f'{source}, line {number}: column "{name}" holds {said}, which is not a number') from None

@@ -1,0 +1,154 @@
+"""The measurement file: an experiment as TOML."""
+
+from __future__ import annotations
+
+import os
+import re
+import tomllib
+from importlib import resources
+from pathlib import Path
+
+from cvxshear.effects import catalogue
+from cvxshear.files.mode_tables import with_modes_read
+from cvxshear.files.reading import named_after, read_bytes
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.util import checks
+from cvxshear.util.checks import shown
+from cvxshear.util.errors import InputError
+
+LARGEST_FILE = 5_000_000
+"""Bytes; a larger file is taken for a mistake (a record in place of a measurement file, say)."""
+
+BUILT_IN = {"paper": ("paper", "paper.toml"), "los-alamos": ("builtin", "los-alamos.toml")}
+"""Examples that travel with the package, and where they stand in it."""
+
+NAMING_KEYS = ("file", "csv", "xlsx", "uff")
+"""Keys of tables whose values are names of other files."""
+
+LONGEST_KEY = 16
+"""Parts, with dots between; the time that reading a key takes grows with their square."""
+
+_LONG_KEY = re.compile(rf"""(?<![\w-])(?>(?>[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{LONGEST_KEY}}}""")
+
+
+def load(path: str | Path) -> Experiment:
+    """Read a measurement file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file, or a built-in example: "paper", the published two-story test frame in three configurations;
+        "los-alamos", the published frequencies of a three-story structure in nine states. A file of such a name in
+        the current folder is reached as "./paper", or as a Path.
+
+    Returns
+    -------
+    Experiment
+
+    Raises
+    ------
+    InputError
+        Naming the file, and the key, the value found and what would be right.
+    """
+    if is_built_in(path):
+        text = resources.files("cvxshear").joinpath(*BUILT_IN[str(path)]).read_text(encoding="utf-8")
+        return Experiment.from_dict(tomllib.loads(text), name=str(path))
+    if not isinstance(path, str | os.PathLike):
+        raise InputError(
+            f"load takes the name of a measurement file, not {shown(path)}; a dict goes to Experiment.from_dict"
+        )
+    path = Path(path)
+    declared = parse(read_text(path), path)
+    if "record" in declared:
+        raise InputError(
+            f"{path} is a record file (it has a table [record]), not a measurement file: "
+            f"'cvxshear modes {path} -o test.toml' makes one of it, and 'cvxshear loop {path}' takes it as it is"
+        )
+    try:
+        experiment = Experiment.from_dict(with_modes_read(declared, path.parent), name=named_after(path))
+        for expected in experiment.expected:
+            checks.choice(expected.name, [effect.name for effect in catalogue()], "effect: name")
+        return experiment
+    except InputError as error:
+        raise type(error)(f"{path!s}: {error}") from error
+
+
+def is_built_in(path: object) -> bool:
+    """Whether this is the name of an example that travels with the package."""
+    return isinstance(path, str) and path in BUILT_IN
+
+
+def read_text(path: Path) -> str:
+    """The text of a file that a user named."""
+    absent = f"the built-in examples are called {' and '.join(BUILT_IN)}"
+    content = read_bytes(path, LARGEST_FILE, "too many for a measurement file", absent=absent)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path!s} is not UTF-8 text (byte {error.start}); is it a measurement file?") from None
+
+
+def parse(text: str, path: Path) -> dict[str, object]:
+    """The tables of a TOML text."""
+    where = str(path)
+    found = _LONG_KEY.search(text)
+    if found is not None:
+        line = text.count("\n", 0, found.start()) + 1
+        raise InputError(f"{where} is not valid TOML: a key of more than {LONGEST_KEY} parts (at line {line})")
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{where} is not valid TOML: {error}") from None
+    except ValueError:
+        # The one that tomllib passes on: Python refuses whole numbers of more than a few thousand digits.
+        raise InputError(f"{where}: a number in it has thousands of digits; is it a measurement file?") from None
+    except RecursionError:
+        raise InputError(f"{where} is not valid TOML: nested too deeply") from None
+
+
+def is_record_file(path: str | Path) -> bool:
+    """Whether a TOML file declares a record (a table [record]) and not a measurement.
+
+    Parameters
+    ----------
+    path : str or Path
+        Or the name of a built-in example, as in `load`.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read or is not TOML.
+    """
+    if is_built_in(path):
+        return False
+    path = Path(path)
+    return "record" in parse(read_text(path), path)
+
+
+def files_of(path: str | Path) -> tuple[Path, ...]:
+    """The files that a measurement or a record file is made of: itself, and those that its tables name.
+
+    Parameters
+    ----------
+    path : str or Path
+        Or the name of a built-in example, made of none. A result's JSON names no other file.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read or is not TOML.
+    """
+    if is_built_in(path):
+        return ()
+    path = Path(path)
+    try:
+        declared = parse(read_text(path), path)
+    except InputError:
+        if path.suffix.lower() != ".json":
+            raise
+        return (path,)
+    tables: list[object] = []
+    for value in declared.values():
+        tables += value if isinstance(value, list) else [value]
+    named = [each.get(key) for each in tables if isinstance(each, dict) for key in NAMING_KEYS]
+    return (path, *(path.parent / name for name in named if isinstance(name, str)))

@@ -1,0 +1,1 @@
+"""The efficient estimator: misfit, step programs, starts, noise, uncertainty, result."""

@@ -1,0 +1,306 @@
+"""The efficient estimator: one fit over all configurations together, weighted by what the noise is."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from scipy import stats
+
+from cvxshear.backends import Backend
+from cvxshear.data import NOISES
+from cvxshear.effects import Placed, Scale
+from cvxshear.effects.composition import slices
+from cvxshear.effects.state import heights_of
+from cvxshear.fit.domain import domain_of, refuse_contradicting
+from cvxshear.fit.gauss_newton import CONVERGED_STEP, Domain, Fit, gauss_newton
+from cvxshear.fit.misfit import Evaluation, Misfit
+from cvxshear.fit.noise import LARGEST_NOISE, NoiseEstimate, estimated_noise
+from cvxshear.fit.quality import Quality, quality
+from cvxshear.fit.results import IdentifiedFrame, Prediction, SingleIdentification, predictions
+from cvxshear.fit.starting import nearest_first
+from cvxshear.fit.uncertainty import Uncertainty, uncertainty
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.util.errors import CvxshearError, NoSolutionError, UnsuitableError
+from cvxshear.util.typing import Floats
+
+MEMORY = 1e9
+"""Bytes that a joint fit may take. It holds the derivatives of all data by all parameters some twelve times over, and
+squares in the parameters some 25 times (measured from 100 to 600 stories)."""
+
+MOST_NOISES = 4
+HELD = 1e-9
+"""Relative standard deviation of what a bound holds: nothing but rounding."""
+
+SAME_NOISE = 0.05
+"""Estimates of an undeclared noise, and the relative change of its factors that counts as none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A joint fit with its uncertainty.
+
+    Parameters
+    ----------
+    misfit : Misfit
+        With the experiment, the effects and the noise of the fit.
+    domain : Domain
+    fit : Fit
+    uncertainty : Uncertainty
+        From data, priors, and what is expected of the effects.
+    noise : NoiseEstimate
+        Of what was left undeclared.
+    """
+
+    misfit: Misfit
+    domain: Domain
+    fit: Fit
+    uncertainty: Uncertainty
+    noise: NoiseEstimate = field(default_factory=NoiseEstimate)
+
+    @property
+    def experiment(self) -> Experiment:
+        """What was measured."""
+        return self.misfit.experiment
+
+    @property
+    def effects(self) -> tuple[Placed, ...]:
+        """The effects in the model."""
+        return self.misfit.effects
+
+    @property
+    def theta(self) -> Floats:
+        """All parameters, shape (P,)."""
+        return self.fit.theta
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squared residuals of data and priors, in units of the declared or the estimated noise."""
+        return self.fit.at.chi2
+
+    @property
+    def dof(self) -> int:
+        """Number of data less number of parameters that they determine."""
+        return self.misfit.count(self.theta) - self.uncertainty.free
+
+    @property
+    def std(self) -> Floats:
+        """Standard deviations of all parameters, shape (P,); nan where undetermined."""
+        return self.uncertainty.std()
+
+    @property
+    def correlation(self) -> Floats:
+        """Correlations of all parameters, shape (P, P)."""
+        return self.uncertainty.correlation()
+
+    @property
+    def p_value(self) -> float | None:
+        """Probability of a residual as large under the noise, declared or estimated; None without degrees of freedom.
+
+        An estimated noise counts up to the largest that instruments have (`noise.LARGEST_NOISE`).
+        """
+        if self.dof <= 0:
+            return None
+        at, noise = self.fit.at, self.misfit.noise
+        squares = at.r[: at.measured] ** 2
+        for kind, factor in noise.factors:
+            squares[at.noises[: at.measured] == NOISES.index(kind)] *= max(1.0, factor / LARGEST_NOISE[kind]) ** 2
+        return float(stats.chi2.sf(squares.sum(), self.dof))
+
+    @cached_property
+    def quality(self) -> Quality:
+        """Errors and chi-square."""
+        declared = not self.misfit.open_noises
+        return quality(self.misfit.data, self.fit.at.models, self.chi2, self.dof, declared=declared)
+
+    @property
+    def predictions(self) -> tuple[Prediction, ...]:
+        """All modes at all floors, one prediction a configuration."""
+        return predictions(self.fit.at.models)
+
+    @property
+    def scale(self) -> Scale:
+        """Mean floor mass and story stiffness, and the heights."""
+        n = self.experiment.stories
+        return Scale(float(self.theta[:n].mean()), float(self.theta[n : 2 * n].mean()), heights_of(self.experiment))
+
+    @property
+    def frame(self) -> IdentifiedFrame:
+        """The frame, nan where the data do not determine a value."""
+        n = self.experiment.stories
+        values = np.where(self.uncertainty.determined, self.theta, np.nan)
+        std = self.std
+        held = self._held_by_bounds(std)
+        return IdentifiedFrame(values[:n], values[n : 2 * n], std[:n], std[n : 2 * n], held)
+
+    def own(self, placed: Placed) -> slice:
+        """Where an effect's parameters stand in theta."""
+        return next(at for item, at in slices(self.effects, 2 * self.experiment.stories) if item is placed)
+
+    @property
+    def expected_frame(self) -> IdentifiedFrame:
+        """The frame with what was expected of it counted too, so that nothing of it is undetermined."""
+        names = parameter_names(self.experiment, self.effects)
+        n = self.experiment.stories
+        std = uncertainty(self.fit.at.triangle[0], self.theta, self.domain, names).std()
+        held = self._held_by_bounds(std)
+        return IdentifiedFrame(self.theta[:n], self.theta[n : 2 * n], std[:n], std[n : 2 * n], held)
+
+    def _held_by_bounds(self, std: Floats) -> tuple[str, ...]:
+        """The masses and stiffnesses that bounds leave no freedom.
+
+        Not those of which a bound on several together, such as a ratio, is active: they have a deviation still.
+        """
+        n = self.experiment.stories
+        names = parameter_names(self.experiment, self.effects)[: 2 * n]
+        active = set(self.uncertainty.active)
+        none_left = std[: 2 * n] <= HELD * np.abs(self.theta[: 2 * n])
+        return tuple(name for name, held in zip(names, none_left, strict=True) if held and name in active)
+
+    @property
+    def free_directions(self) -> Floats:
+        """Directions that the constraints leave free and anything determines, of unit effect on all residuals."""
+        return self.uncertainty.root_of(self.fit.at.triangle[0])
+
+    @property
+    def part(self) -> SingleIdentification:
+        """The estimate in the form that every method returns."""
+        return SingleIdentification(
+            name="",
+            iterations=self.fit.steps,
+            frame=self.frame,
+            fit=self.quality,
+            predictions=self.predictions,
+            reason=self.fit.reason,
+        )
+
+
+def parameter_names(experiment: Experiment, effects: Sequence[Placed]) -> tuple[str, ...]:
+    """Names of the parameters of a fit, in order."""
+    stories = range(1, experiment.stories + 1)
+    return (
+        *(f"floor_mass {i}" for i in stories),
+        *(f"story_stiffness {i}" for i in stories),
+        *(
+            placed.label if len(placed.effect.parameters) == 1 else f"{placed.label} {item.name}"
+            for placed in effects
+            for item in placed.effect.parameters
+        ),
+    )
+
+
+def fitted(
+    misfit: Misfit,
+    theta: Floats,
+    backend: Backend,
+    tolerance: float = CONVERGED_STEP,
+    start: Evaluation | None = None,
+) -> Estimate:
+    """The estimate that Gauss-Newton reaches from a starting point, with the noise that it speaks for.
+
+    Parameters
+    ----------
+    misfit : Misfit
+        Its noise is where the estimate of an undeclared one starts.
+    theta : ndarray, shape (P,)
+    backend : Backend
+    tolerance : float, optional
+        Of `gauss_newton`.
+    start : Evaluation, optional
+        At theta, where it was made already.
+    """
+    estimate = fitted_with(misfit, theta, backend, tolerance, start)
+    for _ in range(MOST_NOISES if misfit.open_noises else 0):
+        noise = estimated_noise(estimate.misfit, estimate.fit.at, estimate.free_directions)
+        before = estimate.misfit.noise
+        estimate = dataclasses.replace(estimate, noise=noise)
+        if all(abs(np.log(factor / before.of(kind))) < SAME_NOISE for kind, factor in noise.noise.factors):
+            break
+        again = fitted_with(estimate.misfit.replaced(noise=noise.noise), estimate.theta, backend, tolerance)
+        estimate = dataclasses.replace(again, noise=noise)
+    return estimate
+
+
+def fitted_with(
+    misfit: Misfit,
+    theta: Floats,
+    backend: Backend,
+    tolerance: float = CONVERGED_STEP,
+    start: Evaluation | None = None,
+) -> Estimate:
+    """The estimate that Gauss-Newton reaches from a starting point, the noise held as it is.
+
+    Parameters
+    ----------
+    misfit : Misfit
+    theta : ndarray, shape (P,)
+    backend : Backend
+    tolerance : float, optional
+        Of `gauss_newton`.
+    start : Evaluation, optional
+        At theta, where it was made already.
+    """
+    domain = domain_of(misfit.experiment, misfit.effects, theta)
+    fit = gauss_newton(misfit, theta, domain, backend, tolerance, start)
+    names = parameter_names(misfit.experiment, misfit.effects)
+    return Estimate(misfit, domain, fit, uncertainty(fit.at.known_triangle, fit.theta, domain, names))
+
+
+def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed] = ()) -> Estimate:
+    """Fit floor masses, story stiffnesses and effects to all configurations together.
+
+    The starting points are tried, the nearest to the data first, until one leads to a fit that the data do not speak
+    against; the best is kept.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    backend : Backend
+    effects : sequence of Placed, optional
+
+    Returns
+    -------
+    Estimate
+
+    Raises
+    ------
+    InfeasibleError
+        Where declared masses and exact priors contradict each other.
+    NoSolutionError
+        Where no starting point leads to a fit.
+    UnsuitableError
+        Where the fit would take more than `MEMORY`.
+    """
+    refuse_contradicting(experiment)
+    misfit = Misfit(experiment, effects)
+    _refuse_large(misfit)
+    own = np.array([value for placed in effects for value in placed.start])
+    best: Estimate | None = None
+    failure: CvxshearError | None = None
+    for start in nearest_first(misfit, own):
+        try:
+            found = fitted(misfit, np.concatenate([start, own]), backend)
+        except NoSolutionError as error:
+            failure = error
+            continue
+        if best is None or found.chi2 < best.chi2:
+            best = found
+        if best.chi2 <= 3.0 * max(best.dof, 1) and not misfit.open_noises:
+            break
+    if best is None:
+        raise failure if failure is not None else NoSolutionError(backend.name, "no starting point has modes")
+    return best
+
+
+def _refuse_large(misfit: Misfit) -> None:
+    """Raise `UnsuitableError`, before anything is allocated, where a fit would not fit into `MEMORY`."""
+    rows, P = sum(datum.count for datum in misfit.data), misfit.parameters
+    needed = 8.0 * (12 * rows * P + 25 * P**2)
+    if needed > MEMORY:
+        raise UnsuitableError(
+            f"a joint fit of {rows:,} data by {P:,} parameters would take about {needed / 1e9:.1f} GB, more than the "
+            f"{MEMORY / 1e9:.0f} GB that are allowed; name the method one-shot or two-stage, or leave modes out"
+        )

@@ -1,0 +1,198 @@
+"""Measured against modelled: standardized residuals of all data together, and their derivatives.
+
+Data of every kind, the soft priors, and what is expected of effects and of the frame, each divided by its standard
+deviation. What is left undeclared has a noise of its own, a factor on the default standard deviations of its kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cvxshear.data import NOISES, Datum, Model, Noise, data_of
+from cvxshear.effects import Placed, compose
+from cvxshear.fit.expectation import Expectation
+from cvxshear.measurement.experiment import Experiment, Tested
+from cvxshear.util.errors import NoModesError
+from cvxshear.util.typing import Bools, Floats, Ints
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Residuals at one point.
+
+    Parameters
+    ----------
+    r : ndarray, shape (d,)
+        Model less measurement in standard deviations: data and soft priors, then what is expected of the effects, then
+        what is expected of the frame.
+    J : ndarray, shape (d, P)
+        dr/dtheta, its columns those asked for; of no rows where none was.
+    models : tuple of Model
+        One a tested state.
+    measured, known : int
+        Rows of data and soft priors; those with what is expected of the effects.
+    noises : ndarray of int, shape (d,)
+        Place in `NOISES` of a row whose standard deviation nobody declared, -1 for the others.
+    """
+
+    r: Floats
+    J: Floats
+    models: tuple[Model, ...]
+    measured: int
+    known: int
+    noises: Ints
+
+    @property
+    def objective(self) -> float:
+        """Sum of squares of all residuals."""
+        return float(self.r @ self.r)
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squares of the residuals of data and soft priors."""
+        return float(self.r[: self.measured] @ self.r[: self.measured])
+
+    @cached_property
+    def triangle(self) -> tuple[Floats, Floats]:
+        """U and c with |J x + r|^2 = |U x + c|^2 + constant for every x: J = Q U, c = Q' r, at most P rows.
+
+        All that a step and its uncertainty need of J; there are many more data than parameters.
+        """
+        whole = np.asarray(np.linalg.qr(np.column_stack([self.J, self.r]), mode="r"))
+        P = self.J.shape[1]
+        return whole[:P, :P], whole[:P, P]
+
+    @cached_property
+    def known_triangle(self) -> Floats:
+        """The triangular factor of J without what is expected of the frame."""
+        return np.asarray(np.linalg.qr(self.J[: self.known], mode="r"))
+
+
+class Misfit:
+    """The residuals of an experiment under a model with these effects.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    effects : sequence of Placed
+    leave_out : array of bool for each configuration, optional
+        Modes of a configuration that are not to count, by its name.
+    noise : Noise, optional
+        Factors on the default standard deviations of what declares none.
+    expectation : Expectation, optional
+        What is expected of the effects and of the frame; nothing where not given.
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        effects: Sequence[Placed] = (),
+        leave_out: dict[str, Bools] | None = None,
+        noise: Noise | None = None,
+        expectation: Expectation | None = None,
+    ) -> None:
+        self.experiment = experiment
+        self.effects = tuple(effects)
+        self.leave_out = leave_out or {}
+        self.noise = noise or Noise()
+        self.expectation = expectation or Expectation()
+        self.data = [
+            datum.without(self.leave_out[datum.tested.name]) if datum.tested.name in self.leave_out else datum
+            for datum in data_of(experiment)
+        ]
+
+    def replaced(self, effects: Sequence[Placed] | None = None, noise: Noise | None = None) -> Misfit:
+        """The same data under other effects or another noise."""
+        return Misfit(
+            self.experiment,
+            self.effects if effects is None else effects,
+            self.leave_out,
+            noise or self.noise,
+            self.expectation,
+        )
+
+    @property
+    def parameters(self) -> int:
+        """Number P of parameters: floor masses, story stiffnesses, and those of the effects."""
+        return 2 * self.experiment.stories + sum(len(placed.effect.parameters) for placed in self.effects)
+
+    @cached_property
+    def open_noises(self) -> dict[str, int]:
+        """The kinds of noise that somebody left undeclared, each with its number of data."""
+        counts = {name: sum(d.count for d in self.data if d.noise == name and not d.declared) for name in NOISES}
+        return {name: count for name, count in counts.items() if count}
+
+    def count(self, theta: Floats) -> int:
+        """Number of data, soft priors included."""
+        return sum(datum.count for datum in self.data) + len(self._soft(theta)[0])
+
+    def evaluate(self, theta: Floats, *, derivatives: bool = True, by: slice = slice(None)) -> Evaluation:
+        """Residuals, and their derivatives unless told otherwise.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (P,)
+            Floor masses without added mass, story stiffnesses, effect parameters.
+        derivatives : bool, optional
+        by : slice, optional
+            The parameters by which derivatives are wanted, all where not given.
+
+        Raises
+        ------
+        NoModesError
+            Where the model has no modes there: a mass is not positive, or the frame would buckle.
+        """
+        n = self.experiment.stories
+        if np.any(theta[: 2 * n] <= 0):
+            raise NoModesError("floor masses and story stiffnesses must be positive")
+        models = {id(each): self._model(each, theta, by, derivatives) for each in self.experiment.tested}
+        parts, rows, noises = [np.zeros(0)], [], []
+        for datum in self.data:
+            found = datum.residual(models[id(datum.tested)])
+            factor = 1.0 if datum.declared else self.noise.of(datum.noise)
+            parts.append(found.r / factor)
+            rows.append(found.J / factor)
+            noises.append(np.full(len(found.r), -1 if datum.declared else NOISES.index(datum.noise)))
+        soft, expected, frame = self._soft(theta), *self.expectation.residuals(theta, self.effects)
+        r = np.concatenate([*parts, soft[0], expected[0], frame[0]])
+        measured = len(r) - len(expected[0]) - len(frame[0])
+        more = [part[1][:, by] for part in (soft, expected, frame)]
+        return Evaluation(
+            r,
+            np.concatenate([*rows, *more]) if derivatives else np.zeros((0, len(theta))),
+            tuple(models.values()),
+            measured,
+            len(r) - len(frame[0]),
+            np.concatenate([*noises, np.full(len(r) - sum(map(len, noises)), -1)]).astype(np.int64),
+        )
+
+    def _model(self, tested: Tested, theta: Floats, by: slice, derivatives: bool) -> Model:
+        state = compose(self.experiment, tested, self.effects, theta, derivatives=derivatives)
+        return Model(state, by, derivatives)
+
+    def _soft(self, theta: Floats) -> tuple[Floats, Floats]:
+        """The soft priors, and a total mass declared with a standard deviation, as data."""
+        n = self.experiment.stories
+        residuals, rows = [np.zeros(0)], [np.zeros((0, len(theta)))]
+        frame = self.experiment.frame
+        if frame.total_mass_std is not None and frame.total_mass is not None:
+            unit = 1.0 / (frame.total_mass_std * frame.total_mass)
+            residuals.append(np.array([unit * (theta[:n].sum() - frame.total_mass)]))
+            rows.append(np.concatenate([np.full(n, unit), np.zeros(len(theta) - n)])[None])
+        for prior in self.experiment.priors:
+            at = slice(0, n) if prior.quantity == "floor_mass" else slice(n, 2 * n)
+            r, J = prior.residual(theta[at])
+            row = np.zeros((len(r), len(theta)))
+            row[:, at] = J
+            residuals.append(r)
+            rows.append(row)
+        return np.concatenate(residuals), np.concatenate(rows)
+
+
+def of_kind(data: Sequence[Datum], noise: str) -> list[Datum]:
+    """The data whose noise is of this kind."""
+    return [datum for datum in data if datum.noise == noise]

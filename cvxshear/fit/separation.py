@@ -1,0 +1,195 @@
+"""How far a test that was not made would set models of one frame apart.
+
+Models differ by d in what they say of the test, in standard deviations of its noise. What each leaves uncertain moves
+its own prediction along columns S, a standard deviation each, so that d has the covariance 1 + S S', and the models lie
+
+    D = sqrt(d' (1 + S S')^-1 d)
+
+standard deviations apart. Effects before any fit are the same with d what each of them would do to the data, and S what
+the frame's masses and stiffnesses can do.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.effects import compose
+from cvxshear.fit.efficient import Estimate
+from cvxshear.fit.misfit import Misfit
+from cvxshear.measurement.configuration import DEFAULT_MODE_SHAPE_STD
+from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.model.shear import modes
+from cvxshear.util.typing import Bools, Floats, Ints
+
+
+def told(differences: Floats, uncertain: Floats) -> Floats:
+    """d' (1 + S S')^-1 d.
+
+    Parameters
+    ----------
+    differences : ndarray, shape (k, e)
+        d, a column a model, in standard deviations of the noise.
+    uncertain : ndarray, shape (k, q)
+        S.
+
+    Returns
+    -------
+    ndarray, shape (e, e)
+    """
+    k, q = uncertain.shape
+    if k <= q:
+        result: Floats = differences.T @ np.linalg.solve(np.eye(k) + uncertain @ uncertain.T, differences)
+        return result
+    # The same as what is left of d where S follows it as far as its columns' standard deviations let it.
+    basis = np.linalg.qr(np.concatenate([uncertain, np.eye(q)]))[0]
+    left = np.concatenate([differences, np.zeros((q, differences.shape[1]))])
+    left = left - basis @ (basis.T @ left)
+    return np.asarray(left.T @ left, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Disagreement:
+    """What two models say of a test, were every floor measured in it.
+
+    Parameters
+    ----------
+    difference : ndarray, shape (m + m N,)
+        In standard deviations of the noise: frequencies, then the entries of each shape.
+    uncertain : ndarray, shape (m + m N, q)
+        What the fits leave uncertain, a column a standard deviation.
+    shapes : ndarray, shape (m, N)
+        In standard deviations of the entries.
+    seen : ndarray of bool, shape (m, N)
+        Entries that a sensor at their floor would show.
+    free_scale : bool
+        Whether the shapes say nothing of their scales.
+    """
+
+    difference: Floats
+    uncertain: Floats
+    shapes: Floats
+    seen: Bools
+    free_scale: bool
+
+    def at(self, floors: Ints) -> float:
+        """Standard deviations between the models with sensors at these floors, zero-based."""
+        m, n = self.shapes.shape
+        kept = np.zeros((m, n), dtype=bool)
+        kept[:, floors] = self.seen[:, floors]
+        rows = np.concatenate([np.arange(m), m + np.flatnonzero(kept)])
+        both = np.column_stack([self.difference, self.uncertain])[rows]
+        if self.free_scale:
+            for mode in range(m):
+                # What lies along a shape is its scale.
+                own = slice(m + int(kept[:mode].sum()), m + int(kept[: mode + 1].sum()))
+                along = self.shapes[mode, kept[mode]]
+                length = float(along @ along)
+                if length > 0:
+                    both[own] -= np.outer(along, along @ both[own]) / length
+        return float(np.sqrt(told(both[:, :1], both[:, 1:])[0, 0]))
+
+
+def disagreement(accepted: Estimate, rival: Estimate, test: Configuration, first: Configuration) -> Disagreement:
+    """What two fits say of a test.
+
+    Parameters
+    ----------
+    accepted, rival : Estimate
+        Of one frame.
+    test : Configuration
+        As `imagined` gives it.
+    first : Configuration
+        The one that it repeats with other masses.
+
+    Raises
+    ------
+    NoModesError
+        Where a model buckles under these masses.
+    """
+    alone = _by_itself(accepted, test)
+    mine = Misfit(alone, accepted.effects).evaluate(accepted.theta)
+    other = Misfit(alone, rival.effects).evaluate(rival.theta)
+    m, n = test.mode_shapes.shape
+    rows = slice(0, m + m * n)
+    seen = np.ones((m, n), dtype=bool)
+    # An entry that was not measured at an instrumented floor will not be measured there again.
+    seen[:, first.measured_floors - 1] = first.measured
+    return Disagreement(
+        other.r[rows] - mine.r[rows],
+        np.hstack([_carried(mine.J[rows], accepted), _carried(other.J[rows], rival)]),
+        test.entry_weights * test.mode_shapes,
+        seen if first.measured.any() else np.zeros((m, n), dtype=bool),
+        not first.mass_normalized,
+    )
+
+
+def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Configuration:
+    """A configuration with these masses, measured at every floor as a fit predicts.
+
+    Parameters
+    ----------
+    accepted : Estimate
+    first : Configuration
+        Whose state, modes and noise the test has; where it has no sensor the noise is the mean of the others.
+    added_mass : ndarray, shape (N,)
+        kg, in all.
+
+    Raises
+    ------
+    NoModesError
+        Where the model buckles under these masses.
+    """
+    noise = accepted.misfit.noise
+    blank = dataclasses.replace(first, name="next test", added_mass=added_mass)
+    state = compose(accepted.experiment, blank, accepted.effects, accepted.theta, derivatives=False)
+    found = modes(state.system.M, state.system.K)
+    shapes = found.shapes[first.modes - 1] * state.gain
+    measured = dataclasses.replace(
+        blank, mode_shapes=np.where(first.measured, shapes[:, first.measured_floors - 1], np.nan)
+    )
+    frequency = 1.0 if first.frequency_std is not None else noise.of("frequency")
+    shape = 1.0 if first.mode_shape_std is not None else noise.of("mode_shape")
+    return dataclasses.replace(
+        blank,
+        frequencies=found.frequencies[first.modes - 1],
+        measured_floors=np.arange(1, shapes.shape[1] + 1),
+        mode_shapes=shapes,
+        frequency_std=frequency * first.log_frequency_std,
+        mode_shape_std=shape * _everywhere(measured, shapes),
+        mode_shape_noise="additive",
+        # The scale is left in: over which floors it is free is for `Disagreement.at` to say.
+        mass_normalized=True,
+    )
+
+
+def _everywhere(measured: Configuration, shapes: Floats) -> Floats:
+    """Standard deviations of a mode's entries at every floor over its largest entry, shape (m, N)."""
+    std = np.full(shapes.shape, np.nan)
+    std[:, measured.measured_floors - 1] = np.where(measured.measured, measured.entry_std, np.nan)
+    relative = std / np.max(np.abs(shapes), axis=1, keepdims=True)
+    known = np.isfinite(relative)
+    if not known.any():
+        return np.full(shapes.shape, DEFAULT_MODE_SHAPE_STD)
+    overall = float(relative[known].mean())
+    own = [float(row[some].mean()) if some.any() else overall for row, some in zip(relative, known, strict=True)]
+    return np.where(known, relative, np.array(own)[:, None])
+
+
+def _carried(J: Floats, estimate: Estimate) -> Floats:
+    """Changes of predictions by what a fit leaves uncertain, a column a standard deviation."""
+    values, axes = np.linalg.eigh(estimate.uncertainty.covariance())
+    result: Floats = J @ (axes * np.sqrt(np.maximum(values, 0.0)))
+    return result
+
+
+def _by_itself(accepted: Estimate, test: Configuration) -> Experiment:
+    """The test as an experiment of its own, of a frame as heavy as the fit has it."""
+    declared = accepted.experiment.frame
+    total = declared.total_mass or float(accepted.theta[: accepted.experiment.stories].sum())
+    frame = dataclasses.replace(
+        declared, reference=None, total_mass=None if declared.floor_masses is not None else total
+    )
+    return Experiment(frame, (test,))

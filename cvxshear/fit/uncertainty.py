@@ -1,0 +1,182 @@
+"""Standard deviations and correlations from the information matrix, and what the data leave undetermined.
+
+With Z an orthonormal basis of the directions that the active constraints leave free, the covariance of the
+parameters is Z (Z' J'J Z)^-1 Z': a Cramer-Rao bound under constraints (Stoica and Ng, 1998), which the
+estimator reaches where the noise is small.
+
+A parameter that physics confines to an interval, such as gravity's gamma to [1, 6/5], is not known exactly where
+the fit ends at an end of it. There the interval counts as knowledge, with the standard deviation of a uniform
+distribution, (upper - lower) / sqrt(12), and the end is not held.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import linalg
+
+from cvxshear.fit.gauss_newton import Domain
+from cvxshear.programs import LeastSquares
+from cvxshear.programs.rows import constrained
+from cvxshear.util.typing import Bools, Floats
+
+NULL = 1e-6
+"""A direction along which the data change by less than this, each parameter in units of its own sensitivity, is one
+that they do not determine."""
+
+TAKES_PART = 0.1
+"""Share of a null direction's largest entry from which on a parameter is named as part of it."""
+
+TOUCHING = 1e-5
+"""Distance from a bound, in standard deviations of the data, that counts as on it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """What the data say of each parameter's accuracy.
+
+    Parameters
+    ----------
+    J : ndarray, shape (d, P)
+        Derivatives of the standardized residuals, or a triangular factor of them.
+    equalities : ndarray, shape (a, P)
+        Rows on which every change is zero.
+    touching, ends : ndarray, shapes (t, P) and (e, P)
+        Rows of the inequalities that hold with equality: of bounds, and of the ends of a parameter's interval.
+    interval_std : ndarray, shape (P,)
+        Standard deviation that an interval of physical values stands for; infinite where there is none.
+    determined : ndarray of bool, shape (P,)
+    null_directions : tuple of tuple of str
+        For each direction that the data leave open, the parameters that take part in it, largest share first.
+    free : int
+        Number of free directions that the data determine, those held only by an active bound included.
+    active : tuple of str
+        Parameters that sit on a bound.
+    """
+
+    J: Floats
+    equalities: Floats
+    touching: Floats
+    ends: Floats
+    interval_std: Floats
+    determined: Bools
+    null_directions: tuple[tuple[str, ...], ...]
+    free: int
+    active: tuple[str, ...]
+
+    @cached_property
+    def root(self) -> Floats:
+        """Directions that the constraints leave free, bounds that are touched held, each of unit effect on the data.
+
+        Shape (P, f); J root has orthonormal columns.
+        """
+        return _unit_directions(self.J, np.concatenate([self.equalities, self.touching, self.ends]))
+
+    @cached_property
+    def reach(self) -> Floats:
+        """The same with parameters of an interval free to leave its ends, and known to lie in it, shape (P, g)."""
+        known = np.concatenate([self.J, _interval_rows(self.interval_std)])
+        return _unit_directions(known, np.concatenate([self.equalities, self.touching]))
+
+    def root_of(self, J: Floats) -> Floats:
+        """Directions that the constraints leave free, of unit effect on other residuals than these, shape (P, f)."""
+        return _unit_directions(J, np.concatenate([self.equalities, self.touching, self.ends]))
+
+    def covariance(self) -> Floats:
+        """Covariance of the determined part, shape (P, P), in the parameters' own units."""
+        covariance: Floats = self.reach @ self.reach.T
+        return covariance
+
+    def std(self) -> Floats:
+        """Standard deviations, shape (P,); nan where the data do not determine a parameter."""
+        return np.where(self.determined, np.sqrt(np.maximum(np.diag(self.covariance()), 0.0)), np.nan)
+
+    def correlation(self) -> Floats:
+        """Correlations, shape (P, P); nan where one of the two is undetermined or fixed."""
+        std = self.std()
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return self.covariance() / np.outer(std, std)
+
+
+def uncertainty(J: Floats, theta: Floats, domain: Domain, names: Sequence[str]) -> Uncertainty:
+    """Covariance of the parameters at a fit.
+
+    Parameters
+    ----------
+    J : ndarray, shape (d, P)
+        Derivatives of the standardized residuals, or a triangular factor of them.
+    theta : ndarray, shape (P,)
+    domain : Domain
+    names : sequence of str
+        Of the P parameters.
+    """
+    here = constrained(LeastSquares(R=J, s=np.zeros(len(J))), domain.statements, theta)
+    unit = _units(np.concatenate([J, _interval_rows(domain.interval_std)]))
+    A, _ = here.equalities
+    G, h = here.inequalities
+    touching = G[h <= TOUCHING * np.linalg.norm(G * unit, axis=1)]
+    free = _null_space(A * unit)
+    # What is even over an interval is known to within it, whatever the data say.
+    _, null = _split(np.concatenate([J, _interval_rows(domain.interval_std)]) * unit, free)
+    ends = np.any(touching[:, np.isfinite(domain.interval_std)], axis=1)
+    open_part = np.linalg.norm(null, axis=1) if null.size else np.zeros(len(theta))
+    return Uncertainty(
+        J=J,
+        equalities=A,
+        touching=touching[~ends],
+        ends=touching[ends],
+        interval_std=domain.interval_std,
+        determined=open_part < 1e-4,
+        null_directions=tuple(_words(column, names) for column in null.T),
+        free=_split(J * unit, free)[0][0].shape[1],
+        active=tuple(name for name, on in zip(names, np.any(touching, axis=0), strict=True) if on),
+    )
+
+
+def _interval_rows(interval_std: Floats) -> Floats:
+    """What intervals of physical values say, as rows beside the data's."""
+    rows: Floats = np.diag(1.0 / interval_std)[np.isfinite(interval_std)]
+    return rows
+
+
+def _units(J: Floats) -> Floats:
+    """The change of each parameter that changes the data by one; one where none does."""
+    length = np.linalg.norm(J, axis=0)
+    return 1.0 / np.where(length > 0, length, 1.0)
+
+
+def _unit_directions(J: Floats, held: Floats) -> Floats:
+    """Directions on which the held rows are zero and that the data determine, each of unit effect on the data."""
+    unit = _units(J)
+    (basis, values), _ = _split(J * unit, _null_space(held * unit))
+    return unit[:, None] * (basis / values)
+
+
+def _null_space(rows: Floats) -> Floats:
+    """Orthonormal columns that every row is zero on."""
+    if not len(rows):
+        return np.eye(rows.shape[1])
+    lengths = np.linalg.norm(rows, axis=1)
+    space: Floats = linalg.null_space(rows / np.where(lengths > 0, lengths, 1.0)[:, None], rcond=1e-12)
+    return space
+
+
+def _split(J: Floats, basis: Floats) -> tuple[tuple[Floats, Floats], Floats]:
+    """The basis turned into directions that the data determine, with their singular values, and those they do not."""
+    if not basis.shape[1]:
+        return (basis, np.zeros(0)), basis
+    # The triangular factor has the same singular values and right vectors, and no tall left ones.
+    _, values, right = np.linalg.svd(np.linalg.qr(J @ basis, mode="r"), full_matrices=True)
+    values = np.concatenate([values, np.zeros(len(right) - len(values))])
+    known = values > NULL
+    return (basis @ right[known].T, values[known]), basis @ right[~known].T
+
+
+def _words(direction: Floats, names: Sequence[str]) -> tuple[str, ...]:
+    """The parameters that take part in a null direction, largest share first."""
+    size = np.abs(direction)
+    order = np.argsort(-size, kind="stable")
+    return tuple(names[i] for i in order if size[i] > TAKES_PART * size[order[0]])

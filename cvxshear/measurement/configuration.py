@@ -1,0 +1,326 @@
+"""One tested state of the frame: what was added to it, and what was measured on it with which uncertainty."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from cvxshear.measurement.other_modes import OtherModes, other_modes
+from cvxshear.measurement.repeated_shapes import copied_rows, proportional_rows
+from cvxshear.util import checks
+from cvxshear.util.checks import MOST_STORIES
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Bools, Floats, Ints, Json
+
+DEFAULT_FREQUENCY_STD = 0.002
+DEFAULT_MODE_SHAPE_STD = 0.01
+NOISE_KINDS = ("additive", "multiplicative")
+
+
+def _no_floats() -> Floats:
+    return checks.frozen(np.zeros(0))
+
+
+def _no_ints() -> Ints:
+    return checks.frozen(np.zeros(0, dtype=np.int64))
+
+
+def _absent(value: object) -> bool:
+    """Whether a value stands for "not given", which the default factories spell as an empty array."""
+    if isinstance(value, np.ndarray):
+        return value.size == 0
+    return value is None or (isinstance(value, list | tuple) and not value)
+
+
+@dataclass(frozen=True, eq=False)
+class Configuration:
+    """One tested state of the frame: what was added to it and what was measured on it.
+
+    Parameters
+    ----------
+    frequencies : array_like, shape (m,)
+        Natural frequencies, Hz, ascending.
+    mode_shapes : array_like, shape (m, n), optional
+        One row a mode, one entry a measured floor, of any scale and sign; nan where not measured. A row of
+        nan alone stands for a mode of which only the frequency is known; without any, no shape is.
+    name : str, optional
+    state : str, optional
+        The state of the frame: configurations of one state share what was undeclared about it; the configuration's
+        name where empty.
+    added_mass : array_like, shape (N,), optional
+        kg on each floor, known; none where empty.
+    measured_floors : array_like of int, shape (n,), optional
+        Ascending, 1 the lowest; all floors where empty.
+    modes : array_like of int, shape (m,), optional
+        Which modes of the model these are; 1, 2, ..., m where empty.
+    other_modes : sequence of OtherModes or dict, optional
+        Which other modes of the model these may be, each with the probability that it is so.
+    mass_normalized : bool, optional
+        Whether the shapes carry the scale 1/sqrt(kg).
+    frequency_std : float or array_like, shape (m,), optional
+        Relative standard deviation.
+    mode_shape_std : float or array_like, shape (m,) or (m, n), optional
+        Standard deviation of the entries, in the sense of `mode_shape_noise`.
+    mode_shape_noise : str, optional
+        "additive": std times the mode's largest entry; "multiplicative": std times the entry itself.
+    damping_ratios : float or array_like, shape (m,), optional
+        Fraction of critical; not fitted with the modes, but what a damping model is made of.
+    damping_ratio_std : float or array_like, shape (m,), optional
+        Relative standard deviation of the damping ratios.
+
+    Raises
+    ------
+    InputError
+        Naming the configuration, the key, the value found and what would be right.
+    """
+
+    frequencies: Floats
+    mode_shapes: Floats = field(default_factory=_no_floats)
+    name: str = "configuration 1"
+    state: str = ""
+    added_mass: Floats = field(default_factory=_no_floats)
+    measured_floors: Ints = field(default_factory=_no_ints)
+    modes: Ints = field(default_factory=_no_ints)
+    other_modes: tuple[OtherModes, ...] = ()
+    mass_normalized: bool = False
+    frequency_std: Floats | None = None
+    mode_shape_std: Floats | None = None
+    mode_shape_noise: str = "additive"
+    damping_ratios: Floats | None = None
+    damping_ratio_std: Floats | None = None
+
+    def __post_init__(self) -> None:
+        checks.text(self.name, "configuration: name")
+        self._put("state", checks.text(self.state, self._at("state")) if self.state else self.name)
+        self._check_modes()
+        self._check_shapes()
+        self._check_noise()
+
+    def _put(self, name: str, value: object) -> None:
+        object.__setattr__(self, name, value)
+
+    def _at(self, key: str) -> str:
+        return f'configuration "{self.name}": {key}'
+
+    def _check_modes(self) -> None:
+        frequencies = checks.vector(self.frequencies, self._at("frequencies"), above=0.0)
+        self._put("frequencies", frequencies)
+        steps = np.flatnonzero(np.diff(frequencies) <= 0)
+        if steps.size:
+            place = int(steps[0])
+            raise InputError(
+                f"{self._at('frequencies')} must be ascending, each greater than the one before; entry {place + 2} "
+                f"is {frequencies[place + 1]:g} Hz after {frequencies[place]:g} Hz (sort the mode shapes with them)"
+            )
+        count = len(frequencies)
+        if _absent(self.modes):
+            self._put("modes", checks.frozen(np.arange(1, count + 1)))
+        else:
+            self._put("modes", checks.ascending_whole(self.modes, self._at("modes"), most=MOST_STORIES))
+            if len(self.modes) != count:
+                needed = f"{checks.entries(count)}, one a frequency"
+                raise InputError(f"{self._at('modes')} must have {needed}, not {len(self.modes)}")
+        self._put("other_modes", other_modes(self.other_modes, self.modes, self._at("other_modes")))
+        if self.damping_ratios is not None:
+            where = self._at("damping_ratios")
+            ratios = checks.one_or_many(self.damping_ratios, where, count, of=", one a mode", least=0.0)
+            if np.any(ratios >= 1):
+                raise InputError(f"{where} must be below 1 (a fraction of critical, not percent), not {ratios.max():g}")
+            self._put("damping_ratios", ratios)
+        if self.damping_ratio_std is not None:
+            where = self._at("damping_ratio_std")
+            std = checks.one_or_many(self.damping_ratio_std, where, count, of=", one a mode", above=0.0)
+            self._put("damping_ratio_std", std)
+
+    def _check_shapes(self) -> None:
+        if _absent(self.mode_shapes) and self.mode_shapes is not None:
+            shapes = checks.frozen(np.zeros((len(self.frequencies), 0)))
+        else:
+            shapes = checks.table(self.mode_shapes, self._at("mode_shapes"), rows=len(self.frequencies), nan=True)
+        self._put("mode_shapes", shapes)
+        self._put("mass_normalized", checks.flag(self.mass_normalized, self._at("mass_normalized")))
+        if _absent(self.added_mass):
+            self._put("added_mass", _no_floats())
+        else:
+            self._put("added_mass", checks.vector(self.added_mass, self._at("added_mass"), least=0.0))
+        width = shapes.shape[1]
+        whole = _absent(self.measured_floors) or len(self.added_mass) == width
+        if _absent(self.measured_floors):
+            self._put("measured_floors", _no_ints())
+        else:
+            where = self._at("measured_floors")
+            self._put("measured_floors", checks.ascending_whole(self.measured_floors, where, most=MOST_STORIES))
+            if not width:
+                raise InputError(f"{where} is given, but no mode_shapes: leave it out, or give the shapes")
+            if len(self.measured_floors) != width:
+                raise InputError(
+                    f"{where} has {checks.entries(len(self.measured_floors))}, each row of mode_shapes has {width}: "
+                    "give one entry a measured floor"
+                )
+        if width:
+            self._refuse_empty_shapes(shapes)
+            self._refuse_equal_shapes(shapes, whole=whole)
+
+    def _refuse_empty_shapes(self, shapes: Floats) -> None:
+        for row, shape in enumerate(shapes, 1):
+            known = shape[np.isfinite(shape)]
+            if known.size and np.max(np.abs(known)) < checks.SMALLEST:
+                raise InputError(
+                    f"{self._at('mode_shapes')}, row {row} is zero at every measured floor; write nan where nothing "
+                    "was measured"
+                )
+
+    def _refuse_equal_shapes(self, shapes: Floats, *, whole: bool) -> None:
+        """Refuse the same mode twice.
+
+        Modes of one frame are orthogonal by its masses, so no two are proportional over `whole` shapes. At some
+        of the floors they can be; there only a copied row is refused.
+        """
+        pair = proportional_rows(shapes) if whole else copied_rows(shapes)
+        if pair is not None:
+            raise InputError(
+                f"{self._at('mode_shapes')}, rows {pair[0] + 1} and {pair[1] + 1} are the same shape; each mode has "
+                "its own"
+            )
+
+    def _check_noise(self) -> None:
+        count, width = self.mode_shapes.shape
+        if self.frequency_std is not None:
+            where = self._at("frequency_std")
+            std = checks.one_or_many(self.frequency_std, where, count, of=", one a mode", above=0.0)
+            self._put("frequency_std", std)
+        if self.mode_shape_std is not None:
+            self._put("mode_shape_std", self._checked_shape_std(self.mode_shape_std, count, width))
+        checks.choice(self.mode_shape_noise, NOISE_KINDS, self._at("mode_shape_noise"))
+
+    def _checked_shape_std(self, value: object, count: int, width: int) -> Floats:
+        """One number, one a mode, or one an entry, as one an entry."""
+        where = self._at("mode_shape_std")
+        if isinstance(value, np.ndarray):
+            value = value.tolist()
+        if isinstance(value, list | tuple) and any(isinstance(item, list | tuple) for item in value):
+            std = checks.table(value, where, rows=count, above=0.0)
+            if std.shape[1] != width:
+                raise InputError(f"{where} has {checks.entries(std.shape[1])} a row, mode_shapes has {width}")
+            return std
+        each = checks.one_or_many(value, where, count, of=", one a mode", above=0.0)
+        return checks.frozen(np.repeat(each[:, None], width, axis=1))
+
+    @staticmethod
+    def from_dict(
+        declared: object, *, name: str = "configuration 1", elsewhere: Mapping[str, str] | None = None
+    ) -> Configuration:
+        """The configuration that a table `[[configuration]]` of a measurement file declares.
+
+        Parameters
+        ----------
+        declared : dict
+        name : str, optional
+            Its name where the table gives none.
+        elsewhere : dict, optional
+            Keys of other tables of the file, each with that table's header, for a message that says where they belong.
+        """
+        where = name
+        if isinstance(declared, Mapping) and declared.get("name") is not None:
+            where = f'configuration "{checks.text(declared["name"], f"{name}: name")}"'
+        fields = [item.name for item in dataclasses.fields(Configuration)]
+        table = checks.keys(declared, fields, ["frequencies"], where, elsewhere=elsewhere)
+        for key in ("added_mass", "measured_floors", "modes", "mode_shapes"):
+            if table.get(key) is not None and _absent(table[key]):
+                raise InputError(f"{where}: {key} must not be empty; leave the key out for its default")
+        given = {key: value for key, value in table.items() if value is not None or key == "frequencies"}
+        return Configuration(**{"name": name, **given})
+
+    def to_dict(self) -> Json:
+        """The table that declares this configuration in a measurement file, every default written out."""
+        values = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
+        values["other_modes"] = [item.to_dict() for item in self.other_modes]
+        return {
+            key: value.tolist() if isinstance(value, np.ndarray) else value
+            for key, value in values.items()
+            if not _absent(value) and (key, value) != ("state", self.name)
+        }
+
+    def in_frame(self, stories: int) -> Configuration:
+        """The same configuration in a frame of so many stories: added mass filled in, floors and modes within it.
+
+        Raises
+        ------
+        InputError
+            Where it names a floor or a mode that the frame has not.
+        """
+        floors, modes = self.measured_floors, self.modes
+        if not len(floors) and self.mode_shapes.shape[1]:
+            floors = checks.frozen(np.arange(1, stories + 1))
+        if len(floors) and floors[-1] > stories:
+            raise InputError(
+                f"{self._at('measured_floors')} names floor {floors[-1]} of a frame of {stories} stories; floors count "
+                f"from 1, the first above ground, to {stories}"
+            )
+        if modes[-1] > stories:
+            raise InputError(
+                f"{self._at('modes')} names mode {modes[-1]} (where not given: 1 to {len(modes)}, the number of "
+                f"frequencies), a frame of {stories} stories has {stories}; leave out what is not a sway mode, or give "
+                "the right number of stories"
+            )
+        for place, other in enumerate(self.other_modes, 1):
+            if other.modes[-1] > stories:
+                raise InputError(
+                    f"{self._at('other_modes')}, entry {place} names mode {other.modes[-1]}; a frame of {stories} "
+                    f"stories has {stories}"
+                )
+        added = self.added_mass if len(self.added_mass) else np.zeros(stories)
+        return dataclasses.replace(self, added_mass=added, measured_floors=floors)
+
+    @property
+    def noise_declared(self) -> bool:
+        """Whether both standard deviations were given."""
+        return self.frequency_std is not None and self.mode_shape_std is not None
+
+    @cached_property
+    def measured(self) -> Bools:
+        """Which entries of `mode_shapes` hold a number, shape (m, n)."""
+        return np.isfinite(self.mode_shapes)
+
+    @cached_property
+    def known_shapes(self) -> Floats:
+        """`mode_shapes` with zero where nothing was measured, shape (m, n)."""
+        return np.where(self.measured, self.mode_shapes, 0.0)
+
+    @cached_property
+    def entry_weights(self) -> Floats:
+        """One over the standard deviation of each shape entry, zero where nothing was measured, shape (m, n)."""
+        known = self.measured
+        weights: Floats = np.where(known, 1.0 / np.where(known, self.entry_std, 1.0), 0.0)
+        return weights
+
+    @property
+    def complete(self) -> bool:
+        """Whether every mode was measured at every floor."""
+        stories = len(self.added_mass)
+        return self.mode_shapes.shape == (stories, stories) and bool(self.measured.all())
+
+    @cached_property
+    def log_frequency_std(self) -> Floats:
+        """Standard deviation of the logarithm of each frequency, shape (m,); the default where none is declared."""
+        if self.frequency_std is None:
+            return np.full(len(self.frequencies), DEFAULT_FREQUENCY_STD)
+        return self.frequency_std
+
+    @cached_property
+    def entry_std(self) -> Floats:
+        """Standard deviation of each shape entry in the units of the entry, shape (m, n).
+
+        Multiplicative noise on an entry measured as zero would weigh it infinitely; it is taken to be at
+        least a thousandth of the mode's largest entry.
+        """
+        largest = np.max(np.abs(self.known_shapes), axis=1, keepdims=True, initial=0.0)
+        relative = DEFAULT_MODE_SHAPE_STD if self.mode_shape_std is None else self.mode_shape_std
+        if self.mode_shape_noise == "multiplicative":
+            std: Floats = relative * np.maximum(np.abs(self.mode_shapes), 1e-3 * largest)
+            return std
+        return np.broadcast_to(relative * largest, self.mode_shapes.shape)

@@ -1,0 +1,165 @@
+"""What is declared of the frame itself: its stories, masses and weight, and how its damping is modelled."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.priors import Prior
+from cvxshear.util import checks, findings
+from cvxshear.util.checks import MOST_STORIES
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats, Json
+
+UNSAID = (("stories", 0), ("accept", ()))
+"""Keys of a frame, with the values that stand for "not given"."""
+
+DAMPING_KINDS = ("modal", "story", "rayleigh")
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What is known of the frame itself, the same in every configuration.
+
+    Parameters
+    ----------
+    stories : int, optional
+        Number of stories N; 0 where it follows from the rest.
+    story_heights : float or array_like, shape (N,), optional
+        m; one number for all.
+    total_mass : float, optional
+        kg, without added mass.
+    floor_masses : array_like, shape (N,), optional
+        kg, known, without added mass.
+    gravity : float, optional
+        m/s2.
+    total_mass_std : float, optional
+        Relative standard deviation of `total_mass`; exact without it.
+    reference : str, optional
+        The state that is the frame itself: no change and no undeclared mass sits in it.
+    accept : sequence of str, optional
+        Findings of `check` that are known and right, by their names in `cvxshear.util.findings.NAMES`.
+
+    Raises
+    ------
+    InputError
+        Naming the key, the value found and what would be right.
+    """
+
+    stories: int = 0
+    story_heights: Floats | None = None
+    total_mass: float | None = None
+    floor_masses: Floats | None = None
+    gravity: float = 9.81
+    total_mass_std: float | None = None
+    reference: str | None = None
+    accept: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        # 0 is the default and stands for "not given"; a False or an empty array that equals it does not.
+        if type(self.stories) is not int or self.stories != 0:
+            put(self, "stories", checks.whole(self.stories, "frame: stories", least=1, most=MOST_STORIES))
+        if self.story_heights is not None:
+            put(self, "story_heights", self._checked_heights(self.story_heights))
+        if self.total_mass is not None:
+            put(self, "total_mass", checks.number(self.total_mass, "frame: total_mass", above=0.0))
+        if self.floor_masses is not None:
+            put(self, "floor_masses", checks.vector(self.floor_masses, "frame: floor_masses", above=0.0))
+            if self.total_mass is not None and not np.isclose(self.floor_masses.sum(), self.total_mass, rtol=1e-6):
+                raise InputError(
+                    f"frame: floor_masses add up to {self.floor_masses.sum():g} kg, total_mass says "
+                    f"{self.total_mass:g} kg; give one of the two, or values that agree"
+                )
+        put(self, "gravity", checks.number(self.gravity, "frame: gravity", above=0.0))
+        if self.total_mass_std is not None:
+            put(self, "total_mass_std", checks.number(self.total_mass_std, "frame: total_mass_std", above=0.0))
+            if self.total_mass is None or self.floor_masses is not None:
+                raise InputError("frame: total_mass_std belongs to total_mass; give that, and no floor_masses")
+        if self.reference is not None:
+            checks.text(self.reference, "frame: reference")
+        put(self, "accept", self._checked_accept(self.accept))
+
+    @staticmethod
+    def _checked_accept(accept: object) -> tuple[str, ...]:
+        if not isinstance(accept, list | tuple):
+            raise InputError(f"frame: accept must be a list of names, not {checks.shown(accept)}")
+        return tuple(checks.choice(name, findings.NAMES, "frame: accept") for name in accept)
+
+    def _checked_heights(self, heights: object) -> Floats:
+        """One height a story; a single number, for all stories, stays one until their number is known."""
+        where = "frame: story_heights"
+        if checks.many(heights):
+            return checks.vector(heights, where, above=0.0)
+        height = checks.number(heights, where, above=0.0)
+        return checks.frozen(np.full(self.stories if self.stories else (), height))
+
+    @staticmethod
+    def from_dict(declared: object, *, elsewhere: Mapping[str, str] | None = None) -> Frame:
+        """The frame that the table `[frame]` of a measurement file declares.
+
+        Parameters
+        ----------
+        declared : dict
+        elsewhere : dict, optional
+            Keys of other tables of the file, each with that table's header, for a message that says where they belong.
+        """
+        if isinstance(declared, list):
+            raise InputError(f"[frame] must be one table, in single brackets, not a list: {checks.shown(declared)}")
+        names = [item.name for item in dataclasses.fields(Frame)]
+        table = checks.keys(declared, names, [], "frame", elsewhere=elsewhere)
+        given = {key: value for key, value in table.items() if value is not None}
+        if "stories" in given:
+            given["stories"] = checks.whole(given["stories"], "frame: stories", least=1, most=MOST_STORIES)
+        return Frame(**given)
+
+    def to_dict(self) -> Json:
+        """The table that declares this frame in a measurement file."""
+        values = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
+        given = {key: value for key, value in values.items() if value is not None and (key, value) not in UNSAID}
+        return {
+            key: value.tolist() if isinstance(value, np.ndarray) else list(value) if isinstance(value, tuple) else value
+            for key, value in given.items()
+        }
+
+    @property
+    def elevations(self) -> Floats | None:
+        """Heights of the floors above ground, shape (N,), m; None where story heights or stories are not declared."""
+        return None if self.story_heights is None or not self.story_heights.ndim else np.cumsum(self.story_heights)
+
+    @property
+    def known_total(self) -> float | None:
+        """The total mass without added mass, kg, where it is declared in either way."""
+        return float(self.floor_masses.sum()) if self.floor_masses is not None else self.total_mass
+
+    def _completed(self, stories: int) -> Frame:
+        """The same frame with its number of stories, and one height a story."""
+        return dataclasses.replace(self, stories=stories)
+
+
+@dataclass(frozen=True, eq=False)
+class Damping:
+    """How the damping of the frame is modelled.
+
+    Parameters
+    ----------
+    kind : str, optional
+        "modal": a damping ratio a mode; "story": dashpots between the floors; "rayleigh": a combination of mass and
+        stiffness.
+    priors : sequence of Prior, optional
+        About the story dashpots, of the quantity "story_damping".
+    """
+
+    kind: str = "modal"
+    priors: tuple[Prior, ...] = ()
+
+    def __post_init__(self) -> None:
+        checks.choice(self.kind, DAMPING_KINDS, "damping: kind")
+
+    @staticmethod
+    def from_dict(declared: object) -> Damping:
+        """The damping that the table `[damping]` of a measurement file declares."""
+        return Damping(**checks.keys(declared, ["kind"], [], "damping"))

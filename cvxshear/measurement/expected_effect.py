@@ -1,0 +1,85 @@
+"""What is known beforehand of an effect that the shear model lacks: a table `[[effect]]` of a measurement file."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Json
+
+
+@dataclass(frozen=True)
+class ExpectedEffect:
+    """What is known of an effect, everywhere or at a place, in place of what the catalogue expects.
+
+    Parameters
+    ----------
+    name : str
+        Of the catalogue.
+    floor, story : int, optional
+        Counted from 1; every one where not given.
+    state : str, optional
+        Every one where not given.
+    size : float, optional
+        Standard deviation of its parameter, in its unit.
+    probability : float, optional
+        That it is there, at one of these places.
+    exclude : bool, optional
+        It is not looked for.
+
+    Raises
+    ------
+    InputError
+        Naming the key, the value found and what would be right.
+    """
+
+    name: str
+    floor: int | None = None
+    story: int | None = None
+    state: str | None = None
+    size: float | None = None
+    probability: float | None = None
+    exclude: bool = False
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        checks.text(self.name, "effect: name")
+        if self.size is not None:
+            put(self, "size", checks.number(self.size, self._at("size"), above=0.0))
+        if self.probability is not None:
+            put(self, "probability", checks.number(self.probability, self._at("probability"), above=0.0))
+            if self.probability >= 1.0:
+                raise InputError(f"{self._at('probability')} = {self.probability:g} must be below 1; assume the effect")
+        checks.flag(self.exclude, self._at("exclude"))
+        if self.exclude and (self.size is not None or self.probability is not None):
+            raise InputError(f"{self._at('exclude')} leaves no room for size or probability; give one or the other")
+
+    def _at(self, key: str) -> str:
+        return f"effect {self.name}: {key}"
+
+    @staticmethod
+    def from_dict(declared: object, where: str) -> ExpectedEffect:
+        """What a table `[[effect]]` declares."""
+        fields = [item.name for item in dataclasses.fields(ExpectedEffect)]
+        table = checks.keys(declared, fields, ["name"], where)
+        return ExpectedEffect(**{key: value for key, value in table.items() if value is not None})
+
+    def to_dict(self) -> Json:
+        """The table that declares it."""
+        return {key: value for key, value in dataclasses.asdict(self).items() if value not in (None, False)}
+
+    def check(self, stories: int, states: Sequence[str]) -> None:
+        """Raise `InputError` where it names a floor, story or state that an experiment has not."""
+        for key in ("floor", "story"):
+            if getattr(self, key) is not None:
+                checks.whole(getattr(self, key), self._at(key), least=1, most=stories)
+        if self.state is not None:
+            checks.choice(self.state, list(states), self._at("state"))
+
+    def concerns(self, name: str, floor: int | None, story: int | None, state: str | None) -> bool:
+        """Whether it speaks of the effect of this name at this place."""
+        places = ((self.floor, floor), (self.story, story), (self.state, state))
+        return name == self.name and all(mine is None or mine == its for mine, its in places)

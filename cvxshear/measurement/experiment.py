@@ -1,0 +1,289 @@
+"""What was measured and what was declared: the frame, its configurations, the priors; all validation.
+
+Every object is frozen and its arrays are read-only, so a result can refer to the experiment it came from.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from cvxshear.measurement.configuration import Configuration
+from cvxshear.measurement.declaration import DAMPING_KINDS, Damping, Frame
+from cvxshear.measurement.expected_effect import ExpectedEffect
+from cvxshear.measurement.static_test import StaticTest
+from cvxshear.priors import Prior, check_quantity
+from cvxshear.util import checks
+from cvxshear.util.checks import MOST_STORIES
+from cvxshear.util.errors import InputError
+from cvxshear.util.showing import Shown
+from cvxshear.util.typing import Json
+
+__all__ = [
+    "DAMPING_KINDS", "MOST_STORIES", "Configuration", "Damping", "ExpectedEffect", "Experiment", "Frame", "Prior",
+    "StaticTest", "Tested",
+]  # fmt: skip
+
+Tested = Configuration | StaticTest
+"""What was measured on one state of the frame; either has a `name`, a `state` and an `added_mass`."""
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Experiment(Shown):
+    """A frame, the configurations it was tested in, and what is known beforehand.
+
+    Parameters
+    ----------
+    frame : Frame
+    configurations : sequence of Configuration
+        At least one.
+    priors : sequence of Prior, optional
+    name : str, optional
+        For reports; the file's name where it was read from one.
+    static : sequence of StaticTest, optional
+        Pull or tilt tests.
+    expected : sequence of ExpectedEffect, optional
+        What is known beforehand of effects that the shear model lacks.
+    damping : Damping, optional
+
+    Raises
+    ------
+    InputError
+        Where the parts do not fit each other, or nothing tells how heavy the frame is.
+    """
+
+    frame: Frame
+    configurations: tuple[Configuration, ...]
+    priors: tuple[Prior, ...] = ()
+    name: str = "experiment"
+    static: tuple[StaticTest, ...] = ()
+    expected: tuple[ExpectedEffect, ...] = ()
+    damping: Damping = field(default_factory=Damping)
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        checks.text(self.name, "name of the experiment")
+        if not isinstance(self.frame, Frame):
+            raise InputError(f"frame must be a Frame, not {checks.shown(self.frame)}")
+        put(self, "configurations", _all_of(Configuration, self.configurations, "configurations"))
+        put(self, "priors", _all_of(Prior, self.priors, "priors"))
+        put(self, "static", _all_of(StaticTest, self.static, "static"))
+        put(self, "expected", _all_of(ExpectedEffect, self.expected, "expected"))
+        if not self.configurations:
+            raise InputError("at least one [[configuration]] is needed: none was found")
+        self._check_names()
+        stories = self._count_stories()
+        put(self, "frame", self.frame._completed(stories))
+        put(self, "configurations", tuple(each.in_frame(stories) for each in self.configurations))
+        put(self, "static", tuple(each.in_frame(stories) for each in self.static))
+        self._check_states()
+        for place, prior in enumerate((*self.priors, *self.damping.priors), 1):
+            with _named(place):
+                check_quantity(prior)
+                prior.check(stories)
+        self._part_priors()
+        self._check_scale()
+
+    def _part_priors(self) -> None:
+        """Keep those about masses and stiffnesses; what is known of the dashpots belongs to the damping."""
+        dashpots = tuple(prior for prior in self.priors if prior.quantity == "story_damping")
+        if dashpots:
+            others = tuple(prior for prior in self.priors if prior.quantity != "story_damping")
+            damping = dataclasses.replace(self.damping, priors=(*self.damping.priors, *dashpots))
+            object.__setattr__(self, "priors", others)
+            object.__setattr__(self, "damping", damping)
+
+    def _check_names(self) -> None:
+        seen: set[str] = set()
+        for tested in self.tested:
+            if tested.name in seen:
+                raise InputError(f'two configurations are named "{tested.name}"; give each a name of its own')
+            seen.add(tested.name)
+
+    def _check_states(self) -> None:
+        """Raise where the reference or an expected effect names a state, floor or story that there is not."""
+        states = self.states
+        if self.frame.reference is not None and self.frame.reference not in states:
+            raise InputError(
+                f"frame: reference = {self.frame.reference!r} is no state; the states are {_quoted(states)}"
+            )
+        for each in self.expected:
+            each.check(self.stories, states)
+
+    def _count_stories(self) -> int:
+        """The number of stories, which every part must agree on."""
+        said: dict[str, int] = {}
+        frame = self.frame
+        if frame.stories:
+            said["frame: stories"] = frame.stories
+        if frame.story_heights is not None and frame.story_heights.ndim:
+            said["frame: story_heights"] = len(frame.story_heights)
+        if frame.floor_masses is not None:
+            said["frame: floor_masses"] = len(frame.floor_masses)
+        for each in self.configurations:
+            if len(each.added_mass):
+                said[f'configuration "{each.name}": added_mass'] = len(each.added_mass)
+            if not len(each.measured_floors) and each.mode_shapes.shape[1]:
+                where = f'configuration "{each.name}": mode_shapes (no measured_floors given)'
+                said[where] = each.mode_shapes.shape[1]
+        said |= {f'static test "{each.name}": force': len(each.force) for each in self.static}
+        if not said:
+            seen = [each for each in self.configurations if len(each.measured_floors)]
+            if not seen:
+                raise InputError("nothing tells how many stories the frame has; give frame: stories")
+            each = max(seen, key=lambda item: int(item.measured_floors[-1]))
+            said[f'configuration "{each.name}": measured_floors'] = int(each.measured_floors[-1])
+        (first, stories), *others = said.items()
+        for key, count in others:
+            if count != stories:
+                raise InputError(f"{key} speaks of {count} stories, {first} of {stories}; they must agree")
+        if stories > MOST_STORIES:
+            raise InputError(f"{first} speaks of {stories} stories; {MOST_STORIES} are the most that are taken")
+        return stories
+
+    @property
+    def scale_known_otherwise(self) -> bool:
+        """Whether something else than a declared total or floor masses tells how heavy the frame is."""
+        return (
+            len({tuple(each.added_mass) for each in self.configurations}) > 1
+            or any(each.mass_normalized and each.measured.any() for each in self.configurations)
+            or any(prior.fixes_scale for prior in self.priors)
+            or bool(self.static)
+        )
+
+    def _check_scale(self) -> None:
+        if self.frame.known_total is None and not self.scale_known_otherwise:
+            raise InputError(
+                "nothing tells how heavy the frame is: give frame: total_mass or floor_masses, two configurations with "
+                "different added_mass, mass_normalized shapes, a static test, or a prior that fixes the scale (value, "
+                "or nominal without free_scale)"
+            )
+
+    @staticmethod
+    def from_dict(declared: object, *, name: str = "experiment") -> Experiment:
+        """The experiment that a dict of the measurement file's shape declares.
+
+        Parameters
+        ----------
+        declared : dict
+            The keys `frame` (optional), `configuration` (list), and the optional lists `prior`, `static`, `effect`.
+        name : str, optional
+
+        Returns
+        -------
+        Experiment
+
+        Raises
+        ------
+        InputError
+            Naming the key, the value found and what would be right.
+        """
+        frame_keys = {item.name: "[frame]" for item in dataclasses.fields(Frame)}
+        tested_keys = {item.name: "[[configuration]]" for item in dataclasses.fields(Configuration)}
+        tables = ["frame", "configuration", "prior", "static", "effect", "damping"]
+        table = checks.keys(declared, tables, [], "the measurement file", elsewhere={**tested_keys, **frame_keys})
+        if table.get("configuration") is None:
+            raise InputError("at least one [[configuration]] is needed: none was found")
+        frame = Frame.from_dict({} if table.get("frame") is None else table["frame"], elsewhere=tested_keys)
+        configurations = tuple(
+            Configuration.from_dict(item, name=f"configuration {place}", elsewhere=frame_keys)
+            for place, item in enumerate(_tables(table["configuration"], "configuration"), 1)
+        )
+        priors = []
+        for place, item in enumerate(_tables(table.get("prior"), "prior"), 1):
+            with _named(place):
+                priors.append(Prior.from_dict(item))
+        static = tuple(
+            StaticTest.from_dict(item, name=f"static test {place}")
+            for place, item in enumerate(_tables(table.get("static"), "static"), 1)
+        )
+        expected = tuple(
+            ExpectedEffect.from_dict(item, f"effect {place}")
+            for place, item in enumerate(_tables(table.get("effect"), "effect"), 1)
+        )
+        damping = Damping() if table.get("damping") is None else Damping.from_dict(table["damping"])
+        return Experiment(frame, configurations, tuple(priors), name, static, expected, damping)
+
+    def to_dict(self) -> Json:
+        """The dict of the measurement file's shape that declares this experiment."""
+        result: Json = {"frame": self.frame.to_dict()}
+        if self.damping.kind != Damping().kind:
+            result["damping"] = {"kind": self.damping.kind}
+        if self.priors or self.damping.priors:
+            result["prior"] = [prior.to_dict() for prior in (*self.priors, *self.damping.priors)]
+        if self.expected:
+            result["effect"] = [each.to_dict() for each in self.expected]
+        result["configuration"] = [each.to_dict() for each in self.configurations]
+        if self.static:
+            result["static"] = [each.to_dict() for each in self.static]
+        return result
+
+    @property
+    def tested(self) -> tuple[Tested, ...]:
+        """Configurations, then static tests."""
+        return (*self.configurations, *self.static)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The states that were tested, in the order in which they come first."""
+        return tuple(dict.fromkeys(each.state for each in self.tested))
+
+    @property
+    def changed_states(self) -> tuple[str, ...]:
+        """The states that may differ from the frame itself: all but the reference."""
+        return tuple(state for state in self.states if state != self.frame.reference)
+
+    @property
+    def stories(self) -> int:
+        """Number of stories N."""
+        return self.frame.stories
+
+    @property
+    def noise_declared(self) -> bool:
+        """Whether every configuration declares both standard deviations; otherwise the weights are only relative."""
+        return all(each.noise_declared for each in self.configurations)
+
+    def with_priors(self, priors: Sequence[Prior]) -> Experiment:
+        """The same experiment with these priors besides its own."""
+        return dataclasses.replace(self, priors=(*self.priors, *priors)) if priors else self
+
+
+def _all_of(kind: type[T], items: object, where: str) -> tuple[T, ...]:
+    """The items as a tuple, once each is of the kind that is needed."""
+    if not isinstance(items, Iterable) or isinstance(items, str):
+        raise InputError(f"{where} must be a sequence of {kind.__name__}, not {checks.shown(items)}")
+    result = tuple(items)
+    for place, item in enumerate(result, 1):
+        if not isinstance(item, kind):
+            raise InputError(f"{where}, entry {place} must be a {kind.__name__}, not {checks.shown(item)}")
+    return result
+
+
+@contextmanager
+def _named(place: int) -> Iterator[None]:
+    """Say which prior it is that a message is about."""
+    try:
+        yield
+    except InputError as error:
+        raise type(error)(f"prior {place}: {error}") from error
+
+
+def _quoted(names: Iterable[str]) -> str:
+    """Names as a message lists them."""
+    return ", ".join(f'"{name}"' for name in names)
+
+
+def _tables(value: object, key: str) -> list[object]:
+    """What stands below the headers `[[key]]`."""
+    if value is None:
+        return []
+    if isinstance(value, Mapping):
+        raise InputError(f"[{key}] must be a list of tables: write [[{key}]], in double brackets")
+    if not isinstance(value, list | tuple):
+        raise InputError(f"{key} must be a list of tables, each below [[{key}]], not {checks.shown(value)}")
+    return list(value)

@@ -1,0 +1,16 @@
+"""Identification of floor masses and story stiffnesses."""
+
+from cvxshear.fit.results import Identification, IdentifiedFrame, Prediction, SingleIdentification
+from cvxshear.methods.programs_of import compare_backends, programs_of
+from cvxshear.methods.run import METHODS, identify
+
+__all__ = [
+    "METHODS",
+    "Identification",
+    "IdentifiedFrame",
+    "Prediction",
+    "SingleIdentification",
+    "compare_backends",
+    "identify",
+    "programs_of",
+]

@@ -1,0 +1,60 @@
+"""All masses from one program, without an iteration."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cvxshear.backends import Backend
+from cvxshear.fit.ending import Ending
+from cvxshear.fit.results import SingleIdentification
+from cvxshear.methods.separate import CompleteTest, finished
+from cvxshear.methods.story_stiffness import MOST_ROUNDS, UNCHANGED, identified_stiffness
+from cvxshear.programs import one_shot_masses
+from cvxshear.programs.normal import LOST, digits_lost, keeps_rows
+from cvxshear.programs.rows import constrained, softened
+from cvxshear.util.typing import Floats
+
+
+def one_shot(of: CompleteTest, backend: Backend) -> SingleIdentification:
+    """Identify one configuration from the off-diagonal orthogonality conditions and the total mass.
+
+    Parameters
+    ----------
+    of : CompleteTest
+    backend : Backend
+    """
+    plain = one_shot_masses(of.shapes, of.total, rows=of.rows)
+    # Each row is a mass times the shapes' error: its standard deviation goes with the mean floor mass.
+    row_std = of.shape_std * of.total / plain.unknowns
+    added = of.configuration.added_mass
+    solution = backend.solve(constrained(plain, of.mass_statements, -added))
+    mass = solution.x
+    if not keeps_rows(of.rows, len(mass)) and digits_lost(plain.R) > LOST:
+        again = one_shot_masses(of.shapes, of.total, rows=of.rows, at=mass)
+        mass = mass + backend.solve(constrained(again, of.mass_statements, mass - added)).x
+    iterations = 1
+    while iterations <= MOST_ROUNDS:
+        soft = softened(plain, of.experiment.priors, "floor_mass", mass - added, row_std, step=False)
+        if soft is plain:
+            break
+        # The soft rows speak of the masses without added mass.
+        shifted = soft.replace(s=soft.s + _shift(soft.R, plain.R.shape[0], added))
+        solution = backend.solve(constrained(shifted, of.mass_statements, -added), solution)
+        before, mass = mass, solution.x
+        iterations += 1
+        if np.max(np.abs(mass - before)) <= UNCHANGED * np.max(np.abs(mass)):
+            break
+    return finished(
+        of,
+        mass,
+        identified_stiffness(of, mass, backend),
+        iterations=iterations,
+        reason=Ending.SOLVED if iterations <= MOST_ROUNDS else Ending.ITERATION_LIMIT,
+    )
+
+
+def _shift(R: Floats, own_rows: int, added: Floats) -> Floats:
+    """What the added mass contributes to the soft rows, zero for the program's own."""
+    shift: Floats = R @ added
+    shift[:own_rows] = 0.0
+    return shift

@@ -1,0 +1,146 @@
+"""What the methods share that identify each configuration by itself: what they need, and what they return."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.fit.domain import refuse_contradicting
+from cvxshear.fit.misfit import Misfit
+from cvxshear.fit.quality import quality
+from cvxshear.fit.results import IdentifiedFrame, SingleIdentification, predictions
+from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.programs.feasibility import NamedConstraints
+from cvxshear.programs.rows import statements
+from cvxshear.util.errors import UnsuitableError
+from cvxshear.util.quantities import ranged
+from cvxshear.util.typing import Floats
+
+SMALLEST = 1e-3
+"""Of the mean floor mass, and of the stiffness that would carry it at the first frequency: less is not positive.
+
+A bound much smaller than this is lost in a solver's own tolerances; HiGHS 1.15 ends with an error on one of 1e-6."""
+
+
+@dataclass(frozen=True, eq=False)
+class CompleteTest:
+    """One configuration with everything that a method of this kind needs.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    configuration : Configuration
+    shapes : ndarray, shape (N, N)
+        One column a mode.
+    eigenvalues : ndarray, shape (N,)
+        (2 pi f)^2.
+    total : float
+        kg, with added mass.
+    mass_statements, stiffness_statements : list of NamedConstraints
+        Exact statements about the floor masses without added mass, and about the story stiffnesses.
+    shape_std : float
+        Relative standard deviation of the shapes, root mean square; soft priors weigh against it.
+    rows : bool, optional
+        Whether programs keep a row a pair of modes, see `programs.mass_correction`.
+    """
+
+    experiment: Experiment
+    configuration: Configuration
+    shapes: Floats
+    eigenvalues: Floats
+    total: float
+    mass_statements: list[NamedConstraints]
+    stiffness_statements: list[NamedConstraints]
+    shape_std: float
+    rows: bool | None = None
+
+
+def complete_test(
+    experiment: Experiment, configuration: Configuration, method: str, *, rows: bool | None = None
+) -> CompleteTest:
+    """One configuration, once a method of this kind can use it.
+
+    Raises
+    ------
+    UnsuitableError
+        Where a mode, a floor or the total mass is missing.
+    InfeasibleError
+        Where declared masses and exact priors contradict each other.
+    """
+    n = experiment.stories
+    where = f'method {method} cannot use configuration "{configuration.name}"'
+    if len(configuration.frequencies) < n:
+        missing = sorted(set(range(1, n + 1)) - {int(mode) for mode in configuration.modes})
+        raise UnsuitableError(
+            f"{where}: it needs all {n} modes, {_listed('mode', missing)} missing; use method efficient"
+        )
+    if len(configuration.measured_floors) < n:
+        missing = sorted(set(range(1, n + 1)) - {int(floor) for floor in configuration.measured_floors})
+        raise UnsuitableError(
+            f"{where}: it needs every floor, {_listed('floor', missing)} unmeasured; use method efficient"
+        )
+    if not configuration.complete:
+        mode, floor = np.argwhere(~configuration.measured)[0] + 1
+        raise UnsuitableError(f"{where}: mode {mode} has no value at floor {floor}; use method efficient")
+    total = experiment.frame.known_total
+    if total is None:
+        raise UnsuitableError(f"{where}: it needs frame: total_mass or floor_masses; use method efficient")
+    refuse_contradicting(experiment)
+    eigenvalues = (2 * np.pi * configuration.frequencies) ** 2
+    relative = configuration.entry_std / np.max(np.abs(configuration.mode_shapes), axis=1, keepdims=True)
+    return CompleteTest(
+        experiment=experiment,
+        configuration=configuration,
+        shapes=configuration.mode_shapes.T,
+        eigenvalues=eigenvalues,
+        total=total + float(configuration.added_mass.sum()),
+        mass_statements=statements(experiment.priors, "floor_mass", n, experiment.frame, least=SMALLEST * total / n),
+        stiffness_statements=statements(
+            experiment.priors, "story_stiffness", n, least=SMALLEST * eigenvalues[0] * total / n
+        ),
+        shape_std=float(np.sqrt(np.mean(relative**2))),
+        rows=rows,
+    )
+
+
+def _listed(what: str, numbers: list[int]) -> str:
+    return f"{what} {numbers[0]} is" if len(numbers) == 1 else f"{what}s {ranged(numbers)} are"
+
+
+def start_mass(of: CompleteTest, initial: Floats | None) -> Floats:
+    """The first guess of the floor masses with added mass: the one handed in, else the total spread evenly."""
+    n = of.experiment.stories
+    net = of.total - of.configuration.added_mass.sum()
+    return (np.full(n, net / n) if initial is None else initial) + of.configuration.added_mass
+
+
+def finished(of: CompleteTest, mass: Floats, stiffness: Floats, **more: object) -> SingleIdentification:
+    """The part for a configuration: the frame without its added mass, its errors and predictions.
+
+    Parameters
+    ----------
+    of : CompleteTest
+    mass : ndarray, shape (N,)
+        With added mass.
+    stiffness : ndarray, shape (N,)
+    **more
+        Further fields of `SingleIdentification`.
+    """
+    net = mass - of.configuration.added_mass
+    frame = dataclasses.replace(of.experiment.frame, reference=None)
+    alone = Experiment(frame, (of.configuration,), of.experiment.priors, of.experiment.name)
+    misfit = Misfit(alone)
+    theta = np.concatenate([net, stiffness])
+    # The stiffnesses, and the masses less the known total, are what the data had to determine.
+    free = len(net) + (0 if of.experiment.frame.floor_masses is not None else len(net) - 1)
+    at = misfit.evaluate(theta, derivatives=False)
+    declared = not misfit.open_noises
+    return SingleIdentification(
+        name=of.configuration.name,
+        frame=IdentifiedFrame(net, stiffness),
+        fit=quality(misfit.data, at.models, at.chi2, misfit.count(theta) - free, declared=declared),
+        predictions=predictions(at.models),
+        **more,  # type: ignore[arg-type]  # fields of SingleIdentification, of the types that it says
+    )

@@ -1,0 +1,1 @@
+"""The forward model: matrices and modes of the shear frame, with derivatives."""

@@ -1,0 +1,249 @@
+"""The forward model: mass and stiffness matrices of the shear frame, its modes, and their derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy import linalg
+
+from cvxshear.util.errors import NoModesError
+from cvxshear.util.typing import Floats, Ints
+
+TALL = 40
+"""Stories from which on a tridiagonal eigensolver is faster than a general one."""
+
+
+def transformation(stories: int) -> Floats:
+    """T of Eq. 19, shape (N, N): T' u are the story drifts, floor less floor below."""
+    return np.eye(stories) - np.eye(stories, k=1)
+
+
+def mass_matrix(floor_mass: Floats) -> Floats:
+    """M = diag(m) of Eq. 1, shape (N, N), kg."""
+    return np.diag(floor_mass)
+
+
+def stiffness_matrix(story_stiffness: Floats) -> Floats:
+    """K = T diag(k) T' of Eq. 18, shape (N, N), N/m: symmetric and tridiagonal."""
+    T = transformation(len(story_stiffness))
+    return (T * story_stiffness) @ T.T
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """Mass and stiffness matrices, and their derivatives with respect to P parameters.
+
+    Parameters
+    ----------
+    M, K : ndarray, shape (N, N)
+        kg and N/m.
+    dM, dK : ndarray, shape (P, N, N)
+        dM/dtheta_p and dK/dtheta_p, a row a parameter.
+    """
+
+    M: Floats
+    K: Floats
+    dM: Floats
+    dK: Floats
+
+    def by(self, which: slice) -> System:
+        """The same with the derivatives by some of the parameters."""
+        return System(self.M, self.K, self.dM[which], self.dK[which])
+
+    def modal_products(self, phi: Floats, phi_j: Floats) -> tuple[Floats, Floats]:
+        """phi' dK phi_j and phi' dM phi_j by every parameter, each of shape (P, N, m).
+
+        Parameters
+        ----------
+        phi, phi_j : ndarray, shapes (N, N) and (N, m)
+            One column a mode.
+        """
+        return phi.T @ (self.dK @ phi_j), phi.T @ (self.dM @ phi_j)
+
+    def stiffness_slopes(self, u: Floats) -> Floats:
+        """dK u by every parameter, shape (P, N)."""
+        slopes: Floats = self.dK @ u
+        return slopes
+
+
+class ShearSystem(System):
+    """The plain shear frame, its derivatives as the rank-one terms that they are.
+
+    dM/dm_i = e_i e_i' and dK/dk_i = t_i t_i', t_i column i of T: products with them need no matrix each, and a frame
+    of 2,000 stories no 128 GB.
+
+    Parameters
+    ----------
+    M, K : ndarray, shape (N, N)
+    size : int
+        Number P of parameters: N floor masses, N story stiffnesses, and others that nothing here depends on.
+    which : slice, optional
+        The parameters by which derivatives are wanted.
+    """
+
+    def __init__(self, M: Floats, K: Floats, size: int, which: slice = slice(None)) -> None:
+        put = object.__setattr__
+        put(self, "M", M)
+        put(self, "K", K)
+        put(self, "_size", size)
+        put(self, "_which", which)
+
+    _size: int
+    _which: slice
+
+    @property
+    def dM(self) -> Floats:  # noqa: N802 - a field there; here made when asked for
+        """As of `System`."""
+        return self._padded(_unit_derivatives(len(self.M))[0])
+
+    @property
+    def dK(self) -> Floats:  # noqa: N802 - likewise
+        """As of `System`."""
+        return self._padded(_unit_derivatives(len(self.M))[1])
+
+    def by(self, which: slice) -> System:
+        return ShearSystem(self.M, self.K, self._size, which)
+
+    def modal_products(self, phi: Floats, phi_j: Floats) -> tuple[Floats, Floats]:
+        drifts, drifts_j = (np.diff(shapes, axis=0, prepend=0.0) for shapes in (phi, phi_j))
+        own_mass = phi[:, :, None] * phi_j[:, None, :]
+        own_stiffness = drifts[:, :, None] * drifts_j[:, None, :]
+        none = np.zeros_like(own_mass)
+        return self._padded(np.concatenate([none, own_stiffness])), self._padded(np.concatenate([own_mass, none]))
+
+    def stiffness_slopes(self, u: Floats) -> Floats:
+        T = transformation(len(self.M))
+        return self._padded(np.concatenate([np.zeros(T.shape), (T * (T.T @ u)).T]))
+
+    def _padded(self, rows: Floats) -> Floats:
+        """The rows of masses and stiffnesses with zeros for the other parameters, those that are wanted."""
+        extra = self._size - len(rows)
+        if extra:
+            rows = np.concatenate([rows, np.zeros((extra, *rows.shape[1:]))])
+        return rows[self._which]
+
+
+def shear_system(floor_mass: Floats, story_stiffness: Floats) -> System:
+    """The shear frame, with derivatives by every floor mass and then every story stiffness (P = 2N)."""
+    dM, dK = _unit_derivatives(len(floor_mass))
+    return System(M=mass_matrix(floor_mass), K=stiffness_matrix(story_stiffness), dM=dM, dK=dK)
+
+
+@lru_cache(maxsize=8)
+def _unit_derivatives(n: int) -> tuple[Floats, Floats]:
+    """Derivatives of M and K of a shear frame of n stories, which depend on nothing but n; read-only."""
+    T = transformation(n)
+    dM, dK = np.zeros((2 * n, n, n)), np.zeros((2 * n, n, n))
+    dM[np.arange(n), np.arange(n), np.arange(n)] = 1.0
+    dK[n:] = T.T[:, :, None] * T.T[:, None, :]
+    dM.setflags(write=False)
+    dK.setflags(write=False)
+    return dM, dK
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """Undamped modes of a frame, all N of them, ascending.
+
+    Parameters
+    ----------
+    eigenvalues : ndarray, shape (N,)
+        lambda = omega^2, (rad/s)^2.
+    shapes : ndarray, shape (N, N)
+        One row a mode, mass-normalized: shapes M shapes' = 1.
+    """
+
+    eigenvalues: Floats
+    shapes: Floats
+
+    @property
+    def frequencies(self) -> Floats:
+        """Natural frequencies, shape (N,), Hz."""
+        return np.sqrt(self.eigenvalues) / (2 * np.pi)
+
+
+def modes(M: Floats, K: Floats) -> Modes:
+    """Solve K phi = lambda M phi.
+
+    Parameters
+    ----------
+    M, K : ndarray, shape (N, N)
+        Symmetric; M positive definite.
+
+    Returns
+    -------
+    Modes
+        Each shape has its largest entry positive.
+
+    Raises
+    ------
+    NoModesError
+        Where M is not positive definite, or K has a negative eigenvalue: the frame would buckle.
+    """
+    try:
+        eigenvalues, vectors = _chain_modes(M, K) if _is_chain(M, K) else linalg.eigh(K, M, check_finite=False)
+    except (linalg.LinAlgError, ValueError):
+        raise NoModesError("the mass matrix is not positive definite") from None
+    if not eigenvalues[0] > 0:
+        raise NoModesError(f"the frame is not stable: the lowest eigenvalue is {eigenvalues[0]:g} (rad/s)^2")
+    shapes = vectors.T
+    largest = shapes[np.arange(len(shapes)), np.argmax(np.abs(shapes), axis=1)]
+    return Modes(eigenvalues, shapes * np.sign(largest)[:, None])
+
+
+def _is_chain(M: Floats, K: Floats) -> bool:
+    """Whether M is diagonal and K tridiagonal, of a size at which that is worth looking at."""
+    n = len(M)
+    if n < TALL:
+        return False
+    mass = np.diag(M)
+    beyond = np.count_nonzero(K) - sum(np.count_nonzero(np.diag(K, at)) for at in (-1, 0, 1))
+    return bool(np.all(mass > 0) and np.count_nonzero(M) == n and beyond == 0)
+
+
+def _chain_modes(M: Floats, K: Floats) -> tuple[Floats, Floats]:
+    """Modes of a tridiagonal K and a diagonal M, in O(N^2)."""
+    root = np.sqrt(np.diag(M))
+    values, vectors = linalg.eigh_tridiagonal(
+        np.diag(K) / root**2, np.diag(K, 1) / (root[1:] * root[:-1]), check_finite=False
+    )
+    return np.asarray(values, dtype=np.float64), vectors / root[:, None]
+
+
+def mode_derivatives(of: Modes, system: System, which: slice | Ints | list[int]) -> tuple[Floats, Floats]:
+    """Derivatives of eigenvalues and mass-normalized shapes, by modal superposition (Fox and Kapoor, 1968).
+
+    With S = dK - lambda_j dM,
+
+        dlambda_j = phi_j' S phi_j
+        dphi_j    = sum over l != j of phi_l (phi_l' S phi_j) / (lambda_j - lambda_l) - phi_j (phi_j' dM phi_j) / 2
+
+    which is exact, since all modes of the frame are at hand.
+
+    Parameters
+    ----------
+    of : Modes
+    system : System
+        With derivatives by P parameters.
+    which : index
+        The modes j wanted, m of them, zero-based.
+
+    Returns
+    -------
+    dlam : ndarray, shape (P, m)
+    dphi : ndarray, shape (P, m, N)
+    """
+    lam, phi = of.eigenvalues, of.shapes.T
+    lam_j, phi_j = lam[which], phi[:, which]
+    by_stiffness, by_mass = system.modal_products(phi, phi_j)
+    S = by_stiffness - lam_j * by_mass
+    own = np.arange(len(lam))[which]
+    column = np.arange(len(own))
+    dlam = S[:, own, column]
+    gap = lam_j[None, :] - lam[:, None]
+    gap[own, column] = 1.0
+    share = S / gap
+    share[:, own, column] = -0.5 * by_mass[:, own, column]
+    return dlam, share.transpose(0, 2, 1) @ phi.T

@@ -1,0 +1,241 @@
+"""Checks of values that come from outside, each with a message that says what would be right.
+
+Every function takes the value, and the place it was found as a person would name it, and returns the
+value in the type that the library works with, or raises `InputError`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import reprlib
+from collections.abc import Collection, Mapping, Sequence
+from itertools import pairwise
+from typing import Any, TypeVar
+
+import numpy as np
+
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats, Ints
+
+T = TypeVar("T", bound=np.generic)
+
+MOST_STORIES = 2000
+"""More are taken for a mistake in the file: the matrices alone would fill the memory."""
+
+LARGEST = 1e30
+"""No quantity of a structure is larger in SI units, and squares of what passes do not overflow."""
+
+SMALLEST = 1e-30
+"""Nor is a positive one smaller; squares of what passes do not vanish."""
+
+_short = reprlib.Repr()
+_short.maxlevel, _short.maxlist, _short.maxtuple, _short.maxdict = 3, 6, 6, 3
+_short.maxstring = _short.maxlong = _short.maxother = 60
+
+
+def shown(value: object) -> str:
+    """`value` as an error message shows it: its repr, cut to a readable length."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    try:
+        text = _short.repr(value)
+    except ValueError:
+        # Python refuses to print whole numbers of more than a few thousand digits.
+        text = "a number too long to print"
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def keys(
+    table: object,
+    known: Collection[str],
+    required: Collection[str],
+    where: str,
+    *,
+    elsewhere: Mapping[str, str] | None = None,
+) -> Mapping[str, Any]:
+    """The table itself, once no key is unknown and none is missing.
+
+    `elsewhere` names, for keys that another table has, that table: a key below the wrong header is the most
+    common slip in TOML.
+    """
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where} must be a table of keys and values, not {shown(table)}")
+    for key in table:
+        if key not in known:
+            raise InputError(f"{where}: unknown key {shown(key)}; {_hint(key, known, elsewhere or {})}")
+    for key in required:
+        if key not in table:
+            raise InputError(f"{where}: the key {key!r} is missing")
+    return table
+
+
+def _hint(key: object, known: Collection[str], elsewhere: Mapping[str, str]) -> str:
+    """What to do about a key that nothing knows."""
+    if isinstance(key, str) and key in elsewhere:
+        return f"it belongs in {elsewhere[key]}"
+    near = difflib.get_close_matches(str(key)[:60].lower(), list(known), n=1, cutoff=0.5)
+    return f"did you mean {near[0]!r}?" if near else f"known keys are {', '.join(sorted(known))}"
+
+
+def number(value: object, where: str, *, above: float = -math.inf, least: float = -math.inf) -> float:
+    """A finite number, greater than `above` and not less than `least`."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
+        raise InputError(f"{where} must be a number, not {shown(value)}")
+    try:
+        result = float(value)
+    except OverflowError:
+        result = LARGEST * 10 if value > 0 else -LARGEST * 10
+    if not math.isfinite(result):
+        raise InputError(f"{where} must be a finite number, not {shown(value)}")
+    if result <= above:
+        raise InputError(f"{where} = {result:g} must be greater than {above:g}")
+    if result < least:
+        raise InputError(f"{where} = {result:g} must not be less than {least:g}")
+    if abs(result) > LARGEST or (above == 0.0 and result < SMALLEST):
+        size = f"between {SMALLEST:g} and {LARGEST:g}" if above == 0.0 else f"at most {LARGEST:g} in size"
+        raise InputError(f"{where} = {shown(value)} must be {size}; check its unit")
+    return result
+
+
+def whole(value: object, where: str, *, least: int, most: int) -> int:
+    """A whole number from `least` to `most`."""
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
+        raise InputError(f"{where} must be a whole number, not {shown(value)}")
+    if not least <= value <= most:
+        raise InputError(f"{where} = {shown(int(value))} must lie between {least} and {most}")
+    return int(value)
+
+
+def flag(value: object, where: str) -> bool:
+    """True or false."""
+    if not isinstance(value, bool | np.bool_):
+        raise InputError(f"{where} must be true or false, not {shown(value)}")
+    return bool(value)
+
+
+def text(value: object, where: str) -> str:
+    """A text that is not empty."""
+    if not isinstance(value, str) or not value.strip():
+        raise InputError(f"{where} must be a text that is not empty, not {shown(value)}")
+    return value
+
+
+def choice(value: object, options: Sequence[str], where: str) -> str:
+    """One of the named options."""
+    if not isinstance(value, str) or value not in options:
+        near = difflib.get_close_matches(value[:60].lower(), list(options), n=1) if isinstance(value, str) else []
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise InputError(f"{where} must be one of {', '.join(options)}, not {shown(value)}{hint}")
+    return value
+
+
+def _clean(value: object, axes: int, *, above: float, least: float, nan: bool) -> bool:
+    """Whether the value is an array of floats that all pass `number`: what is right needs no look entry by entry."""
+    if not isinstance(value, np.ndarray) or value.dtype != np.float64 or value.ndim != axes or not value.size:
+        return False
+    known = value[~np.isnan(value)] if nan else value
+    if not np.isfinite(known).all() or np.any(known <= above) or np.any(known < least):
+        return False
+    size = np.abs(known)
+    return not (np.any(size > LARGEST) or (above == 0.0 and np.any(size < SMALLEST)))
+
+
+def _items(value: object, where: str, what: str) -> list[object]:
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if not isinstance(value, list | tuple):
+        raise InputError(f"{where} must be a list of {what}, not {shown(value)}")
+    return list(value)
+
+
+def vector(
+    value: object,
+    where: str,
+    *,
+    length: int | None = None,
+    of: str = "",
+    above: float = -math.inf,
+    least: float = -math.inf,
+    nan: bool = False,
+) -> Floats:
+    """A list of numbers as a read-only array; entries may be nan only where `nan` says so.
+
+    `of` says what the entries stand for, for the message about a wrong `length`: ", one a mode".
+    """
+    if isinstance(value, np.ndarray) and _clean(value, 1, above=above, least=least, nan=nan) and length in (
+        None, len(value),
+    ):  # fmt: skip
+        return frozen(value.copy())
+    items = _items(value, where, "numbers")
+    if not items:
+        raise InputError(f"{where} must not be empty")
+    if length is not None and len(items) != length:
+        raise InputError(f"{where} must have {entries(length)}{of}, not {len(items)}")
+    result = np.array(
+        [
+            math.nan
+            if nan and isinstance(item, float) and math.isnan(item)
+            else number(item, f"{where}, entry {place}", above=above, least=least)
+            for place, item in enumerate(items, 1)
+        ]
+    )
+    return frozen(result)
+
+
+def entries(count: int) -> str:
+    """A count as a message says it: 1 entry, 2 entries."""
+    return f"{count} {'entry' if count == 1 else 'entries'}"
+
+
+def many(value: object) -> bool:
+    """Whether the value is a list or the like, and not a single one."""
+    return isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim > 0)
+
+
+def one_or_many(
+    value: object, where: str, length: int, *, of: str = "", above: float = -math.inf, least: float = -math.inf
+) -> Floats:
+    """One number for all `length` places, or a list of that many."""
+    if many(value):
+        return vector(value, where, length=length, of=of, above=above, least=least)
+    return frozen(np.full(length, number(value, where, above=above, least=least)))
+
+
+def ascending_whole(value: object, where: str, *, most: int) -> Ints:
+    """A list of whole numbers from 1 to `most`, ascending, none twice."""
+    items = _items(value, where, "whole numbers")
+    if not items:
+        raise InputError(f"{where} must not be empty")
+    result = [whole(item, f"{where}, entry {place}", least=1, most=most) for place, item in enumerate(items, 1)]
+    for before, after in pairwise(result):
+        if after <= before:
+            raise InputError(f"{where} must be ascending, none twice; found {after} after {before}")
+    return frozen(np.array(result, dtype=np.int64))
+
+
+def table(value: object, where: str, *, rows: int, nan: bool = False, above: float = -math.inf) -> Floats:
+    """A list of `rows` lists of numbers, all of one length, as a read-only array of shape (rows, columns)."""
+    if isinstance(value, np.ndarray) and _clean(value, 2, above=above, least=-math.inf, nan=nan) and len(value) == rows:
+        return frozen(value.copy(order="C"))
+    items = _items(value, where, "lists of numbers, one a mode")
+    if len(items) != rows:
+        lying = all(isinstance(item, list | tuple) and len(item) == rows for item in items)
+        hint = ": a row is a mode, not a floor" if items and lying else ""
+        needed = f"{rows} row{'s' * (rows != 1)}, one for each frequency"
+        raise InputError(f"{where} must have {needed}, not {len(items)}{hint}")
+    lines = [vector(item, f"{where}, row {place}", nan=nan, above=above) for place, item in enumerate(items, 1)]
+    for place, line in enumerate(lines, 1):
+        if len(line) != len(lines[0]):
+            raise InputError(
+                f"{where}, row {place} has {entries(len(line))}, row 1 has {len(lines[0])}: give one a measured floor"
+            )
+    return frozen(np.array(lines))
+
+
+def frozen(array: np.ndarray[Any, np.dtype[T]]) -> np.ndarray[Any, np.dtype[T]]:
+    """The array, no longer writable."""
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,82 @@
+"""The same work on many things: one process, several, or a cluster.
+
+joblib runs it. Inside `with joblib.parallel_config(backend="dask")`, with a `dask.distributed.Client` open, the same
+calls run on that cluster (the extra `dask`); a worker that is lost has its tasks done again by the others, since
+every task is a pure function of what it is handed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from typing import TypeVar
+
+from joblib import Parallel, cpu_count, delayed
+from threadpoolctl import threadpool_limits
+
+from cvxshear.util import checks
+from cvxshear.util.errors import LostProcessError
+
+T = TypeVar("T")
+U = TypeVar("U")
+
+MOST_JOBS = 4096
+TASKS_A_JOB = 8
+"""Chunks that each process gets: enough that none waits long for the last, few enough to send."""
+
+Progress = Callable[[int, int], None]
+"""Called with the number of things done and to do."""
+
+
+def each(function: Callable[[T], U], items: Iterable[T], *, jobs: int = 1, progress: Progress | None = None) -> list[U]:
+    """function(item) for every item, in their order.
+
+    Parameters
+    ----------
+    function : callable
+        Picklable where `jobs` is not 1: a function of a module, or a `functools.partial` of one.
+    items : iterable
+    jobs : int, optional
+        Processes; 1 stays in this one, -1 takes every core. On a Dask cluster, -1 takes every worker.
+    progress : callable, optional
+        Called after every chunk.
+
+    Raises
+    ------
+    LostProcessError
+        Where a process was killed.
+    Exception
+        What `function` raises.
+    """
+    todo = list(items)
+    if jobs != -1:
+        checks.whole(jobs, "jobs", least=1, most=MOST_JOBS)
+    chunks = _chunks(todo, jobs, seen=progress is not None)
+    results: list[U] = []
+    try:
+        # In the order of the chunks, as they become ready.
+        for part in Parallel(n_jobs=jobs, return_as="generator")(delayed(_done)(function, chunk) for chunk in chunks):
+            results += part
+            if progress is not None:
+                progress(len(results), len(todo))
+    except BrokenProcessPool:
+        raise LostProcessError(
+            f"one of the processes was ended from outside, after {len(results)} of {len(todo)} things were done; where "
+            "it was for want of memory, fewer jobs need less of it"
+        ) from None
+    return results
+
+
+def _chunks(items: Sequence[T], jobs: int, *, seen: bool) -> list[Sequence[T]]:
+    """Consecutive parts of the items."""
+    processes = cpu_count() if jobs == -1 else jobs
+    alone = 100 if seen else 1
+    count = alone if jobs == 1 else TASKS_A_JOB * processes
+    size = max(1, -(-len(items) // count))
+    return [items[first : first + size] for first in range(0, len(items), size)]
+
+
+def _done(function: Callable[[T], U], items: Sequence[T]) -> list[U]:
+    # The matrices are small: threads inside a process among several would only get in each other's way.
+    with threadpool_limits(1):
+        return [function(item) for item in items]

@@ -1,0 +1,281 @@
+"""How numbers and quantities are written for people."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from cvxshear.util.errors import InputError
+
+PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""))
+
+UNITS = {
+    "mass": {"g": 1e-3, "kg": 1.0, "t": 1e3},
+    "force": {"N": 1.0, "kN": 1e3, "MN": 1e6, "GN": 1e9},
+    "length": {"mm": 1e-3, "cm": 1e-2, "m": 1.0},
+}
+"""What a unit is in kg, N or m."""
+
+TONNES = 1e4
+"""kg from which on masses are told in tonnes."""
+
+PLAIN = (1e-4, 1e6)
+"""Sizes from which and up to which a number is written without a power of ten."""
+
+MOST_DECIMALS = 6
+
+LEAST_PER_FORCE = 0.1
+"""What a flexibility is at least where a larger unit of force makes it so."""
+
+LONG_ROW = 4
+"""Numbers in a row from which on the first and the last are enough."""
+
+EXACT = 1e-9
+"""Relative standard deviation of which nobody needs to know."""
+
+UNKNOWN = "not determined"
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units in which quantities are shown; None for whatever fits their size.
+
+    Parameters
+    ----------
+    mass, force, length : str or None
+        Of `UNITS`. A stiffness has the unit force / length.
+    """
+
+    mass: str | None = None
+    force: str | None = None
+    length: str | None = None
+
+    @staticmethod
+    def parse(text: str | None) -> Units:
+        """The units of a text such as "t,kN,mm", in any order.
+
+        Raises
+        ------
+        InputError
+            Where one is none of `UNITS`, or two are of one quantity.
+        """
+        found: dict[str, str] = {}
+        for name in [] if text is None else [part.strip() for part in text.split(",") if part.strip()]:
+            quantity = next((key for key, units in UNITS.items() if name in units), None)
+            if quantity is None:
+                known = ", ".join(unit for units in UNITS.values() for unit in units)
+                raise InputError(f"there is no display unit {name!r}; there are {known}, such as t,kN,mm")
+            if quantity in found:
+                raise InputError(f"the display units {found[quantity]} and {name} are both of {quantity}; name one")
+            found[quantity] = name
+        return Units(**found)
+
+    def of_mass(self, values: Iterable[float]) -> tuple[float, str]:
+        """kg in the unit that masses are shown in, and its name."""
+        return fitting(values, "kg") if self.mass is None else (UNITS["mass"][self.mass], self.mass)
+
+    def of_stiffness(self, values: Iterable[float]) -> tuple[float, str]:
+        """N/m in the unit that stiffnesses are shown in, and its name."""
+        if self.force is None and self.length is None:
+            return fitting(values, "N/m")
+        length = self.length or "m"
+        if self.force is None:
+            factor, force = scaled([value * UNITS["length"][length] for value in values], "N")
+        else:
+            factor, force = UNITS["force"][self.force], self.force
+        return factor / UNITS["length"][length], f"{force}/{length}"
+
+
+AUTOMATIC = Units()
+
+
+def exponential(value: float, digits: int = 2) -> str:
+    """A number as a power of ten, with so many significant digits; nothing at all is 0."""
+    return "0" if value == 0 else f"{value:.{digits - 1}e}"
+
+
+def significant(value: float | None, digits: int = 4) -> str:
+    """A number with so many significant digits; a dash for none."""
+    if value is None or math.isnan(value):
+        return "–"
+    if value == 0:
+        return "0"
+    if not PLAIN[0] <= abs(value) < PLAIN[1]:
+        return exponential(value, digits)
+    decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+    shown = f"{value:.{decimals}f}"
+    return shown.rstrip("0").rstrip(".") if "." in shown else shown
+
+
+def significants(values: Sequence[float | None], digits: int = 4) -> list[str]:
+    """Numbers in one format, with so many significant digits of the largest."""
+    sizes = [abs(value) for value in values if value is not None and math.isfinite(value)]
+    largest = max(sizes, default=0.0)
+    if not PLAIN[0] <= largest < PLAIN[1]:
+        return [significant(value, digits) for value in values]
+    decimals = max(0, digits - 1 - math.floor(math.log10(largest)))
+    return ["–" if value is None or math.isnan(value) else f"{value:.{decimals}f}" for value in values]
+
+
+def percent(value: float | None, digits: int = 2) -> str:
+    """A ratio as percent; what is smaller than the digits can tell, but not nothing, is said to be so."""
+    if value is None or math.isnan(value):
+        return "–"
+    least = 10.0**-digits
+    if 0 < abs(100 * value) < 0.5 * least:
+        return f"< {least:.{digits}f} %"
+    return f"{100 * value:.{digits}f} %"
+
+
+def signed(value: float, decimals: int) -> str:
+    """A number with its sign, and without one where it is written as nothing."""
+    shown = f"{value:+.{decimals}f}"
+    return shown[1:] if not shown.strip("+-0.") else shown
+
+
+def percents(values: Sequence[float | None], *, sign: bool = False) -> list[str]:
+    """Ratios as percent in one format, with decimals enough for two digits of the largest."""
+    sizes = [abs(100 * value) for value in values if value is not None and math.isfinite(value)]
+    largest = max(sizes, default=0.0)
+    digits = 2 if largest == 0 else min(max(2, 1 - math.floor(math.log10(largest))), MOST_DECIMALS)
+    if not sign:
+        return [percent(value, digits) for value in values]
+    return ["–" if value is None or math.isnan(value) else f"{signed(100 * value, digits)} %" for value in values]
+
+
+def probability(value: float | None) -> str:
+    """A p-value, short where it is tiny."""
+    if value is None:
+        return "–"
+    return "< 1e-9" if value < 1e-9 else f"{value:.2g}"
+
+
+def equals(value: float) -> str:
+    """A p-value as it stands in a sentence: "p = 0.012", "p < 1e-9"."""
+    shown = probability(value)
+    return f"p {shown}" if shown.startswith("<") else f"p = {shown}"
+
+
+def chance(value: float) -> str:
+    """How probable something is, in percent; never quite impossible or certain."""
+    if value < 0.0005:
+        return "< 0.1 %"
+    return "> 99.9 %" if value > 0.9995 else f"{100 * value:.1f} %"
+
+
+def with_std(value: float | None, std: float | None, unit: str = "", factor: float | None = None) -> str:
+    """value ± std, the value to the digits that the standard deviation leaves meaningful.
+
+    Parameters
+    ----------
+    value, std : float or None
+    unit : str, optional
+    factor : float, optional
+        What the shown unit is in that of the value; where not given, a prefix that fits the size is put before the
+        unit.
+    """
+    if value is None or math.isnan(value):
+        return UNKNOWN
+    if factor is None:
+        factor, unit = fitting([value], unit)
+    value = value / factor
+    if std is None or not math.isfinite(std) or std <= EXACT * abs(value):
+        return f"{significant(value, 5)} {unit}".strip()
+    std = std / factor
+    largest = max(abs(value), std)
+    if abs(value) >= PLAIN[1] or largest < PLAIN[0]:
+        power = math.floor(math.log10(largest))
+        return f"({_to_digits(value / 10.0**power, std / 10.0**power)})e{power:+03d} {unit}".strip()
+    return f"{_to_digits(value, std)} {unit}".strip()
+
+
+def quantity(value: float, unit: str, digits: int = 4) -> str:
+    """A value with so many significant digits, in the size of its unit that fits it."""
+    factor, unit = fitting([value], unit)
+    return f"{significant(value / factor, digits)} {unit}"
+
+
+def per_force(value: float, std: float | None, unit: str) -> str:
+    """A flexibility ± its standard deviation, by as many newtons as make the number easy to read: "1.4 rad/(MN m)".
+
+    Parameters
+    ----------
+    value, std : float
+    unit : str
+        With N below its line, such as "m/N" or "rad/(N m)".
+    """
+    factor, prefix = next(
+        ((factor, prefix) for factor, prefix in reversed(PREFIXES) if abs(value) * factor >= LEAST_PER_FORCE),
+        PREFIXES[0],
+    )
+    above, line, below = unit.partition("/")
+    unit = f"{above}{line}{below.replace('N', f'{prefix}N', 1)}"
+    return with_std(value * factor, None if std is None else std * factor, unit, 1.0)
+
+
+def _to_digits(value: float, std: float) -> str:
+    decimals = max(0, 1 - math.floor(math.log10(std)))
+    return f"{value:.{decimals}f} ± {std:.{decimals}f}"
+
+
+def with_stds(values: Sequence[float], stds: Sequence[float]) -> list[str]:
+    """value ± std, each, in one format; the values alone where none is.
+
+    With two digits of the largest standard deviation, and one of the smallest.
+    """
+    known = [std for std in stds if math.isfinite(std) and std > 0]
+    if known:
+        two, one = 1 - math.floor(math.log10(max(known))), -math.floor(math.log10(min(known)))
+    decimals = min(max(two, one, 0), MOST_DECIMALS) if known else MOST_DECIMALS - 2
+    return [
+        "–" if math.isnan(value)
+        else f"{value:.{decimals}f} ± {std:.{decimals}f}" if math.isfinite(std) and std > 0
+        else f"{value:.{decimals}f}"
+        for value, std in zip(values, stds, strict=True)
+    ]  # fmt: skip
+
+
+def fitting(values: Iterable[float], unit: str) -> tuple[float, str]:
+    """The size of the unit that fits these values, and its name: tonnes for kg, prefixes for N and N/m."""
+    if unit == "kg":
+        heavy = max((abs(value) for value in values if not math.isnan(value)), default=0.0) >= TONNES
+        return (1e3, "t") if heavy else (1.0, "kg")
+    return scaled(values, unit) if unit.startswith("N") else (1.0, unit)
+
+
+def scaled(values: Iterable[float], unit: str) -> tuple[float, str]:
+    """A factor and a prefixed unit in which the values are easy to read."""
+    largest = max((abs(value) for value in values if not math.isnan(value)), default=1.0)
+    for factor, prefix in PREFIXES:
+        if largest >= 10 * factor or factor == 1.0:
+            return factor, f"{prefix}{unit}"
+    return 1.0, unit
+
+
+def counted(number: int, noun: str) -> str:
+    """A number of things, in the plural where they are not one."""
+    if number == 1:
+        return f"1 {noun}"
+    return f"{number} {noun.removesuffix('y')}ies" if noun.endswith("y") else f"{number} {noun}s"
+
+
+def ranged(numbers: Sequence[int]) -> str:
+    """Ascending numbers in a row, those of a long row by its ends: "1, 11 to 20"."""
+    rows: list[list[int]] = []
+    for number in numbers:
+        if rows and number == rows[-1][-1] + 1:
+            rows[-1].append(number)
+        else:
+            rows.append([number])
+    return ", ".join(f"{row[0]} to {row[-1]}" if len(row) >= LONG_ROW else ", ".join(map(str, row)) for row in rows)
+
+
+def capital(text: str) -> str:
+    """A text as a sentence begins."""
+    return text[:1].upper() + text[1:]
+
+
+def listed(words: Sequence[str], last: str = "and") -> str:
+    """Words in a row: "a", "a and b", "a, b and c"."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}" if words else ""
