@@ -38,6 +38,10 @@ class AddedMass(Effect):
         dM[own, at, at] += 1.0
         return state.with_mass(M, dM)
 
+    def dual(self, place: Place, stories: int) -> tuple[str, Place]:
+        assert place.floor is not None
+        return "story_change", Place(story=stories + 1 - place.floor, state=place.state)
+
     def sizes(self, of: Scale) -> Floats:
         return np.array([0.15 * of.floor_mass])
 

@@ -54,27 +54,39 @@ class Place:
     Parameters
     ----------
     floor, story : int or None
-        1 the lowest.
+        1 the lowest; floor 0 is the ground.
     state : str or None
         Of the frame.
+    to : int or None
+        The higher floor, where the effect joins two of them; `floor` is then the lower one.
     """
 
     floor: int | None = None
     story: int | None = None
     state: str | None = None
+    to: int | None = None
 
     def to_dict(self) -> Json:
         """Its parts; the state goes by the key `configuration`."""
-        return {"floor": self.floor, "story": self.story, "configuration": self.state}
+        return {"floor": self.floor, "to": self.to, "story": self.story, "configuration": self.state}
 
     def describe(self) -> str:
         """In words, such as "floor 3 of test 2"; empty where it sits nowhere in particular."""
-        parts = [
-            f"{word} {number}" for word, number in (("floor", self.floor), ("story", self.story)) if number is not None
-        ]
+        parts = []
+        if self.to is not None:
+            parts.append(f"floors {self.floor} and {self.to}")
+        elif self.floor is not None:
+            parts.append(f"floor {self.floor}" if self.floor else "the base")
+        if self.story is not None:
+            parts.append(f"story {self.story}")
         if self.state is not None:
             parts.append(f'"{self.state}"')
         return " of ".join(parts)
+
+    def label(self, subject: str) -> str:
+        """What sits here with its place, such as "ground spring at floor 3" or "spring between floors 2 and 6"."""
+        where = self.describe()
+        return f"{subject} {'at' if self.to is None else 'between'} {where}" if where else subject
 
 
 class Effect(ABC):
@@ -94,9 +106,12 @@ class Effect(ABC):
         Where the formula comes from.
     stage : str
         One of `STAGES`: what it acts on.
+    kind : str
+        "cause", or "open" for a class that says "something else, whatever it is" of one statement of the shear model.
     parameters : tuple of Parameter
+        An effect whose number of parameters depends on the experiment sets them in `bound`.
     sits_at : tuple of str
-        Of "floor", "story", "state": what its place names.
+        Of "floor", "to", "story", "state": what its place names.
     needs : tuple of str
         Of "heights", "several states".
     lowest_floor : int
@@ -116,8 +131,9 @@ class Effect(ABC):
     formula: ClassVar[str]
     source: ClassVar[str]
     stage: ClassVar[str]
-    parameters: ClassVar[tuple[Parameter, ...]]
-    sits_at: ClassVar[tuple[str, ...]] = ()
+    kind: ClassVar[str] = "cause"
+    parameters: tuple[Parameter, ...]
+    sits_at: tuple[str, ...] = ()
     needs: ClassVar[tuple[str, ...]] = ()
     lowest_floor: ClassVar[int] = 1
     probability: float = 0.1
@@ -143,6 +159,25 @@ class Effect(ABC):
         State
             With matrices and derivatives changed; those by other parameters too, where they change.
         """
+
+    def bound(self, experiment: Experiment) -> Effect:
+        """The effect as it is in this experiment: itself, or a copy whose `parameters` or `sits_at` depend on it."""
+        return self
+
+    def dual(self, place: Place, stories: int) -> tuple[str, Place] | None:
+        """Name and place of the effect that has the same frequencies in the dual chain; None where there is none.
+
+        A chain of N stories k_i and floors m_i has, without added mass, the eigenvalues of the chain with stories
+        1 / m_(N+1-i) and floors 1 / k_(N+1-i): T D_k T' D_m^-1 and D_m^-1 T D_k T' have the same ones, and reversing
+        the order of the floors turns T into T'. So frequencies alone cannot tell a softer story from a heavier floor.
+
+        Parameters
+        ----------
+        place : Place
+        stories : int
+            Number N of stories.
+        """
+        return None
 
     def sizes(self, of: Scale) -> Floats:
         """The size that practice meets, shape (p,): standard deviations of the parameters about their null values.
@@ -184,12 +219,11 @@ class Effect(ABC):
         units : sequence of str
             Of the parameters.
         """
-        where = place.describe()
         sizes = ", ".join(
             f"{item.name} = {with_std(float(value), float(error), unit)}"
             for item, value, error, unit in zip(self.parameters, values, std, units, strict=True)
         )
-        return f"{self.label}{f' at {where}' if where else ''} ({sizes})"
+        return f"{place.label(self.label)} ({sizes})"
 
     def known_anyway(self, experiment: Experiment, floor_mass: Floats, story_stiffness: Floats) -> str:
         """A sentence on what is known of the effect even where the data do not show it; empty by default."""
@@ -244,8 +278,7 @@ class Placed:
     @property
     def label(self) -> str:
         """Such as "ground spring at floor 4"."""
-        where = self.place.describe()
-        return f"{self.effect.label} at {where}" if where else self.effect.label
+        return self.place.label(self.effect.label)
 
     def to_dict(self) -> Json:
         """Name and place."""

@@ -41,6 +41,10 @@ class StoryChange(Effect):
         changed = dataclasses.replace(state, story_stiffness=k, d_story_stiffness=dk)
         return changed.with_stiffness(stiffness_matrix(k), (T * dk[:, None, :]) @ T.T)
 
+    def dual(self, place: Place, stories: int) -> tuple[str, Place]:
+        assert place.story is not None
+        return "added_mass", Place(floor=stories + 1 - place.story, state=place.state)
+
     def sizes(self, of: Scale) -> Floats:
         return np.array([0.25])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -65,7 +66,7 @@ def hypotheses(experiment: Experiment, effects: Sequence[Effect], there: Sequenc
     taken = {(placed.effect.name, placed.place) for placed in there}
     return [
         item
-        for effect in effects
+        for effect in (each.bound(experiment) for each in effects)
         if not effect.lacks(experiment)
         for item in _of(effect, experiment)
         if (effect.name, item.placed.place) not in taken
@@ -100,8 +101,9 @@ def _of(effect: Effect, experiment: Experiment) -> list[Hypothesis]:
 
 def _said(experiment: Experiment, name: str, place: Place) -> list[ExpectedEffect]:
     """What the experiment expects of an effect at a place, the most general first."""
-    said = [each for each in experiment.expected if each.concerns(name, place.floor, place.story, place.state)]
-    return sorted(said, key=lambda each: sum(part is not None for part in (each.floor, each.story, each.state)))
+    at = dataclasses.asdict(place)
+    said = [each for each in experiment.expected if each.concerns(name, at)]
+    return sorted(said, key=lambda each: sum(getattr(each, part) is not None for part in at))
 
 
 def _spread(probability: float, places: int) -> float:
@@ -141,7 +143,7 @@ def assumed(experiment: Experiment, assume: Sequence[str | Placed]) -> tuple[Pla
         if isinstance(each, Placed):
             result.append(each)
             continue
-        (effect,) = chosen([each])
+        effect = chosen([each])[0].bound(experiment)
         if effect.lacks(experiment):
             raise InputError(
                 f"effect {each} cannot be assumed: the experiment does not declare {effect.lacks(experiment)}"

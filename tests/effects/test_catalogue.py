@@ -286,7 +286,9 @@ def test_labels():
     assert placed("gravity").label == "gravity"
     assert placed("ground_spring", floor=4).label == "ground spring at floor 4"
     assert placed("story_change", story=2, state="loaded").label == 'story change at story 2 of "loaded"'
-    assert Place(floor=2).to_dict() == {"floor": 2, "story": None, "configuration": None}
+    assert Place(floor=2).to_dict() == {"floor": 2, "to": None, "story": None, "configuration": None}
+    assert Place(floor=2, to=6).label("spring") == "spring between floors 2 and 6"
+    assert Place(floor=0, state="after").label("joint release") == 'joint release at the base of "after"'
 
 
 def test_bounds_are_numbers():
