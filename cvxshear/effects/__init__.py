@@ -12,7 +12,7 @@ from cvxshear.effects.gravity import Gravity
 from cvxshear.effects.ground_spring import GroundSpring
 from cvxshear.effects.joint_rotation import JointRotation
 from cvxshear.effects.mass_coupling import MassCoupling
-from cvxshear.effects.registry import catalogue, named, register
+from cvxshear.effects.registry import catalogue, named, open_classes, register
 from cvxshear.effects.sensor_gain import SensorGain
 from cvxshear.effects.state import Scale, State
 from cvxshear.effects.story_change import StoryChange
@@ -38,5 +38,6 @@ __all__ = [
     "catalogue",
     "compose",
     "named",
+    "open_classes",
     "register",
 ]

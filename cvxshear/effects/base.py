@@ -59,16 +59,21 @@ class Place:
         Of the frame.
     to : int or None
         The higher floor, where the effect joins two of them; `floor` is then the lower one.
+    prior : str or None
+        The declared statement that the effect is about, in words (`Experiment.soft_statements`). Its parameters are
+        then what each residual of that statement is off by, in standard deviations.
     """
 
     floor: int | None = None
     story: int | None = None
     state: str | None = None
     to: int | None = None
+    prior: str | None = None
 
     def to_dict(self) -> Json:
         """Its parts; the state goes by the key `configuration`."""
-        return {"floor": self.floor, "to": self.to, "story": self.story, "configuration": self.state}
+        parts = {"floor": self.floor, "to": self.to, "story": self.story, "configuration": self.state}
+        return {**parts, "prior": self.prior}
 
     def describe(self) -> str:
         """In words, such as "floor 3 of test 2"; empty where it sits nowhere in particular."""
@@ -81,6 +86,8 @@ class Place:
             parts.append(f"story {self.story}")
         if self.state is not None:
             parts.append(f'"{self.state}"')
+        if self.prior is not None:
+            parts.append(f'the statement "{self.prior}"')
         return " of ".join(parts)
 
     def label(self, subject: str) -> str:
@@ -120,6 +127,19 @@ class Effect(ABC):
         That a tested frame has it somewhere, before anything is measured.
     size : float or None
         Expected size of the first parameter, in its unit, in place of that of `sizes`.
+    tail : float
+        Degrees of freedom of Student's t, the prior of each parameter about its null value: the fewer, the more
+        probable are sizes far beyond the expected one; infinite for a normal prior.
+    common_size : bool
+        Whether the parameters have one common size that is unknown itself. Their prior is then normal, its standard
+        deviation `sizes` times a factor whose logarithm has the standard deviation `size_width` about zero.
+    size_width : float
+    rescales : bool
+        Whether it leaves open how accurate some data are (`rescales_datum`); such an effect has no parameters of its
+        own, and the factor on their standard deviations is its common size.
+    granted : str
+        What a verdict takes for granted as long as this effect is not in it, where no datum tells: a clause such as
+        "that the floors of {state} weigh what they did". Empty where there is nothing to say.
     releases : tuple of str
         Of "total_mass": declarations that do not hold as they stand where it is in the model.
     uses_heights : bool
@@ -138,6 +158,11 @@ class Effect(ABC):
     lowest_floor: ClassVar[int] = 1
     probability: float = 0.1
     size: float | None = None
+    tail: ClassVar[float] = 4.0
+    common_size: ClassVar[bool] = False
+    size_width: ClassVar[float] = 1.0
+    rescales: ClassVar[bool] = False
+    granted: ClassVar[str] = ""
     releases: ClassVar[tuple[str, ...]] = ()
     uses_heights: ClassVar[bool] = False
 
@@ -163,6 +188,14 @@ class Effect(ABC):
     def bound(self, experiment: Experiment) -> Effect:
         """The effect as it is in this experiment: itself, or a copy whose `parameters` or `sits_at` depend on it."""
         return self
+
+    def bound_at(self, experiment: Experiment, place: Place) -> Effect:
+        """The effect as it is at one place: itself, or a copy whose `parameters` depend on the place."""
+        return self
+
+    def rescales_datum(self, tested: Tested, noise: str, place: Place) -> bool:
+        """Whether the standard deviation of a kind of datum of this test is left open; never by default."""
+        return False
 
     def dual(self, place: Place, stories: int) -> tuple[str, Place] | None:
         """Name and place of the effect that has the same frequencies in the dual chain; None where there is none.

@@ -12,9 +12,16 @@ from cvxshear.effects.gravity import Gravity
 from cvxshear.effects.ground_spring import GroundSpring
 from cvxshear.effects.joint_rotation import JointRotation
 from cvxshear.effects.mass_coupling import MassCoupling
+from cvxshear.effects.other_changes import OtherChanges
+from cvxshear.effects.other_gains import OtherGains
+from cvxshear.effects.other_inertia import OtherInertia
+from cvxshear.effects.other_loads import OtherLoads
+from cvxshear.effects.other_shapes import OtherShapes
+from cvxshear.effects.other_stiffness import OtherStiffness
 from cvxshear.effects.sensor_gain import SensorGain
 from cvxshear.effects.story_change import StoryChange
 from cvxshear.effects.total_mass import TotalMass
+from cvxshear.effects.wrong_prior import WrongPrior
 from cvxshear.util import checks
 
 _catalogue: dict[str, Effect] = {
@@ -30,8 +37,23 @@ _catalogue: dict[str, Effect] = {
         SensorGain(),
         StoryChange(),
         TotalMass(),
+        WrongPrior(),
     )
 }
+
+_open_classes: tuple[Effect, ...] = (
+    OtherStiffness(),
+    OtherInertia(),
+    OtherChanges(),
+    OtherLoads(),
+    OtherGains(),
+    OtherShapes(),
+)
+
+
+def open_classes() -> tuple[Effect, ...]:
+    """For each statement of the shear model the effect that says "not so, in no way that the catalogue has"."""
+    return _open_classes
 
 
 def catalogue() -> tuple[Effect, ...]:

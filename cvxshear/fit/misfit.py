@@ -42,6 +42,8 @@ class Evaluation:
         One a tested state.
     measured, known : int
         Rows of data and soft priors; those with what is expected of the effects.
+    blocks : tuple of int
+        Rows of each datum, in the order of `Misfit.data`.
     unknown : ndarray of int, shape (d,)
         Place in `Misfit.unknown` of a row whose standard deviation is estimated with the rest, -1 for the others.
     """
@@ -51,6 +53,7 @@ class Evaluation:
     models: tuple[Model, ...]
     measured: int
     known: int
+    blocks: tuple[int, ...]
     unknown: Ints
 
     @property
@@ -176,6 +179,13 @@ class Misfit:
         """The kinds of noise that somebody left undeclared, each with its number of data."""
         return {item.key: item.count for item in self.unknown if item.key in NOISES}
 
+    def rescaled_rows(self, at: Evaluation, placed: Placed) -> Bools:
+        """The rows of an evaluation whose standard deviation an effect leaves open, shape (d,)."""
+        own = [placed.effect.rescales_datum(each.tested, each.noise, placed.place) for each in self.data]
+        found = np.zeros(len(at.r), dtype=bool)
+        found[: sum(at.blocks)] = np.repeat(own, at.blocks)
+        return found
+
     def _noise_key(self, datum: Datum) -> str | None:
         """What the factor on a datum's standard deviation goes by; None where that is declared."""
         for placed in self.effects:
@@ -228,6 +238,7 @@ class Misfit:
             tuple(models.values()),
             measured,
             len(r) - len(frame[0]),
+            tuple(len(part) for part in parts[1:]),
             np.array([places[key] for key in keys], dtype=np.int64),
         )
 

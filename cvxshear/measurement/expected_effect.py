@@ -86,4 +86,4 @@ class ExpectedEffect:
 
     def concerns(self, name: str, place: Mapping[str, int | str | None]) -> bool:
         """Whether it speaks of the effect of this name at this place (its floor, to, story and state)."""
-        return name == self.name and all(getattr(self, part) in (None, its) for part, its in place.items())
+        return name == self.name and all(getattr(self, part, None) in (None, its) for part, its in place.items())
