@@ -11,7 +11,6 @@ from cvxshear.effects.base import Parameter, Place
 from cvxshear.effects.open_class import OpenClass
 from cvxshear.effects.state import Scale, State
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.model.shear import stiffness_matrix, transformation
 from cvxshear.util.typing import Floats
 
 
@@ -41,6 +40,8 @@ class OtherChanges(OpenClass):
         k = state.story_stiffness * (1.0 + values)
         dk = state.d_story_stiffness * (1.0 + values)
         dk[own] += np.diag(state.story_stiffness)
-        T = transformation(len(k))
-        changed = dataclasses.replace(state, story_stiffness=k, d_story_stiffness=dk)
-        return changed.with_stiffness(stiffness_matrix(k), (T * dk[:, None, :]) @ T.T)
+        brace, d_brace = state.brace_stiffness * (1.0 + values), state.d_brace_stiffness * (1.0 + values)
+        d_brace[own] += np.diag(state.brace_stiffness)
+        return dataclasses.replace(
+            state, story_stiffness=k, d_story_stiffness=dk, brace_stiffness=brace, d_brace_stiffness=d_brace
+        )

@@ -17,9 +17,9 @@ GRAVITY = 9.81
 HEIGHT = 0.39
 """m, of every story; the order of a laboratory frame, as are the masses and stiffnesses drawn below."""
 
-AT_FLOOR = ("ground_spring", "added_mass", "sensor_gain")
+AT_FLOOR = ("ground_spring", "added_mass", "sensor_gain", "joint_release")
 AT_STORY = ("story_change",)
-IN_ONE_CONFIGURATION = ("added_mass", "story_change")
+IN_ONE_CONFIGURATION = ("added_mass", "story_change", "state_stiffness", "state_mass", "joint_release")
 
 
 def simulated(
@@ -223,6 +223,9 @@ def practical_size(effect: str, frame: Building) -> float:
         "mass_coupling": 0.1 * float(np.mean(frame.floor_mass)),
         "sensor_gain": 0.1,
         "story_change": -0.1,
+        "state_stiffness": -0.1,
+        "state_mass": 0.1,
+        "joint_release": 0.5,
     }[effect]
 
 
@@ -273,6 +276,43 @@ def with_story_change(frame: Building, change: float, at: int) -> Building:
     return dataclasses.replace(frame, story_stiffness=changed)
 
 
+def with_softer_state(frame: Building, e: float, at: int | None = None) -> Building:
+    beams = None if frame.beam_bending is None else frame.beam_bending * (1.0 + e)
+    return dataclasses.replace(frame, story_stiffness=frame.story_stiffness * (1.0 + e), beam_bending=beams)
+
+
+def with_heavier_state(frame: Building, e: float, at: int | None = None) -> Building:
+    """Where the frame carries nothing besides its own floors."""
+    return dataclasses.replace(frame, floor_mass=frame.floor_mass * (1.0 + e))
+
+
+def with_tie(frame: Building, spring: float, floors: tuple[int, int]) -> Building:
+    """A diagonal from column to column whose horizontal stiffness EA cos^2 / L is that of the spring."""
+    low, high = floors
+    run, rise = bay(frame), float(frame.heights[low:high].sum())
+    length = float(np.hypot(run, rise))
+    return dataclasses.replace(frame, ties=(*frame.ties, (low, high, spring * length**3 / run**2)))
+
+
+def with_braces(frame: Building, beta: float, at: int | None = None) -> Building:
+    """Two crossing diagonals a story, of EA cos^2 / L each, carry a part beta of its stiffness."""
+    run = bay(frame)
+    length = np.hypot(run, frame.heights)
+    return dataclasses.replace(
+        frame,
+        story_stiffness=(1.0 - beta) * frame.story_stiffness,
+        brace_axial=0.5 * beta * frame.story_stiffness * length**3 / run**2,
+    )
+
+
+def with_loose_joints(frame: Building, rho: float, at: int) -> Building:
+    """Springs of mean(k h^2) / rho in all between a floor and its columns, or under their feet."""
+    each = float(np.mean(frame.story_stiffness * frame.heights**2)) / rho / len(frame.column_x)
+    if at == 0:
+        return dataclasses.replace(frame, column_base=each)
+    return dataclasses.replace(frame, connections={**frame.connections, at: each})
+
+
 CHANGES: dict[str, Callable[..., Building]] = {
     "gravity": with_gravity,
     "joint_rotation": with_turning_joints,
@@ -282,6 +322,8 @@ CHANGES: dict[str, Callable[..., Building]] = {
     "added_mass": with_mass,
     "mass_coupling": with_heavy_columns,
     "story_change": with_story_change,
+    "state_stiffness": with_softer_state,
+    "joint_release": with_loose_joints,
 }
 """What each effect makes of the frame; a sensor's gain changes the reading, not the frame."""
 
@@ -293,7 +335,8 @@ def _tested(frame: Building, there: Sequence[Put]) -> SwayModes:
         if name == "sensor_gain":
             gain = gain * (1.0 + size * (np.arange(1, frame.stories + 1) == place["floor"]))
         else:
-            frame = CHANGES[name](frame, size, place["floor"] or place["story"])
+            at = place["story"] if place["floor"] is None else place["floor"]
+            frame = CHANGES[name](frame, size, at)
     modes = sway_modes(frame)
     return SwayModes(modes.frequencies, gain[:, None] * modes.shapes)
 
