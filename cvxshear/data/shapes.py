@@ -61,7 +61,7 @@ class Shapes(Datum):
         configuration = self.tested
         floors = configuration.measured_floors - 1
         weights = configuration.entry_weights[self.kept]
-        psi = model.modes.shapes[np.ix_(model.paired[self.kept], floors)] * model.state.gain[floors]
+        psi = model.state.observation.shown(model.modes.shapes[model.paired[self.kept]], floors)
         scale, unit = scaled(configuration.known_shapes[self.kept], psi, weights)
         if configuration.mass_normalized:
             return weights, psi, np.where(scale < 0, -1.0, 1.0), None
@@ -89,10 +89,9 @@ class Shapes(Datum):
         if not model.derivatives:
             return Residual(r, np.zeros((0, 0)))
         floors = self.tested.measured_floors - 1
-        gain, d_gain = model.state.gain[floors], model.state.d_gain[model.by][:, floors]
-        dpsi = model.mode_derivatives[1][:, self.kept][:, :, floors] * gain
-        if np.any(d_gain):
-            dpsi = dpsi + psi / gain * d_gain[:, None, :]
+        shapes = model.modes.shapes[model.paired[self.kept]]
+        slopes = model.mode_derivatives[1][:, self.kept]
+        dpsi = model.state.observation.shown_slopes(shapes, slopes, model.by, floors)
         J = weights * scale[:, None] * dpsi
         if unit is not None:
             J = J - unit * np.sum(unit * J, axis=2, keepdims=True)

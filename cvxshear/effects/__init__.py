@@ -8,7 +8,6 @@ from cvxshear.effects.axial_columns import AxialColumns
 from cvxshear.effects.base import Effect, Parameter, Place, Placed
 from cvxshear.effects.base_rocking import BaseRocking
 from cvxshear.effects.composition import compose
-from cvxshear.effects.flexibility import add_flexibility
 from cvxshear.effects.gravity import Gravity
 from cvxshear.effects.ground_spring import GroundSpring
 from cvxshear.effects.joint_rotation import JointRotation
@@ -36,7 +35,6 @@ __all__ = [
     "State",
     "StoryChange",
     "TotalMass",
-    "add_flexibility",
     "catalogue",
     "compose",
     "named",

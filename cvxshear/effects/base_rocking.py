@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from cvxshear.effects.base import Effect, Parameter, Place
-from cvxshear.effects.flexibility import add_flexibility
 from cvxshear.effects.state import Scale, State
 from cvxshear.util.quantities import per_force
 from cvxshear.util.typing import Floats
@@ -36,7 +35,7 @@ class BaseRocking(Effect):
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         z = state.elevations
-        return add_flexibility(state, values[0], np.outer(z, z), own)
+        return state.with_flexibility(values[0], np.outer(z, z), own)
 
     def sizes(self, of: Scale) -> Floats:
         return np.array([0.15 * of.sway / of.elevations[-1] ** 2])

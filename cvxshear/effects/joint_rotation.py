@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
-from functools import lru_cache
 
 import numpy as np
 
@@ -35,7 +35,7 @@ class JointRotation(Effect):
     source = (
         "Bernoulli beam element, Przemieniecki, Theory of Matrix Structural Analysis; static condensation, Guyan 1965"
     )
-    stage = "elastic"
+    stage = "joint"
     parameters = (Parameter("eta", "", lower=0.0, upper=100.0, null=0.0, start=0.05),)
     uses_heights = True
 
@@ -46,53 +46,9 @@ class JointRotation(Effect):
         return f"joints that turn, beams not being rigid (eta = {with_std(values[0], std[0])})"
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        eta = values[0]
-        k, h = state.story_stiffness, state.heights
-        stories = len(k)
-        beam = float(np.mean(state.frame_stiffness * h**2))
-        uu, ut, tt = _stories(tuple(h.tolist()))
-        Kuu, Kut, Ktt = (np.einsum("i,iab->ab", k, unit) for unit in (uu, ut, tt))
-        # With S = eta / beam the inverse of Ktt + I / S is S (1 + Ktt S)^-1, which stays finite for rigid beams.
-        S = eta / beam
-        inverse = np.linalg.inv(np.eye(stories) + S * Ktt)
-        turn = S * inverse
-        K = Kuu - Kut @ turn @ Kut.T
-        # Condensation is a congruence with [1; -turn Kut'], so a derivative of the full matrix passes through it.
-        down = -turn @ Kut.T
-        bent = ut @ down
-        each = uu + bent + bent.transpose(0, 2, 1) + down.T @ tt @ down
-        dK = np.einsum("pi,iab->pab", state.d_story_stiffness, each)
-        # d turn / dS = (1 + S Ktt)^-1 (1 + S Ktt)^-1, with which S itself depends on eta and on the stiffnesses.
-        inner = inverse @ Kut.T
-        by_S = -inner.T @ inner
-        dK[own] += by_S / beam
-        dK[stories : 2 * stories] += by_S * (-S / beam) * (h**2 / stories)[:, None, None]
-        return state.with_stiffness(K, dK)
-
-
-@lru_cache(maxsize=16)
-def _stories(heights: tuple[float, ...]) -> tuple[Floats, Floats, Floats]:
-    """The blocks of every story of unit stiffness, each of shape (N, N, N); they depend on nothing but the heights."""
-    blocks = zip(*(_story(i, h, len(heights)) for i, h in enumerate(heights)), strict=True)
-    uu, ut, tt = (np.array(block) for block in blocks)
-    return uu, ut, tt
-
-
-def _story(i: int, h: float, stories: int) -> tuple[Floats, Floats, Floats]:
-    """Story i of unit stiffness: its blocks (u, u), (u, theta), (theta, theta), each of shape (N, N).
-
-    theta > 0 turns the joint so that the column leans towards +u: the drift is resisted by
-    u_i - u_(i-1) - h (theta_i + theta_(i-1)) / 2.
-    """
-    sway = np.zeros(stories)
-    sway[i] = 1.0
-    joints = np.zeros(stories)
-    joints[i] = 1.0
-    tt = np.zeros((stories, stories))
-    tt[i, i] = h**2 / 3
-    if i > 0:
-        sway[i - 1] = -1.0
-        joints[i - 1] = 1.0
-        tt[i - 1, i - 1] = h**2 / 3
-        tt[i, i - 1] = tt[i - 1, i] = h**2 / 6
-    return np.outer(sway, sway), -0.5 * h * np.outer(sway, joints), tt
+        softer, d_softer = state.joint_flexibility.copy(), state.d_joint_flexibility.copy()
+        unit, d_unit = state.usual_flexibility()
+        softer[1:] += values[0] * unit
+        d_softer[:, 1:] += values[0] * d_unit[:, None]
+        d_softer[own, 1:] += unit
+        return dataclasses.replace(state, joint_flexibility=softer, d_joint_flexibility=d_softer)

@@ -35,12 +35,8 @@ class SensorGain(Effect):
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         assert place.floor is not None
-        at = place.floor - 1
-        gain, d_gain = state.gain.copy(), state.d_gain.copy()
-        d_gain[:, at] *= 1.0 + values[0]
-        d_gain[own, at] += gain[at]
-        gain[at] *= 1.0 + values[0]
-        return dataclasses.replace(state, gain=gain, d_gain=d_gain)
+        scaled = state.observation.scaled(place.floor - 1, 1.0 + values[0], own.start)
+        return dataclasses.replace(state, observation=scaled)
 
     def sizes(self, of: Scale) -> Floats:
         return np.array([0.05])

@@ -9,13 +9,16 @@ import numpy as np
 
 from cvxshear.effects.base import Effect, Parameter, Place
 from cvxshear.effects.state import Scale, State
-from cvxshear.model.shear import stiffness_matrix, transformation
 from cvxshear.util.quantities import with_std
 from cvxshear.util.typing import Floats
 
 
 class StoryChange(Effect):
     """k_i (1 + change) in one state.
+
+    Where a part of the story's stiffness is braces they change first: a loss takes from them until they are gone, a
+    gain goes to them until they are twice what they were, and the columns have the rest. The number stays the share of
+    the whole story's stiffness.
 
     Expected size 25 %: what damage, a loosened joint or a repair does to a story is seen from some percent up, and a
     story that has lost more than half is no story of this frame any more.
@@ -33,13 +36,28 @@ class StoryChange(Effect):
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         assert place.story is not None
         at = place.story - 1
+        change = values[0]
         k, dk = state.story_stiffness.copy(), state.d_story_stiffness.copy()
-        dk[:, at] *= 1.0 + values[0]
-        dk[own, at] += k[at]
-        k[at] *= 1.0 + values[0]
-        T = transformation(len(k))
-        changed = dataclasses.replace(state, story_stiffness=k, d_story_stiffness=dk)
-        return changed.with_stiffness(stiffness_matrix(k), (T * dk[:, None, :]) @ T.T)
+        brace, d_brace = state.brace_stiffness.copy(), state.d_brace_stiffness.copy()
+        gained, d_gained = change * k[at], change * dk[:, at]
+        d_gained[own] += k[at]
+        if abs(gained) > brace[at]:
+            # The braces are gone, or twice what they were; the columns have the rest.
+            factor = 1.0 + np.sign(gained)
+            brace[at] *= factor
+            d_brace[:, at] *= factor
+        else:
+            brace[at] += gained
+            d_brace[:, at] += d_gained
+        k[at] += gained
+        dk[:, at] += d_gained
+        return dataclasses.replace(
+            state,
+            story_stiffness=k,
+            d_story_stiffness=dk,
+            brace_stiffness=brace,
+            d_brace_stiffness=d_brace,
+        )
 
     def dual(self, place: Place, stories: int) -> tuple[str, Place]:
         assert place.story is not None

@@ -117,7 +117,7 @@ def assert_explained(declared, truth, within=EXACT):
         found = modes(state.system.M, state.system.K)
         off = np.abs(found.frequencies / test.frequencies - 1) / FREQUENCY_STD
         assert off.max() < within
-        shapes = state.gain * found.shapes
+        shapes = state.observation.shown(found.shapes)
         shapes *= (np.sum(shapes * test.mode_shapes, axis=1) / np.sum(shapes**2, axis=1))[:, None]
         off = np.abs(shapes - test.mode_shapes) / MODE_SHAPE_STD
         assert off.max() < within
