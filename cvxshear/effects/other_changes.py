@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
-
-import numpy as np
 
 from cvxshear.effects.base import Parameter, Place
 from cvxshear.effects.open_class import OpenClass
 from cvxshear.effects.state import Scale, State
+from cvxshear.effects.story_change import with_changed_story
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.model.shear import stiffness_matrix, transformation
 from cvxshear.util.typing import Floats
 
 
@@ -38,9 +35,6 @@ class OtherChanges(OpenClass):
         return 0.1
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        k = state.story_stiffness * (1.0 + values)
-        dk = state.d_story_stiffness * (1.0 + values)
-        dk[own] += np.diag(state.story_stiffness)
-        T = transformation(len(k))
-        changed = dataclasses.replace(state, story_stiffness=k, d_story_stiffness=dk)
-        return changed.with_stiffness(stiffness_matrix(k), (T * dk[:, None, :]) @ T.T)
+        for at, change in enumerate(values):
+            state = with_changed_story(state, at, float(change), own.start + at)
+        return state

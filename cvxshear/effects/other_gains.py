@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-import numpy as np
-
 from cvxshear.effects.base import Parameter, Place
 from cvxshear.effects.open_class import OpenClass
 from cvxshear.effects.state import Scale, State
@@ -38,12 +36,10 @@ class OtherGains(OpenClass):
         return "" if len(_floors(experiment)) > 1 else "shapes at two floors or more"
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        at = np.array(_floors(state.experiment)) - 1
-        gain, d_gain = state.gain.copy(), state.d_gain.copy()
-        d_gain[:, at] *= 1.0 + values
-        d_gain[np.arange(own.start, own.stop), at] += gain[at]
-        gain[at] *= 1.0 + values
-        return dataclasses.replace(state, gain=gain, d_gain=d_gain)
+        observation = state.observation
+        for parameter, (floor, gain) in enumerate(zip(_floors(state.experiment), values, strict=True), own.start):
+            observation = observation.scaled(floor - 1, 1.0 + float(gain), parameter)
+        return dataclasses.replace(state, observation=observation)
 
 
 def _floors(experiment: Experiment) -> list[int]:
