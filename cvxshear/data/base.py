@@ -128,6 +128,21 @@ class Datum(ABC):
     def count(self) -> int:
         """Number of data: entries, less what each of them leaves free."""
 
+    @property
+    def floors(self) -> Ints:
+        """The floor that each residual was measured at, shape (d,); 0 where it is of no floor in particular."""
+        return np.zeros(self.count, dtype=np.int64)
+
+    @property
+    def known(self) -> Bools:
+        """Which residuals were measured, shape (d,)."""
+        return np.ones(len(self.floors), dtype=bool)
+
+    @property
+    def entries(self) -> int:
+        """Number of residuals that were measured."""
+        return int(np.sum(self.known))
+
     @abstractmethod
     def residual(self, model: Model) -> Residual:
         """Model less measurement, in the declared or the default standard deviations."""

@@ -10,7 +10,7 @@ import numpy as np
 from cvxshear.data.base import Datum, Deviation, Model, Residual
 from cvxshear.data.pairing import mac, scaled
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.util.typing import Bools, Floats
+from cvxshear.util.typing import Bools, Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +71,16 @@ class Shapes(Datum):
         """The modelled shapes as the sensors would show them, on the measured ones' scale, shape (kept, n)."""
         _, psi, scale, _ = self._laid_on(model)
         return scale[:, None] * psi
+
+    @property
+    def floors(self) -> Ints:
+        """That of each entry, mode by mode."""
+        return np.tile(self.tested.measured_floors, int(self.kept.sum()))
+
+    @property
+    def known(self) -> Bools:
+        """Entries that are not nan, mode by mode."""
+        return self.tested.measured[self.kept].ravel()
 
     def residual(self, model: Model) -> Residual:
         """Differences of entries over their standard deviations; zero where nothing was measured."""

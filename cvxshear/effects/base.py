@@ -16,7 +16,7 @@ from cvxshear.priors import Constraints
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import with_std
-from cvxshear.util.typing import Floats, Json
+from cvxshear.util.typing import Bools, Floats, Ints, Json
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ class Effect(ABC):
         deviation `sizes` times a factor whose logarithm has the standard deviation `size_width` about zero.
     size_width : float
     rescales : bool
-        Whether it leaves open how accurate some data are (`rescales_datum`); such an effect has no parameters of its
+        Whether it leaves open how accurate some data are (`rescaled`); such an effect has no parameters of its
         own, and the factor on their standard deviations is its common size.
     granted : str
         What a verdict takes for granted as long as this effect is not in it, where no datum tells: a clause such as
@@ -198,9 +198,23 @@ class Effect(ABC):
         """The effect as it is at one place: itself, or a copy whose `parameters` depend on the place."""
         return self
 
-    def rescales_datum(self, tested: Tested, noise: str, place: Place) -> bool:
-        """Whether the standard deviation of a kind of datum of this test is left open; never by default."""
-        return False
+    def rescaled(self, tested: Tested, noise: str, floors: Ints, place: Place) -> Bools:
+        """Which residuals of a kind of datum have a standard deviation that is left open; none by default.
+
+        Parameters
+        ----------
+        tested : Configuration or StaticTest
+        noise : str
+            Kind of noise.
+        floors : ndarray of int, shape (d,)
+            That each residual was measured at.
+        place : Place
+
+        Returns
+        -------
+        ndarray of bool, shape (d,)
+        """
+        return np.zeros(len(floors), dtype=bool)
 
     def dual(self, place: Place, stories: int) -> tuple[str, Place] | None:
         """Name and place of the effect that has the same frequencies in the dual chain; None where there is none.

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
-
-import numpy as np
 
 from cvxshear.effects.base import Parameter, Place
 from cvxshear.effects.open_class import OpenClass
 from cvxshear.effects.state import Scale, State
+from cvxshear.effects.story_change import with_changed_story
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.typing import Floats
 
@@ -37,11 +35,6 @@ class OtherChanges(OpenClass):
         return 0.1
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        k = state.story_stiffness * (1.0 + values)
-        dk = state.d_story_stiffness * (1.0 + values)
-        dk[own] += np.diag(state.story_stiffness)
-        brace, d_brace = state.brace_stiffness * (1.0 + values), state.d_brace_stiffness * (1.0 + values)
-        d_brace[own] += np.diag(state.brace_stiffness)
-        return dataclasses.replace(
-            state, story_stiffness=k, d_story_stiffness=dk, brace_stiffness=brace, d_brace_stiffness=d_brace
-        )
+        for at, change in enumerate(values):
+            state = with_changed_story(state, at, float(change), own.start + at)
+        return state

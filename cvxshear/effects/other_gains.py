@@ -36,10 +36,10 @@ class OtherGains(OpenClass):
         return "" if len(_floors(experiment)) > 1 else "shapes at two floors or more"
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        seen = state.observation
-        for floor, value, parameter in zip(_floors(state.experiment), values, range(own.start, own.stop), strict=True):
-            seen = seen.scaled(floor - 1, 1.0 + value, parameter)
-        return dataclasses.replace(state, observation=seen)
+        observation = state.observation
+        for parameter, (floor, gain) in enumerate(zip(_floors(state.experiment), values, strict=True), own.start):
+            observation = observation.scaled(floor - 1, 1.0 + float(gain), parameter)
+        return dataclasses.replace(state, observation=observation)
 
 
 def _floors(experiment: Experiment) -> list[int]:

@@ -34,29 +34,7 @@ class StoryChange(Effect):
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         assert place.story is not None
-        at = place.story - 1
-        change = values[0]
-        k, dk = state.story_stiffness.copy(), state.d_story_stiffness.copy()
-        brace, d_brace = state.brace_stiffness.copy(), state.d_brace_stiffness.copy()
-        gained, d_gained = change * k[at], change * dk[:, at]
-        d_gained[own] += k[at]
-        if abs(gained) > brace[at]:
-            # The braces are gone, or twice what they were; the columns have the rest.
-            factor = 1.0 + np.sign(gained)
-            brace[at] *= factor
-            d_brace[:, at] *= factor
-        else:
-            brace[at] += gained
-            d_brace[:, at] += d_gained
-        k[at] += gained
-        dk[:, at] += d_gained
-        return dataclasses.replace(
-            state,
-            story_stiffness=k,
-            d_story_stiffness=dk,
-            brace_stiffness=brace,
-            d_brace_stiffness=d_brace,
-        )
+        return with_changed_story(state, place.story - 1, values[0], own.start)
 
     def dual(self, place: Place, stories: int) -> tuple[str, Place]:
         assert place.story is not None
@@ -70,3 +48,34 @@ class StoryChange(Effect):
         if values[0] > 0:
             return f"story {place.story} is {size} stiffer{place.in_state}"
         return f"story {place.story} lost {size} of its stiffness{place.in_state}"
+
+
+def with_changed_story(state: State, at: int, change: float, parameter: int) -> State:
+    """The state with one story's stiffness times 1 + change, its braces changed first.
+
+    Parameters
+    ----------
+    state : State
+    at : int
+        The story, counted from 0.
+    change : float
+    parameter : int
+        Row of the derivatives that is by the change.
+    """
+    k, dk = state.story_stiffness.copy(), state.d_story_stiffness.copy()
+    brace, d_brace = state.brace_stiffness.copy(), state.d_brace_stiffness.copy()
+    gained, d_gained = change * k[at], change * dk[:, at]
+    d_gained[parameter] += k[at]
+    if abs(gained) > brace[at]:
+        # The braces are gone, or twice what they were; the columns have the rest.
+        factor = 1.0 + np.sign(gained)
+        brace[at] *= factor
+        d_brace[:, at] *= factor
+    else:
+        brace[at] += gained
+        d_brace[:, at] += d_gained
+    k[at] += gained
+    dk[:, at] += d_gained
+    return dataclasses.replace(
+        state, story_stiffness=k, d_story_stiffness=dk, brace_stiffness=brace, d_brace_stiffness=d_brace
+    )

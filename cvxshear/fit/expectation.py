@@ -2,9 +2,10 @@
 
 Sets of effects are compared by the probability that they give to the data, which needs a proper prior of all that
 they leave open. Effects have theirs from their classes: Student's t about the null value, or, for an effect of many
-parameters with one common size, normal with that size, which is estimated with the rest (`fit/noise.py`). The frame has the same in every set: the logarithm of each
-floor mass and of each story stiffness is normal about those of a typical floor and story, so wide that it moves an
-estimate of a few percent by less than a hundredth of its standard deviation.
+parameters with one common size, normal with that size, which is estimated with the rest (`fit/noise.py`). The frame
+has the same in every set: the logarithm of each floor mass and of each story stiffness is normal about those of a
+typical floor and story, so wide that it moves an estimate of a few percent by less than a hundredth of its standard
+deviation.
 """
 
 from __future__ import annotations

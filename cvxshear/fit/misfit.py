@@ -21,7 +21,6 @@ from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Bools, Floats, Ints
 
-
 WIDTH = 0.7
 """Standard deviation of the logarithm of the factor on a default standard deviation of the data: two thirds of what is
 tested lie within half and twice the default, nineteen in twenty within a quarter and four times."""
@@ -90,14 +89,14 @@ class UnknownSize:
     ----------
     key : str
         Kind of noise, or label of the effect whose parameters have this common size or whose data this noise.
-    count : int
+    count : float
         Number of data, or of parameters, that have it.
     width : float
         Standard deviation of the logarithm of the factor before anything is measured.
     """
 
     key: str
-    count: int
+    count: float
     width: float
 
 
@@ -158,40 +157,53 @@ class Misfit:
     @cached_property
     def unknown(self) -> tuple[UnknownSize, ...]:
         """Every standard deviation that is estimated with the rest: of kinds of noise, then of effects."""
-        counts = dict.fromkeys(NOISES, 0)
-        rescaled = {placed.label: 0 for placed in self.effects if placed.effect.rescales}
-        for datum in self.data:
-            key = self._noise_key(datum)
-            if key in rescaled:
-                rescaled[key] += datum.count
-            elif key is not None:
-                counts[key] += datum.count
+        counts = dict.fromkeys(NOISES, 0.0)
+        rescaled = {placed.label: 0.0 for placed in self.effects if placed.effect.rescales}
+        for datum, keys in zip(self.data, self._keys, strict=True):
+            # A scale that each mode leaves free takes as much from the rows of either noise.
+            share = datum.count / max(datum.entries, 1)
+            for key in set(keys) - {""}:
+                into = rescaled if key in rescaled else counts
+                into[key] += share * sum(
+                    mine == key and known for mine, known in zip(keys, datum.known, strict=True)
+                )
         noises = [UnknownSize(key, count, WIDTH) for key, count in counts.items() if count]
         sizes = [
-            UnknownSize(placed.label, rescaled.get(placed.label, len(placed.effect.parameters)), placed.effect.size_width)
+            UnknownSize(
+                placed.label, rescaled.get(placed.label, len(placed.effect.parameters)), placed.effect.size_width
+            )
             for placed in self.effects
             if placed.effect.common_size and not placed.fixed
         ]
         return (*noises, *sizes)
 
     @property
-    def open_noises(self) -> dict[str, int]:
+    def open_noises(self) -> dict[str, float]:
         """The kinds of noise that somebody left undeclared, each with its number of data."""
         return {item.key: item.count for item in self.unknown if item.key in NOISES}
 
     def rescaled_rows(self, at: Evaluation, placed: Placed) -> Bools:
         """The rows of an evaluation whose standard deviation an effect leaves open, shape (d,)."""
-        own = [placed.effect.rescales_datum(each.tested, each.noise, placed.place) for each in self.data]
         found = np.zeros(len(at.r), dtype=bool)
-        found[: sum(at.blocks)] = np.repeat(own, at.blocks)
+        found[: sum(at.blocks)] = np.concatenate([self._rescaled(datum, placed) for datum in self.data])
         return found
 
-    def _noise_key(self, datum: Datum) -> str | None:
-        """What the factor on a datum's standard deviation goes by; None where that is declared."""
-        for placed in self.effects:
-            if placed.effect.rescales and placed.effect.rescales_datum(datum.tested, datum.noise, placed.place):
-                return placed.label
-        return None if datum.declared else datum.noise
+    def _rescaled(self, datum: Datum, placed: Placed) -> Bools:
+        """The rows of a datum whose standard deviation an effect leaves open."""
+        return placed.effect.rescaled(datum.tested, datum.noise, datum.floors, placed.place)
+
+    @cached_property
+    def _keys(self) -> list[list[str]]:
+        """What the factor on the standard deviation of each row of each datum goes by; empty where it is declared."""
+        found = []
+        for datum in self.data:
+            keys = [("" if datum.declared else datum.noise)] * len(datum.floors)
+            for placed in self.effects:
+                if placed.effect.rescales:
+                    own = self._rescaled(datum, placed)
+                    keys = [placed.label if mine else key for key, mine in zip(keys, own, strict=True)]
+            found.append(keys)
+        return found
 
     def count(self, theta: Floats) -> int:
         """Number of data, soft priors included."""
@@ -220,11 +232,11 @@ class Misfit:
         parts, rows, keys = [np.zeros(0)], [], list[str]()
         for datum in self.data:
             found = datum.residual(models[id(datum.tested)])
-            key = self._noise_key(datum) or ""
-            factor = self.widened * self.noise.of(key)
+            own = self._keys[len(parts) - 1]
+            factor = self.widened * np.array([self.noise.of(key) for key in own])
             parts.append(found.r / factor)
-            rows.append(found.J / factor)
-            keys += [key] * len(found.r)
+            rows.append(found.J / factor[:, None] if derivatives else found.J)
+            keys += own
         soft = self._soft(theta)
         expected, expected_keys, frame = self.expectation.residuals(theta, self.effects, dict(self.noise.factors))
         places = {"": -1, **{item.key: place for place, item in enumerate(self.unknown)}}

@@ -15,7 +15,7 @@ every set; so the constants of the frame's own prior cancel.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from scipy import integrate, optimize, special, stats

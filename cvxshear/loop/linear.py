@@ -30,6 +30,9 @@ enough to rank what is worth a fit, which then has the prior itself."""
 WIDE = 4.0
 """Factor on an effect's size under which its first prediction is made."""
 
+LEAST_CURVATURE = 1e-9
+"""Least curvature, relative to that of the fit, of a direction that only residuals without weight determine."""
+
 LOG_SIZES = np.linspace(-4.0, 4.0, 33)
 """Common sizes that are tried, as logarithms of factors, in units of their width."""
 
@@ -81,6 +84,10 @@ class Linearised:
         shift: Floats = -unit[:, None] * (np.linalg.pinv(A[:, :n2] * unit) @ A[:, n2:])
         return shift
 
+    def columns(self, placed: Placed) -> Floats:
+        """Derivatives of the residuals by an effect's parameters, the frame following its equalities, shape (d, p)."""
+        return self._columns[:, self._at[placed]]
+
     def gain(self, placed: Placed) -> float:
         """By how much the logarithm of the evidence grows with an effect, as the linearised model has it."""
         return self._gain(placed, self._own[:, self._at[placed]], self.base.fit.at.r)
@@ -90,7 +97,7 @@ class Linearised:
         effect = placed.effect
         if effect.rescales:
             rows = self.base.misfit.rescaled_rows(self.base.fit.at, placed)
-            return _gain_of_noise(float(r[rows] @ r[rows]), int(rows.sum()), effect.size_width)
+            return _gain_of_noise(self._reached[rows], r[rows], effect.size_width)
         b, h, stds = -(own.T @ r), own.T @ own, self.expectation.of(placed)
         if effect.common_size:
             return _gain_of_common_size(b, h, stds, effect.size_width)
@@ -122,7 +129,9 @@ class Linearised:
         if not placed.effect.common_size:
             return stds if np.isinf(placed.effect.tail) else WIDE * stds
         own = self._own[:, self._at[placed]]
-        return stds * np.exp(_best_log_size(-(own.T @ self.base.fit.at.r), own.T @ own, stds, placed.effect.size_width))
+        b, h = -(own.T @ self.base.fit.at.r), own.T @ own
+        found: Floats = stds * np.exp(_best_log_size(b, h, stds, placed.effect.size_width))
+        return found
 
     def forward(self, log_priors: Sequence[float]) -> list[Placed]:
         """Effects that the linearised model takes one after the other, the most promising first, while it gains.
@@ -275,8 +284,17 @@ def _best_log_size(b: Floats, h: Floats, stds: Floats, width: float) -> float:
     return float(u[np.argmax(gained)])
 
 
-def _gain_of_noise(chi2: float, count: int, width: float) -> float:
-    """The log evidence gained where a factor on the standard deviation of some residuals is left open."""
+def _gain_of_noise(reached: Floats, r: Floats, width: float) -> float:
+    """The log evidence gained where a factor e^u on the standard deviation of some residuals is left open.
+
+    The fit follows: with G = m'm and g = m'r of these rows m of the free directions and w = e^-2u,
+    chi-square changes by (w - 1) r'r - (w - 1)^2 g' (1 + (w - 1) G)^-1 g.
+    """
+    values, vectors = np.linalg.eigh(reached.T @ reached)
+    c = vectors.T @ (reached.T @ r)
     u = width * LOG_SIZES
-    gained = -0.5 * chi2 * np.expm1(-2.0 * u) - count * u - 0.5 * LOG_SIZES**2
+    change = np.expm1(-2.0 * u)[:, None]
+    left = np.maximum(1.0 + change * values, LEAST_CURVATURE)
+    chi2 = change[:, 0] * float(r @ r) - np.sum(change**2 * c**2 / left, axis=1)
+    gained = -0.5 * chi2 - 0.5 * np.sum(np.log(left), axis=1) - np.count_nonzero(r) * u - 0.5 * LOG_SIZES**2
     return float(special.logsumexp(gained) - special.logsumexp(-0.5 * LOG_SIZES**2))
