@@ -144,8 +144,8 @@ def _log_kept(estimate: Estimate, B: Floats, H: Floats, gradient: Floats) -> flo
     together = {p for _, own in slices(estimate.effects, n2) for p in range(own.start, own.stop)}
     std = _spread(rows, H + within.T @ within)
     alone = [row for row in range(2 * len(B)) if row % len(B) in together]
-    # Its own interval is what cuts it, those of the others are what they can do for it: where two parameters do the same
-    # (turning joints and braces), a free one would be carried along the other far beyond what that one can be.
+    # Its own interval is what cuts it, those of the others are what they can do for it: where two parameters do the
+    # same (turning joints and braces), a free one would be carried along far beyond what the other can be.
     own_part = (std[alone] / np.concatenate([estimate.domain.interval_std] * 2)[alone]) ** 2
     std[alone] = std[alone] / np.sqrt(np.maximum(1.0 - own_part, TINY))
     multipliers = _multipliers(rows, slack <= TOUCHING * std, gradient)
