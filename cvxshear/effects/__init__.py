@@ -11,6 +11,7 @@ from cvxshear.effects.bracing import Bracing
 from cvxshear.effects.composition import compose
 from cvxshear.effects.gravity import Gravity
 from cvxshear.effects.ground_spring import GroundSpring
+from cvxshear.effects.guests import refuse_faulty, refuse_repeated
 from cvxshear.effects.joint_release import JointRelease
 from cvxshear.effects.joint_rotation import JointRotation
 from cvxshear.effects.load_scale import LoadScale
@@ -51,5 +52,7 @@ __all__ = [
     "compose",
     "named",
     "open_classes",
+    "refuse_faulty",
+    "refuse_repeated",
     "register",
 ]

@@ -11,6 +11,7 @@ from cvxshear.effects.base_rocking import BaseRocking
 from cvxshear.effects.bracing import Bracing
 from cvxshear.effects.gravity import Gravity
 from cvxshear.effects.ground_spring import GroundSpring
+from cvxshear.effects.guests import refuse_faulty
 from cvxshear.effects.joint_release import JointRelease
 from cvxshear.effects.joint_rotation import JointRotation
 from cvxshear.effects.load_scale import LoadScale
@@ -74,7 +75,14 @@ def catalogue() -> tuple[Effect, ...]:
 
 
 def register(effect: Effect) -> None:
-    """Add an effect to the catalogue; one of the same name is replaced."""
+    """Add an effect to the catalogue; one of the same name is replaced.
+
+    Raises
+    ------
+    InputError
+        Where it cannot take part, with the first thing that is wrong with it.
+    """
+    refuse_faulty(effect)
     _catalogue[effect.name] = effect
 
 
