@@ -285,6 +285,9 @@ class Damper(Effect):
     stage = "spring"
     parameters = (Parameter("mass", "kg", lower=0.0), Parameter("s", "N/m"))
 
+    def sizes(self, of):
+        return np.array([0.1 * of.floor_mass, 0.1 * of.story_stiffness])
+
     def apply(self, state, place, values, own):
         system = state.system
         M, K, dM, dK = system.M.copy(), system.K.copy(), system.dM.copy(), system.dK.copy()
