@@ -97,7 +97,10 @@ FAULTS = {
     "derivative": ({"apply": after(twice)}, "derivative of K by its own parameters is wrong .* 100 %"),
     "other derivative": ({"apply": after(by_masses)}, "derivative of K by masses and stiffnesses is wrong"),
     "nan": ({"apply": after(lambda s, *_: changed(s, K=s.system.K * np.nan))}, "K is not finite"),
-    "infinite derivative": ({"apply": after(lambda s, *_: changed(s, dM=np.full_like(s.system.dM, np.inf)))}, "dM is not finite"),
+    "infinite derivative": (
+        {"apply": after(lambda s, *_: changed(s, dM=np.full_like(s.system.dM, np.inf)))},
+        "dM is not finite",
+    ),
     "shape": ({"apply": after(lambda s, *_: changed(s, M=s.system.M[:2, :2]))}, r"M has the shape \(2, 2\)"),
     "rows": ({"apply": after(lambda s, *_: changed(s, dK=s.system.dK[:3]))}, r"dK has the shape \(3, 4, 4\)"),
     "complex": ({"apply": after(lambda s, *_: changed(s, K=s.system.K + 0j))}, "K is no array of real numbers"),
