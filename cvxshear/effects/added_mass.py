@@ -54,5 +54,5 @@ class AddedMass(Effect):
 
     def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
         size = with_std(abs(values[0]), std[0], units[0])
-        where = f'on floor {place.floor} of "{place.state}"'
-        return f"an undeclared mass of {size} {where}" if values[0] > 0 else f"{size} missing {where}"
+        word = "more" if values[0] > 0 else "less"
+        return f"floor {place.floor} carries {size} {word}{place.in_state} than declared"

@@ -45,8 +45,8 @@ class AxialColumns(Effect):
     def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
         share = values[0] * chord_drift(of.heights)[-1, -1] / of.sway
         return (
-            f"columns that stretch and shorten (1/EI = {per_force(values[0], std[0], units[0])}, "
-            f"{100 * share:.2g} % of the sway of the top)"
+            f"the columns stretch and shorten, which adds {100 * share:.2g} % to the sway of the top under a force "
+            f"there (1/EI = {per_force(values[0], std[0], units[0])})"
         )
 
 

@@ -90,6 +90,11 @@ class Place:
             parts.append(f'the statement "{self.prior}"')
         return " of ".join(parts)
 
+    @property
+    def in_state(self) -> str:
+        """Such as ' in "after"'; empty where it sits in every state."""
+        return "" if self.state is None else f' in "{self.state}"'
+
     def label(self, subject: str) -> str:
         """What sits here with its place, such as "ground spring at floor 3" or "spring between floors 2 and 6"."""
         where = self.describe()
@@ -256,7 +261,7 @@ class Effect(ABC):
         return ""
 
     def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
-        """Effect, place and size in words, as the subject of a sentence.
+        """Effect, place and size in words: a clause that can stand as a sentence of its own.
 
         Parameters
         ----------
@@ -272,7 +277,7 @@ class Effect(ABC):
             f"{item.name} = {with_std(float(value), float(error), unit)}"
             for item, value, error, unit in zip(self.parameters, values, std, units, strict=True)
         )
-        return f"{place.label(self.label)} ({sizes})"
+        return f"{place.label(self.label)} is there ({sizes})"
 
     def known_anyway(self, experiment: Experiment, floor_mass: Floats, story_stiffness: Floats) -> str:
         """A sentence on what is known of the effect even where the data do not show it; empty by default."""
@@ -297,7 +302,7 @@ class Effect(ABC):
     def places(self, experiment: Experiment) -> list[Place]:
         """Everywhere the effect can sit in this experiment."""
         stories = range(1, experiment.stories + 1)
-        floors = [floor for floor in stories if floor >= self.lowest_floor] if "floor" in self.sits_at else [None]
+        floors = list(range(self.lowest_floor, experiment.stories + 1)) if "floor" in self.sits_at else [None]
         levels = list(stories) if "story" in self.sits_at else [None]
         states = list(experiment.changed_states) if "state" in self.sits_at else [None]
         return [Place(floor, story, state) for floor in floors for story in levels for state in states]
@@ -341,3 +346,8 @@ class Placed:
         """Of its parameters; lengths count in stories where heights are not declared."""
         metric = experiment.frame.story_heights is not None
         return tuple(item.unit if metric else item.unit_in_stories or item.unit for item in self.effect.parameters)
+
+
+def in_percent(value: float, std: float) -> str:
+    """The size of a ratio and its standard deviation, without the sign, such as "15.1 ± 0.4 %"."""
+    return with_std(100 * abs(float(value)), 100 * float(std), "%")

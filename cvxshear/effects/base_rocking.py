@@ -43,6 +43,6 @@ class BaseRocking(Effect):
     def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
         share = values[0] * of.elevations[-1] ** 2 / of.sway
         return (
-            f"a base that turns (1/k_theta = {per_force(values[0], std[0], units[0])}, "
-            f"{100 * share:.2g} % of the sway of the top)"
+            f"the base turns, which adds {100 * share:.2g} % to the sway of the top under a force there "
+            f"(1/k_theta = {per_force(values[0], std[0], units[0])})"
         )

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cvxshear.effects.base import Effect, Parameter, Place
+from cvxshear.effects.base import Effect, Parameter, Place, in_percent
 from cvxshear.effects.state import Scale, State
-from cvxshear.util.quantities import with_std
 from cvxshear.util.typing import Floats
 
 
@@ -18,8 +17,9 @@ class JointRotation(Effect):
 
     A story of stiffness k = 12 E I / h^3 and height h, with sway u and joint rotation theta at either end,
     has the stiffness of the Bernoulli beam, k [1, h/2; h^2/3, h^2/6 coupling]. The beams of each floor resist
-    with r, N m/rad; the columns are clamped at the ground. eta = mean(k h^2) / r, zero for rigid beams. Only the
-    ratios of the heights matter.
+    with r, N m/rad; the columns are clamped at the ground. eta = mean(k h^2) / r, zero for rigid beams: in a tall
+    frame of equal stories under equal shears V every joint turns by V h / r, which adds V h^2 / r, eta times V / k, to
+    the sway of each story. Only the ratios of the heights matter.
 
     Expected size 0.5: with beams as stiff as the columns, I_b / L = I_c / h, one bay has r = 12 E I_b / L and
     k h^2 = 24 E I_c / h, so eta = 2; frames tested as shear frames have beams several times stiffer (Chopra, Dynamics
@@ -43,7 +43,10 @@ class JointRotation(Effect):
         return np.array([0.5])
 
     def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
-        return f"joints that turn, beams not being rigid (eta = {with_std(values[0], std[0])})"
+        return (
+            "the beams bend and the joints turn, which adds "
+            f"{in_percent(values[0], std[0])} to the sway of a story among equal ones (eta = {values[0]:.2g})"
+        )
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         softer, d_softer = state.joint_flexibility.copy(), state.d_joint_flexibility.copy()

@@ -8,9 +8,12 @@ from cvxshear.effects.added_mass import AddedMass
 from cvxshear.effects.axial_columns import AxialColumns
 from cvxshear.effects.base import Effect
 from cvxshear.effects.base_rocking import BaseRocking
+from cvxshear.effects.bracing import Bracing
 from cvxshear.effects.gravity import Gravity
 from cvxshear.effects.ground_spring import GroundSpring
+from cvxshear.effects.joint_release import JointRelease
 from cvxshear.effects.joint_rotation import JointRotation
+from cvxshear.effects.load_scale import LoadScale
 from cvxshear.effects.mass_coupling import MassCoupling
 from cvxshear.effects.other_changes import OtherChanges
 from cvxshear.effects.other_gains import OtherGains
@@ -19,6 +22,9 @@ from cvxshear.effects.other_loads import OtherLoads
 from cvxshear.effects.other_shapes import OtherShapes
 from cvxshear.effects.other_stiffness import OtherStiffness
 from cvxshear.effects.sensor_gain import SensorGain
+from cvxshear.effects.spring import Spring
+from cvxshear.effects.state_mass import StateMass
+from cvxshear.effects.state_stiffness import StateStiffness
 from cvxshear.effects.story_change import StoryChange
 from cvxshear.effects.total_mass import TotalMass
 from cvxshear.effects.wrong_prior import WrongPrior
@@ -37,6 +43,12 @@ _catalogue: dict[str, Effect] = {
         SensorGain(),
         StoryChange(),
         TotalMass(),
+        Spring(),
+        StateStiffness(),
+        StateMass(),
+        LoadScale(),
+        JointRelease(),
+        Bracing(),
         WrongPrior(),
     )
 }

@@ -138,7 +138,7 @@ class State:
         return self.with_stiffness(K, dK)
 
     def usual_flexibility(self) -> tuple[float, Floats]:
-        """1 / mean(k h^2) of the columns, rad/(N m), and its derivatives, shape (P,): the unit of joint flexibilities."""
+        """Unit of joint flexibilities, 1 / mean(k h^2) of the columns, rad/(N m), and its derivatives, shape (P,)."""
         unit = 1.0 / float(np.mean(self.column_stiffness * self.heights**2))
         return unit, -(unit**2) * np.mean(self.d_column_stiffness * self.heights**2, axis=1)
 

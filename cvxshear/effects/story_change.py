@@ -7,9 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cvxshear.effects.base import Effect, Parameter, Place
+from cvxshear.effects.base import Effect, Parameter, Place, in_percent
 from cvxshear.effects.state import Scale, State
-from cvxshear.util.quantities import with_std
 from cvxshear.util.typing import Floats
 
 
@@ -45,9 +44,10 @@ class StoryChange(Effect):
         return np.array([0.25])
 
     def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
-        word = "gain" if values[0] > 0 else "loss"
-        size = with_std(100 * abs(values[0]), 100 * std[0], "%")
-        return f'a {word} of {size} of the stiffness of story {place.story} in "{place.state}"'
+        size = in_percent(values[0], std[0])
+        if values[0] > 0:
+            return f"story {place.story} is {size} stiffer{place.in_state}"
+        return f"story {place.story} lost {size} of its stiffness{place.in_state}"
 
 
 def with_changed_story(state: State, at: int, change: float, parameter: int) -> State:

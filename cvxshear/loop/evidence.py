@@ -35,6 +35,9 @@ WIDEST, POINTS = 12.0, 401
 """Reach of the integral over a parameter, as the inverse hyperbolic sine of standard deviations, and its points: those
 of Student's t lie further out than a Gaussian's."""
 
+TINY = 1e-12
+"""Part of a parameter's precision below which the data add nothing to its interval: rounding of the difference."""
+
 TOUCHING = 1e-4
 """Distance from an inequality, in standard deviations, at which it counts as active."""
 
@@ -141,7 +144,10 @@ def _log_kept(estimate: Estimate, B: Floats, H: Floats, gradient: Floats) -> flo
     together = {p for _, own in slices(estimate.effects, n2) for p in range(own.start, own.stop)}
     std = _spread(rows, H + within.T @ within)
     alone = [row for row in range(2 * len(B)) if row % len(B) in together]
-    std[alone] = _spread(rows[alone], H)
+    # Its own interval is what cuts it, those of the others are what they can do for it: where two parameters do the
+    # same (turning joints and braces), a free one would be carried along far beyond what the other can be.
+    own_part = (std[alone] / np.concatenate([estimate.domain.interval_std] * 2)[alone]) ** 2
+    std[alone] = std[alone] / np.sqrt(np.maximum(1.0 - own_part, TINY))
     multipliers = _multipliers(rows, slack <= TOUCHING * std, gradient)
     priors = dict(_tailed_priors(estimate))
     for p in sorted(together):

@@ -103,7 +103,7 @@ class FloorObservation(Observation):
     _floors: int
 
     @property
-    def matrix(self) -> Floats:  # type: ignore[override]
+    def matrix(self) -> Floats:
         """As of `Observation`."""
         return np.eye(self._floors)
 
