@@ -239,9 +239,11 @@ class Effect(ABC):
         return np.full(len(self.parameters), np.inf)
 
     def expected_sizes(self, of: Scale) -> Floats:
-        """`sizes`, the first of them `size` where that is given."""
+        """`sizes`, the first of them `size` where that is given; all of them where they have one common size."""
         usual = self.sizes(of)
-        return usual if self.size is None else np.concatenate([[self.size], usual[1:]])
+        if self.size is None:
+            return usual
+        return np.full(len(usual), self.size) if self.common_size else np.concatenate([[self.size], usual[1:]])
 
     def limits(self, experiment: Experiment, place: Place) -> Constraints:
         """What is physically possible beyond the parameters' own bounds, as rows on masses, stiffnesses, parameters.
