@@ -9,15 +9,16 @@ import numpy as np
 from cvxshear.effects.base import Parameter, Place
 from cvxshear.effects.open_class import OpenClass
 from cvxshear.effects.state import Scale, State
-from cvxshear.measurement.experiment import Experiment, Tested
+from cvxshear.measurement.experiment import Configuration, Experiment, Tested
 from cvxshear.util.typing import Bools, Floats, Ints
 
 
 class OtherShapes(OpenClass):
     """Every shape entry of one state, of one floor, or every one at all, has an error beyond its standard deviation.
 
-    An error of every entry, normal about zero with one common size, is the same as a standard deviation that is larger
-    by a factor. So the class has no parameters but that factor, which is its common size.
+    An error of every entry, normal about zero with one common size s in declared standard deviations, is the same as a
+    standard deviation that is larger by sqrt(1 + s^2). So the class has no parameters but that factor; log s is normal
+    about 0 with a standard deviation of 1.5.
     """
 
     name = "other_shapes"
@@ -39,20 +40,20 @@ class OtherShapes(OpenClass):
         return "" if self.places(experiment) else "shapes of a declared accuracy, or of several states"
 
     def places(self, experiment: Experiment) -> list[Place]:
-        """Each state with shapes, each floor with a sensor, and all at once.
+        """Each state with shapes, each floor with a sensor, and all at once, as far as an accuracy was declared.
 
-        Where no accuracy was declared, all at once is what is estimated anyway, and so is the only state.
+        One that was not is estimated anyway.
         """
-        shown = [each for each in experiment.configurations if each.measured.any()]
-        declared = any(each.mode_shape_std is not None for each in shown)
+        shown = [each for each in experiment.configurations if each.measured.any() and each.mode_shape_std is not None]
         states = dict.fromkeys(each.state for each in shown)
         floors = sorted({int(floor) for each in shown for floor in each.measured_floors})
         several = [Place(state=state) for state in states] if len(states) > 1 else []
         single = [Place(floor=floor) for floor in floors] if len(floors) > 2 else []
-        return [*several, *single, *([Place()] if declared else [])]
+        return [*several, *single, *([Place()] if shown else [])]
 
     def rescaled(self, tested: Tested, noise: str, floors: Ints, place: Place) -> Bools:
-        here = noise == "mode_shape" and place.state in (None, tested.state)
+        declared = isinstance(tested, Configuration) and tested.mode_shape_std is not None
+        here = declared and noise == "mode_shape" and place.state in (None, tested.state)
         return (floors == place.floor) & here if place.floor is not None else np.full(len(floors), here)
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:

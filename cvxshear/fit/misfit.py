@@ -26,6 +26,10 @@ WIDTH = 0.7
 tested lie within half and twice the default, nineteen in twenty within a quarter and four times."""
 
 
+LEAST_SQUARE = 1e-2
+"""Least square of an error on top of a declared one, relative to that, from which the search for its size starts."""
+
+
 @dataclass(frozen=True, eq=False)
 class Evaluation:
     """Residuals at one point.
@@ -93,11 +97,27 @@ class UnknownSize:
         Number of data, or of parameters, that have it.
     width : float
         Standard deviation of the logarithm of the factor before anything is measured.
+    above_one : bool
+        Whether it is sqrt(1 + s^2), with log s normal: an error that comes on top of a declared one. Else the factor
+        itself has a normal logarithm.
     """
 
     key: str
     count: float
     width: float
+    above_one: bool = False
+
+    def log_factor(self, v: float) -> tuple[float, float]:
+        """The logarithm of the factor at a value v of what is normal beforehand, and its derivative by v."""
+        if not self.above_one:
+            return v, 1.0
+        return 0.5 * float(np.logaddexp(0.0, 2.0 * v)), float(1.0 / (1.0 + np.exp(-2.0 * v)))
+
+    def coordinate(self, factor: float) -> float:
+        """The value v at which the factor is this one."""
+        if not self.above_one:
+            return float(np.log(factor))
+        return 0.5 * float(np.log(max(np.expm1(2.0 * np.log(factor)), LEAST_SQUARE)))
 
 
 class Misfit:
@@ -170,7 +190,10 @@ class Misfit:
         noises = [UnknownSize(key, count, WIDTH) for key, count in counts.items() if count]
         sizes = [
             UnknownSize(
-                placed.label, rescaled.get(placed.label, len(placed.effect.parameters)), placed.effect.size_width
+                placed.label,
+                rescaled.get(placed.label, len(placed.effect.parameters)),
+                placed.effect.size_width,
+                placed.effect.rescales,
             )
             for placed in self.effects
             if placed.effect.common_size and not placed.fixed

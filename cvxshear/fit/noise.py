@@ -100,12 +100,14 @@ def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats) -> NoiseEstima
     if not misfit.unknown:
         return NoiseEstimate()
     marginal = _Marginal(misfit, at, free)
-    best = optimize.fmin_bfgs(marginal.loss, marginal.here, fprime=marginal.slope, disp=False)
+    best = optimize.fmin_bfgs(marginal.loss, marginal.start, fprime=marginal.slope, disp=False)
     # Where the marginal has no maximum the search runs off.
-    u: Floats = np.clip(best, -LARGEST, LARGEST)
-    covariance: Floats = np.asarray(np.linalg.inv(_curvature(marginal, u)), dtype=np.float64)
+    v: Floats = np.clip(best, -LARGEST, LARGEST)
+    covariance: Floats = np.asarray(np.linalg.inv(_curvature(marginal, v)), dtype=np.float64)
     kinds = tuple(item.key for item in misfit.unknown)
-    return NoiseEstimate(kinds, u, covariance, _log_integral(marginal, u, covariance))
+    u, slope = marginal.log_factors(v)
+    spread = slope[:, None] * covariance * slope
+    return NoiseEstimate(kinds, u, spread, _log_integral(marginal, v, covariance))
 
 
 def _log_integral(marginal: _Marginal, u: Floats, covariance: Floats) -> float:
@@ -123,7 +125,12 @@ class _Marginal:
     """log p(data, u) of the linearised model, without the terms -objective / 2 and -log det H / 2 of the fit."""
 
     def __init__(self, misfit: Misfit, at: Evaluation, free: Floats) -> None:
-        self.here: Floats = np.log(np.array([misfit.noise.of(item.key) for item in misfit.unknown]))
+        factors = [misfit.noise.of(item.key) for item in misfit.unknown]
+        self._unknown = misfit.unknown
+        self.here: Floats = np.log(np.array(factors))
+        self.start = np.array(
+            [item.coordinate(factor) for item, factor in zip(misfit.unknown, factors, strict=True)]
+        )
         self.widths = np.array([item.width for item in misfit.unknown])
         self._counts = np.array([item.count for item in misfit.unknown], dtype=float)
         rows = [at.unknown == place for place in range(len(misfit.unknown))]
@@ -132,24 +139,31 @@ class _Marginal:
         self._gradient = np.array([part.T @ at.r[own] for part, own in zip(moved, rows, strict=True)])
         self._chi2 = np.array([float(at.r[own] @ at.r[own]) for own in rows])
 
-    def negative(self, u: Floats) -> tuple[float, Floats]:
-        """Minus log p(data, u), without those terms, and its derivative by u."""
+    def log_factors(self, v: Floats) -> tuple[Floats, Floats]:
+        """u at a value of what is normal beforehand, and its derivatives, both of shape (g,)."""
+        found = [item.log_factor(float(value)) for item, value in zip(self._unknown, v, strict=True)]
+        u, slope = np.array(found).T
+        return u, slope
+
+    def negative(self, v: Floats) -> tuple[float, Floats]:
+        """Minus log p(data, u(v)), without those terms, and its derivative by v."""
+        u, slope = self.log_factors(v)
         weight = np.exp(-2.0 * np.clip(u - self.here, -LARGEST, LARGEST))
         change = weight - 1.0
         H = np.eye(self._information.shape[1]) + np.tensordot(change, self._information, 1)
         try:
             factor = linalg.cho_factor(H, check_finite=False)
         except linalg.LinAlgError:
-            return np.inf, np.zeros(len(u))
+            return np.inf, np.zeros(len(v))
         gradient = change @ self._gradient
         step = -linalg.cho_solve(factor, gradient, check_finite=False)
         log_det = 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
-        prior = float(np.sum((u / self.widths) ** 2))
+        prior = float(np.sum((v / self.widths) ** 2))
         value = -0.5 * (change @ self._chi2 + gradient @ step + log_det + prior) - self._counts @ u
         left = self._chi2 + 2.0 * self._gradient @ step + np.einsum("i,gij,j->g", step, self._information, step)
         inverse = linalg.cho_solve(factor, np.eye(len(H)), check_finite=False)
         known = np.einsum("ij,gji->g", inverse, self._information)
-        return -float(value), -(weight * (left + known) - self._counts - u / self.widths**2)
+        return -float(value), -(slope * (weight * (left + known) - self._counts) - v / self.widths**2)
 
     def loss(self, u: Floats) -> float:
         """Minus log p(data, u), without those terms."""

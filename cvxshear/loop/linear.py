@@ -285,14 +285,14 @@ def _best_log_size(b: Floats, h: Floats, stds: Floats, width: float) -> float:
 
 
 def _gain_of_noise(reached: Floats, r: Floats, width: float) -> float:
-    """The log evidence gained where a factor e^u on the standard deviation of some residuals is left open.
+    """The log evidence gained where a factor e^u = sqrt(1 + s^2) on the deviation of some residuals is left open.
 
     The fit follows: with G = m'm and g = m'r of these rows m of the free directions and w = e^-2u,
     chi-square changes by (w - 1) r'r - (w - 1)^2 g' (1 + (w - 1) G)^-1 g.
     """
     values, vectors = np.linalg.eigh(reached.T @ reached)
     c = vectors.T @ (reached.T @ r)
-    u = width * LOG_SIZES
+    u = 0.5 * np.logaddexp(0.0, 2.0 * width * LOG_SIZES)
     change = np.expm1(-2.0 * u)[:, None]
     left = np.maximum(1.0 + change * values, LEAST_CURVATURE)
     chi2 = change[:, 0] * float(r @ r) - np.sum(change**2 * c**2 / left, axis=1)
