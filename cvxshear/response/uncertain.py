@@ -109,8 +109,8 @@ class UncertainFrame:
         M, K = state.system.M, state.system.K
         if len(M) > experiment.stories:
             raise UnsuitableError(
-                "a mass that is attached to a floor has a damping that nothing measured: the response of the frame with "
-                "it is not computed; exclude attached_mass, or predict with the model before it"
+                "nothing measured the damping of a mass that is attached to a floor: the response of a frame with one "
+                "is not computed; leave that effect out"
             )
         dashpots, factors = None, None
         if self.kind == "modal":

@@ -80,7 +80,7 @@ def _change(configuration: Configuration, before: State, after: State) -> Change
     moved = mass[1] - mass[0]
     # What couples floors moves mass between them and off the diagonal; what is heavier is seen in the row's sum.
     added = np.where(np.abs(moved) > NOTHING * mass[0], moved, diagonal)
-    frequencies = [_frequencies(state) for state in (before, after)]
+    frequencies = [_frame_frequencies(state) for state in (before, after)]
     return Change(
         configuration.name,
         stiff[1] - stiff[0],
@@ -92,7 +92,7 @@ def _change(configuration: Configuration, before: State, after: State) -> Change
     )
 
 
-def _frequencies(state: State) -> Floats:
+def _frame_frequencies(state: State) -> Floats:
     """Frequencies of the frame's modes, without those of masses attached to it, shape (N,), Hz."""
     found = modes(state.system.M, state.system.K)
     return found.frequencies[frame_modes(found, state.system.M, len(state.story_stiffness))]
