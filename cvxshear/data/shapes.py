@@ -56,11 +56,15 @@ class Shapes(Datum):
         entries = np.sum(self.tested.measured[self.kept], axis=1)
         return int(np.sum(np.maximum(entries - (0 if self.tested.mass_normalized else 1), 0)))
 
-    def _laid_on(self, model: Model) -> tuple[Floats, Floats, Floats, Floats | None]:
+    def _laid_on(
+        self, model: Model, factor: Floats | None = None
+    ) -> tuple[Floats, Floats, Floats, Floats | None]:
         """Weights, the modelled shapes as the sensors would show them, their scales, and u where the scale is free."""
         configuration = self.tested
         floors = configuration.measured_floors - 1
         weights = configuration.entry_weights[self.kept]
+        if factor is not None:
+            weights = weights / factor.reshape(weights.shape)
         psi = model.state.observation.shown(model.modes.shapes[model.paired[self.kept]], floors)
         scale, unit = scaled(configuration.known_shapes[self.kept], psi, weights)
         if configuration.mass_normalized:
@@ -84,7 +88,11 @@ class Shapes(Datum):
 
     def residual(self, model: Model) -> Residual:
         """Differences of entries over their standard deviations; zero where nothing was measured."""
-        weights, psi, scale, unit = self._laid_on(model)
+        return self.widened_residual(model, np.ones(len(self.floors)))
+
+    def widened_residual(self, model: Model, factor: Floats) -> Residual:
+        """The same, the scale of each shape following the entries that have become less certain."""
+        weights, psi, scale, unit = self._laid_on(model, factor)
         r = (weights * (scale[:, None] * psi - self.tested.known_shapes[self.kept])).ravel()
         if not model.derivatives:
             return Residual(r, np.zeros((0, 0)))

@@ -231,11 +231,11 @@ class Misfit:
         models = {id(each): self._model(each, theta, by, derivatives) for each in self.experiment.tested}
         parts, rows, keys = [np.zeros(0)], [], list[str]()
         for datum in self.data:
-            found = datum.residual(models[id(datum.tested)])
             own = self._keys[len(parts) - 1]
             factor = self.widened * np.array([self.noise.of(key) for key in own])
-            parts.append(found.r / factor)
-            rows.append(found.J / factor[:, None] if derivatives else found.J)
+            found = datum.widened_residual(models[id(datum.tested)], factor)
+            parts.append(found.r)
+            rows.append(found.J)
             keys += own
         soft = self._soft(theta)
         expected, expected_keys, frame = self.expectation.residuals(theta, self.effects, dict(self.noise.factors))

@@ -44,7 +44,9 @@ ALIKE = 0.1
 MOST = 10
 LEAST = 1
 PAIRS = 2
-"""Most and least further effects, and most pairs of them, that are fitted when a set is expanded."""
+RESCALING = 3
+"""Most and least further effects, most pairs, and effects on the accuracy of data, that are fitted when a set is
+expanded."""
 
 Set = frozenset[Placed]
 
@@ -192,6 +194,12 @@ class Search:
         # A set with an effect taken out is far behind: what is put in must catch up with the best.
         floor = max(single[order[0]], 0.0, self.best.score - model.score) - WITHIN
         new = [each for at, each in enumerate(order[:MOST]) if at < LEAST or single[each] > floor]
+        if model.improbable:
+            # What leaves the accuracy of some data open shows all that it is worth only once they weigh less.
+            rescaling = sorted(
+                (placed for placed in linear.lacking if placed.effect.rescales), key=lambda placed: -linear.gain(placed)
+            )
+            new += [model.effects | {placed} for placed in rescaling[:RESCALING]]
         several = model.effects.union(linear.forward([self.fitter.log_prior([placed]) for placed in linear.lacking]))
         return [each for each in (*new, *self._pairs(model, linear, single), several) if each not in self.visited]
 
