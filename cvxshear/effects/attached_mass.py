@@ -24,9 +24,12 @@ SLOWEST, FASTEST = 0.5, 1.5
 """Bounds of the attachment's frequency, in parts of the lowest and of the highest that was measured: one that is slower
 acts like a missing mass on every mode, one that is faster like an added mass."""
 
-START = 0.9
-"""Frequency that a fit starts at, in parts of the lowest measured: below the first mode, which the attachment then does
-not split."""
+START_MASS, START_FREQUENCY = 0.05, 1.05
+START_FREQUENCIES = (0.65, 0.95, 1.05, 1.2, 1.7, 2.5)
+"""Where fits start: a mass in parts of the mean mass of a floor, of the largest added mass where none is declared, else
+in kg; frequencies in parts of the lowest measured. From a mass of that order fits of frames with tanks and dampers of
+2 to 5 % of their mass end at the best place from one of these frequencies at least; from next to none they stay where
+they are."""
 
 
 class AttachedMass(Effect):
@@ -50,20 +53,31 @@ class AttachedMass(Effect):
     stage = "attachment"
     parameters = (Parameter("mass", "kg", lower=0.0), Parameter("frequency", "Hz", lower=0.01, upper=100.0, start=1.0))
     sits_at = ("floor",)
+    adds_motion = True
     probability = 0.02
 
     def bound(self, experiment: Experiment) -> Self:
         """A copy whose frequency lies about those that were measured."""
         measured = np.concatenate([each.frequencies for each in experiment.configurations])
         lowest, highest = float(measured.min()), float(measured.max())
-        mass, _ = self.parameters
-        own = copy.copy(self)
-        start = START * lowest
+        total = experiment.frame.known_total
+        added = max(float(each.added_mass.max()) for each in experiment.configurations)
+        floor = (added or 1.0) if total is None else total / experiment.stories
+        mass = Parameter("mass", "kg", lower=0.0, start=START_MASS * floor)
+        start = START_FREQUENCY * lowest
         frequency = Parameter(
             "frequency", "Hz", lower=SLOWEST * lowest, upper=FASTEST * highest, null=start, start=start
         )
+        own = copy.copy(self)
         own.parameters = (mass, frequency)
         return own
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """One mass, and frequencies about those that were measured."""
+        mass, frequency = self.parameters
+        lowest = frequency.start / START_FREQUENCY
+        return tuple((mass.start, float(min(part * lowest, frequency.upper))) for part in START_FREQUENCIES)
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         assert place.floor is not None
