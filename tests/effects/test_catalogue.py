@@ -10,7 +10,7 @@ from cvxshear.effects import Effect, Parameter, Place, Placed, Scale, catalogue,
 from cvxshear.effects import registry as registry_module
 from cvxshear.effects.state import STAGES
 from cvxshear.measurement.experiment import Experiment, Frame
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, NoModesError
 from tests.effects.common import ADDED, HEIGHTS, MASS, NAMES, STIFFNESS, composed, experiment, placed, theta
 from tests.effects.test_derivatives import CASES
 
@@ -266,6 +266,13 @@ def test_flexibilities_add_up():
     expected = np.linalg.inv(shear_stiffness(STIFFNESS)) + p * chord + q * np.outer(z, z)
     state = composed([bending, rocking], p, q)
     np.testing.assert_allclose(np.linalg.inv(state.system.K), expected, rtol=1e-11)
+
+
+def test_a_flexibility_that_leaves_no_stiffness_is_no_model():
+    """A trial far outside may be singular to the last digit; a search leaves it out like one that buckles."""
+    plain = composed([])
+    with pytest.raises(NoModesError, match="singular with the flexibility"):
+        plain.with_stiffness(np.eye(4), np.zeros((8, 4, 4))).with_flexibility(-1.0, np.eye(4), slice(8, 8))
 
 
 def test_gravity_weighs_what_is_declared_and_what_is_not():
