@@ -11,7 +11,7 @@ import cvxshear
 from cvxshear import Experiment, InputError, close_loop
 from cvxshear.effects import Effect, Parameter, Place, Placed, catalogue, named
 from cvxshear.priors import Ratio
-from cvxshear.report import render
+from cvxshear.report.html import render
 from tests.calibration import HIDDEN, Trial, experiment_of, place
 from tests.fe.experiments import simulated, simulated_attachment
 from tests.frames import chain, configuration, experiment, modes_of, shared
