@@ -11,15 +11,17 @@ import cvxshear
 from cvxshear import Experiment, InputError, close_loop
 from cvxshear.effects import Effect, Parameter, Place, Placed, catalogue, named
 from cvxshear.priors import Ratio
+from cvxshear.report.html import render
 from tests.calibration import HIDDEN, Trial, experiment_of, place
-from tests.fe.experiments import simulated
+from tests.fe.experiments import simulated, simulated_attachment
 from tests.frames import chain, configuration, experiment, modes_of, shared
 
 MASS = np.array([21e3, 19e3, 19.5e3, 18e3, 17e3])
 STIFFNESS = np.array([30e6, 36e6, 33e6, 27e6, 22e6])
 ADDED = (None, [2e3, 6e3, 4e3, 7e3, 3e3], [7e3, 0, 9.8e3, 5e3, 0])
-ELSEWHERE = {"total_mass", "wrong_prior", "bracing"}
-"""Declarations that are off, and braces, which show beside turning joints alone: tested by themselves."""
+ELSEWHERE = {"total_mass", "wrong_prior", "bracing", "attached_mass"}
+"""Declarations that are off, braces, which show beside turning joints alone, and what has two parameters: tested by
+themselves."""
 EFFECTS = [effect.name for effect in catalogue() if effect.name not in ELSEWHERE]
 OF_STATES = {"joint_release", "state_stiffness", "state_mass", "load_scale"}
 """What is looked for where states, or the masses added to them, differ."""
@@ -90,6 +92,24 @@ def test_what_one_configuration_hides_is_not_found(name):
     result, _ = closed(Trial((name,), 1, 13))
     assert result["effects"] == []
     assert result["verdict"] == "adequate"
+
+
+@pytest.mark.parametrize(("seed", "part", "tuning"), [(1, 0.03, 0.97), (6, 0.05, 1.0), (5, 0.05, 2.2)])
+def test_a_mass_on_a_spring(seed, part, tuning):
+    """A damper on the roof, tuned or nearly so, and a machine: found with its mass and frequency, and the frame too."""
+    floor = 2 if tuning > 2 else 4
+    declared, truth = simulated_attachment(
+        stories=4, configurations=2, rng=np.random.default_rng(seed), floor=floor, part=part, tuning=tuning
+    )
+    closure = close_loop(Experiment.from_dict(declared), effects=["attached_mass", "ground_spring", "gravity"])
+    (found,) = closure.effects
+    assert (found.placed.effect.name, found.placed.place) == ("attached_mass", Place(floor=floor))
+    for name in ("mass", "frequency"):
+        assert abs(found.parameters[name] - truth[name]) < 4 * found.std[name]
+    assert deviation(closure.to_dict(), truth) < 4
+    assert [len(each.frequencies) for each in closure.estimate.predictions] == [5, 5]
+    assert [each.mode_shapes.shape for each in closure.estimate.predictions] == [(5, 4), (5, 4)]
+    assert "swings on floor" in render(closure, "cvxshear loop")
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -69,7 +69,7 @@ class Model:
     def paired(self) -> Ints:
         """Which mode of the model each measured one is, zero-based, shape (m,)."""
         assert isinstance(self.state.tested, Configuration)
-        return paired(self.state.tested, self.modes, self.state.observation)
+        return paired(self.state.tested, self.modes, self.state.observation, self.state.system.M)
 
     @cached_property
     def mode_derivatives(self) -> tuple[Floats, Floats]:

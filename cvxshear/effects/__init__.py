@@ -4,6 +4,7 @@
 """
 
 from cvxshear.effects.added_mass import AddedMass
+from cvxshear.effects.attached_mass import AttachedMass
 from cvxshear.effects.axial_columns import AxialColumns
 from cvxshear.effects.base import Effect, Parameter, Place, Placed
 from cvxshear.effects.base_rocking import BaseRocking
@@ -27,6 +28,7 @@ from cvxshear.effects.total_mass import TotalMass
 
 __all__ = [
     "AddedMass",
+    "AttachedMass",
     "AxialColumns",
     "BaseRocking",
     "Bracing",

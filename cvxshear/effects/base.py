@@ -147,6 +147,9 @@ class Effect(ABC):
         "that the floors of {state} weigh what they did". Empty where there is nothing to say.
     releases : tuple of str
         Of "total_mass": declarations that do not hold as they stand where it is in the model.
+    adds_motion : bool
+        Whether the frame has one motion more with it. What it does is then not told by derivatives at its null value,
+        and a fit begins at its start values.
     uses_heights : bool
         Whether it takes undeclared story heights as equal.
     """
@@ -169,6 +172,7 @@ class Effect(ABC):
     rescales: ClassVar[bool] = False
     granted: ClassVar[str] = ""
     releases: ClassVar[tuple[str, ...]] = ()
+    adds_motion: ClassVar[bool] = False
     uses_heights: ClassVar[bool] = False
 
     @abstractmethod
@@ -237,6 +241,11 @@ class Effect(ABC):
         Infinite where a parameter is as probable anywhere between its bounds; so it is by default.
         """
         return np.full(len(self.parameters), np.inf)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Points that fits of the parameters start at, where one does not lead everywhere."""
+        return (tuple(item.start for item in self.parameters),)
 
     def expected_sizes(self, of: Scale) -> Floats:
         """`sizes`, the first of them `size` where that is given; all of them where they have one common size."""

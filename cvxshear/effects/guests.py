@@ -22,7 +22,7 @@ T = TypeVar("T")
 PLACE_PARTS = ("floor", "to", "story", "state", "prior")
 NEEDS = ("heights", "several states")
 
-STEP = 1e-4
+QUOTIENT_STEP = 1e-4
 """Step of the difference quotients, in parts of each mass, stiffness and expected size: central differences then err by
 some 1e-8 of the curvature and 1e-12 by rounding."""
 
@@ -30,10 +30,10 @@ WRONG_SLOPE = 1e-3
 """Relative error from which on a derivative is wrong: far above what difference quotients err by, far below what a
 wrong formula does."""
 
-ROUNDING = 1e-9
+ROUNDED_PART = 1e-9
 """Size below which a difference is rounding, in parts of the matrix that it is one of."""
 
-INSIDE = 0.4
+TRIED_AT = 0.4
 """Deviation from the null value at which an effect is tried, in expected sizes."""
 
 
@@ -205,8 +205,8 @@ class _Check:
         upper = np.array([item.upper for item in here.parameters])
         even = np.isinf(sizes)
         with np.errstate(invalid="ignore"):
-            own = np.where(even, 0.5 * (lower + upper), np.clip(nulls + INSIDE * sizes, lower, upper))
-            steps = STEP * np.concatenate([self._frame, np.where(even, upper - lower, sizes)])
+            own = np.where(even, 0.5 * (lower + upper), np.clip(nulls + TRIED_AT * sizes, lower, upper))
+            steps = QUOTIENT_STEP * np.concatenate([self._frame, np.where(even, upper - lower, sizes)])
         at = np.concatenate([self._frame, own])
         self._untouched(here, place, tested, at)
         plain = self._composed(tested, Placed(_Idle(here.parameters)), at)
@@ -224,13 +224,13 @@ class _Check:
             self._that(np.all(np.isfinite(value)), f"{name} is not finite after apply()")
         for name, value in (("M", there.system.M), ("K", there.system.K)):
             gap = float(np.max(np.abs(value - value.T)))
-            self._that(gap <= ROUNDING * np.max(np.abs(value)), f"{name} is not symmetric after apply()")
+            self._that(gap <= ROUNDED_PART * np.max(np.abs(value)), f"{name} is not symmetric after apply()")
         if motions == n:
             null = self._composed(tested, placed, np.concatenate([self._frame, nulls]))
             for name, value, before in zip(("M", "K", "the observation"), _values(null), _values(plain), strict=True):
                 gap = float(np.max(np.abs(value - before)))
                 self._that(
-                    gap <= ROUNDING * np.max(np.abs(before)),
+                    gap <= ROUNDED_PART * np.max(np.abs(before)),
                     f"{name} is not that of the shear frame at the null values",
                 )
         self._slopes(placed, tested, at, steps)
@@ -253,7 +253,7 @@ class _Check:
                 strict=True,
             ):
                 quotient = 0.5 * (up - down)
-                allowed = WRONG_SLOPE * np.max(np.abs(quotient)) + STEP * ROUNDING * np.max(np.abs(value))
+                allowed = WRONG_SLOPE * np.max(np.abs(quotient)) + QUOTIENT_STEP * ROUNDED_PART * np.max(np.abs(value))
                 gap = float(np.max(np.abs(slope - quotient)))
                 self._that(
                     gap <= allowed,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cvxshear.effects.added_mass import AddedMass
+from cvxshear.effects.attached_mass import AttachedMass
 from cvxshear.effects.axial_columns import AxialColumns
 from cvxshear.effects.base import Effect
 from cvxshear.effects.base_rocking import BaseRocking
@@ -50,6 +51,7 @@ _catalogue: dict[str, Effect] = {
         LoadScale(),
         JointRelease(),
         Bracing(),
+        AttachedMass(),
         WrongPrior(),
     )
 }

@@ -100,7 +100,8 @@ class Prediction:
     @staticmethod
     def of(model: Model) -> Prediction:
         """The prediction of a model of a tested state."""
-        shapes = model.modes.shapes
+        # Sensors' gains are no part of the frame's motion; attached masses stand on no floor.
+        shapes = model.modes.shapes[:, : len(model.state.story_stiffness)]
         largest = shapes[np.arange(len(shapes)), np.argmax(np.abs(shapes), axis=1)]
         return Prediction(model.state.tested.name, model.modes.frequencies, shapes / largest[:, None])
 

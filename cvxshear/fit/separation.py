@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cvxshear.data.pairing import numbered
 from cvxshear.effects import compose
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.misfit import Misfit
@@ -146,7 +147,8 @@ def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Co
     blank = dataclasses.replace(first, name="next test", added_mass=added_mass)
     state = compose(accepted.experiment, blank, accepted.effects, accepted.theta, derivatives=False)
     found = modes(state.system.M, state.system.K)
-    shapes = state.observation.shown(found.shapes[first.modes - 1])
+    which = numbered(first, found, state.system.M)
+    shapes = state.observation.shown(found.shapes[which])
     measured = dataclasses.replace(
         blank, mode_shapes=np.where(first.measured, shapes[:, first.measured_floors - 1], np.nan)
     )
@@ -154,7 +156,7 @@ def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Co
     shape = 1.0 if first.mode_shape_std is not None else noise.of("mode_shape")
     return dataclasses.replace(
         blank,
-        frequencies=found.frequencies[first.modes - 1],
+        frequencies=found.frequencies[which],
         measured_floors=np.arange(1, shapes.shape[1] + 1),
         mode_shapes=shapes,
         frequency_std=frequency * first.log_frequency_std,

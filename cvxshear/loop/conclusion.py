@@ -271,7 +271,9 @@ def _shown_sets(posterior: Posterior) -> Iterator[EffectSet]:
 def _candidates(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[Candidate]:
     """All that was looked for, the most probable first."""
     there = set(final.effects)
-    lacking = [item.placed for item in fitter.hypotheses if item.placed not in there]
+    lacking = [
+        item.placed for item in fitter.hypotheses if item.placed not in there and not item.placed.effect.adds_motion
+    ]
     linear = Linearised(final, lacking, fitter.expectation) if lacking else None
     names = parameter_names(final.experiment, final.effects)
     found = []
@@ -282,6 +284,9 @@ def _candidates(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[C
         if placed in there or linear is None:
             kept = [each for each in final.effects if each is not placed and each not in fitter.assumed]
             gain, chi2, dof = _in_noise_of(final, kept, fitter).chi2 - final.chi2, final.chi2, final.dof
+        elif placed.effect.adds_motion:
+            # Derivatives at its null value say nothing of it.
+            gain, chi2, dof = 0.0, final.chi2, final.dof - count
         else:
             gain = linear.decrease(placed)
             chi2, dof = final.chi2 - gain, final.dof - count
@@ -315,7 +320,11 @@ def _rests_on(final: Estimate) -> Iterator[str]:
 
 def _granted(search: Search, found: ModelClass) -> Iterator[str]:
     """What the verdict takes for granted because no datum tells: sentences of effects that are not in it."""
-    candidates = [item.placed for item in search.fitter.hypotheses if item.placed not in found.effects]
+    candidates = [
+        item.placed
+        for item in search.fitter.hypotheses
+        if item.placed not in found.effects and not item.placed.effect.adds_motion
+    ]
     states = {placed.place.state for placed in found.effects} | {None}
     said = [each for each in candidates if each.effect.granted and each.place.state in states]
     if not said:

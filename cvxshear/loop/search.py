@@ -11,6 +11,7 @@ none is fitted or expanded twice, it ends.
 
 from __future__ import annotations
 
+import dataclasses
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
@@ -30,6 +31,9 @@ REACH = 20.0
 
 WITHIN = 7.0
 """Logarithm of a probability ratio: what is a thousandth as probable as the best is not followed up."""
+
+A_PILE = 3
+"""Effects from which on a set is no simple explanation: two causes at once are met now and then, three seldom."""
 
 STAND_FOR_A_GROUP = 3
 """Single effects, the most promising ones, that are tried in place of a group."""
@@ -69,6 +73,7 @@ class Search:
         self.expanded: set[Set] = set()
         self.thinned: set[Set] = set()
         self.regrouped: set[Set] = set()
+        self.moved = False
         self.base = start
 
     @property
@@ -93,6 +98,28 @@ class Search:
             else:
                 break
             self._grow()
+        if not self.moved and not self.spent and self._add_motions():
+            self.run()
+
+    def _add_motions(self) -> bool:
+        """Visit sets with an effect that brings a motion of its own, where nothing simple explains the data."""
+        self.moved = True
+        motions = [item.placed for item in self.fitter.hypotheses if item.placed.effect.adds_motion]
+        simple = len(self.best.effects) < A_PILE and all(placed.effect.kind == "cause" for placed in self.best.effects)
+        if not motions or (simple and not self.best.improbable):
+            return False
+        base = self.base.estimate
+        assert base is not None, "the shear model was fitted"
+        proposals = [
+            dataclasses.replace(
+                self.fitter.proposal(base, (*base.effects, placed)), starts=(np.concatenate([base.theta, start]),)
+            )
+            for placed in motions
+            for start in placed.effect.starts
+        ]
+        # Each is fitted from several starts: the best of them is the set's fit.
+        self._record(sorted(self.fitter.models(proposals), key=lambda model: model.score))
+        return True
 
     @property
     def spent(self) -> bool:
@@ -172,7 +199,12 @@ class Search:
         return next((model for model in self.beam if model.effects not in done and model.score >= floor), None)
 
     def _lacking(self, model: ModelClass) -> list[Placed]:
-        return [item.placed for item in self.fitter.hypotheses if item.placed not in model.effects]
+        """What the linearised model at the fit of a set can judge of what the set lacks."""
+        return [
+            item.placed
+            for item in self.fitter.hypotheses
+            if item.placed not in model.effects and not item.placed.effect.adds_motion
+        ]
 
     def _expand(self, model: ModelClass) -> None:
         """Visit the most promising sets with one more effect, or two."""
@@ -218,7 +250,9 @@ class Search:
         proposals = []
         for effects in dict.fromkeys(sets):
             new = [placed for placed in linear.lacking if placed in effects]
-            proposals.append(self.fitter.proposal(base, (*base.effects, *new), [linear.predicted(new)]))
+            motions = [placed for placed in effects if placed.effect.adds_motion and placed not in base.effects]
+            predicted = [] if motions else [linear.predicted(new)]
+            proposals.append(self.fitter.proposal(base, (*base.effects, *new, *motions), predicted))
         self._record(self.fitter.models(proposals, tolerance))
 
     def _record(self, models: Iterable[ModelClass]) -> None:

@@ -9,6 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
+from cvxshear.data.pairing import numbered
 from cvxshear.effects import compose
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.separation import Disagreement, disagreement, imagined
@@ -110,7 +111,7 @@ def _test(expected: Estimate, first: Configuration, masses: Floats, noise: TestN
         return test
     state = compose(expected.experiment, test, expected.effects, expected.theta, derivatives=False)
     found = modes(state.system.M, state.system.K)
-    frequency_std, shape_std = noise.of(found, np.diag(state.system.M).copy(), test.modes - 1)
+    frequency_std, shape_std = noise.of(found, np.diag(state.system.M).copy(), numbered(test, found, state.system.M))
     return dataclasses.replace(test, frequency_std=frequency_std, mode_shape_std=shape_std)
 
 

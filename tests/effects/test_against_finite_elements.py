@@ -9,6 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cvxshear.data.pairing import numbered
+from cvxshear.effects.attached_mass import LEAST_MASS
+from cvxshear.model.shear import frame_modes, modes
 from tests.effects.common import (
     HEIGHTS,
     MASS,
@@ -17,13 +20,14 @@ from tests.effects.common import (
     assert_same,
     building,
     composed,
+    experiment,
     frequency_gap,
     modes_with,
     placed,
     shape_gap,
 )
 from tests.fe import experiments as fe
-from tests.fe.frame import SwayModes, sway_modes
+from tests.fe.frame import SwayModes, assemble, sway_modes
 
 NUMBERS = (0, 1)
 TOP = float(HEIGHTS.sum())
@@ -327,6 +331,52 @@ def test_sensor_gain_in_one_state(floor, g):
     seen.shapes[floor - 1] *= 1.0 + g
     assert_same(modes_with([there], g, number=1), seen)
     assert_same(modes_with([there], g, number=0), sway_modes(building(0)))
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+@pytest.mark.parametrize("floor", [1, 3, 4])
+@pytest.mark.parametrize(("mass", "tuning"), [(0.05, 0.6), (0.4, 0.98), (2.0, 1.0), (3.0, 2.3)])
+def test_attached_mass(mass, tuning, floor, number):
+    """All five modes of four floors and a mass on a spring, slower than the first, tuned to it, between two modes."""
+    frequency = tuning * sway_modes(building(0)).frequencies[0]
+    there = placed("attached_mass", floor=floor)
+    # What the model has more than its parameter says, so that it has modes where that is zero.
+    more = LEAST_MASS * MASS.mean()
+    model = modes_with([there], mass - more, frequency, number=number)
+    frame = replace(building(number), attached=((floor, mass, mass * (2 * np.pi * frequency) ** 2),))
+    assembled = assemble(frame)
+    eigenvalues, shapes = assembled.modes()
+    floors = shapes[[assembled.coordinates["sway", i] for i in range(1, 5)]]
+    assert len(model.frequencies) == 5
+    assert_same(model, SwayModes(np.sqrt(eigenvalues) / (2 * np.pi), floors), within=1e-9)
+
+
+def test_modes_are_numbered_without_the_attached_mass():
+    """Its own mode is left out, wherever among the others it lies; of a pair that share it, what was not measured."""
+    plain = sway_modes(building(0)).frequencies
+    for tuning, own in ((0.5, 0), (1.7, 1), (5.0, 4)):
+        there = placed("attached_mass", floor=4)
+        state = composed([there], 0.02, tuning * plain[0])
+        found = modes(state.system.M, state.system.K)
+        test = replace_frequencies(plain)
+        np.testing.assert_array_equal(numbered(test, found, state.system.M), np.delete(np.arange(5), own))
+        assert frame_modes(found, state.system.M, 4).tolist() == [mode for mode in range(5) if mode != own]
+    state = composed([placed("attached_mass", floor=4)], 1.0, plain[0])
+    found = modes(state.system.M, state.system.K)
+    f = found.frequencies
+    assert f[0] < plain[0] < f[1]
+    for seen in ([0, 2, 3, 4], [1, 2, 3, 4], [0, 1, 2, 3]):
+        assert numbered(replace_frequencies(f[seen]), found, state.system.M).tolist() == seen
+
+
+def replace_frequencies(measured):
+    """A test of the frame in which these frequencies were found."""
+    return replace(
+        experiment().configurations[0],
+        frequencies=np.array(measured),
+        modes=np.arange(1, len(measured) + 1),
+        mode_shapes=np.full((len(measured), 4), np.nan),
+    )
 
 
 def test_many_effects_at_once():

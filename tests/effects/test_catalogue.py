@@ -10,7 +10,7 @@ from cvxshear.effects import Effect, Parameter, Place, Placed, Scale, catalogue,
 from cvxshear.effects import registry as registry_module
 from cvxshear.effects.state import STAGES
 from cvxshear.measurement.experiment import Experiment, Frame
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, NoModesError
 from tests.effects.common import ADDED, HEIGHTS, MASS, NAMES, STIFFNESS, composed, experiment, placed, theta
 from tests.effects.test_derivatives import CASES
 
@@ -32,9 +32,11 @@ ACTING = [
 ]
 BESIDE_OTHERS = ["bracing"]
 """What changes a matrix only beside another effect."""
+WITH_A_MOTION = ["attached_mass"]
+"""What has two parameters and a motion of its own."""
 OF_STATEMENTS = ["total_mass", "wrong_prior"]
 """What changes a statement about the frame, and no matrix."""
-ALL = [*ACTING, *BESIDE_OTHERS, *OF_STATEMENTS]
+ALL = [*ACTING, *BESIDE_OTHERS, *WITH_A_MOTION, *OF_STATEMENTS]
 UNITS = {
     "gravity": [("gamma", "")],
     "joint_rotation": [("eta", "")],
@@ -88,7 +90,7 @@ def test_each_effect_is_there_once():
     assert sorted(names) == sorted(ALL)
 
 
-@pytest.mark.parametrize("name", sorted(set(ALL) - {"wrong_prior"}))
+@pytest.mark.parametrize("name", sorted(set(ALL) - {"wrong_prior", *WITH_A_MOTION}))
 def test_parameters(name):
     effect = one(name)
     assert [(each.name, each.unit) for each in effect.parameters] == UNITS[name]
@@ -264,6 +266,13 @@ def test_flexibilities_add_up():
     expected = np.linalg.inv(shear_stiffness(STIFFNESS)) + p * chord + q * np.outer(z, z)
     state = composed([bending, rocking], p, q)
     np.testing.assert_allclose(np.linalg.inv(state.system.K), expected, rtol=1e-11)
+
+
+def test_a_flexibility_that_leaves_no_stiffness_is_no_model():
+    """A trial far outside may be singular to the last digit; a search leaves it out like one that buckles."""
+    plain = composed([placed("ground_spring", floor=4)], 0.0)
+    with pytest.raises(NoModesError, match="singular with the flexibility"):
+        plain.with_stiffness(np.eye(4), np.zeros((9, 4, 4))).with_flexibility(-1.0, np.eye(4), slice(8, 9))
 
 
 def test_gravity_weighs_what_is_declared_and_what_is_not():
@@ -454,7 +463,29 @@ def test_an_effect_in_words(name, place, value, std, expected):
 
 
 def test_every_effect_is_said_in_words():
-    assert {item[0] for item in SAID} == set(ALL) - {"wrong_prior"}
+    assert {item[0] for item in SAID} == set(ALL) - {"wrong_prior", *WITH_A_MOTION}
+    said = one("attached_mass").phrase(
+        Place(floor=3), np.array([1.2, 2.1]), np.array([0.1, 0.02]), SCALE, ["kg", "Hz"]
+    )
+    assert said == "a mass of 1.20 ± 0.10 kg swings on floor 3 at 2.100 ± 0.020 Hz of its own"
+
+
+def test_an_attached_mass_is_looked_for_about_the_measured_frequencies():
+    """And vanishes, but for a motion that no sensor shows, where it has no mass."""
+    tested = experiment()
+    (effect,) = named(["attached_mass"])
+    mass, frequency = effect.bound(tested).parameters
+    assert [(item.name, item.unit) for item in (mass, frequency)] == [("mass", "kg"), ("frequency", "Hz")]
+    assert (mass.lower, mass.null) == (0.0, 0.0)
+    assert frequency.lower < 2.0 < frequency.upper
+    for start in effect.bound(tested).starts:
+        for item, value in zip((mass, frequency), start, strict=True):
+            assert item.lower < value <= item.upper
+    assert effect.places(tested) == [Place(floor=floor) for floor in FOUR]
+    state = composed([placed("attached_mass", floor=2)], 0.0, 2.0)
+    np.testing.assert_allclose(state.system.K[:4, :4], shear_stiffness(STIFFNESS), rtol=0, atol=1e-2)
+    np.testing.assert_array_equal(state.system.M[:4, :4], np.diag(MASS))
+    np.testing.assert_array_equal(state.observation.matrix, np.eye(4, 5))
 
 
 def test_the_words_of_an_effect_of_ones_own():

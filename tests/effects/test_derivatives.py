@@ -113,6 +113,19 @@ def test_at_the_null_value(name):
     assert_derivatives([effect], [effect.effect.parameters[0].null], 1, [SCALES[name]])
 
 
+@pytest.mark.parametrize(("mass", "frequency"), [(0.0, 2.0), (0.7, 3.1), (0.7, 12.0)])
+@pytest.mark.parametrize("number", range(len(NAMES)))
+def test_an_attached_mass(mass, frequency, number):
+    """Two parameters and a motion of its own, alone and with everything else, a second attachment among them."""
+    there = placed("attached_mass", floor=3)
+    assert_derivatives([there], [mass, frequency], number, [1.0, 1.0])
+    more = placed("attached_mass", floor=1)
+    cases = [*CASES.values(), (there, mass), (more, 0.3)]
+    effects = [effect for effect, _ in cases]
+    own = [*(value for _, value in CASES.values()), mass, frequency, 0.3, 5.0]
+    assert_derivatives(effects, own, number, [*SCALES.values(), 1.0, 1.0, 1.0, 1.0])
+
+
 def test_derivatives_are_symmetric():
     tested = experiment()
     effects = [effect for effect, _ in CASES.values()]
@@ -123,5 +136,5 @@ def test_derivatives_are_symmetric():
 
 def test_every_effect_of_the_catalogue_is_tested():
     """But statements about masses and priors, which change no matrix."""
-    assert {effect.name for effect in catalogue()} == {*CASES, "total_mass", "wrong_prior"}
+    assert {effect.name for effect in catalogue()} == {*CASES, "attached_mass", "total_mass", "wrong_prior"}
     assert set(CASES) == set(SCALES)

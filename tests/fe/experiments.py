@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tests.fe.elements import Floats
-from tests.fe.frame import Building, SwayModes, sway_modes
+from tests.fe.frame import Building, SwayModes, assemble, sway_modes
 
 FREQUENCY_STD = 0.001
 MODE_SHAPE_STD = 0.01
@@ -149,6 +149,45 @@ def simulated_pair(
         "mode_shapes": [each.shapes.T for each in seen],
     }
     return experiment, truth
+
+
+def simulated_attachment(
+    *, stories: int, configurations: int, rng: np.random.Generator, floor: int, part: float, tuning: float
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Test a frame that carries a mass on a spring, whose own mode nobody measured.
+
+    Parameters
+    ----------
+    stories, configurations : int
+    rng : numpy.random.Generator
+    floor : int
+    part : float
+        The mass, in parts of all floors' masses.
+    tuning : float
+        Its frequency on a floor that stands still, in parts of the first of the frame without it.
+
+    Returns
+    -------
+    experiment, truth : dict
+        As of `simulated`; of the truth `floor_mass`, `story_stiffness`, `mass`, `frequency`.
+    """
+    frame = _drawn(stories, rng)
+    mass, frequency = part * frame.floor_mass.sum(), tuning * sway_modes(frame).frequencies[0]
+    tests = []
+    for number, extra in enumerate(_default_added(stories, configurations), 1):
+        attached = (floor, mass, mass * (2 * np.pi * frequency) ** 2)
+        model = assemble(dataclasses.replace(frame, floor_mass=frame.floor_mass + extra, attached=(attached,)))
+        eigenvalues, shapes = model.modes()
+        seen = np.arange(stories + 1) != np.argmax(shapes[model.coordinates["attached", 0]] ** 2)
+        floors = shapes[[model.coordinates["sway", level] for level in range(1, stories + 1)]]
+        modes = SwayModes(np.sqrt(eigenvalues[seen]) / (2 * np.pi), floors[:, seen])
+        tests.append(measured(modes, rng, name=_name(number), added=extra))
+    declared = {"stories": stories, "story_heights": [HEIGHT] * stories, "total_mass": float(frame.floor_mass.sum())}
+    truth = {"mass": mass, "frequency": frequency, "floor_mass": frame.floor_mass}
+    return (
+        {"frame": declared, "configuration": tests},
+        {**truth, "story_stiffness": frame.story_stiffness},
+    )
 
 
 def _drawn(stories: int, rng: np.random.Generator) -> Building:

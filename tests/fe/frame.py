@@ -61,6 +61,8 @@ class Building:
         Diagonals from the first column at a lower floor to the last column at a higher one: the floors and EA, N.
     brace_axial : ndarray, shape (n,), optional
         EA of each of the two crossing diagonals of a story, hinged between the first and the last column, N.
+    attached : tuple of (int, float, float), optional
+        Masses on springs that floors carry: floor, mass, kg, and the spring, N/m.
     """
 
     heights: Floats
@@ -81,6 +83,7 @@ class Building:
     connections: Mapping[int, float] = field(default_factory=dict)
     ties: tuple[tuple[int, int, float], ...] = ()
     brace_axial: Floats | None = None
+    attached: tuple[tuple[int, float, float], ...] = ()
 
     @property
     def stories(self) -> int:
@@ -244,6 +247,11 @@ def load_floor(model: Model, building: Building, floor: int, joints: list[Node])
             model.mass(node.uy, share * lumped)
     if floor in building.ground_springs:
         model.spring(sway, building.ground_springs[floor])
+    for number, (carrier, mass, spring) in enumerate(building.attached):
+        if carrier == floor:
+            own: Motion = {("attached", number): 1.0}
+            model.mass(own, mass)
+            model.spring({**own, ("sway", floor): -1.0}, spring)
     on_props = (1.0 - building.on_frame) * float(building.weight[floor - 1])
     if on_props:
         # A rigid prop that leans by d over its height h falls by d^2 / 2h.
