@@ -20,13 +20,16 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 from scipy.linalg import lapack
 
-from cvxshear.backends.independence import independent_rows
-from cvxshear.backends.solution import Solution
+from cvxshear.backends.certificate import Solution
 from cvxshear.programs import LeastSquares
 from cvxshear.util.errors import InfeasibleError, InputError
 from cvxshear.util.typing import Bools, Floats
+
+DEPENDENT = 1e-12
+"""Length that is left of a row of unit length beside the span of other rows, below which it follows from them."""
 
 SINGULAR = 1e-12
 """Reciprocal condition number of the scaled rows below which they are taken not to determine the unknowns."""
@@ -90,6 +93,23 @@ class Canonical:
     _inequality_scale: Floats
     _independent: Bools
     start: Answer | None = None
+
+    def nearest(self) -> tuple[Floats, Floats]:
+        """The nearest point to q under the equalities alone, where the program is not singular, and the multipliers.
+
+        With E' = B T, q - z = B T'^-1 (E q - e) = E' y.
+
+        Returns
+        -------
+        z : ndarray, shape (n,)
+        y : ndarray, shape (a,)
+        """
+        if not len(self.E):
+            return self.q.copy(), np.zeros(0)
+        B, T = np.linalg.qr(self.E.T)
+        along, _ = lapack.dtrtrs(T, self.E @ self.q - self.e, trans=1)
+        multipliers, _ = lapack.dtrtrs(T, along)
+        return self.q - B @ along, multipliers
 
     def violated(self, z: Floats) -> Bools:
         """Which inequalities a point violates by more than rounding, shape (g,)."""
@@ -235,4 +255,25 @@ def _consistent_rows(A: Floats, b: Floats) -> Bools:
     error = np.abs(rows @ point - side)
     if np.any(error > 1e-9 * max(1e-300, float(np.abs(side).max()))):
         raise InfeasibleError("the equalities contradict each other")
+    return keep
+
+
+def independent_rows(rows: Floats) -> Bools:
+    """Which rows to keep, the others being combinations of them.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (a, n)
+        Of unit length, or of zeros.
+
+    Returns
+    -------
+    ndarray of bool, shape (a,)
+    """
+    keep = np.ones(len(rows), dtype=bool)
+    if not len(rows) or (len(rows) == 1 and np.any(rows)):
+        return keep
+    triangle, order = linalg.qr(rows.T, mode="r", pivoting=True)
+    diagonal = np.abs(np.diag(triangle))
+    keep[order[int(np.sum(diagonal > DEPENDENT * max(diagonal[0], 1e-300))) :]] = False
     return keep

@@ -9,19 +9,19 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
-from cvxshear.backends import settings
+from cvxshear.backends import solvers
 from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
 from cvxshear.backends.compiled import Compiled, Parametrised
 from cvxshear.util.errors import NoSolutionError
 
 ACCURATE: dict[str, dict[str, Any]] = {
-    "CLARABEL": settings.accurate("clarabel"),
+    "CLARABEL": solvers.accurate("clarabel"),
     # Polishing, on by default in cvxpy, has nothing left to do at this accuracy, and prints that it has not.
-    "OSQP": {**settings.accurate("osqp"), "polishing": False},
-    "SCS": settings.accurate("scs"),
+    "OSQP": {**solvers.accurate("osqp"), "polishing": False},
+    "SCS": solvers.accurate("scs"),
 }
-"""The options of `settings`, by cvxpy's names of the solvers."""
+"""The options of `solvers`, by cvxpy's names of the solvers."""
 
 
 class Cvxpy(Backend):
@@ -49,10 +49,10 @@ class Cvxpy(Backend):
 
     @property
     def tolerance(self) -> float | None:
-        return settings.loosest(self._solver.lower(), self._options)
+        return solvers.loosest(self._solver.lower(), self._options)
 
     def with_tolerance(self, tolerance: float) -> Cvxpy:
-        return type(self)(self._solver, settings.with_tolerance(self._solver.lower(), self._options, tolerance))
+        return type(self)(self._solver, solvers.with_tolerance(self._solver.lower(), self._options, tolerance))
 
     def __reduce__(self) -> tuple[type[Cvxpy], tuple[str, dict[str, Any]]]:
         """To another process without what was compiled."""
@@ -82,7 +82,7 @@ class Cvxpy(Backend):
             raise NoSolutionError(self.name, str(error)) from error
         if found.status != cp.OPTIMAL:
             seconds = time.perf_counter() - began
-            reason = settings.why_not(self._solver.lower(), self._options, found.status, seconds)
+            reason = solvers.why_not(self._solver.lower(), self._options, found.status, seconds)
             raise NoSolutionError(self.name, reason)
         y, w = (found.duals.get(name, np.zeros(0)) for name in ("E", "F"))
         return Answer(found.z, y, w[:inequalities], found.status, found.iterations)

@@ -8,7 +8,7 @@ import numpy as np
 
 from cvxshear import backends
 from cvxshear.backends import BenchmarkProgram, Comparison
-from cvxshear.backends.comparison import REPEATS
+from cvxshear.backends.benchmark import REPEATS
 from cvxshear.fit.domain import domain_of
 from cvxshear.fit.gauss_newton import step_program
 from cvxshear.fit.misfit import Misfit

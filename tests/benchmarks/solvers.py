@@ -6,7 +6,6 @@ import numpy as np
 from cvxshear import CvxshearError, backends
 from cvxshear.backends.canonical import canonical
 from cvxshear.backends.cvxpy_backend import Cvxpy
-from cvxshear.backends.nearest import nearest
 from cvxshear.programs import mass_correction, story_stiffnesses
 from cvxshear.programs.mass import normalized
 from cvxshear.studies.scaling import exact_experiment
@@ -78,7 +77,7 @@ def _relative(times, name):
 
 def _again(kind, stories):
     scaled = canonical(program(kind, stories))
-    within = scaled.keeping(scaled.violated(nearest(scaled)[0]))
+    within = scaled.keeping(scaled.violated(scaled.nearest()[0]))
     backend = Cvxpy("CLARABEL")
     anew, _ = fastest(lambda: Cvxpy("CLARABEL").answer(within), 10)
     again, _ = fastest(lambda: backend.answer(within), 30)

@@ -6,9 +6,8 @@ import difflib
 from dataclasses import asdict, dataclass
 from functools import cache
 
-from cvxshear.backends.auto import Auto
 from cvxshear.backends.base import Backend
-from cvxshear.backends.kkt import Kkt
+from cvxshear.backends.closed_form import Auto, Kkt
 from cvxshear.backends.qpsolvers_backend import Qpsolvers
 from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS
 from cvxshear.util.errors import InputError
@@ -16,7 +15,7 @@ from cvxshear.util.typing import Json
 
 DEFINITE = ("daqp", "clarabel")
 SINGULAR = ("clarabel", "daqp")
-"""General solvers in the order in which "auto" asks them; Clarabel is always installed. See `auto` for why."""
+"""General solvers in the order in which "auto" asks them; Clarabel is always installed. See `closed_form` for why."""
 
 _registered: dict[str, Backend] = {}
 

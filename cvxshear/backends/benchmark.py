@@ -9,9 +9,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from cvxshear.backends.base import Backend
-from cvxshear.backends.certificate import Assembled
-from cvxshear.backends.registry import available, get
-from cvxshear.backends.solution import Solution
+from cvxshear.backends.certificate import Assembled, Solution
+from cvxshear.backends.installed import available, get
 from cvxshear.programs import LeastSquares
 from cvxshear.util import checks
 from cvxshear.util.errors import CvxshearError

@@ -1,0 +1,271 @@
+r"""The exact minimizer beside an answer, and a bound on the error of each of its unknowns.
+
+On the inequalities that are active a program has a closed form. Where no other inequality is violated there, and no
+multiplier has the wrong sign, it is the minimizer of the whole program. Which ones are active is guessed from the
+answer and corrected as the primal-dual active-set method does (Hintermüller, Ito and Kunisch 2003): those of a
+negative multiplier leave, those violated enter.
+
+With B x = c the active constraints, Z a basis of the null space of B, H = Z (RZ)^+ and P = (I - H R) B^+, an error
+f in the rows' residual, g in its product with R' and d in the constraints change the minimizer to first order by
+
+.. math:: \delta x = H f + Z (Z'R'RZ)^{-1} Z' g + P d
+
+(Björck 1991). In 64 bits |f| <= u (|R| |x| + |s|), |g| <= u |R|' |Rx - s| and |d| <= u (|B| |x| + |c|) entry by entry,
+with u = 4 sqrt(m) eps for a sum of m terms: rounding errors have either sign (Higham and Mary 2019). So the bound on
+each unknown is the sum of the absolute values of the three matrices times these.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import lapack
+
+from cvxshear.backends.canonical import independent_rows
+from cvxshear.backends.certificate import Assembled, Point
+from cvxshear.util.typing import Bools, Floats
+
+ROUNDS = 10
+"""Sets of active inequalities that are tried; a guess that is nearly right needs one or two."""
+
+UNDETERMINED = 1e-13
+"""Reciprocal condition number of evenly weighted rows on the null space of the active constraints, below which they
+leave a direction open: a few hundred roundings."""
+
+PASSES = 2
+"""Times that the closed form corrects the answer. The first correction has the rounding of an answer; what the second
+corrects is rounding of the first, so that constraints hold to the last digits of their own terms."""
+
+GRADED = 1e3
+"""Ratio of the longest to the shortest row above which rows are sorted by length and columns are pivoted, which keeps
+the rounding of heavy rows out of light ones (Cox and Higham 1998)."""
+
+ROUNDING = 100 * float(np.finfo(float).eps)
+"""Rounding of a sum, relative to the sizes of its terms."""
+
+
+@dataclass(frozen=True, eq=False)
+class Minimizer:
+    """The minimizer of a program, or of what is left of it once some inequalities are equalities.
+
+    Parameters
+    ----------
+    point : Point
+    errors : ndarray, shape (n,)
+        Bound on the error of each unknown, from rounding in 64 bits.
+    deviations : ndarray, shape (n,)
+        Standard deviation of each unknown, were the rows' residual noise: (diag Z (Z'R'RZ)^-1 Z')^(1/2) times the
+        root mean square of the residual.
+    """
+
+    point: Point
+    errors: Floats
+    deviations: Floats
+
+
+class UndeterminedError(Exception):
+    """The rows and the active constraints leave a direction open."""
+
+
+class UnsettledError(Exception):
+    """The inequalities that hold the minimizer could not be found."""
+
+
+def minimizer(program: Assembled, near: Point) -> Minimizer:
+    """The minimizer of a program close to an answer.
+
+    Parameters
+    ----------
+    program : Assembled
+    near : Point
+
+    Raises
+    ------
+    UndeterminedError
+    UnsettledError
+    """
+    if not len(program.h):
+        return _minimizer_on(program, near.x, np.zeros(0, dtype=bool))
+    active = _guessed(program, near)
+    for _ in range(ROUNDS):
+        found = _minimizer_on(program, near.x, active)
+        satisfied = _satisfied(program, found)
+        limit = -ROUNDING * program.magnitude(found.point.x) / program.inequality_lengths
+        following = np.where(active, found.point.w >= limit, ~satisfied)
+        if np.array_equal(following, active):
+            # Where active inequalities follow from others, one that contradicts them is violated.
+            if np.all(satisfied):
+                return found
+            break
+        active = following
+    raise UnsettledError
+
+
+def _guessed(program: Assembled, near: Point) -> Bools:
+    """The inequalities whose multiplier is greater than their slack, both made free of units."""
+    lengths = program.inequality_lengths
+    active: Bools = near.w * lengths > np.maximum(program.h - program.G @ near.x, 0.0) / lengths
+    return active
+
+
+def _satisfied(program: Assembled, found: Minimizer) -> Bools:
+    """Which inequalities hold at a minimizer, but for rounding."""
+    x, absolute_G = found.point.x, program.absolute[1]
+    rounding = found.errors + ROUNDING * (np.abs(x) + np.linalg.norm(program.lengths * x) / program.lengths)
+    satisfied: Bools = program.G @ x - program.h <= ROUNDING * np.abs(program.h) + absolute_G @ rounding
+    return satisfied
+
+
+def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> Minimizer:
+    """The minimizer with the active inequalities as equalities, by the null-space method, as corrections of x.
+
+    LAPACK's xGGLSE does the same and keeps the null-space basis to itself, which the bound is computed from.
+    """
+    rows, sides = np.concatenate([program.A, program.G[active]]), np.concatenate([program.b, program.h[active]])
+    lengths = program.row_lengths(rows)
+    B = rows / program.lengths / lengths[:, None]
+    keep = independent_rows(B)
+    basis = _Basis(B[keep])
+    scaled = program.R / program.lengths
+    factor = _Factor(basis.on_null_space(scaled))
+    for _ in range(PASSES):
+        across = basis.onto(((sides - rows @ x) / lengths)[keep])
+        along = factor.solved(program.s - program.R @ x - scaled @ across)
+        correction = (across + basis.from_null_space(along[:, None])[:, 0]) / program.lengths
+        x = x + correction
+    multipliers = np.zeros(len(rows))
+    multipliers[keep] = basis.multipliers(scaled.T @ (program.s - program.R @ x))
+    multipliers /= lengths
+    w = np.zeros(len(program.h))
+    w[active] = multipliers[len(program.b) :]
+    errors, deviations = _bounds(program, x, basis, factor, np.abs((sides / lengths)[keep]))
+    return Minimizer(Point(x, multipliers[: len(program.b)], w), np.abs(correction) + errors, deviations)
+
+
+def _bounds(
+    program: Assembled, x: Floats, basis: _Basis, factor: _Factor, sides: Floats
+) -> tuple[Floats, Floats]:
+    """The sum of the module's three terms, and `Minimizer.deviations`; each shape (n,)."""
+    scaled, z = np.abs(program.R) / program.lengths, np.abs(program.lengths * x)
+    residual = program.R @ x - program.s
+    r, n = program.R.shape
+    # Directions of the unknowns, scaled, of unit effect on the rows, and that effect: an orthonormal basis.
+    directions = basis.from_null_space(factor.inverse)
+    effects = (program.R / program.lengths) @ directions
+    f = _unit(n) * (scaled @ z + np.abs(program.s))
+    g = _unit(r) * (scaled.T @ np.abs(residual))
+    bound = np.abs(directions @ effects.T) @ f + np.abs(directions @ directions.T) @ g
+    if len(basis.B):
+        pseudoinverse = basis.onto(np.eye(len(basis.B)))
+        particular = pseudoinverse - directions @ (effects.T @ ((program.R / program.lengths) @ pseudoinverse))
+        bound += np.abs(particular) @ (_unit(n) * (np.abs(basis.B) @ z + sides))
+    free = max(1, r - directions.shape[1])
+    deviations = np.linalg.norm(directions, axis=1) * np.linalg.norm(residual) / np.sqrt(free)
+    return bound / program.lengths, deviations / program.lengths
+
+
+def _unit(terms: int) -> float:
+    """Rounding of a sum of so many terms, relative to the sum of their sizes."""
+    return 4.0 * float(np.sqrt(max(terms, 1))) * float(np.finfo(float).eps)
+
+
+class _Factor:
+    """A QR factorization of rows of full column rank, for least squares.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (r, k)
+
+    Raises
+    ------
+    UndeterminedError
+        Where the rows leave a direction open.
+    """
+
+    def __init__(self, rows: Floats) -> None:
+        r, self._k = rows.shape
+        if r < self._k:
+            raise UndeterminedError
+        if not self._k:
+            return
+        lengths = np.sqrt(np.einsum("ij,ij->i", rows, rows))
+        shortest = np.min(lengths, where=lengths > 0, initial=np.inf)
+        graded = bool(np.max(lengths) > GRADED * shortest)
+        if graded:
+            self._order = np.argsort(-lengths, kind="stable")
+            self._reflectors, pivots, self._tau, _, _ = lapack.dgeqp3(rows[self._order])
+            self._pivots = pivots - 1
+        else:
+            self._order, self._pivots = np.arange(r), np.arange(self._k)
+            self._reflectors, self._tau, _, _ = lapack.dgeqrf(rows)
+        self._triangle = self._reflectors[: self._k]
+        # Of graded rows a small pivot may be a light row's own; whether it is rounding shows in the bound.
+        least = 0.0 if graded else UNDETERMINED
+        if np.any(np.diag(self._triangle) == 0.0) or not float(lapack.dtrcon(self._triangle)[0]) > least:
+            raise UndeterminedError
+
+    def solved(self, sides: Floats) -> Floats:
+        """The minimizer u of |rows u - sides|, shape (k,)."""
+        u = np.zeros(self._k)
+        if self._k:
+            work = max(1, 64 * len(sides))
+            rotated, _, _ = lapack.dormqr("L", "T", self._reflectors, self._tau, sides[self._order, None], work)
+            u[self._pivots] = lapack.dtrtrs(self._triangle, rotated[: self._k, 0])[0]
+        return u
+
+    @cached_property
+    def inverse(self) -> Floats:
+        """Columns that the rows make orthonormal, shape (k, k): the inverse of the triangle."""
+        inverse = np.zeros((self._k, self._k))
+        if self._k:
+            inverse[self._pivots] = np.triu(lapack.dtrtri(np.triu(self._triangle))[0])
+        return inverse
+
+
+class _Basis:
+    """The range of B' and its complement, the null space of B, stored as the reflections of a QR factorization.
+
+    Parameters
+    ----------
+    B : ndarray, shape (p, n)
+        Independent rows.
+    """
+
+    def __init__(self, B: Floats) -> None:
+        self.B = B
+        self._p, self._n = B.shape
+        if self._p:
+            self._reflectors, self._tau, _, _ = lapack.dgeqrf(B.T)
+
+    def _applied(self, side: str, trans: str, matrix: Floats) -> Floats:
+        if not self._p:
+            return matrix
+        work = max(1, 64 * max(matrix.shape))
+        result, _, _ = lapack.dormqr(side, trans, self._reflectors, self._tau, matrix, work)
+        return np.asarray(result)
+
+    def on_null_space(self, matrix: Floats) -> Floats:
+        """matrix @ Z."""
+        return self._applied("R", "N", matrix)[:, self._p :]
+
+    def from_null_space(self, coordinates: Floats) -> Floats:
+        """Z @ coordinates."""
+        return self._applied("L", "N", np.concatenate([np.zeros((self._p, coordinates.shape[1])), coordinates]))
+
+    def onto(self, c: Floats) -> Floats:
+        """The shortest vectors with B v = c, for one right side of shape (p,) or several of shape (p, q)."""
+        if not self._p:
+            return np.zeros((self._n, *c.shape[1:]))
+        several = c.reshape(self._p, -1)
+        padded = np.zeros((self._n, several.shape[1]))
+        padded[: self._p] = lapack.dtrtrs(self._reflectors[: self._p], several, trans=1)[0]
+        return self._applied("L", "N", padded).reshape((self._n, *c.shape[1:]))
+
+    def multipliers(self, pull: Floats) -> Floats:
+        """The coefficients of B's rows that come closest to a vector."""
+        if not self._p:
+            return np.zeros(0)
+        t = self._applied("L", "T", pull[:, None])[: self._p, 0]
+        return np.asarray(lapack.dtrtrs(self._reflectors[: self._p], t)[0])
