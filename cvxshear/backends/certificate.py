@@ -50,9 +50,9 @@ class Certificate:
     in relation is
 
     * a violation of :math:`a'x \le b` to :math:`|b| + \sum_j |a_j| X_j`;
-    * entry j of the gradient to :math:`|R_j| r + \sum_i |A_{ij} y_i| + \sum_i |G_{ij} w_i|` with
-      :math:`r = \sum_k |R_k x_k| + |s|`, the sizes of what the residual Rx - s is made of;
-    * the gap to :math:`r^2 / 2 + \sum_i |y_i b_i| + \sum_i |w_i h_i|`;
+    * entry j of the gradient to :math:`\sum_i |R_{ij}| r_i + \sum_i |A_{ij} y_i| + \sum_i |G_{ij} w_i|` with
+      :math:`r_i = \sum_k |R_{ik} x_k| + |s_i|`, the sizes of what the residual Rx - s is made of;
+    * the gap to :math:`r^2 / 2 + \sum_i |y_i b_i| + \sum_i |w_i h_i|` with :math:`r = \sum_k |R_k x_k| + |s|`;
     * the error of unknown j to :math:`X_j`.
 
     The bound on the error is that of `cvxshear.backends.minimizer`: the distance to the minimizer on the active
@@ -214,7 +214,8 @@ def certify(program: Assembled, point: Point) -> Certificate:
     size, magnitude = program.size(x), program.magnitude(x)
     equality, slack = program.A @ x - program.b, program.h - program.G @ x
     gradient = program.R.T @ (program.R @ x - program.s) + program.A.T @ y + program.G.T @ w
-    gradient_size = program.lengths * magnitude + absolute_A.T @ np.abs(y) + absolute_G.T @ np.abs(w)
+    absolute_R = np.abs(program.R)
+    gradient_size = absolute_R.T @ (absolute_R @ np.abs(x) + np.abs(program.s)) + absolute_A.T @ np.abs(y) + absolute_G.T @ np.abs(w)
     wrong_sign = np.max(absolute_G * np.maximum(-w, 0.0)[:, None], axis=0, initial=0.0)
     # At a point where the Lagrangian's gradient vanishes the dual objective is the Lagrangian itself, so the
     # gap is what the constraints contribute to it.

@@ -55,6 +55,8 @@ class Minimizer:
     point : Point
     errors : ndarray, shape (n,)
         Bound on the error of each unknown, from rounding in 64 bits.
+    sign_errors : ndarray
+        Bound on the error of each inequality's multiplier; zero where it is not active.
     deviations : ndarray, shape (n,)
         Standard deviation of each unknown, were the rows' residual noise: (diag Z (Z'R'RZ)^-1 Z')^(1/2) times the
         root mean square of the residual.
@@ -62,6 +64,7 @@ class Minimizer:
 
     point: Point
     errors: Floats
+    sign_errors: Floats
     deviations: Floats
 
 
@@ -92,8 +95,7 @@ def minimizer(program: Assembled, near: Point) -> Minimizer:
     for _ in range(ROUNDS):
         found = _minimizer_on(program, near.x, active)
         satisfied = _satisfied(program, found)
-        limit = -ROUNDING * program.magnitude(found.point.x) / program.inequality_lengths
-        following = np.where(active, found.point.w >= limit, ~satisfied)
+        following = np.where(active, found.point.w >= -found.sign_errors, ~satisfied)
         if np.array_equal(following, active):
             # Where active inequalities follow from others, one that contradicts them is violated.
             if np.all(satisfied):
@@ -138,32 +140,40 @@ def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> Minimizer:
     multipliers = np.zeros(len(rows))
     multipliers[keep] = basis.multipliers(scaled.T @ (program.s - program.R @ x))
     multipliers /= lengths
-    w = np.zeros(len(program.h))
+    errors, off, deviations = _bounds(program, x, basis, factor, np.abs((sides / lengths)[keep]))
+    uncertain = np.zeros(len(rows))
+    uncertain[keep] = off
+    w, sign_errors = np.zeros(len(program.h)), np.zeros(len(program.h))
     w[active] = multipliers[len(program.b) :]
-    errors, deviations = _bounds(program, x, basis, factor, np.abs((sides / lengths)[keep]))
-    return Minimizer(Point(x, multipliers[: len(program.b)], w), np.abs(correction) + errors, deviations)
+    sign_errors[active] = (uncertain / lengths)[len(program.b) :]
+    point = Point(x, multipliers[: len(program.b)], w)
+    return Minimizer(point, np.abs(correction) + errors, sign_errors, deviations)
 
 
 def _bounds(
     program: Assembled, x: Floats, basis: _Basis, factor: _Factor, sides: Floats
-) -> tuple[Floats, Floats]:
-    """The sum of the module's three terms, and `Minimizer.deviations`; each shape (n,)."""
+) -> tuple[Floats, Floats, Floats]:
+    """The sum of the module's three terms, bounds on the errors of B's multipliers, and `Minimizer.deviations`."""
     scaled, z = np.abs(program.R) / program.lengths, np.abs(program.lengths * x)
     residual = program.R @ x - program.s
     r, n = program.R.shape
     # Directions of the unknowns, scaled, of unit effect on the rows, and that effect: an orthonormal basis.
     directions = basis.from_null_space(factor.inverse)
     effects = (program.R / program.lengths) @ directions
-    f = _unit(n) * (scaled @ z + np.abs(program.s))
+    sizes = scaled @ z + np.abs(program.s)
+    f = _unit(n) * sizes
     g = _unit(r) * (scaled.T @ np.abs(residual))
     bound = np.abs(directions @ effects.T) @ f + np.abs(directions @ directions.T) @ g
+    off = np.zeros(0)
     if len(basis.B):
         pseudoinverse = basis.onto(np.eye(len(basis.B)))
         particular = pseudoinverse - directions @ (effects.T @ ((program.R / program.lengths) @ pseudoinverse))
         bound += np.abs(particular) @ (_unit(n) * (np.abs(basis.B) @ z + sides))
+        # A multiplier is what the constraint's own direction gains: the residual, with its rounding, times its effect.
+        off = np.abs(pseudoinverse).T @ (_unit(r) * (scaled.T @ sizes))
     free = max(1, r - directions.shape[1])
     deviations = np.linalg.norm(directions, axis=1) * np.linalg.norm(residual) / np.sqrt(free)
-    return bound / program.lengths, deviations / program.lengths
+    return bound / program.lengths, off, deviations / program.lengths
 
 
 def _unit(terms: int) -> float:
