@@ -23,9 +23,9 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import lapack
 
-from cvxshear.backends.canonical import independent_rows
+from cvxshear.backends.canonical import DEPENDENT, independent_rows
 from cvxshear.backends.certificate import Assembled, Point
-from cvxshear.util.typing import Bools, Floats
+from cvxshear.util.typing import Bools, Floats, Ints
 
 ROUNDS = 10
 """Sets of active inequalities that are tried; a guess that is nearly right needs one or two."""
@@ -55,8 +55,6 @@ class Minimizer:
     point : Point
     errors : ndarray, shape (n,)
         Bound on the error of each unknown, from rounding in 64 bits.
-    sign_errors : ndarray
-        Bound on the error of each inequality's multiplier; zero where it is not active.
     deviations : ndarray, shape (n,)
         Standard deviation of each unknown, were the rows' residual noise: (diag Z (Z'R'RZ)^-1 Z')^(1/2) times the
         root mean square of the residual.
@@ -64,8 +62,39 @@ class Minimizer:
 
     point: Point
     errors: Floats
-    sign_errors: Floats
     deviations: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class _Local:
+    """How a minimizer on some active constraints moves, the columns of R scaled to unit length.
+
+    Parameters
+    ----------
+    basis : _Basis
+        Of the range of the active constraints and their null space.
+    directions : ndarray, shape (n, k)
+        Basis of the null space of the active constraints, its columns of orthonormal effect on the rows: Z (RZ)^+
+        is directions @ effects'.
+    effects : ndarray, shape (r, k)
+        R @ directions.
+    particular : ndarray, shape (n, p)
+        P: motion of the minimizer with the right side of each independent active constraint, as a row of unit length.
+    deviation : float
+        Root mean square of the residual.
+    independent : ndarray of int, shape (p,)
+        Places of these constraints among the active ones, equalities first.
+    multiplier_errors : ndarray, shape (p,)
+        Bounds on the errors of their multipliers.
+    """
+
+    basis: _Basis
+    directions: Floats
+    effects: Floats
+    particular: Floats
+    deviation: float
+    independent: Ints
+    multiplier_errors: Floats
 
 
 class UndeterminedError(Exception):
@@ -90,19 +119,59 @@ def minimizer(program: Assembled, near: Point) -> Minimizer:
     UnsettledError
     """
     if not len(program.h):
-        return _minimizer_on(program, near.x, np.zeros(0, dtype=bool))
+        return _minimizer_on(program, near.x, np.zeros(0, dtype=bool))[0]
     active = _guessed(program, near)
     for _ in range(ROUNDS):
-        found = _minimizer_on(program, near.x, active)
+        found, local = _minimizer_on(program, near.x, active)
         satisfied = _satisfied(program, found)
-        following = np.where(active, found.point.w >= -found.sign_errors, ~satisfied)
+        following = np.where(active, found.point.w >= -_multiplier_errors(program, local, active), ~satisfied)
         if np.array_equal(following, active):
             # Where active inequalities follow from others, one that contradicts them is violated.
             if np.all(satisfied):
-                return found
+                return _doubted(program, found, local, active)
             break
         active = following
     raise UnsettledError
+
+
+def _multiplier_errors(program: Assembled, local: _Local, active: Bools) -> Floats:
+    """Bound on the error of each inequality's multiplier, zero where it is not active or follows from others."""
+    among = np.zeros(len(program.b) + int(active.sum()))
+    among[local.independent] = local.multiplier_errors
+    errors = np.zeros(len(active))
+    errors[active] = among[len(program.b) :] / program.inequality_lengths[active]
+    return errors
+
+
+def _doubted(program: Assembled, found: Minimizer, local: _Local, active: Bools) -> Minimizer:
+    """The minimizer with larger bounds where rounding leaves open whether an inequality is active.
+
+    Were an inequality active that is taken not to be, the minimizer would move by Z (Z'R'RZ)^-1 Z'a v / (a'Z ... Z'a),
+    with v the violation that cannot be excluded; were one not active that is taken to be, by P t / |R P|^2, with -t the
+    multiplier that cannot be excluded.
+    """
+    lengths, x = program.lengths, found.point.x
+    errors, variances = found.errors * lengths, (found.deviations * lengths) ** 2
+    G, absolute_G = program.G, program.absolute[1]
+    doubt = G @ x - program.h + absolute_G @ found.errors + ROUNDING * (np.abs(program.h) + absolute_G @ np.abs(x))
+    for i in np.flatnonzero(~active & (doubt > 0)):
+        row = G[i] / lengths
+        # One that follows from the active ones changes nothing.
+        if np.linalg.norm(local.basis.on_null_space(row[None])) > DEPENDENT * program.inequality_lengths[i]:
+            gradient = local.directions.T @ row
+            errors = errors + np.abs(local.directions @ gradient) * doubt[i] / float(gradient @ gradient)
+    weights = found.point.w[active] * program.inequality_lengths[active]
+    scaled = program.R / lengths
+    for column, place in enumerate(local.independent):
+        if place < len(program.b):
+            continue
+        t = local.multiplier_errors[column] - weights[place - len(program.b)]
+        if t > 0:
+            motion = local.particular[:, column]
+            curvature = float(np.sum((scaled @ motion) ** 2))
+            errors = errors + np.abs(motion) * (t / curvature if curvature > 0 else np.inf)
+            variances = variances + motion**2 * (local.deviation**2 / curvature if curvature > 0 else 0.0)
+    return Minimizer(found.point, errors / lengths, np.sqrt(variances) / lengths)
 
 
 def _guessed(program: Assembled, near: Point) -> Bools:
@@ -120,7 +189,7 @@ def _satisfied(program: Assembled, found: Minimizer) -> Bools:
     return satisfied
 
 
-def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> Minimizer:
+def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> tuple[Minimizer, _Local]:
     """The minimizer with the active inequalities as equalities, by the null-space method, as corrections of x.
 
     LAPACK's xGGLSE does the same and keeps the null-space basis to itself, which the bound is computed from.
@@ -137,43 +206,34 @@ def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> Minimizer:
         along = factor.solved(program.s - program.R @ x - scaled @ across)
         correction = (across + basis.from_null_space(along[:, None])[:, 0]) / program.lengths
         x = x + correction
+    residual = program.s - program.R @ x
     multipliers = np.zeros(len(rows))
-    multipliers[keep] = basis.multipliers(scaled.T @ (program.s - program.R @ x))
+    multipliers[keep] = basis.multipliers(scaled.T @ residual)
     multipliers /= lengths
-    errors, off, deviations = _bounds(program, x, basis, factor, np.abs((sides / lengths)[keep]))
-    uncertain = np.zeros(len(rows))
-    uncertain[keep] = off
-    w, sign_errors = np.zeros(len(program.h)), np.zeros(len(program.h))
+    w = np.zeros(len(program.h))
     w[active] = multipliers[len(program.b) :]
-    sign_errors[active] = (uncertain / lengths)[len(program.b) :]
-    point = Point(x, multipliers[: len(program.b)], w)
-    return Minimizer(point, np.abs(correction) + errors, sign_errors, deviations)
 
-
-def _bounds(
-    program: Assembled, x: Floats, basis: _Basis, factor: _Factor, sides: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """The sum of the module's three terms, bounds on the errors of B's multipliers, and `Minimizer.deviations`."""
-    scaled, z = np.abs(program.R) / program.lengths, np.abs(program.lengths * x)
-    residual = program.R @ x - program.s
     r, n = program.R.shape
-    # Directions of the unknowns, scaled, of unit effect on the rows, and that effect: an orthonormal basis.
     directions = basis.from_null_space(factor.inverse)
-    effects = (program.R / program.lengths) @ directions
-    sizes = scaled @ z + np.abs(program.s)
-    f = _unit(n) * sizes
-    g = _unit(r) * (scaled.T @ np.abs(residual))
-    bound = np.abs(directions @ effects.T) @ f + np.abs(directions @ directions.T) @ g
-    off = np.zeros(0)
-    if len(basis.B):
-        pseudoinverse = basis.onto(np.eye(len(basis.B)))
-        particular = pseudoinverse - directions @ (effects.T @ ((program.R / program.lengths) @ pseudoinverse))
-        bound += np.abs(particular) @ (_unit(n) * (np.abs(basis.B) @ z + sides))
-        # A multiplier is what the constraint's own direction gains: the residual, with its rounding, times its effect.
-        off = np.abs(pseudoinverse).T @ (_unit(r) * (scaled.T @ sizes))
-    free = max(1, r - directions.shape[1])
-    deviations = np.linalg.norm(directions, axis=1) * np.linalg.norm(residual) / np.sqrt(free)
-    return bound / program.lengths, off, deviations / program.lengths
+    effects = scaled @ directions
+    absolute, z = np.abs(scaled), np.abs(program.lengths * x)
+    terms = absolute @ z + np.abs(program.s)
+    errors = np.abs(directions @ effects.T) @ (_unit(n) * terms)
+    errors += np.abs(directions @ directions.T) @ (_unit(r) * (absolute.T @ np.abs(residual)))
+    pseudoinverse = basis.onto(np.eye(len(basis.B)))
+    particular = pseudoinverse - directions @ (effects.T @ (scaled @ pseudoinverse))
+    errors += np.abs(particular) @ (_unit(n) * (np.abs(basis.B) @ z + np.abs(sides / lengths)[keep]))
+    deviation = float(np.linalg.norm(residual)) / np.sqrt(max(1, r - directions.shape[1]))
+    local = _Local(
+        basis, directions, effects, particular, deviation, np.flatnonzero(keep),
+        np.abs(pseudoinverse).T @ (_unit(r) * (absolute.T @ terms)),
+    )  # fmt: skip
+    found = Minimizer(
+        Point(x, multipliers[: len(program.b)], w),
+        np.abs(correction) + errors / program.lengths,
+        deviation * np.linalg.norm(directions, axis=1) / program.lengths,
+    )
+    return found, local
 
 
 def _unit(terms: int) -> float:
