@@ -202,6 +202,7 @@ def test_an_answer_beyond_its_accuracy_is_replaced_and_one_within_it_is_left():
         assert (point is near) == left
         np.testing.assert_allclose(point.x, [1.0, 2.0], atol=1e-6)
         assert certificate.error_bound < 1e-6
+        assert np.all(np.abs(point.x - [1.0, 2.0]) <= errors + 1e-10)
 
 
 @pytest.mark.parametrize("name", BOUNDED)
@@ -215,7 +216,7 @@ def test_the_last_step_of_an_iteration_is_rounding_and_no_violation(name):
 @pytest.mark.parametrize("name", BOUNDED)
 def test_a_direction_that_nothing_determines_is_refused_and_one_that_bounds_close_is_solved(name):
     program = LeastSquares(np.array([[1.0, 1.0]]), np.array([1.0]), lower=np.array([-5.0, -5.0]))
-    with pytest.raises(NoSolutionError, match=r"too ill-conditioned to tell: .* leave a direction open|no solution|quadprog"):
+    with pytest.raises(NoSolutionError, match=r"ill-conditioned to tell: .* direction open|no solution|quadprog"):
         backends.get(name).solve(program)
     if name != "quadprog":
         determined = backends.get(name).solve(program.replace(lower=np.array([3.0, 0.0])))

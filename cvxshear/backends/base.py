@@ -130,16 +130,19 @@ class Backend(ABC):
         """The backend's answer, once it is one: of the right type, lengths and numbers, and within the time limit."""
         answer = self.answer(problem) if self.time_limit is None else _limited(self, problem, self.time_limit)
         if not isinstance(answer, Answer):
-            raise InputError(f"backend {self.name}: answer() must return a cvxshear.backends.Answer, not {shown(answer)}")
-        parts = {
-            name: _numbers(getattr(answer, name), length, f"backend {self.name}: {name} of its answer")
+            raise InputError(
+                f"backend {self.name}: answer() must return a cvxshear.backends.Answer, not {shown(answer)}"
+            )
+        parts = [
+            _numbers(getattr(answer, name), length, f"backend {self.name}: {name} of its answer")
             for name, length in (("z", len(problem.q)), ("y", len(problem.e)), ("w", len(problem.f)))
-        }
-        for name, values in parts.items():
+        ]
+        for values in parts:
             if not np.all(np.isfinite(values)):
                 first = values[~np.isfinite(values)][0]
-                raise NoSolutionError(self.name, f"{name} of its answer holds {first} (its own status: {answer.status})")
-        return dataclasses.replace(answer, **parts)
+                raise NoSolutionError(self.name, f"its answer holds {first} (its own status: {answer.status})")
+        z, y, w = parts
+        return dataclasses.replace(answer, z=z, y=y, w=w)
 
     def solve(self, program: LeastSquares, start: Solution | None = None) -> Solution:
         """Solve a program, and certify the solution.
@@ -250,8 +253,9 @@ def accurate(program: Assembled, point: Point) -> tuple[Point, Certificate, Floa
         raise InaccurateError(
             "which inequalities are active cannot be told, and so not how far off the answer is"
         ) from None
-    _refuse_ill_conditioned(program, exact)
-    errors, size = np.abs(exact.point.x - point.x) + exact.errors, program.size(exact.point.x)
+    size = program.size(exact.point.x)
+    _refuse_ill_conditioned(program, exact, size)
+    errors = np.abs(exact.point.x - point.x) + exact.errors
     if not met and not program.distance(point.x, exact.point.x) <= ACCEPTED:
         raise _inaccurate(certificate)
     if not met or np.any(errors > ACCURATE * size + 2.0 * exact.errors):
@@ -261,9 +265,8 @@ def accurate(program: Assembled, point: Point) -> tuple[Point, Certificate, Floa
     return point, dataclasses.replace(certificate, error_bound=largest_relative(errors, size)), errors
 
 
-def _refuse_ill_conditioned(program: Assembled, exact: Minimizer) -> None:
+def _refuse_ill_conditioned(program: Assembled, exact: Minimizer, size: Floats) -> None:
     """Raise where rounding alone leaves an unknown's error too large to be of use."""
-    size = program.size(exact.point.x)
     tolerable = ACCURATE * size + IMMATERIAL * exact.deviations
     beyond = ~(exact.errors <= tolerable)
     if np.any(beyond):
@@ -322,7 +325,7 @@ def _limited(backend: Backend, problem: Canonical, seconds: float) -> object:
     def answered() -> None:
         try:
             outcome.append(context.run(backend.answer, problem))
-        except BaseException as error:  # noqa: BLE001 - whatever it is, it is raised again in the caller's thread
+        except BaseException as error:
             outcome.append(error)
 
     thread = threading.Thread(target=answered, daemon=True)

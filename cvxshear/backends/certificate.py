@@ -160,6 +160,16 @@ class Assembled:
         self.lengths: Floats = np.where(lengths > 0, lengths, 1.0)
 
     @cached_property
+    def scaled_rows(self) -> Floats:
+        """R with columns of unit length."""
+        return np.asarray(self.R / self.lengths)
+
+    @cached_property
+    def absolute_rows(self) -> Floats:
+        """Absolute values of the same."""
+        return np.abs(self.scaled_rows)
+
+    @cached_property
     def inequality_lengths(self) -> Floats:
         """Lengths of the rows of G once the columns of R have unit length; one where a row is zero."""
         return self.row_lengths(self.G)
@@ -214,8 +224,9 @@ def certify(program: Assembled, point: Point) -> Certificate:
     size, magnitude = program.size(x), program.magnitude(x)
     equality, slack = program.A @ x - program.b, program.h - program.G @ x
     gradient = program.R.T @ (program.R @ x - program.s) + program.A.T @ y + program.G.T @ w
-    absolute_R = np.abs(program.R)
-    gradient_size = absolute_R.T @ (absolute_R @ np.abs(x) + np.abs(program.s)) + absolute_A.T @ np.abs(y) + absolute_G.T @ np.abs(w)
+    terms = program.absolute_rows @ np.abs(program.lengths * x) + np.abs(program.s)
+    gradient_size = program.lengths * (program.absolute_rows.T @ terms)
+    gradient_size += absolute_A.T @ np.abs(y) + absolute_G.T @ np.abs(w)
     wrong_sign = np.max(absolute_G * np.maximum(-w, 0.0)[:, None], axis=0, initial=0.0)
     # At a point where the Lagrangian's gradient vanishes the dual objective is the Lagrangian itself, so the
     # gap is what the constraints contribute to it.

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cvxshear.backends.canonical import canonical
 from cvxshear.backends.benchmark import BenchmarkProgram
+from cvxshear.backends.canonical import canonical
 from cvxshear.programs import LeastSquares
 from cvxshear.util.errors import InputError
 from cvxshear.util.writing import write_file

@@ -42,6 +42,10 @@ GRADED = 1e3
 """Ratio of the longest to the shortest row above which rows are sorted by length and columns are pivoted, which keeps
 the rounding of heavy rows out of light ones (Cox and Higham 1998)."""
 
+ENTRYWISE = 100
+"""Unknowns up to which the bound is computed entry by entry. Beyond, the products of lengths of rows that are no
+smaller (Cauchy and Schwarz) take its place, since the matrices would cost as much as the solution."""
+
 ROUNDING = 100 * float(np.finfo(float).eps)
 """Rounding of a sum, relative to the sizes of its terms."""
 
@@ -74,10 +78,7 @@ class _Local:
     basis : _Basis
         Of the range of the active constraints and their null space.
     directions : ndarray, shape (n, k)
-        Basis of the null space of the active constraints, its columns of orthonormal effect on the rows: Z (RZ)^+
-        is directions @ effects'.
-    effects : ndarray, shape (r, k)
-        R @ directions.
+        Basis of the null space of the active constraints, its columns of orthonormal effect on the rows.
     particular : ndarray, shape (n, p)
         P: motion of the minimizer with the right side of each independent active constraint, as a row of unit length.
     deviation : float
@@ -90,7 +91,6 @@ class _Local:
 
     basis: _Basis
     directions: Floats
-    effects: Floats
     particular: Floats
     deviation: float
     independent: Ints
@@ -161,14 +161,13 @@ def _doubted(program: Assembled, found: Minimizer, local: _Local, active: Bools)
             gradient = local.directions.T @ row
             errors = errors + np.abs(local.directions @ gradient) * doubt[i] / float(gradient @ gradient)
     weights = found.point.w[active] * program.inequality_lengths[active]
-    scaled = program.R / lengths
     for column, place in enumerate(local.independent):
         if place < len(program.b):
             continue
         t = local.multiplier_errors[column] - weights[place - len(program.b)]
         if t > 0:
             motion = local.particular[:, column]
-            curvature = float(np.sum((scaled @ motion) ** 2))
+            curvature = float(np.sum((program.scaled_rows @ motion) ** 2))
             errors = errors + np.abs(motion) * (t / curvature if curvature > 0 else np.inf)
             variances = variances + motion**2 * (local.deviation**2 / curvature if curvature > 0 else 0.0)
     return Minimizer(found.point, errors / lengths, np.sqrt(variances) / lengths)
@@ -199,12 +198,12 @@ def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> tuple[Minimiz
     B = rows / program.lengths / lengths[:, None]
     keep = independent_rows(B)
     basis = _Basis(B[keep])
-    scaled = program.R / program.lengths
+    scaled = program.scaled_rows
     factor = _Factor(basis.on_null_space(scaled))
     for _ in range(PASSES):
         across = basis.onto(((sides - rows @ x) / lengths)[keep])
-        along = factor.solved(program.s - program.R @ x - scaled @ across)
-        correction = (across + basis.from_null_space(along[:, None])[:, 0]) / program.lengths
+        along = factor.solved((program.s - program.R @ x - scaled @ across)[:, None])
+        correction = (across + basis.from_null_space(along)[:, 0]) / program.lengths
         x = x + correction
     residual = program.s - program.R @ x
     multipliers = np.zeros(len(rows))
@@ -215,23 +214,26 @@ def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> tuple[Minimiz
 
     r, n = program.R.shape
     directions = basis.from_null_space(factor.inverse)
-    effects = scaled @ directions
-    absolute, z = np.abs(scaled), np.abs(program.lengths * x)
-    terms = absolute @ z + np.abs(program.s)
-    errors = np.abs(directions @ effects.T) @ (_unit(n) * terms)
-    errors += np.abs(directions @ directions.T) @ (_unit(r) * (absolute.T @ np.abs(residual)))
-    pseudoinverse = basis.onto(np.eye(len(basis.B)))
-    particular = pseudoinverse - directions @ (effects.T @ (scaled @ pseudoinverse))
+    reach = np.sqrt(np.einsum("ij,ij->i", directions, directions))
+    z, pseudoinverse = np.abs(program.lengths * x), basis.onto(np.eye(len(basis.B)))
+    terms = program.absolute_rows @ z + np.abs(program.s)
+    f, g = _unit(n) * terms, _unit(r) * (program.absolute_rows.T @ np.abs(residual))
+    if n <= ENTRYWISE:
+        errors = np.abs(directions @ (scaled @ directions).T) @ f + np.abs(directions @ directions.T) @ g
+    else:
+        errors = reach * (np.linalg.norm(f) + reach @ g)
+    along = factor.solved(scaled @ pseudoinverse)
+    particular = pseudoinverse - basis.from_null_space(along)
     errors += np.abs(particular) @ (_unit(n) * (np.abs(basis.B) @ z + np.abs(sides / lengths)[keep]))
     deviation = float(np.linalg.norm(residual)) / np.sqrt(max(1, r - directions.shape[1]))
     local = _Local(
-        basis, directions, effects, particular, deviation, np.flatnonzero(keep),
-        np.abs(pseudoinverse).T @ (_unit(r) * (absolute.T @ terms)),
+        basis, directions, particular, deviation, np.flatnonzero(keep),
+        np.abs(pseudoinverse).T @ (_unit(r) * (program.absolute_rows.T @ terms)),
     )  # fmt: skip
     found = Minimizer(
         Point(x, multipliers[: len(program.b)], w),
         np.abs(correction) + errors / program.lengths,
-        deviation * np.linalg.norm(directions, axis=1) / program.lengths,
+        deviation * reach / program.lengths,
     )
     return found, local
 
@@ -277,12 +279,12 @@ class _Factor:
             raise UndeterminedError
 
     def solved(self, sides: Floats) -> Floats:
-        """The minimizer u of |rows u - sides|, shape (k,)."""
-        u = np.zeros(self._k)
-        if self._k:
+        """The minimizers u of |rows u - side| for several right sides, shapes (r, q) and (k, q)."""
+        u = np.zeros((self._k, sides.shape[1]))
+        if u.size:
             work = max(1, 64 * len(sides))
-            rotated, _, _ = lapack.dormqr("L", "T", self._reflectors, self._tau, sides[self._order, None], work)
-            u[self._pivots] = lapack.dtrtrs(self._triangle, rotated[: self._k, 0])[0]
+            rotated, _, _ = lapack.dormqr("L", "T", self._reflectors, self._tau, sides[self._order], work)
+            u[self._pivots] = lapack.dtrtrs(self._triangle, rotated[: self._k])[0]
         return u
 
     @cached_property

@@ -18,7 +18,7 @@ from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model.shear import Modes, mass_matrix, modes, stiffness_matrix, transformation
 from cvxshear.priors import Nominal
 from cvxshear.programs import LeastSquares
-from cvxshear.programs.rows import constrained, statements
+from cvxshear.programs.statements import constrained, statements
 from cvxshear.util.errors import CvxshearError, InputError
 from cvxshear.util.typing import Floats
 

@@ -71,7 +71,7 @@ class Tally:
         for one, other in itertools.combinations([each for each in outcomes if each.error is None], 2):
             apart = np.abs(one.solution.x - other.solution.x)
             if np.any(apart > one.solution.errors + other.solution.errors):
-                self.wrong.append(f"program {number}: {one.backend} and {other.backend} differ by more than their bounds")
+                self.wrong.append(f"program {number}: {one.backend} and {other.backend} are further apart than bounds")
 
     def _judge(self, who, program, solution, exact, *, unique):
         A, b = program.equalities

@@ -7,7 +7,7 @@ from cvxshear import CvxshearError, backends
 from cvxshear.backends.canonical import canonical
 from cvxshear.backends.cvxpy_backend import Cvxpy
 from cvxshear.programs import mass_correction, story_stiffnesses
-from cvxshear.programs.mass import normalized
+from cvxshear.programs.orthogonality import normalized
 from cvxshear.studies.scaling import exact_experiment
 from tests.benchmarks.timing import fastest, shown, table
 
