@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 from cvxshear.measurement.experiment import Frame
 from cvxshear.priors import Constraints, Prior
 from cvxshear.programs.least_squares import LeastSquares, remaining
-from cvxshear.util.errors import InfeasibleError, InputError
+from cvxshear.util.errors import InfeasibleError
 from cvxshear.util.typing import Floats
 
 
@@ -145,21 +145,6 @@ def _scaled(rows: Floats, sides: Floats) -> tuple[Floats, Floats]:
     return rows / largest[:, None], sides / largest
 
 
-def _refuse_malformed(part: NamedConstraints, size: int) -> None:
-    """Raise where a statement, perhaps from a prior of the caller's own, is not about a vector of that size."""
-    said = part.constraints
-    for name in ("lower", "upper", "G", "h", "A", "b"):
-        value = getattr(said, name)
-        if value is None:
-            continue
-        shape = np.shape(value)
-        if name not in {"h", "b"} and shape[-1:] != (size,):
-            raise InputError(f"{part.name}: its {name} has the shape {shape}, where the last length must be {size}")
-        wrong = np.isnan(value) if name in {"lower", "upper"} else ~np.isfinite(value)
-        if wrong.any():
-            raise InputError(f"{part.name}: its {name} must hold finite numbers, not {np.asarray(value)[wrong][0]}")
-
-
 def feasible(parts: Sequence[NamedConstraints], size: int) -> bool:
     """Whether some vector keeps every statement."""
     G, h, A, b = _stacked(parts, size)
@@ -213,7 +198,7 @@ def refuse_contradictions(parts: Sequence[NamedConstraints], size: int) -> None:
         Where a statement is not about a vector of `size` numbers.
     """
     for part in parts:
-        _refuse_malformed(part, size)
+        part.constraints.check(size, part.name)
     if _plainly_feasible(parts, size) or feasible(parts, size):
         return
     core = list(parts)
