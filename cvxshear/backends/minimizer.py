@@ -24,7 +24,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from cvxshear.backends.canonical import DEPENDENT, independent_rows
-from cvxshear.backends.certificate import Assembled, Point
+from cvxshear.backends.certificate import Assembled, Point, length
 from cvxshear.util.typing import Bools, Floats, Ints
 
 ROUNDS = 10
@@ -183,7 +183,7 @@ def _guessed(program: Assembled, near: Point) -> Bools:
 def _satisfied(program: Assembled, found: Minimizer) -> Bools:
     """Which inequalities hold at a minimizer, but for rounding."""
     x, absolute_G = found.point.x, program.absolute[1]
-    rounding = found.errors + ROUNDING * (np.abs(x) + np.linalg.norm(program.lengths * x) / program.lengths)
+    rounding = found.errors + ROUNDING * (np.abs(x) + length(program.lengths * x) / program.lengths)
     satisfied: Bools = program.G @ x - program.h <= ROUNDING * np.abs(program.h) + absolute_G @ rounding
     return satisfied
 
@@ -205,6 +205,8 @@ def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> tuple[Minimiz
         along = factor.solved((program.s - program.R @ x - scaled @ across)[:, None])
         correction = (across + basis.from_null_space(along)[:, 0]) / program.lengths
         x = x + correction
+        if np.all(program.lengths * np.abs(correction) <= ROUNDING * np.abs(program.lengths * x)):
+            break
     residual = program.s - program.R @ x
     multipliers = np.zeros(len(rows))
     multipliers[keep] = basis.multipliers(scaled.T @ residual)
@@ -215,21 +217,21 @@ def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> tuple[Minimiz
     r, n = program.R.shape
     directions = basis.from_null_space(factor.inverse)
     reach = np.sqrt(np.einsum("ij,ij->i", directions, directions))
-    z, pseudoinverse = np.abs(program.lengths * x), basis.onto(np.eye(len(basis.B)))
+    z = np.abs(program.lengths * x)
     terms = program.absolute_rows @ z + np.abs(program.s)
     f, g = _unit(n) * terms, _unit(r) * (program.absolute_rows.T @ np.abs(residual))
     if n <= ENTRYWISE:
         errors = np.abs(directions @ (scaled @ directions).T) @ f + np.abs(directions @ directions.T) @ g
     else:
-        errors = reach * (np.linalg.norm(f) + reach @ g)
-    along = factor.solved(scaled @ pseudoinverse)
-    particular = pseudoinverse - basis.from_null_space(along)
-    errors += np.abs(particular) @ (_unit(n) * (np.abs(basis.B) @ z + np.abs(sides / lengths)[keep]))
-    deviation = float(np.linalg.norm(residual)) / np.sqrt(max(1, r - directions.shape[1]))
-    local = _Local(
-        basis, directions, particular, deviation, np.flatnonzero(keep),
-        np.abs(pseudoinverse).T @ (_unit(r) * (program.absolute_rows.T @ terms)),
-    )  # fmt: skip
+        errors = reach * (length(f) + reach @ g)
+    particular, off = np.zeros((n, 0)), np.zeros(0)
+    if len(basis.B):
+        pseudoinverse = basis.onto(np.eye(len(basis.B)))
+        particular = pseudoinverse - basis.from_null_space(factor.solved(scaled @ pseudoinverse))
+        errors += np.abs(particular) @ (_unit(n) * (np.abs(basis.B) @ z + np.abs(sides / lengths)[keep]))
+        off = np.abs(pseudoinverse).T @ (_unit(r) * (program.absolute_rows.T @ terms))
+    deviation = length(residual) / np.sqrt(max(1, r - directions.shape[1]))
+    local = _Local(basis, directions, particular, deviation, np.flatnonzero(keep), off)
     found = Minimizer(
         Point(x, multipliers[: len(program.b)], w),
         np.abs(correction) + errors / program.lengths,
