@@ -251,7 +251,7 @@ def test_the_same_bound_said_twice_holds_the_minimizer_like_one():
 
 
 def test_an_answer_whose_inequalities_cannot_be_told_is_refused(monkeypatch):
-    monkeypatch.setattr(closed, "ROUNDS", 0)
+    monkeypatch.setattr(closed, "ACTIVE_SETS", 0)
     with pytest.raises(NoSolutionError, match=r"which inequalities are active cannot be told, and so not how far off"):
         backends.get("clarabel").solve(bounded(0)[0])
 

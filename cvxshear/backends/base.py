@@ -46,7 +46,7 @@ TIME_LIMIT = 60.0
 """Seconds after which a solver is given up. What takes longer on programs of this size does not end: HiGHS has been
 seen to cycle on one of 30 unknowns."""
 
-FAR = 1e3
+FAR_SLACK = 1e3
 """Slack at zero, in scaled units of order one, above which an inequality is moved in for a solve: solvers lose digits
 to right sides of different orders."""
 
@@ -117,14 +117,14 @@ class Backend(ABC):
 
     def _with_all(self, problem: Canonical) -> Answer:
         """The answer with every inequality, where only they determine some direction; far ones are moved in."""
-        limit = FAR
+        limit = FAR_SLACK
         while True:
             answer = self._checked(dataclasses.replace(problem, f=np.minimum(problem.f, limit)))
             far = problem.f > limit
             if not np.any(far & (problem.F @ answer.z > 0.5 * limit)):
                 # Far inequalities are inactive: their multipliers are zero, not the rounding that a solver returns.
                 return dataclasses.replace(answer, w=np.where(far, 0.0, answer.w))
-            limit *= FAR
+            limit *= FAR_SLACK
 
     def _checked(self, problem: Canonical) -> Answer:
         """The backend's answer, once it is one: of the right type, lengths and numbers, and within the time limit."""

@@ -31,13 +31,16 @@ from cvxshear.util.typing import Bools, Floats
 DEPENDENT = 1e-12
 """Length that is left of a row of unit length beside the span of other rows, below which it follows from them."""
 
-SINGULAR = 1e-12
-"""Reciprocal condition number of the scaled rows below which they are taken not to determine the unknowns."""
+SINGULAR_ROWS = 1e-12
+"""Reciprocal condition number of the scaled rows below which they are taken not to determine the unknowns: a few
+thousand roundings, from where whitening would hand rounding to the solver."""
 
-TOUCHING = 1e-9
-ROUNDING = 1e-13
-"""Violation of an inequality that still counts as none: relative to its right side, and in scaled units. Where the
-rows are badly conditioned a right side of order one in its own units is a small number in scaled ones."""
+TOUCHED = 1e-9
+"""Violation of an inequality that still counts as none, relative to its right side: what solvers leave at best."""
+
+ZERO_VIOLATION = 1e-13
+"""The same in scaled units, for right sides near zero: rounding. Where the rows are badly conditioned a right side of
+order one in its own units is a small number in scaled ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +116,7 @@ class Canonical:
 
     def violated(self, z: Floats) -> Bools:
         """Which inequalities a point violates by more than rounding, shape (g,)."""
-        excess: Bools = self.F @ z - self.f > np.clip(TOUCHING * np.abs(self.f), ROUNDING, TOUCHING)
+        excess: Bools = self.F @ z - self.f > np.clip(TOUCHED * np.abs(self.f), ZERO_VIOLATION, TOUCHED)
         return excess
 
     def keeping(self, inequalities: Bools) -> Canonical:
@@ -206,7 +209,7 @@ def _whitening(R: Floats, s: Floats, A: Floats, b: Floats) -> tuple[Floats, Floa
     stacked[: len(R), n], stacked[len(R) :, n] = s, sigma * b
     triangle = np.asarray(np.linalg.qr(stacked, mode="r"))[:n]
     U, q = triangle[:, :n], triangle[:, n]
-    if len(U) == n and _reciprocal_condition(U) > SINGULAR:
+    if len(U) == n and _reciprocal_condition(U) > SINGULAR_ROWS:
         inverse, _ = lapack.dtrtri(U)
         return D[:, None] * inverse, np.eye(n), q.copy(), False
     square = np.zeros((n, n))

@@ -17,7 +17,7 @@ from cvxshear.backends.canonical import Answer, Canonical
 from cvxshear.util.errors import NoSolutionError
 from cvxshear.util.typing import Floats
 
-ACCURATE: dict[str, dict[str, Any]] = {
+CVXPY_OPTIONS: dict[str, dict[str, Any]] = {
     "CLARABEL": solvers.accurate("clarabel"),
     # Polishing, on by default in cvxpy, has nothing left to do at this accuracy, and prints that it has not.
     "OSQP": {**solvers.accurate("osqp"), "polishing": False},
@@ -55,7 +55,7 @@ class Cvxpy(Backend):
     solver : str
         As cvxpy calls it.
     options : dict, optional
-        The solver's own, in place of `ACCURATE`.
+        The solver's own, in place of `CVXPY_OPTIONS`.
 
     Notes
     -----
@@ -69,7 +69,7 @@ class Cvxpy(Backend):
     def __init__(self, solver: str, options: dict[str, Any] | None = None) -> None:
         self.name = f"cvxpy-{solver.lower()}"
         self._solver = solver
-        self._options = ACCURATE.get(solver, {}) if options is None else options
+        self._options = CVXPY_OPTIONS.get(solver, {}) if options is None else options
         self._compiled: dict[tuple[int, int, int, bool], Parametrised] = {}
 
     @property

@@ -14,7 +14,7 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Json
 
 DEFINITE = ("daqp", "clarabel")
-SINGULAR = ("clarabel", "daqp")
+SEMIDEFINITE = ("clarabel", "daqp")
 """General solvers in the order in which "auto" asks them; Clarabel is always installed. See `closed_form` for why."""
 
 _registered: dict[str, Backend] = {}
@@ -42,10 +42,10 @@ def _through_cvxpy(name: str) -> Backend:
 
 @cache
 def _auto() -> Auto:
-    """The closed form, then `DEFINITE` or `SINGULAR` as far as they are installed."""
+    """The closed form, then `DEFINITE` or `SEMIDEFINITE` as far as they are installed."""
     installed = _direct()
-    definite, singular = ([installed[name] for name in names if name in installed] for names in (DEFINITE, SINGULAR))
-    return Auto(installed["kkt"], definite, singular)
+    orders = [[installed[name] for name in names if name in installed] for names in (DEFINITE, SEMIDEFINITE)]
+    return Auto(installed["kkt"], *orders)
 
 
 def available() -> list[str]:

@@ -27,7 +27,7 @@ from cvxshear.backends.canonical import DEPENDENT, independent_rows
 from cvxshear.backends.certificate import Assembled, Point, length
 from cvxshear.util.typing import Bools, Floats, Ints
 
-ROUNDS = 10
+ACTIVE_SETS = 10
 """Sets of active inequalities that are tried; a guess that is nearly right needs one or two."""
 
 UNDETERMINED = 1e-13
@@ -46,7 +46,7 @@ ENTRYWISE = 100
 """Unknowns up to which the bound is computed entry by entry. Beyond, the products of lengths of rows that are no
 smaller (Cauchy and Schwarz) take its place, since the matrices would cost as much as the solution."""
 
-ROUNDING = 100 * float(np.finfo(float).eps)
+SUM_ROUNDING = 100 * float(np.finfo(float).eps)
 """Rounding of a sum, relative to the sizes of its terms."""
 
 
@@ -121,7 +121,7 @@ def minimizer(program: Assembled, near: Point) -> Minimizer:
     if not len(program.h):
         return _minimizer_on(program, near.x, np.zeros(0, dtype=bool))[0]
     active = _guessed(program, near)
-    for _ in range(ROUNDS):
+    for _ in range(ACTIVE_SETS):
         found, local = _minimizer_on(program, near.x, active)
         satisfied = _satisfied(program, found)
         following = np.where(active, found.point.w >= -_multiplier_errors(program, local, active), ~satisfied)
@@ -153,7 +153,7 @@ def _doubted(program: Assembled, found: Minimizer, local: _Local, active: Bools)
     lengths, x = program.lengths, found.point.x
     errors, variances = found.errors * lengths, (found.deviations * lengths) ** 2
     G, absolute_G = program.G, program.absolute[1]
-    doubt = G @ x - program.h + absolute_G @ found.errors + ROUNDING * (np.abs(program.h) + absolute_G @ np.abs(x))
+    doubt = G @ x - program.h + absolute_G @ found.errors + SUM_ROUNDING * (np.abs(program.h) + absolute_G @ np.abs(x))
     for i in np.flatnonzero(~active & (doubt > 0)):
         row = G[i] / lengths
         # One that follows from the active ones changes nothing.
@@ -183,8 +183,8 @@ def _guessed(program: Assembled, near: Point) -> Bools:
 def _satisfied(program: Assembled, found: Minimizer) -> Bools:
     """Which inequalities hold at a minimizer, but for rounding."""
     x, absolute_G = found.point.x, program.absolute[1]
-    rounding = found.errors + ROUNDING * (np.abs(x) + length(program.lengths * x) / program.lengths)
-    satisfied: Bools = program.G @ x - program.h <= ROUNDING * np.abs(program.h) + absolute_G @ rounding
+    rounding = found.errors + SUM_ROUNDING * (np.abs(x) + length(program.lengths * x) / program.lengths)
+    satisfied: Bools = program.G @ x - program.h <= SUM_ROUNDING * np.abs(program.h) + absolute_G @ rounding
     return satisfied
 
 
@@ -205,7 +205,7 @@ def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> tuple[Minimiz
         along = factor.solved((program.s - program.R @ x - scaled @ across)[:, None])
         correction = (across + basis.from_null_space(along)[:, 0]) / program.lengths
         x = x + correction
-        if np.all(program.lengths * np.abs(correction) <= ROUNDING * np.abs(program.lengths * x)):
+        if np.all(program.lengths * np.abs(correction) <= SUM_ROUNDING * np.abs(program.lengths * x)):
             break
     residual = program.s - program.R @ x
     multipliers = np.zeros(len(rows))

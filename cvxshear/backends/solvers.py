@@ -114,7 +114,7 @@ TIME_LIMITS = {
 """What each solver calls its limit on time. PIQP and ProxQP have one on iterations alone; quadprog has none, and ends
 after finitely many steps."""
 
-OTHERS: dict[str, dict[str, Any]] = {
+OTHER_OPTIONS: dict[str, dict[str, Any]] = {
     # HiGHS adds this multiple of the identity to every Hessian; ours has eigenvalues of one and needs none.
     "highs": {"qp_regularization_value": 0.0},
     "osqp": {"max_iter": 200_000},
@@ -133,7 +133,7 @@ def accurate(solver: str) -> dict[str, Any]:
         As qpsolvers calls it.
     """
     limit = {TIME_LIMITS[solver]: TIME_LIMIT} if solver in TIME_LIMITS else {}
-    return {**TOLERANCES.get(solver, {}), **OTHERS.get(solver, {}), **limit}
+    return {**TOLERANCES.get(solver, {}), **OTHER_OPTIONS.get(solver, {}), **limit}
 
 
 def loosest(solver: str, options: Mapping[str, Any]) -> float | None:
