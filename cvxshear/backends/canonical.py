@@ -158,7 +158,8 @@ class Canonical:
         """The scaled unknowns of x."""
         # Rows of one length: they differ by as many orders as the units of the unknowns do.
         lengths = np.linalg.norm(self._inverse, axis=1)
-        return np.asarray(np.linalg.solve(self._inverse / lengths[:, None], x / lengths) / self._tau, dtype=float)
+        # The inverse of a triangle is one, and so is a diagonal.
+        return np.asarray(lapack.dtrtrs(self._inverse / lengths[:, None], x / lengths)[0] / self._tau)
 
     def to_x(self, z: Floats) -> Floats:
         """The unknowns in their own units."""
@@ -207,13 +208,15 @@ def _whitening(R: Floats, s: Floats, A: Floats, b: Floats) -> tuple[Floats, Floa
     np.multiply(R, D, out=stacked[: len(R), :n])
     np.multiply(sigma[:, None], scaled_A, out=stacked[len(R) :, :n])
     stacked[: len(R), n], stacked[len(R) :, n] = s, sigma * b
-    triangle = np.asarray(np.linalg.qr(stacked, mode="r"))[:n]
+    # What stands below the diagonal are reflections, which LAPACK's triangular solvers pass over.
+    triangle = lapack.dgeqrf(stacked, lwork=64 * (n + 1))[0][:n]
     U, q = triangle[:, :n], triangle[:, n]
     if len(U) == n and _reciprocal_condition(U) > SINGULAR_ROWS:
-        inverse, _ = lapack.dtrtri(U)
+        # From U'X' = I, so that X U is the identity to its last digits, row by row: x = X z is what is needed.
+        inverse = lapack.dtrtrs(U, np.eye(n), trans=1)[0].T
         return D[:, None] * inverse, np.eye(n), q.copy(), False
     square = np.zeros((n, n))
-    square[: len(U)] = U
+    square[: len(U)] = np.triu(U)
     padded = np.zeros(n)
     padded[: len(U)] = q
     return np.diag(D), square, padded, True

@@ -17,6 +17,7 @@ each unknown is the sum of the absolute values of the three matrices times these
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -46,7 +47,10 @@ ENTRYWISE = 100
 """Unknowns up to which the bound is computed entry by entry. Beyond, the products of lengths of rows that are no
 smaller (Cauchy and Schwarz) take its place, since the matrices would cost as much as the solution."""
 
-SUM_ROUNDING = 100 * float(np.finfo(float).eps)
+EPSILON = float(np.finfo(float).eps)
+"""Distance of 1 to the next floating-point number."""
+
+SUM_ROUNDING = 100 * EPSILON
 """Rounding of a sum, relative to the sizes of its terms."""
 
 
@@ -230,7 +234,7 @@ def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> tuple[Minimiz
         particular = pseudoinverse - basis.from_null_space(factor.solved(scaled @ pseudoinverse))
         errors += np.abs(particular) @ (_unit(n) * (np.abs(basis.B) @ z + np.abs(sides / lengths)[keep]))
         off = np.abs(pseudoinverse).T @ (_unit(r) * (program.absolute_rows.T @ terms))
-    deviation = length(residual) / np.sqrt(max(1, r - directions.shape[1]))
+    deviation = length(residual) / math.sqrt(max(1, r - directions.shape[1]))
     local = _Local(basis, directions, particular, deviation, np.flatnonzero(keep), off)
     found = Minimizer(
         Point(x, multipliers[: len(program.b)], w),
@@ -242,7 +246,7 @@ def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> tuple[Minimiz
 
 def _unit(terms: int) -> float:
     """Rounding of a sum of so many terms, relative to the sum of their sizes."""
-    return 4.0 * float(np.sqrt(max(terms, 1))) * float(np.finfo(float).eps)
+    return 4.0 * math.sqrt(max(terms, 1)) * EPSILON
 
 
 class _Factor:
@@ -273,7 +277,7 @@ class _Factor:
             self._pivots = pivots - 1
         else:
             self._order, self._pivots = np.arange(r), np.arange(self._k)
-            self._reflectors, self._tau, _, _ = lapack.dgeqrf(rows)
+            self._reflectors, self._tau, _, _ = lapack.dgeqrf(rows, lwork=max(1, 64 * self._k))
         self._triangle = self._reflectors[: self._k]
         # Of graded rows a small pivot may be a light row's own; whether it is rounding shows in the bound.
         least = 0.0 if graded else UNDETERMINED
@@ -292,9 +296,9 @@ class _Factor:
     @cached_property
     def inverse(self) -> Floats:
         """Columns that the rows make orthonormal, shape (k, k): the inverse of the triangle."""
-        inverse = np.zeros((self._k, self._k))
+        inverse = np.eye(self._k)
         if self._k:
-            inverse[self._pivots] = np.triu(lapack.dtrtri(np.triu(self._triangle))[0])
+            inverse[self._pivots] = lapack.dtrtrs(self._triangle, inverse)[0]
         return inverse
 
 
@@ -311,7 +315,7 @@ class _Basis:
         self.B = B
         self._p, self._n = B.shape
         if self._p:
-            self._reflectors, self._tau, _, _ = lapack.dgeqrf(B.T)
+            self._reflectors, self._tau, _, _ = lapack.dgeqrf(B.T, lwork=64 * self._p)
 
     def _applied(self, side: str, trans: str, matrix: Floats) -> Floats:
         if not self._p:
