@@ -258,7 +258,8 @@ def accurate(program: Assembled, point: Point) -> tuple[Point, Certificate, Floa
     errors = np.abs(exact.point.x - point.x) + exact.errors
     if not met and not program.distance(point.x, exact.point.x) <= ACCEPTED:
         raise _inaccurate(certificate)
-    if not met or np.any(errors > ACCURATE * size + 2.0 * exact.errors):
+    # Relative to the unknown alone, so that small ones among large ones are as accurate as 64 bits allow.
+    if not met or np.any(errors > ACCURATE * np.abs(exact.point.x) + 2.0 * exact.errors):
         point, errors, certificate = exact.point, exact.errors, certify(program, exact.point)
         if not (certificate.worst <= ACCEPTED and certificate.primal_residual <= MET):
             raise _inaccurate(certificate)
