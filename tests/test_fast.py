@@ -18,10 +18,9 @@ from cvxshear.methods.separate import complete_test
 from cvxshear.model.shear import mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
 from cvxshear.priors import Bounds, Nominal, Ratio
 from cvxshear.programs import mass_correction, one_shot_masses, story_stiffnesses
-from cvxshear.programs.feasibility import _plainly_feasible, feasible
-from cvxshear.programs.mass import normalized, pair_products
 from cvxshear.programs.normal import digits_lost, factored, pair_adjoint, pair_normal
-from cvxshear.programs.rows import statements
+from cvxshear.programs.orthogonality import normalized, pair_products
+from cvxshear.programs.statements import _plainly_feasible, feasible, statements
 from cvxshear.studies.parallel import frames_of, identify_many
 from cvxshear.studies.setups import three_story
 from cvxshear.util.parallel import each

@@ -12,8 +12,7 @@ from cvxshear.effects.composition import slices
 from cvxshear.fit.gauss_newton import Domain, embedded
 from cvxshear.measurement.experiment import Experiment, Frame
 from cvxshear.priors import Constraints
-from cvxshear.programs.feasibility import NamedConstraints, refuse_contradictions
-from cvxshear.programs.rows import statements
+from cvxshear.programs.statements import NamedConstraints, refuse_contradictions, statements
 from cvxshear.util.typing import Floats
 
 SMALLEST = 1e-3

@@ -18,8 +18,7 @@ from cvxshear.fit.ending import Ending
 from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.priors import Constraints
 from cvxshear.programs import LeastSquares
-from cvxshear.programs.feasibility import NamedConstraints
-from cvxshear.programs.rows import constrained
+from cvxshear.programs.statements import NamedConstraints, constrained
 from cvxshear.util.errors import NoModesError, NoSolutionError
 from cvxshear.util.typing import Floats, Ints
 

@@ -16,9 +16,8 @@ from cvxshear import backends
 from cvxshear.fit.domain import spread
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model.shear import Modes, mass_matrix, modes, stiffness_matrix, transformation
-from cvxshear.priors import Nominal
 from cvxshear.programs import LeastSquares
-from cvxshear.programs.rows import constrained, statements
+from cvxshear.programs.statements import constrained, statements
 from cvxshear.util.errors import CvxshearError, InputError
 from cvxshear.util.typing import Floats
 
@@ -33,7 +32,7 @@ TAPERS = (0.2, 0.4, 0.6, 0.8)
 def starts(experiment: Experiment) -> list[Floats]:
     """Starting points theta, each of shape (2N,), masses and stiffnesses positive.
 
-    Design values, those of nominal priors on both, where there are any; the story equations; and frames of equal
+    Design values of both, those that priors suggest, where there are any; the story equations; and frames of equal
     masses, of uniform stiffness and of the stiffness that falls with height as the ratios of the frequencies say.
     """
     even = uniform(experiment)
@@ -70,7 +69,11 @@ def _log_eigenvalue_ratios(configuration: Configuration, mass: Floats, stiffness
 
 def _nominal(experiment: Experiment) -> list[Floats]:
     """The design values of masses and stiffnesses, where both are declared, at the right mean frequency."""
-    values = {prior.quantity: prior.values for prior in experiment.priors if isinstance(prior, Nominal)}
+    values = {}
+    for prior in experiment.priors:
+        suggested = prior.suggested(experiment.stories)
+        if suggested is not None and not np.any(np.isnan(suggested)):
+            values[prior.quantity] = suggested
     if len(values) < 2:
         return []
     mass, stiffness = values["floor_mass"], values["story_stiffness"]
@@ -96,9 +99,9 @@ def uniform(experiment: Experiment, taper: float = 0.0) -> Floats:
     if frame.floor_masses is not None:
         mass = frame.floor_masses.copy()
     for prior in experiment.priors:
-        if prior.quantity == "floor_mass" and prior.fixes_scale and known is None:
-            nominal = getattr(prior, "values", None)
-            mass = np.array(nominal) if nominal is not None else np.full(n, float(getattr(prior, "value", mass[0])))
+        suggested = prior.suggested(n)
+        if prior.quantity == "floor_mass" and prior.fixes_scale and known is None and suggested is not None:
+            mass = np.where(np.isnan(suggested), np.nanmean(suggested), suggested)
     return np.concatenate([mass, shape * _frequency_factor(experiment, mass, shape)])
 
 

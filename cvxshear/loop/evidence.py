@@ -25,7 +25,7 @@ from cvxshear.effects.composition import slices
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.expectation import Expectation, tailed
 from cvxshear.programs import LeastSquares
-from cvxshear.programs.rows import constrained
+from cvxshear.programs.statements import constrained
 from cvxshear.util.typing import Floats
 
 FAR = 6.0

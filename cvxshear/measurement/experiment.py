@@ -17,7 +17,7 @@ from cvxshear.measurement.configuration import Configuration
 from cvxshear.measurement.declaration import DAMPING_KINDS, Damping, Frame
 from cvxshear.measurement.expected_effect import ExpectedEffect
 from cvxshear.measurement.static_test import StaticTest
-from cvxshear.priors import Prior, check_quantity
+from cvxshear.priors import Prior, check_prior
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
@@ -86,8 +86,7 @@ class Experiment(Shown):
         self._check_states()
         for place, prior in enumerate((*self.priors, *self.damping.priors), 1):
             with _named(place):
-                check_quantity(prior)
-                prior.check(stories)
+                check_prior(prior, stories)
         self._part_priors()
         self._check_scale()
 

@@ -9,7 +9,7 @@ from cvxshear.fit.results import SingleIdentification
 from cvxshear.methods.separate import CompleteTest, finished, start_mass
 from cvxshear.methods.story_stiffness import identified_stiffness
 from cvxshear.programs import mass_correction
-from cvxshear.programs.mass import normalized
+from cvxshear.programs.orthogonality import normalized
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.typing import Floats
 

@@ -19,8 +19,8 @@ import numpy as np
 from cvxshear.backends import Backend, Solution
 from cvxshear.methods.separate import CompleteTest
 from cvxshear.programs import mass_correction
-from cvxshear.programs.mass import normalized
-from cvxshear.programs.rows import constrained, softened
+from cvxshear.programs.orthogonality import normalized
+from cvxshear.programs.statements import constrained, softened
 from cvxshear.util.typing import Floats
 
 MOST_ITERATIONS = 1000

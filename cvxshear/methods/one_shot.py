@@ -11,7 +11,7 @@ from cvxshear.methods.separate import CompleteTest, finished
 from cvxshear.methods.story_stiffness import MOST_ROUNDS, UNCHANGED, identified_stiffness
 from cvxshear.programs import one_shot_masses
 from cvxshear.programs.normal import LOST, digits_lost, keeps_rows
-from cvxshear.programs.rows import constrained, softened
+from cvxshear.programs.statements import constrained, softened
 from cvxshear.util.typing import Floats
 
 

@@ -12,8 +12,7 @@ from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.quality import quality
 from cvxshear.fit.results import IdentifiedFrame, SingleIdentification, predictions
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.programs.feasibility import NamedConstraints
-from cvxshear.programs.rows import statements
+from cvxshear.programs.statements import NamedConstraints, statements
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.quantities import ranged
 from cvxshear.util.typing import Floats

@@ -7,9 +7,9 @@ import numpy as np
 from cvxshear.backends import Backend
 from cvxshear.methods.separate import CompleteTest
 from cvxshear.programs import story_stiffnesses
-from cvxshear.programs.mass import normalized
 from cvxshear.programs.normal import LOST, digits_lost, keeps_rows
-from cvxshear.programs.rows import constrained, softened
+from cvxshear.programs.orthogonality import normalized
+from cvxshear.programs.statements import constrained, softened
 from cvxshear.util.typing import Floats
 
 MOST_ROUNDS = 50

@@ -9,7 +9,7 @@ from scipy import optimize
 
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.programs import story_stiffnesses
-from cvxshear.programs.mass import normalized
+from cvxshear.programs.orthogonality import normalized
 from cvxshear.util.typing import Floats
 
 

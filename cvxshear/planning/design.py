@@ -14,8 +14,7 @@ from cvxshear.effects import Placed, Scale
 from cvxshear.fit.efficient import efficient
 from cvxshear.fit.misfit import Misfit
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame, Prior
-from cvxshear.priors.nominal import Nominal
-from cvxshear.priors.value import Value
+from cvxshear.priors import Value, check_prior
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
@@ -155,13 +154,13 @@ class Design:
         if not isinstance(items, list):
             raise InputError("[prior] must be a list of tables: write [[prior]], in double brackets")
         priors = tuple(Prior.from_dict(item) for item in items)
-        stiffness = _nominal(priors, "story_stiffness")
+        stiffness = _nominal(priors, "story_stiffness", frame.stories)
         if stiffness is None:
             raise InputError(
                 'no story stiffness is expected: add a [[prior]] with kind = "nominal", quantity = "story_stiffness", '
                 "its design values and their std"
             )
-        mass = frame.floor_masses if frame.floor_masses is not None else _nominal(priors, "floor_mass")
+        mass = frame.floor_masses if frame.floor_masses is not None else _nominal(priors, "floor_mass", frame.stories)
         n = len(stiffness)
         if mass is None and frame.total_mass is not None:
             mass = np.full(n, frame.total_mass / n)
@@ -177,7 +176,7 @@ class Design:
         if frame.total_mass is not None and frame.floor_masses is None:
             mass = mass * frame.total_mass / mass.sum()
         for prior in priors:
-            prior.check(n)
+            check_prior(prior, n)
         return Design(_completed(frame, n), np.array(mass), np.array(stiffness), priors, name=name)
 
     @staticmethod
@@ -209,9 +208,10 @@ def _place(prior: Prior, n: int) -> slice:
     return slice(0, n) if prior.quantity == "floor_mass" else slice(n, 2 * n)
 
 
-def _nominal(priors: Sequence[Prior], quantity: str) -> Floats | None:
-    """The design values of a quantity, where a prior declares them."""
-    return next((each.values for each in priors if isinstance(each, Nominal) and each.quantity == quantity), None)
+def _nominal(priors: Sequence[Prior], quantity: str, stories: int) -> Floats | None:
+    """The design values of a quantity, where a prior declares all of them; `stories` is 0 where not declared."""
+    values = [prior.suggested(stories) for prior in priors if prior.quantity == quantity]
+    return next((each for each in values if each is not None and each.size and not np.any(np.isnan(each))), None)
 
 
 def _completed(frame: Frame, stories: int) -> Frame:

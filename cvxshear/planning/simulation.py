@@ -13,14 +13,12 @@ from cvxshear.backends import Backend
 from cvxshear.effects import Placed, compose
 from cvxshear.fit.efficient import Estimate, fitted
 from cvxshear.fit.misfit import Misfit
-from cvxshear.measurement.experiment import Configuration, Experiment, Prior
+from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model.shear import modes
 from cvxshear.planning.apart import SURE, evidence_of
 from cvxshear.planning.results import Plan
 from cvxshear.planning.targets import Target
 from cvxshear.planning.template import predicted
-from cvxshear.priors.nominal import Nominal
-from cvxshear.priors.value import Value
 from cvxshear.util.typing import Floats
 
 
@@ -123,24 +121,13 @@ def _log_evidence(test: Experiment, target: Target | None, std: float, plan: Pla
 def _drawn(exact: Experiment, plan: Plan, rng: np.random.Generator) -> Experiment:
     """The experiment with noise on the planned tests and on the design values."""
     tests = tuple(_noisy(each, rng) if each.name in plan.names else each for each in exact.configurations)
-    return dataclasses.replace(exact, configurations=tests, priors=tuple(_redrawn(each, rng) for each in exact.priors))
+    return dataclasses.replace(exact, configurations=tests, priors=tuple(each.redrawn(rng) for each in exact.priors))
 
 
 def _noisy(test: Configuration, rng: np.random.Generator) -> Configuration:
     frequencies = test.frequencies * np.exp(test.log_frequency_std * rng.standard_normal(len(test.frequencies)))
     shapes = test.mode_shapes + test.entry_std * rng.standard_normal(test.mode_shapes.shape)
     return dataclasses.replace(test, frequencies=np.sort(frequencies), mode_shapes=shapes)
-
-
-def _redrawn(prior: Prior, rng: np.random.Generator) -> Prior:
-    """The design values as another engineer would have them, who is as sure of them."""
-    if isinstance(prior, Nominal) and prior.std is not None:
-        return dataclasses.replace(
-            prior, values=prior.values * (1 + prior.std * rng.standard_normal(len(prior.values)))
-        )
-    if isinstance(prior, Value) and prior.std is not None:
-        return dataclasses.replace(prior, value=prior.value * (1 + prior.std * rng.standard_normal()))
-    return prior
 
 
 def _with_effect(exact: Experiment, target: Target, plan: Plan) -> Experiment:

@@ -11,7 +11,6 @@ import numpy as np
 
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
-from cvxshear.priors import Nominal
 from cvxshear.screening.finding import Finding
 from cvxshear.util.quantities import quantity, significant
 from cvxshear.util.typing import Floats
@@ -111,11 +110,11 @@ def angular_frequency(experiment: Experiment) -> Iterator[Finding]:
 
 def _over_nominal(experiment: Experiment) -> float | None:
     """The frequencies measured over those of the design values; None where these do not give any."""
-    values: dict[str, Floats] = {
-        prior.quantity: prior.values
-        for prior in experiment.priors
-        if isinstance(prior, Nominal) and not prior.free_scale
-    }
+    values: dict[str, Floats] = {}
+    for prior in experiment.priors:
+        suggested = prior.suggested(experiment.stories)
+        if prior.fixes_scale and suggested is not None and not np.any(np.isnan(suggested)):
+            values[prior.quantity] = suggested
     known = experiment.frame.floor_masses
     mass = values.get("floor_mass") if known is None else known
     if mass is None and experiment.frame.known_total is not None:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from cvxshear.backends import Comparison, ProgramKind
-from cvxshear.backends.comparison import BackendResult
+from cvxshear.backends.benchmark import BackendResult
 from cvxshear.report.describe.dispatch import describe, line
 from cvxshear.report.describe.vocabulary import Block, Document, Points, Row, Section, Sentence, Table
 from cvxshear.util.quantities import AUTOMATIC, Units, counted, exponential, significant

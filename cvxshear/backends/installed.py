@@ -6,17 +6,16 @@ import difflib
 from dataclasses import asdict, dataclass
 from functools import cache
 
-from cvxshear.backends.auto import Auto
 from cvxshear.backends.base import Backend
-from cvxshear.backends.kkt import Kkt
+from cvxshear.backends.closed_form import Auto, Kkt
 from cvxshear.backends.qpsolvers_backend import Qpsolvers
 from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Json
 
 DEFINITE = ("daqp", "clarabel")
-SINGULAR = ("clarabel", "daqp")
-"""General solvers in the order in which "auto" asks them; Clarabel is always installed. See `auto` for why."""
+SEMIDEFINITE = ("clarabel", "daqp")
+"""General solvers in the order in which "auto" asks them; Clarabel is always installed. See `closed_form` for why."""
 
 _registered: dict[str, Backend] = {}
 
@@ -43,10 +42,10 @@ def _through_cvxpy(name: str) -> Backend:
 
 @cache
 def _auto() -> Auto:
-    """The closed form, then `DEFINITE` or `SINGULAR` as far as they are installed."""
+    """The closed form, then `DEFINITE` or `SEMIDEFINITE` as far as they are installed."""
     installed = _direct()
-    definite, singular = ([installed[name] for name in names if name in installed] for names in (DEFINITE, SINGULAR))
-    return Auto(installed["kkt"], definite, singular)
+    orders = [[installed[name] for name in names if name in installed] for names in (DEFINITE, SEMIDEFINITE)]
+    return Auto(installed["kkt"], *orders)
 
 
 def available() -> list[str]:

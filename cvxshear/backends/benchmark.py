@@ -9,9 +9,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from cvxshear.backends.base import Backend
-from cvxshear.backends.certificate import Assembled
-from cvxshear.backends.registry import available, get
-from cvxshear.backends.solution import Solution
+from cvxshear.backends.certificate import Assembled, Solution
+from cvxshear.backends.installed import available, get
 from cvxshear.programs import LeastSquares
 from cvxshear.util import checks
 from cvxshear.util.errors import CvxshearError
@@ -20,7 +19,7 @@ from cvxshear.util.typing import Floats, Json
 
 REPEATS = 3
 MOST_REPEATS = 10_000
-OPEN = 1e-12
+OPEN_DIRECTION = 1e-12
 """Ratio of the smallest to the largest singular value below which rows leave a direction open."""
 
 
@@ -205,12 +204,12 @@ def condition_number(program: LeastSquares) -> float | None:
     if len(of.A):
         # The right singular vectors beyond the rank of A span its null space.
         _, values, directions = np.linalg.svd(of.A / of.lengths)
-        rank = int(np.sum(values > OPEN * values.max(initial=0.0)))
+        rank = int(np.sum(values > OPEN_DIRECTION * values.max(initial=0.0)))
         rows = rows @ directions[rank:].T
     if not rows.shape[1]:
         return 1.0
     values = np.linalg.svd(rows, compute_uv=False)
-    if len(values) < rows.shape[1] or not values[-1] > OPEN * values[0]:
+    if len(values) < rows.shape[1] or not values[-1] > OPEN_DIRECTION * values[0]:
         return None
     return float(values[0] / values[-1])
 

@@ -1,4 +1,8 @@
-"""The programs of the floor masses: the paper's correction (Eqs. 5-14) and the one without iteration."""
+"""The programs that orthogonality of the modes makes, Eqs. 5-14 and 20-24: floor masses, then story stiffnesses.
+
+Modes are orthogonal with respect to the masses, and their story drifts with respect to the stiffnesses. Each pair of
+modes is one row, linear in the unknowns.
+"""
 
 from __future__ import annotations
 
@@ -117,3 +121,35 @@ def one_shot_masses(
     if at is not None:
         side = -pair_adjoint(unit, unit.T @ (at[:, None] * unit), diagonal=False)
     return LeastSquares(*factored(*_with_total(normal, side, total - origin.sum())), **_total(origin, total))
+
+
+def story_stiffnesses(
+    shapes: Floats, eigenvalues: Floats, *, rows: bool | None = None, at: Floats | None = None
+) -> LeastSquares:
+    """Eqs. 20 to 24: the stiffnesses on which the modes are orthogonal, with the measured eigenvalues.
+
+    Row (i, j): (x_i o x_j)' k = delta_ij lambda_i with the story drifts x = T' phi, for i <= j.
+
+    Parameters
+    ----------
+    shapes : ndarray, shape (N, m)
+        One column a mode, mass-normalized.
+    eigenvalues : ndarray, shape (m,)
+        lambda = (2 pi f)^2, (rad/s)^2.
+    rows : bool, optional
+        As for `mass_correction`.
+    at : ndarray, shape (N,), optional
+        Stiffnesses from which the unknown is a change; none where not given.
+    """
+    drifts = np.diff(shapes, axis=0, prepend=0.0)
+    names = tuple(f"story_stiffness {place}" for place in range(1, len(drifts) + 1))
+    if keeps_rows(rows, len(drifts)):
+        R = pair_products(drifts)
+        i, j = np.triu_indices(drifts.shape[1])
+        s = np.where(i == j, eigenvalues[i], 0.0)
+        return LeastSquares(R, s if at is None else s - R @ at, names=names)
+    if at is None:
+        side = drifts**2 @ eigenvalues
+    else:
+        side = pair_adjoint(drifts, np.diag(eigenvalues) - drifts.T @ (at[:, None] * drifts))
+    return LeastSquares(*factored(pair_normal(drifts), side), names=names)

@@ -1,4 +1,4 @@
-"""The choice when no backend is named: the closed form while it holds, else the fastest general solver that is right.
+"""The closed form, and the choice when no backend is named: the closed form while it holds, else a general solver.
 
 The order of the general solvers follows the table of `docs/speed.md` (python -m tests.benchmarks solvers). Once
 scaled, a program has the identity for its Hessian and a few active inequalities at most, which a dual active-set
@@ -12,11 +12,40 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
+import numpy as np
+
 from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
-from cvxshear.backends.certificate import Assembled
-from cvxshear.backends.solution import Solution
+from cvxshear.backends.certificate import Assembled, Solution
 from cvxshear.util.errors import NoSolutionError, UnsuitableError
+
+
+class Kkt(Backend):
+    """minimize |C z - q|^2 subject to E z = e, in closed form: the solution of Eq. 14 without its normal matrix.
+
+    C is the identity once the rows are factorized, which leaves the nearest point to q on a plane: the generalized
+    QR factorization of LAPACK's xGGLSE, its first half done in `canonical`.
+
+    Inequalities are looked at afterwards: a solution that meets them all is also the solution of the program
+    with them, its multipliers zero. Where one is violated this backend refuses.
+    """
+
+    name = "kkt"
+    time_limit = None
+
+    def answer_all(self, problem: Canonical, start: Solution | None = None) -> Answer:
+        return self.answer(problem)
+
+    def answer(self, problem: Canonical) -> Answer:
+        if problem.singular:
+            raise NoSolutionError(self.name, "the data and the equalities do not determine every unknown")
+        z, y = problem.nearest()
+        if np.any(problem.violated(z)):
+            raise UnsuitableError(
+                "backend kkt: a bound or another inequality is active at the solution, and the closed form takes "
+                "equalities only; choose another backend, clarabel for one"
+            )
+        return Answer(z, y, np.zeros(len(problem.f)), "closed form", 1)
 
 
 class Auto(Backend):
@@ -31,6 +60,7 @@ class Auto(Backend):
     """
 
     name = "auto"
+    time_limit = None
 
     def __init__(self, closed_form: Backend, definite: Sequence[Backend], singular: Sequence[Backend]) -> None:
         self._closed_form = closed_form
@@ -41,14 +71,14 @@ class Auto(Backend):
         """The closed form's answer; what asks the others is `certified`, since which one is right shows there."""
         return self._closed_form.answer(problem)
 
-    def certified(self, of: Assembled, problem: Canonical, start: Solution | None = None) -> Solution:
-        return dataclasses.replace(self._first(of, problem, start), backend=self.name)
+    def certified(self, program: Assembled, problem: Canonical, start: Solution | None = None) -> Solution:
+        return dataclasses.replace(self._first(program, problem, start), backend=self.name)
 
-    def _first(self, of: Assembled, problem: Canonical, start: Solution | None) -> Solution:
+    def _first(self, program: Assembled, problem: Canonical, start: Solution | None) -> Solution:
         """The first solution that is certified; where there is none, the first general solver's failure."""
         failure: NoSolutionError | None = None
         try:
-            return self._closed_form.certified(of, problem, start)
+            return self._closed_form.certified(program, problem, start)
         except UnsuitableError:
             pass
         except NoSolutionError:
@@ -56,7 +86,7 @@ class Auto(Backend):
                 raise
         for backend in self._singular if problem.singular else self._definite:
             try:
-                return backend.certified(of, problem, start)
+                return backend.certified(program, problem, start)
             except NoSolutionError as error:
                 failure = failure or error
         raise failure if failure is not None else NoSolutionError(self.name, "there is no general solver")
