@@ -15,8 +15,8 @@ from cvxshear.data import NOISES
 from cvxshear.effects import Placed, Scale
 from cvxshear.effects.composition import slices
 from cvxshear.effects.state import heights_of
-from cvxshear.fit.domain import domain_of, refuse_contradicting
-from cvxshear.fit.gauss_newton import CONVERGED_STEP, Domain, Fit, gauss_newton
+from cvxshear.fit.domain import Domain, domain_of, refuse_contradicting
+from cvxshear.fit.gauss_newton import CONVERGED_STEP, Fit, gauss_newton
 from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.fit.noise import LARGEST_NOISE, NoiseEstimate, estimated_noise
 from cvxshear.fit.quality import Quality, quality
@@ -57,7 +57,7 @@ class Estimate:
 
     misfit: Misfit
     domain: Domain
-    fit: Fit
+    fit: Fit[Evaluation]
     uncertainty: Uncertainty
     noise: NoiseEstimate = field(default_factory=NoiseEstimate)
 

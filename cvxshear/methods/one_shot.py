@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.fit.ending import Ending
+from cvxshear.fit.gauss_newton import Ending
 from cvxshear.fit.results import SingleIdentification
 from cvxshear.methods.separate import CompleteTest, finished
 from cvxshear.methods.story_stiffness import MOST_ROUNDS, UNCHANGED, identified_stiffness
