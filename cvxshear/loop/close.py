@@ -10,13 +10,13 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.effects import Effect, Placed, Scale
 from cvxshear.effects.state import heights_of
-from cvxshear.fit.efficient import efficient
+from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.expectation import Expectation
 from cvxshear.fit.gauss_newton import CONVERGED_STEP
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.starting import nearest_start
 from cvxshear.loop.conclusion import conclude
-from cvxshear.loop.fitter import ROUGH, Fitter, with_stand_in
+from cvxshear.loop.fitter import ROUGH, Fitter
 from cvxshear.loop.hypotheses import Hypothesis, assumed, chosen, hypotheses
 from cvxshear.loop.numbering import Numbering
 from cvxshear.loop.otherwise import searches
@@ -24,7 +24,7 @@ from cvxshear.loop.results import Closure
 from cvxshear.loop.search import Search
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.priors import Prior
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, UnsuitableError
 from cvxshear.util.typing import Floats
 
 
@@ -62,14 +62,14 @@ def close_loop(
     InputError
         Where an effect is not known, cannot be assumed for this experiment, or does not say how large it may be.
     NoSolutionError
-        Where the shear model itself could not be fitted.
+        Where the shear model itself could not be fitted by this backend.
     """
     experiment = experiment.with_priors(tuple(priors))
     wanted = chosen(effects)
     solver = backends.get(backend)
     there = _declared(experiment, solver, assumed(experiment, assume))
     looked_for = hypotheses(experiment, wanted, there)
-    start, _ = with_stand_in(solver, lambda by: efficient(experiment, by, there))
+    start = _first(experiment, solver, there)
 
     def begun(numbering: Numbering) -> Search:
         known, theta = numbering.experiment, start.theta
@@ -84,11 +84,24 @@ def close_loop(
     return conclude(searches(experiment, begun), looked_for, wanted)
 
 
+def _first(experiment: Experiment, backend: Backend, there: tuple[Placed, ...]) -> Estimate:
+    """The first fit, on the backend that was asked for: one that does not solve it is not fit for the others either.
+
+    Only where the backend takes no such programs (active inequalities) another one stands in.
+    """
+    try:
+        return efficient(experiment, backend, there)
+    except UnsuitableError:
+        if backend.name == "auto":
+            raise
+        return efficient(experiment, backends.get("auto"), there)
+
+
 def _declared(experiment: Experiment, backend: Backend, there: tuple[Placed, ...]) -> tuple[Placed, ...]:
     """The assumed effects; one that these data do not determine is held at its starting value."""
     if not there:
         return there
-    found, _ = with_stand_in(backend, lambda by: efficient(experiment, by, there))
+    found = _first(experiment, backend, there)
     known = found.uncertainty.determined
     return tuple(
         placed if np.all(known[found.own(placed)]) else Placed(placed.effect, placed.place, placed.start)
