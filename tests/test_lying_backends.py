@@ -138,7 +138,7 @@ def test_wrong_derivatives_are_found_by_difference_quotients(wrong):
 
 
 def test_the_best_step_is_that_of_nonnegative_least_squares():
-    """Where every parameter is on a bound: those that the residuals pull away from it move, those pulled across stay."""
+    """Where every parameter is on a bound: what the residuals pull away from it moves."""
     rng = np.random.default_rng(5)
     A, b = rng.standard_normal((30, 3)), rng.standard_normal(30)
     for signs in itertools.product((1.0, -1.0), repeat=3):

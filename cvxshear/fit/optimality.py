@@ -41,8 +41,12 @@ DERIVATIVE_ERROR = 1e-3
 to some 1e-7, a column that is wrong by a factor of two shows as 1e-2 among a thousand others."""
 
 CHANGES = (1e-5, 1e-6, 1e-4, 1e-3)
-"""Relative changes of the parameters for difference quotients, tried in turn: which one suits depends on the curvature
-and on how many digits of the residuals are left after the eigenvalue problem; one that agrees is enough."""
+"""Relative changes of the parameters for central difference quotients where that comparison fails, tried in turn: which
+one suits depends on the curvature and on how many digits of the residuals the eigenvalue problem leaves; one that
+agrees is enough."""
+
+AWAY = 0.1
+"""Change of the residuals, in standard deviations all together, over which their derivatives are compared first."""
 
 AGREEMENT = 0.1
 """Difference of two difference quotients, relative to that from the derivative, below which both are taken as right."""
@@ -230,41 +234,44 @@ def _units(theta: Floats, at: Residuals, domain: Domain) -> Floats:
 
 
 def derivative_error(problem: Problem[Residuals], theta: Floats, at: Residuals, domain: Domain) -> float:
-    """Largest relative difference of the gradient along two random directions from central difference quotients.
+    """Largest relative difference of the gradient along two random directions from difference quotients.
 
-    At a minimum the gradient is zero and any derivatives could pass. So it is compared one standard deviation beside
-    theta, where it shows the curvature as well. What is compared is the derivative of |r|^2, and not of r: where the
-    scale of a shape is eliminated J leaves out a part to which r is orthogonal (Kaufman 1975).
+    At a minimum the gradient is zero and any derivatives could pass. So it is compared beside theta, where it shows the
+    curvature as well: over a step the quotient of |r|^2 is the mean of the slopes at both ends, but for terms of third
+    order. What is compared is the derivative of |r|^2, and not of r: where the scale of a shape is eliminated J leaves
+    out a part to which r is orthogonal (Kaufman 1975).
     """
     rng = np.random.default_rng(SEED)
     units, sizes = _units(theta, at, domain), _sizes(theta, domain)
-    # A change of one would be lost in large residuals; no parameter changes by more than a hundredth.
-    change = max(1.0, 1e-2 * float(np.linalg.norm(at.r)))
-    directions = []
+    # Of large residuals a change by a tenth would be lost in rounding; no parameter changes by more than a hundredth.
+    change = max(AWAY, AWAY * 1e-2 * float(np.linalg.norm(at.r)))
+    worst = 0.0
     for direction in units * rng.standard_normal((2, len(theta))):
         seen, relative = float(np.linalg.norm(at.J @ direction)), float(np.max(np.abs(direction) / sizes))
-        directions.append(direction * min(change / seen if seen > 0 else np.inf, 1e-2 / relative))
-    for sign in (1.0, -1.0):
-        try:
-            beside = theta + sign * (directions[0] + directions[1])
-            there = problem.evaluate(beside)
-            return max(_quotient_error(problem, beside, there, sizes, direction) for direction in directions)
-        except NoModesError:
-            continue
-    return 0.0
+        d = direction * min(change / seen if seen > 0 else np.inf, 1e-2 / relative)
+        for sign in (1.0, -1.0):
+            try:
+                worst = max(worst, _slope_error(problem, theta, at, sign * d, sizes))
+                break
+            except NoModesError:
+                continue
+    return worst
 
 
-def _quotient_error(
-    problem: Problem[Residuals], theta: Floats, at: Residuals, sizes: Floats, direction: Floats
-) -> float:
-    seen = at.J @ direction
-    slope = 2.0 * float(at.r @ seen)
+def _slope_error(problem: Problem[Residuals], theta: Floats, at: Residuals, d: Floats, sizes: Floats) -> float:
+    """Relative difference of the slope of |r|^2 along d from difference quotients, of the best of some."""
+    there = problem.evaluate(theta + d)
+    seen = there.J @ d
+    here, slope = 2.0 * float(at.r @ (at.J @ d)), 2.0 * float(there.r @ seen)
     size = max(abs(slope), 2.0 * float(seen @ seen)) or 1.0
-    relative = float(np.max(np.abs(direction) / sizes))
+    whole = abs(there.objective - at.objective - 0.5 * (here + slope)) / size
+    if whole <= DERIVATIVE_ERROR:
+        return whole
+    relative = float(np.max(np.abs(d) / sizes))
     off: list[float] = []
     for change in CHANGES:
         h = change / relative
-        ends = [problem.evaluate(theta + sign * h * direction, derivatives=False).objective for sign in (1.0, -1.0)]
+        ends = [problem.evaluate(theta + (1 + step) * d, derivatives=False).objective for step in (h, -h)]
         off.append((ends[0] - ends[1]) / (2.0 * h) - slope)
         if abs(off[-1]) <= DERIVATIVE_ERROR * size:
             return abs(off[-1]) / size
