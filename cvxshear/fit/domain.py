@@ -18,7 +18,8 @@ from cvxshear.programs.rows import statements
 from cvxshear.util.typing import Floats, Ints
 
 SMALLEST = 1e-3
-"""Of the median at the start: a smaller mass or stiffness does not count as positive."""
+"""Part of the mean declared floor mass, else of the median at the start: a smaller mass or stiffness does not count as
+positive."""
 
 
 FARTHEST = 1e5
@@ -76,7 +77,9 @@ def refuse_contradicting(experiment: Experiment) -> None:
 def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) -> Domain:
     """The domain of the parameters of a fit with these effects."""
     n, size = experiment.stories, len(theta)
-    mass, stiffness = SMALLEST * np.median(theta[:n]), SMALLEST * np.median(theta[n : 2 * n])
+    known = experiment.frame.known_total
+    mass = SMALLEST * (np.median(theta[:n]) if known is None else known / n)
+    stiffness = SMALLEST * np.median(theta[n : 2 * n])
     frame = _exact(experiment.frame, effects)
     parts = spread(
         statements(experiment.priors, "floor_mass", n, frame, least=mass),

@@ -21,7 +21,7 @@ from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.fit.noise import LARGEST_NOISE, NoiseEstimate, estimated_noise
 from cvxshear.fit.quality import Quality, quality
 from cvxshear.fit.results import IdentifiedFrame, Prediction, SingleIdentification, predictions
-from cvxshear.fit.starting import nearest_first
+from cvxshear.fit.start import nearest_first
 from cvxshear.fit.uncertainty import Uncertainty, uncertainty
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.errors import CvxshearError, NoSolutionError, UnsuitableError

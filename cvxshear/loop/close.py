@@ -14,7 +14,7 @@ from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.expectation import Expectation
 from cvxshear.fit.gauss_newton import CONVERGED_STEP
 from cvxshear.fit.misfit import Misfit
-from cvxshear.fit.starting import nearest_start
+from cvxshear.fit.start import nearest_start
 from cvxshear.loop.conclusion import conclude
 from cvxshear.loop.fitter import ROUGH, Fitter
 from cvxshear.loop.hypotheses import Hypothesis, assumed, chosen, hypotheses
