@@ -18,6 +18,9 @@ FREQUENCY_TOLERANCE = 0.02
 CLOSER = 0.3
 """The part of both tolerances that suffices for a frame which is nearly a shear frame."""
 
+FARTHER = 3.0
+"""The multiple of both that a frame asks for which is far from a shear frame (walls, coupled floors)."""
+
 
 @dataclass(frozen=True, eq=False)
 class Reading:

@@ -5,7 +5,7 @@ import pytest
 
 from cvxshear import Experiment
 from cvxshear.screening import screen
-from cvxshear.screening.total_mass import implied_total
+from cvxshear.screening.doubts import implied_total
 from tests.frames import configuration, experiment
 
 MASS = np.array([2.1e5, 2.0e5, 1.9e5])
