@@ -88,6 +88,9 @@ def floors_from_top(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
         )
 
 
+STILL = 3.0
+"""Standard deviations, tolerance included, up to which an entry can be that of a sensor on the ground."""
+
 UNITS = (1e3, 1e-3, 9.80665, 1 / 9.80665)
 """Factors between units in which sensors are read: m and mm, m/s2 and g."""
 
@@ -99,7 +102,9 @@ def other_floors(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
     for by, word in ((1, "low"), (-1, "high")):
         moved = floors + by
         on = (moved >= 0) & (moved <= top)
-        if np.all(on) or (by < 0 and np.all(on[1:]) and len(floors) > 1):
+        # What is left out as the ground's must show no motion.
+        still = np.all(np.abs(reading.scaled * reading.weights)[:, moved < 0] < STILL)
+        if np.all(moved <= top) and still and on.any():
             listed = ", ".join(str(floor + 1) for floor in moved)
             yield Repair(
                 "sensor_floors",

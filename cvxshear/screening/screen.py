@@ -1,7 +1,7 @@
 """Everything that looks wrong in an experiment, before anything is fitted to it.
 
-Which mistake, if any, explains what a configuration reads is a matter of odds, as in the loop. A reading, as it is given
-and after each single repair, is compared with the nearest shear frame; the less the cost C of that (minus twice the
+Which mistake, if any, explains what a configuration reads is a matter of odds, as in the loop. A reading, as given
+and after each single repair, is compared with the nearest shear frame; the less its cost C (minus twice the
 logarithm of the likelihood, `shear_fit`), the more probable it is:
 
     p(as given) ~ exp(-C / 2),        p(repair) ~ exp(-C_r / 2) q / K,
@@ -237,7 +237,8 @@ def judge(reading: Reading) -> Verdict:
     if _may_stand(reading, given):
         return Verdict(given, ())
     robust = robust_fit(reading, given.theta)
-    given = min(given, distance(reading, [robust.theta, *odd_starts(reading.stories)]), key=lambda item: item.cost)
+    odd = fit(reading, odd_starts(reading.stories), most_steps=ROUGH_STEPS)
+    given = min(given, distance(reading, [robust.theta, odd.theta]), key=lambda item: item.cost)
     if _may_stand(reading, given):
         return Verdict(given, ())
     references = [*begin, robust.theta]

@@ -46,7 +46,7 @@ ODD = 1e-3
 MOST_FIT_STEPS = 60
 """Step programs at most, in one fit."""
 
-ENOUGH = 1e-2
+ENOUGH = 3e-2
 """Change of a residual, in standard deviations, of a step that counts as none."""
 
 OUTLIER = 2.0
