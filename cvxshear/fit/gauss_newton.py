@@ -57,6 +57,12 @@ FLAT = 0.1
 FLAT_STEPS = 3
 """Decrease of chi-square, where its mean a datum is one, that this many damped steps in a row must bring to go on."""
 
+HOPELESS = 25.0
+HOPELESS_GAIN = 0.02
+"""Mean square of the residuals, five standard deviations squared, above which a rough fit does not follow a curved
+valley to its end: it ends once `FLAT_STEPS` steps in a row brought less than this share of the misfit. Such a model is
+out of the question wherever in the valley it ends; a hundred steps each is what made wrong files take a minute."""
+
 MOST_REFUSED = 6
 """Step programs of one fit that the backend may leave unsolved: with as many in a row a step is damped to a thousandth,
 where every program is well conditioned. A backend that fails more often does not solve them."""
@@ -246,12 +252,11 @@ def _descended(
             continue
         gain, before = at.objective - taken[1].objective, at
         theta, at = taken
-        if not damping.active:
-            flat = 0
-        else:
-            flat = flat + 1 if gain < FLAT * max(1.0, rms**2) else 0
-            if flat == FLAT_STEPS:
-                return Fit(theta, at, Ending.FLAT, step, evaluations), refused
+        hopeless = tolerance > CONVERGED_STEP and rms**2 > HOPELESS and gain < HOPELESS_GAIN * before.objective
+        flat = flat + 1 if hopeless or (damping.active and gain < FLAT * max(1.0, rms**2)) else 0
+        if flat == FLAT_STEPS:
+            return Fit(theta, at, Ending.FLAT, step, evaluations), refused
+        if damping.active:
             promised = before.objective - float(np.sum((before.r + before.J @ d) ** 2))
             damping.lighter(gain / promised if promised > 0 else 0.0)
     return Fit(theta, at, Ending.STEP_LIMIT, most_steps, evaluations), refused
