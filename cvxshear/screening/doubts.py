@@ -13,8 +13,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.measurement.reading import Reading
-from cvxshear.measurement.repeats import repeated_configurations
+from cvxshear.measurement.reading import Reading, repeated_configurations
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.priors import Nominal
 from cvxshear.screening.results import Finding

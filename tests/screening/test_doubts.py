@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cvxshear import Experiment
-from cvxshear.measurement.repeats import repeated_configurations
+from cvxshear.measurement.reading import repeated_configurations
 from cvxshear.screening import screen
 from cvxshear.screening.doubts import implied_total
 from tests.frames import configuration, experiment
