@@ -35,7 +35,7 @@ from cvxshear.priors import Constraints, Nominal
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.feasibility import NamedConstraints
 from cvxshear.programs.rows import constrained, statements
-from cvxshear.util.errors import CvxshearError, InputError, NoModesError
+from cvxshear.util.errors import CvxshearError, InputError, NoModesError, NoSolutionError
 from cvxshear.util.typing import Floats
 
 FILLINGS = 6
@@ -325,5 +325,8 @@ def nearest_first(misfit: Misfit, own: Floats) -> list[Floats]:
     ordered = [start for _, start in usable]
     if usable and usable[0][0] <= FAR_OFF * misfit.count(np.concatenate([ordered[0], own])):
         return ordered
-    smooth = smooth_start(misfit.experiment, uniform(misfit.experiment))
+    try:
+        smooth = smooth_start(misfit.experiment, uniform(misfit.experiment))
+    except NoSolutionError:
+        return ordered
     return [smooth, *ordered] if np.isfinite(chi2(smooth)) else ordered
