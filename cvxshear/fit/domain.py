@@ -17,7 +17,7 @@ from cvxshear.programs.feasibility import NamedConstraints, refuse_contradiction
 from cvxshear.programs.rows import statements
 from cvxshear.util.typing import Floats, Ints
 
-SMALLEST = 1e-3
+SMALLEST_VALUE = 1e-3
 """Part of the mean declared floor mass, else of the median at the start: a smaller mass or stiffness does not count as
 positive."""
 
@@ -78,8 +78,8 @@ def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) 
     """The domain of the parameters of a fit with these effects."""
     n, size = experiment.stories, len(theta)
     known = experiment.frame.known_total
-    mass = SMALLEST * (np.median(theta[:n]) if known is None else known / n)
-    stiffness = SMALLEST * np.median(theta[n : 2 * n])
+    mass = SMALLEST_VALUE * (np.median(theta[:n]) if known is None else known / n)
+    stiffness = SMALLEST_VALUE * np.median(theta[n : 2 * n])
     frame = _exact(experiment.frame, effects)
     parts = spread(
         statements(experiment.priors, "floor_mass", n, frame, least=mass),

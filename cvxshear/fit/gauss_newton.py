@@ -19,7 +19,7 @@ from cvxshear.backends import Backend, Solution
 from cvxshear.fit.domain import Domain
 from cvxshear.fit.optimality import (
     DERIVATIVE_ERROR,
-    EXACT,
+    KEPT_TO,
     E,
     Optimality,
     Problem,
@@ -272,7 +272,7 @@ def _certified(problem: Problem[E], fit: Fit[E], domain: Domain, name: str) -> O
     """
     found = optimality(problem, fit.theta, fit.at, domain, LEAST_DAMPING)
     rms = max(1.0, float(np.sqrt(fit.at.objective / max(len(fit.at.r), 1))))
-    if found.violation > EXACT:
+    if found.violation > KEPT_TO:
         raise NoSolutionError(name, f"the fit breaks an exact statement by {found.violation:.1e} of its size")
     if found.derivative_error > DERIVATIVE_ERROR:
         raise NoSolutionError(

@@ -23,18 +23,15 @@ import numpy as np
 from scipy import linalg, optimize
 
 from cvxshear.fit.domain import Domain
+from cvxshear.fit.uncertainty import TOUCHING
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.rows import constrained
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
-EXACT = 1e-9
+KEPT_TO = 1e-9
 """Largest violation of an exact statement, relative to the sizes of its terms. Steps are solved to 1e-6 of their own
 length, and the last of them are short: what is left is far below this unless a step was wrong."""
-
-TOUCHING = 1e-5
-"""Distance from a bound, in standard deviations of the residuals, at which it counts as active (as in
-`fit.uncertainty`)."""
 
 DERIVATIVE_ERROR = 1e-3
 """Largest relative difference of a derivative along a direction from its difference quotient. Right derivatives agree
@@ -51,7 +48,7 @@ AWAY = 0.1
 AGREEMENT = 0.1
 """Difference of two difference quotients, relative to that from the derivative, below which both are taken as right."""
 
-SEED = 20
+DIRECTIONS_SEED = 20
 """Of the random directions, so that a fit is certified alike each time."""
 
 
@@ -241,7 +238,7 @@ def derivative_error(problem: Problem[Residuals], theta: Floats, at: Residuals, 
     order. What is compared is the derivative of |r|^2, and not of r: where the scale of a shape is eliminated J leaves
     out a part to which r is orthogonal (Kaufman 1975).
     """
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(DIRECTIONS_SEED)
     units, sizes = _units(theta, at, domain), _sizes(theta, domain)
     # Of large residuals a change by a tenth would be lost in rounding; no parameter changes by more than a hundredth.
     change = max(AWAY, AWAY * 1e-2 * float(np.linalg.norm(at.r)))

@@ -41,7 +41,7 @@ from cvxshear.util.findings import NUMBERS
 from cvxshear.util.showing import Shown
 from cvxshear.util.typing import Floats, Json
 
-SHOWN = 3
+SHOWN_MODES = 3
 """Modes of impossible signs that a finding lists."""
 
 MISTAKEN = 1e-2
@@ -75,7 +75,7 @@ REFITTED = 6
 TALLEST = 24
 """Stories up to which repairs are tried: there are as many as the square of their number, each a fit."""
 
-FAR = 3.5
+FAR_DATUM = 3.5
 """Standard deviations, the smaller tolerance included: a reading none of whose data are farther off is let pass."""
 
 
@@ -257,7 +257,7 @@ def judge(reading: Reading) -> Verdict:
 
 def _may_stand(reading: Reading, given: NearestFrame) -> bool:
     """Whether no repair can be so much more probable, or nothing is farther off than noise."""
-    return given.cost < SUSPICIOUS or farthest(reading.closer, given.modes) < FAR
+    return given.cost < SUSPICIOUS or farthest(reading.closer, given.modes) < FAR_DATUM
 
 
 def _judged(repair: Repair, at: Floats) -> Judged:
@@ -277,7 +277,7 @@ def mistakes(configuration: Configuration) -> list[Finding]:
     if not broken:
         return []
     change = "no single change mends it: look for more than one mistake" if verdict else "look for a mistake"
-    found = "; ".join(broken[:SHOWN]) + ("; and so on" if len(broken) > SHOWN else "")
+    found = "; ".join(broken[:SHOWN_MODES]) + ("; and so on" if len(broken) > SHOWN_MODES else "")
     return [Finding("signs", configuration.name, found, f"{change} in mode_shapes and modes", refuses=True)]
 
 
