@@ -16,7 +16,7 @@ from cvxshear.effects import Placed, Scale
 from cvxshear.effects.composition import slices
 from cvxshear.effects.state import heights_of
 from cvxshear.fit.domain import Domain, domain_of, refuse_contradicting
-from cvxshear.fit.gauss_newton import CONVERGED_STEP, Fit, gauss_newton
+from cvxshear.fit.gauss_newton import CONVERGED_STEP, HOPELESS, Fit, gauss_newton
 from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.fit.noise import LARGEST_NOISE, NoiseEstimate, estimated_noise
 from cvxshear.fit.quality import Quality, quality
@@ -276,7 +276,8 @@ def fitted_with(
         At theta, where it was made already.
     """
     domain = domain_of(misfit.experiment, misfit.effects, theta)
-    fit = gauss_newton(misfit, theta, domain, backend, tolerance, start)
+    hopeless = HOPELESS if tolerance > CONVERGED_STEP else np.inf
+    fit = gauss_newton(misfit, theta, domain, backend, tolerance, start, hopeless=hopeless)
     names = parameter_names(misfit.experiment, misfit.effects)
     return Estimate(misfit, domain, fit, uncertainty(fit.at.known_triangle, fit.theta, domain, names))
 

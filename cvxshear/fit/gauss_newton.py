@@ -59,9 +59,10 @@ FLAT_STEPS = 3
 
 HOPELESS = 25.0
 HOPELESS_GAIN = 0.02
-"""Mean square of the residuals, five standard deviations squared, above which a rough fit does not follow a curved
-valley to its end: it ends once `FLAT_STEPS` steps in a row brought less than this share of the misfit. Such a model is
-out of the question wherever in the valley it ends; a hundred steps each is what made wrong files take a minute."""
+"""Mean square of the residuals, five standard deviations squared, above which a rough fit of the loop's search does not
+follow a curved valley to its end: it ends once `FLAT_STEPS` steps in a row brought less than this share of the misfit.
+Such a model is out of the question wherever in the valley it ends; a hundred steps each made wrong files take a
+minute."""
 
 MOST_REFUSED = 6
 """Step programs of one fit that the backend may leave unsolved: with as many in a row a step is damped to a thousandth,
@@ -169,6 +170,7 @@ def gauss_newton(
     tolerance: float = CONVERGED_STEP,
     start: E | None = None,
     most_steps: int = MOST_STEPS,
+    hopeless: float = np.inf,
 ) -> Fit[E]:
     """Minimize the sum of squared standardized residuals.
 
@@ -188,6 +190,8 @@ def gauss_newton(
         At theta, where they were computed already.
     most_steps : int, optional
         Step programs at most.
+    hopeless : float, optional
+        Mean square of the residuals above which a fit ends early, see `HOPELESS`.
 
     Returns
     -------
@@ -201,7 +205,7 @@ def gauss_newton(
     UnsuitableError
         Where the backend cannot take such a program.
     """
-    fit, refused = _descended(problem, theta, domain, backend, tolerance, start, most_steps)
+    fit, refused = _descended(problem, theta, domain, backend, tolerance, start, most_steps, hopeless)
     if refused is not None and fit.reason is Ending.NO_BETTER_STEP:
         # A step that nobody solved is no reason to believe that none is better.
         raise refused
@@ -218,6 +222,7 @@ def _descended(
     tolerance: float,
     start: E | None,
     most_steps: int,
+    hopeless: float,
 ) -> tuple[Fit[E], NoSolutionError | None]:
     """Where the steps end, and the failure of the backend since it last solved an undamped program."""
     feasible = _made_feasible(theta, domain, backend)
@@ -252,8 +257,8 @@ def _descended(
             continue
         gain, before = at.objective - taken[1].objective, at
         theta, at = taken
-        hopeless = tolerance > CONVERGED_STEP and rms**2 > HOPELESS and gain < HOPELESS_GAIN * before.objective
-        flat = flat + 1 if hopeless or (damping.active and gain < FLAT * max(1.0, rms**2)) else 0
+        given_up = rms**2 > hopeless and gain < HOPELESS_GAIN * before.objective
+        flat = flat + 1 if given_up or (damping.active and gain < FLAT * max(1.0, rms**2)) else 0
         if flat == FLAT_STEPS:
             return Fit(theta, at, Ending.FLAT, step, evaluations), refused
         if damping.active:
