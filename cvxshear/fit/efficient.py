@@ -15,13 +15,13 @@ from cvxshear.data import Noise
 from cvxshear.effects import Placed, Scale
 from cvxshear.effects.composition import slices
 from cvxshear.effects.state import heights_of
-from cvxshear.fit.domain import domain_of, refuse_contradicting
-from cvxshear.fit.gauss_newton import CONVERGED_STEP, Domain, Fit, gauss_newton
+from cvxshear.fit.domain import Domain, domain_of, refuse_contradicting
+from cvxshear.fit.gauss_newton import CONVERGED_STEP, HOPELESS, Fit, gauss_newton
 from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.fit.noise import LARGEST_NOISE, NoiseEstimate, estimated_noise
 from cvxshear.fit.quality import Quality, quality
 from cvxshear.fit.results import IdentifiedFrame, Prediction, SingleIdentification, predictions
-from cvxshear.fit.starting import nearest_first
+from cvxshear.fit.start import nearest_first
 from cvxshear.fit.uncertainty import Uncertainty, uncertainty
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.errors import CvxshearError, NoSolutionError, UnsuitableError
@@ -63,7 +63,7 @@ class Estimate:
 
     misfit: Misfit
     domain: Domain
-    fit: Fit
+    fit: Fit[Evaluation]
     uncertainty: Uncertainty
     noise: NoiseEstimate = field(default_factory=NoiseEstimate)
 
@@ -276,7 +276,8 @@ def fitted_with(
         At theta, where it was made already.
     """
     domain = domain_of(misfit.experiment, misfit.effects, theta)
-    fit = gauss_newton(misfit, theta, domain, backend, tolerance, start)
+    hopeless = HOPELESS if tolerance > CONVERGED_STEP else np.inf
+    fit = gauss_newton(misfit, theta, domain, backend, tolerance, start, hopeless=hopeless)
     names = parameter_names(misfit.experiment, misfit.effects)
     return Estimate(misfit, domain, fit, uncertainty(fit.at.known_triangle, fit.theta, domain, names))
 

@@ -184,9 +184,7 @@ class Misfit:
             share = datum.count / max(datum.entries, 1)
             for key in set(keys) - {""}:
                 into = rescaled if key in rescaled else counts
-                into[key] += share * sum(
-                    mine == key and known for mine, known in zip(keys, datum.known, strict=True)
-                )
+                into[key] += share * sum(mine == key and known for mine, known in zip(keys, datum.known, strict=True))
         noises = [UnknownSize(key, count, WIDTH) for key, count in counts.items() if count]
         sizes = [
             UnknownSize(

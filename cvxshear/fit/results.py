@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cvxshear.data import Model
-from cvxshear.fit.ending import Ending
+from cvxshear.fit.gauss_newton import Ending
 from cvxshear.fit.quality import Quality
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.util.dataframe import data_frame

@@ -17,10 +17,10 @@ from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.expectation import Expectation
 from cvxshear.fit.gauss_newton import CONVERGED_STEP
 from cvxshear.fit.misfit import Misfit
-from cvxshear.fit.starting import nearest_start
+from cvxshear.fit.start import nearest_start
 from cvxshear.loop.conclusion import conclude
 from cvxshear.loop.duals import dual_frame, dual_set, frequencies_alone
-from cvxshear.loop.fitter import ROUGH, Fitter, with_stand_in
+from cvxshear.loop.fitter import ROUGH, Fitter
 from cvxshear.loop.hypotheses import Hypothesis, assumed, chosen, hypotheses
 from cvxshear.loop.model_class import RESIDUAL_LEVEL, ModelClass
 from cvxshear.loop.numbering import Numbering
@@ -30,7 +30,7 @@ from cvxshear.loop.search import REACH, Search
 from cvxshear.loop.verdicts import VERDICTS
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.priors import Prior
-from cvxshear.util.errors import CvxshearError, InputError
+from cvxshear.util.errors import CvxshearError, InputError, UnsuitableError
 from cvxshear.util.typing import Floats
 
 MOST_WIDENINGS = 3
@@ -74,14 +74,14 @@ def close_loop(
     InputError
         Where an effect is not known, cannot be assumed for this experiment, or does not say how large it may be.
     NoSolutionError
-        Where the shear model itself could not be fitted.
+        Where the shear model itself could not be fitted by this backend.
     """
     experiment, repeated = without_repeated(experiment.with_priors(tuple(priors)))
     wanted = chosen(effects)
     solver = backends.get(backend)
     there = _declared(experiment, solver, assumed(experiment, assume))
     looked_for = hypotheses(experiment, wanted, there)
-    start, _ = with_stand_in(solver, lambda by: efficient(experiment, by, there))
+    start = _first(experiment, solver, there)
     loop = _Loop(solver, there, looked_for, _expectation(experiment, start.theta, looked_for), start, jobs)
     found = searches(experiment, loop.begun, loop.dual)
     result = conclude(found, looked_for, wanted, repeated=repeated)
@@ -189,11 +189,24 @@ def _same_frame(a: ModelClass, b: ModelClass) -> bool:
     return bool(np.allclose(a.estimate.theta, b.estimate.theta, rtol=SAME_FRAME))
 
 
+def _first(experiment: Experiment, backend: Backend, there: tuple[Placed, ...]) -> Estimate:
+    """The first fit, on the backend that was asked for: one that does not solve it is not fit for the others either.
+
+    Only where the backend takes no such programs (active inequalities) another one stands in.
+    """
+    try:
+        return efficient(experiment, backend, there)
+    except UnsuitableError:
+        if backend.name == "auto":
+            raise
+        return efficient(experiment, backends.get("auto"), there)
+
+
 def _declared(experiment: Experiment, backend: Backend, there: tuple[Placed, ...]) -> tuple[Placed, ...]:
     """The assumed effects; one that these data do not determine is held at its starting value."""
     if not there:
         return there
-    found, _ = with_stand_in(backend, lambda by: efficient(experiment, by, there))
+    found = _first(experiment, backend, there)
     known = found.uncertainty.determined
     return tuple(
         placed if np.all(known[found.own(placed)]) else Placed(placed.effect, placed.place, placed.start)

@@ -11,8 +11,7 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame
 from cvxshear.methods import SingleIdentification, identify
-from cvxshear.methods.separate import complete_test
-from cvxshear.methods.story_stiffness import identified_stiffness
+from cvxshear.methods.separate import complete_test, identified_stiffness
 from cvxshear.paper import tables
 from cvxshear.paper.results import Row, Section
 from cvxshear.studies.setups import three_story

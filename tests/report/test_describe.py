@@ -9,7 +9,7 @@ import pytest
 from rich.cells import cell_len
 
 import cvxshear
-from cvxshear.fit.ending import Ending
+from cvxshear.fit.gauss_newton import Ending
 from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.posterior import Rival
 from cvxshear.report import terminal

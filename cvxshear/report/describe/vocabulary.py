@@ -98,7 +98,6 @@ class Table:
     words: tuple[int, ...] = (0,)
     brief: int | None = None
 
-
     def folded(self, most: int) -> tuple[Table, ...]:
         """Several tables, each of the first column and as many of the others as a page has room for."""
         count = len(self.head)

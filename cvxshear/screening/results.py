@@ -1,4 +1,4 @@
-"""One thing that looks wrong in a measurement file."""
+"""One thing that looks wrong in a measurement file, and its place in the JSON of a result."""
 
 from __future__ import annotations
 
