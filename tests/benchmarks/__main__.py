@@ -1,11 +1,11 @@
-"""Print the tables of docs/speed.md: `python -m tests.benchmarks [starting] [large] [many] [solvers] [peers]`."""
+"""Print the tables of docs/speed.md: `python -m tests.benchmarks [starting] [scaling] [many] [solvers] [peers]`."""
 
 import sys
 from importlib import import_module
 
 from tests.benchmarks.timing import machine
 
-PARTS = ("starting", "large", "many", "solvers", "peers", "response")
+PARTS = ("starting", "scaling", "many", "solvers", "peers", "response", "planning")
 
 if __name__ == "__main__":
     print(machine())

@@ -9,7 +9,7 @@ from cvxshear.backends.cvxpy_backend import Cvxpy
 from cvxshear.backends.nearest import nearest
 from cvxshear.programs import mass_correction, story_stiffnesses
 from cvxshear.programs.mass import normalized
-from cvxshear.studies.scaling import exact_experiment
+from tests.benchmarks.scaling import exact_experiment
 from tests.benchmarks.timing import fastest, shown, table
 
 SIZES = (3, 10, 30, 100)

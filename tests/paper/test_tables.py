@@ -6,7 +6,7 @@ from scipy import linalg
 
 from cvxshear import backends
 from cvxshear.paper import steel_frame, tables, three_story
-from cvxshear.paper.results import EXACT, MISPRINT, same_digits
+from cvxshear.paper.tables import EXACT, MISPRINTED, same_digits
 
 MASS, STIFFNESS = np.array([10.0, 7.5, 5.0]), np.array([1800.0, 1200.0, 600.0])
 BACKENDS = backends.available()
@@ -35,7 +35,7 @@ def test_the_misprint_is_named_and_not_imitated():
     table_1 = next(three_story.sections(of))
     [row] = [row for row in table_1.rows if row.misprint]
     assert (row.where, row.what) == ("Table 1, Case 1, Ref. [17]", "mass matrix entry (2, 3), kg")
-    assert (row.printed, row.verdict, row.agrees) == ("-0.004", MISPRINT, False)
+    assert (row.printed, row.verdict, row.agrees) == ("-0.004", MISPRINTED, False)
     assert row.recomputed == pytest.approx(0.1129, abs=5e-5)
     [note] = table_1.notes
     assert "Entry (2, 3) of Ref. [17] in Case 1 is a misprint: the paper has -0.004, the formula gives 0.113" in note
