@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from cvxshear.planning.apart import SUFFICES
-from cvxshear.planning.results import OPEN, Outlook, Plan
+from cvxshear.planning.design import OPEN
+from cvxshear.planning.results import Outlook, Plan
+from cvxshear.planning.verdicts import SUFFICES
 from cvxshear.report.describe.dispatch import describe
 from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, plain_rows
 from cvxshear.util.quantities import AUTOMATIC, Units, counted, percent, significant
@@ -16,46 +17,83 @@ PROVEN = 1e-9
 
 
 @describe.register
-def _plan(of: Plan, units: Units = AUTOMATIC) -> Document:
-    design = of.model.design
-    noise = f"{design.name}: {design.stories} stories; expected noise: {of.model.noise.describe()}"
+def _plan(result: Plan, units: Units = AUTOMATIC) -> Document:
+    design = result.model.design
+    noise = f"{design.name}: {design.stories} stories; expected noise: {result.model.noise.describe()}"
     sections = [
-        Section("choice", "", (Sentence(sure(of)), Sentence(noise))),
-        Section("tests", "The tests", (expected_modes(of), added_masses(of, units))),
+        Section("choice", "", (Sentence(sure(result)), *cautions(result), Sentence(noise))),
+        Section("tests", "The tests", (expected_modes(result), added_masses(result, units), *grid(result))),
     ]
-    if of.apart:
-        sections.append(Section("apart", "What they will tell apart", (verdicts(of), *conclusions(of))))
-    sections.append(Section("accuracy", "What they will determine", (accuracy(of, units), counts(of))))
-    return Document(design.name, headline(of), tuple(sections))
+    if result.apart:
+        sections.append(Section("apart", "Which effects they will show", (verdicts(result), *conclusions(result))))
+    sections.append(Section("accuracy", "What they will determine", (accuracy(result, units), counts(result))))
+    return Document(design.name, headline(result), tuple(sections))
 
 
-def headline(of: Plan) -> str:
+def headline(result: Plan) -> str:
     """The choice in a sentence."""
-    floors = ", ".join(map(str, of.sensors))
-    everywhere = len(of.sensors) == of.model.design.stories
-    where = "every floor" if everywhere else f"floor{'s' * (len(of.sensors) > 1)} {floors}"
-    return f"Measure {where} in {counted(len(of.tests), 'test')}, for {of.goal}."
+    floors = ", ".join(map(str, result.sensors))
+    everywhere = len(result.sensors) == result.model.design.stories
+    where = "every floor" if everywhere else f"floor{'s' * (len(result.sensors) > 1)} {floors}"
+    return f"Measure {where} in {counted(len(result.tests), 'test')}, for {result.goal}."
 
 
-def sure(of: Plan) -> str:
+def sure(result: Plan) -> str:
     """The objective, and how far from the best the choice can be."""
-    unit = "of the effects' sizes" if of.apart else "relative"
-    said = f"{of.measure} ({of.criterion}): {percent(of.objective)} {unit}"
-    if of.objective >= OPEN:
-        said = f"{of.measure} ({of.criterion}): open, {percent(OPEN, 0)} {unit} or more"
-    if len(of.sensors) == of.model.design.stories:
+    unit = "of the effects' sizes" if result.apart else "relative"
+    said = f"{result.measure} ({result.criterion}): {percent(result.objective)} {unit}"
+    if result.objective >= OPEN:
+        said = f"{result.measure} ({result.criterion}): open, {percent(OPEN, 0)} {unit} or more"
+    if len(result.sensors) == result.model.design.stories:
         return said
-    if of.gap < PROVEN:
+    if result.chosen.arbitrary:
+        return f"{said}; every choice of as many floors gives the same within 1 %: the floors named are arbitrary"
+    if result.gap < PROVEN:
         return f"{said}; every choice of as many floors was looked at, none is better"
-    if not np.isfinite(of.gap):
+    if not np.isfinite(result.gap):
         return f"{said}; the convex program gives no bound"
-    if of.bound >= OPEN:
+    if result.bound >= OPEN:
         return f"{said}; no choice of as many floors is better than open"
-    gap = "" if of.objective >= OPEN else f" (gap {percent(of.gap, 1)})"
-    return f"{said}; no choice of as many floors is below {percent(of.bound)}{gap}"
+    gap = "" if result.objective >= OPEN else f" (gap {percent(result.gap, 1)})"
+    return f"{said}; no choice of as many floors is below {percent(result.bound)}{gap}"
 
 
-def expected_modes(of: Plan) -> Table:
+def cautions(result: Plan) -> list[Sentence]:
+    """What the promise is an average over, and where the frame of the plan is not the one that was measured."""
+    said = []
+    if result.frames > 1:
+        said.append(
+            f"The design values are vague: what is promised is an average over {result.frames} frames that they allow."
+        )
+    if result.model.design.effects:
+        labels = ", ".join(placed.label for placed in result.model.design.effects)
+        state = "" if result.model.design.state is None else f' in state "{result.model.design.state}"'
+        said.append(f"The frame is tested{state} with what was found in it: {labels}.")
+    worst = result.misfit
+    if worst is not None:
+        said.append(
+            f'The frame of this plan has mode {worst.mode} of "{worst.configuration}" at {significant(worst.expected)} '
+            f"Hz; {significant(worst.measured)} Hz were measured ({percent(worst.error)}). The shear model lacks "
+            "something: --loop plans for the frame with the effects that the loop finds."
+        )
+    return [Sentence(each) for each in said]
+
+
+def grid(result: Plan) -> list[Sentence]:
+    """What no tests of the grid of added masses can beat, where the masses were chosen."""
+    if result.grid_bound is None:
+        return []
+    if result.arbitrary_masses:
+        return [Sentence("Every choice of added masses gives the same within 1 %: the masses named are arbitrary.")]
+    return [
+        Sentence(
+            "With these sensors no tests with the masses of a grid (nothing, each floor alone, all floors, either "
+            f"half; at the limit and at half of it) are below {_value(result.grid_bound)}."
+        )
+    ]
+
+
+def expected_modes(result: Plan) -> Table:
     """The modes of the first test, and how well they will be known."""
     rows = plain_rows(
         (
@@ -65,61 +103,64 @@ def expected_modes(of: Plan) -> Table:
             percent(each.mode_shape_std, 3),
             percent(each.damping_std, 1),
         )
-        for each in of.expected_modes
+        for each in result.expected_modes
     )
     head = ("mode", "frequency, Hz", "std", "std of a shape's entry", "std of damping")
-    return Table("expected-modes", f"expected modes ({of.names[0]})", head, rows)
+    return Table("expected-modes", f"expected modes ({result.names[0]})", head, rows)
 
 
-def added_masses(of: Plan, units: Units) -> Table:
+def added_masses(result: Plan, units: Units) -> Table:
     """Added mass of each test, the top floor first."""
     # They are laid on floors by hand, and asked for in kg, whatever their size.
-    factor, unit = (1.0, "kg") if units.mass is None else units.of_mass(np.concatenate(of.tests).tolist())
+    factor, unit = (1.0, "kg") if units.mass is None else units.of_mass(np.concatenate(result.tests).tolist())
     rows = plain_rows(
         (
             str(floor),
-            *(significant(float(test[floor - 1]) / factor) for test in of.tests),
-            "x" if floor in of.sensors else "",
+            *(significant(float(test[floor - 1]) / factor) for test in result.tests),
+            "x" if floor in result.sensors else "",
         )
-        for floor in range(of.model.design.stories, 0, -1)
+        for floor in range(result.model.design.stories, 0, -1)
     )
-    return Table("added-mass", f"tests: added mass, {unit}", ("floor", *of.names, "sensor"), rows)
+    return Table("added-mass", f"tests: added mass, {unit}", ("floor", *result.names, "sensor"), rows)
 
 
-def verdicts(of: Plan) -> Table:
+def verdicts(result: Plan) -> Table:
     """How far each effect is told from none and from the others."""
     rows = plain_rows(
         (
             each.label,
-            significant(each.size, 3),
+            significant(each.size, 3) + (f" {each.unit}" if each.unit else ""),
             significant(each.distance, 3),
             each.nearest or "–",
             significant(each.nearest_distance, 3),
             percent(each.probability, 0),
         )
-        for each in of.apart
+        for each in result.apart
     )
-    head = ("if it is", "size", "from none, std", "hardest to tell from", "std", "right verdict")
-    return Table("verdicts", "how far they will be told apart", head, rows)
+    head = ("if it is", "expected size", "std from none", "most like", "std from that", "right verdict")
+    return Table("verdicts", "probability of the right verdict", head, rows, words=(0, 3))
 
 
-def conclusions(of: Plan) -> list[Sentence]:
+def conclusions(result: Plan) -> list[Sentence]:
     """Whether the tests suffice, in words, one sentence an effect."""
     return [
-        Sentence(f"{each.label}: these tests {'can' if each.probability >= SUFFICES else 'cannot'} show it")
-        for each in of.apart
+        Sentence(
+            f"{each.label}: these tests {'can' if each.suffices else 'cannot'} show it; the right verdict comes with "
+            f"{percent(each.probability, 0)} probability, {percent(SUFFICES, 0)} are needed"
+        )
+        for each in result.apart
         if each.size is not None
     ]
 
 
-def accuracy(of: Plan, units: Units) -> Table:
+def accuracy(result: Plan, units: Units) -> Table:
     """Expected standard deviations of every mass and stiffness: as planned, one sensor less and more, all floors."""
-    design = of.model.design
+    design = result.model.design
     options = (
-        ("as planned", of.chosen),
-        ("one less", of.fewer),
-        ("one more", of.more),
-        ("all floors", of.everywhere),
+        ("as planned", result.chosen),
+        ("one less", result.fewer),
+        ("one more", result.more),
+        ("all floors", result.everywhere),
     )
     shown = [(name, each) for name, each in options if each is not None]
     names = tuple(name for name, _ in shown)
@@ -151,19 +192,21 @@ def _value(objective: float) -> str:
     return "open" if objective >= OPEN else percent(objective)
 
 
-def counts(of: Plan) -> Table:
+def counts(result: Plan) -> Table:
     """The objective against the number of sensors."""
     outlooks: dict[int, Outlook] = {
-        len(each.floors): each for each in (of.fewer, of.chosen, of.more, of.everywhere) if each is not None
+        len(each.floors): each
+        for each in (result.fewer, result.chosen, result.more, result.everywhere)
+        if each is not None
     }
     rows = plain_rows(
         (
             str(count),
-            "all" if count == of.model.design.stories else ", ".join(map(str, each.floors)),
+            "all" if count == result.model.design.stories else ", ".join(map(str, each.floors)),
             _value(each.objective),
             _value(each.bound),
         )
         for count, each in sorted(outlooks.items())
     )
     head = ("sensors", "floors", "value", "no choice below")
-    return Table("counts", f"{of.measure}, by number of sensors", head, rows)
+    return Table("counts", f"{result.measure}, by number of sensors", head, rows)
