@@ -366,12 +366,23 @@ def _completed(frame: Frame, stories: int) -> Frame:
 
 
 def _effects(result: Mapping[str, Any]) -> tuple[tuple[Placed, ...], Floats, Floats]:
-    """The effects of the catalogue that a result of the loop holds in every state, their parameters and deviations."""
+    """The effects that a result of the loop holds in every state, their parameters and standard deviations.
+
+    Raises
+    ------
+    InputError
+        Where one of them cannot be made again from the result alone, which holds no story heights.
+    """
     there = {effect.name: effect for effect in catalogue()}
     found, values, std = [], [], []
     for item in (*(result.get("assumed") or ()), *(result.get("effects") or ())):
         effect = there.get(item["name"])
-        if effect is not None and item.get("configuration") is None:
+        if item.get("configuration") is None:
+            if effect is None or "heights" in effect.needs or any(each.unit_in_stories for each in effect.parameters):
+                raise InputError(
+                    f"the result holds {item['name']}, which cannot be made again without the measurement; plan for "
+                    "the measurement file itself, with the option loop"
+                )
             parts = {each.name: item.get(each.name) for each in dataclasses.fields(Place) if each.name != "state"}
             found.append(Placed(effect, Place(**parts)))
             values += [float(value) for value in item["parameters"].values()]

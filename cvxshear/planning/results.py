@@ -19,7 +19,7 @@ from cvxshear.util.showing import Shown
 from cvxshear.util.typing import Floats, Ints, Json
 
 SAME = 0.01
-"""Relative difference of the best and the worst choice up to which the choice does not matter: the expected noise is not
+"""Relative difference of the best and the worst choice up to which the choice does not matter: expected noise is not
 known to a hundredth."""
 
 MISFIT = 0.02

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from scipy.optimize import check_grad
 
-from cvxshear.planning.choice import choose, exchanged, exhaustive, values_of
+from cvxshear.planning.choice import choose, exchanged, relaxed, values_of
 from cvxshear.planning.criteria import CRITERIA, criterion_named
-from cvxshear.planning.relaxation import relaxed
-from cvxshear.planning.study import OTHERS, beside_others, floors_of, random_frame
 from cvxshear.util.errors import InputError
-from tests.planning.common import frame_model, tapered
+from tests.benchmarks.planning import OTHERS, beside_others, floors_of, random_frame
+from tests.planning.common import exhaustive, frame_model, tapered
 
 NAMES = tuple(CRITERIA)
 
@@ -67,8 +66,8 @@ def test_the_program_finds_what_descent_with_every_direction_finds(name):
     of = floors(10, 4)
     by = CRITERIA[name]
     found = relaxed(of, 4, by)
-    assert found.shares.sum() == pytest.approx(4.0, abs=1e-4)
-    at_shares = float(by.value(of, of.information(found.shares)))
+    assert found.weights.sum() == pytest.approx(4.0, abs=1e-4)
+    at_shares = float(by.value(of, of.information(found.weights)))
     slack = 3e-2 if name in ("E", "worst") else 1e-3
     assert found.bound <= at_shares <= (1 + slack) * found.bound
 

@@ -8,14 +8,12 @@ import pytest
 
 import cvxshear
 from cvxshear.cli import main
-from cvxshear.planning import Declared, Limits, Recorded, best_test, plan, predicted, read_design, write_template
+from cvxshear.planning import Declared, Limits, Recorded, plan, predicted, read_design, write_template
 from cvxshear.planning.criteria import criterion_named
-from cvxshear.planning.masses import value_of
-from cvxshear.planning.simulation import right_verdicts, scatter
-from cvxshear.planning.study import paper_design
+from cvxshear.planning.planner import value_of
 from cvxshear.report import figures
 from cvxshear.util.errors import InputError
-from tests.frames import configuration, experiment
+from tests.benchmarks.planning import paper_design, right_verdicts, scatter
 from tests.planning.common import NOISE, design, tapered
 from tests.report.test_figures import assert_readable
 
@@ -98,10 +96,11 @@ def test_masses_stay_within_what_can_be_carried_and_beat_the_grid():
     limits = Limits.of(4e3, 7e3, 5)
     by = criterion_named("D")
     floors = found.chosen.floors - 1
-    grid = [found.model.expected(test) for test in limits.grid()]
-    pairs = [value_of(found.model, [grid[i], grid[j]], floors, by) for i in range(len(grid)) for j in range(i)]
+    grid = [found.averaged.expected(test) for test in limits.grid()]
+    pairs = [value_of(found.averaged, [grid[i], grid[j]], floors, by) for i in range(len(grid)) for j in range(i)]
     assert found.objective <= min(pairs) * (1 + 1e-9)
-    assert found.tests_bound <= min(pairs) * (1 + 1e-9)
+    assert found.grid_bound <= min(pairs) * (1 + 1e-9)
+    assert found.frames > 1
 
 
 def test_a_floor_that_can_carry_nothing_carries_nothing():
@@ -114,7 +113,7 @@ def test_simulated_tests_scatter_as_planned():
     of = design([10.0, 8.0, 7.0, 5.0], [24e3, 20e3, 16e3, 9e3], stiffness_std=0.05)
     found = plan(of, 3, 2, modes=3, noise=Declared(0.001, 0.005), added_mass=3.0)
     seen = scatter(found, 40, seed=5)
-    assert seen.ratio == pytest.approx(1.0, abs=0.15)
+    assert np.sqrt(np.nanmean(seen**2)) == pytest.approx(1.0, abs=0.15)
 
 
 def test_simulated_tests_give_the_right_verdict_as_often_as_planned():
@@ -159,28 +158,6 @@ def test_an_earlier_results_json_is_what_is_known(tmp_path):
     path.write_text("[")
     with pytest.raises(InputError, match="is not valid JSON"):
         read_design(path)
-
-
-def test_rivals_are_told_apart_by_the_proposed_test():
-    """Gravity or none, of which two floors tell nothing in a single test: masses part them, and better floors more."""
-    mass, stiffness = [10.0, 10.0, 9.0, 8.0], [24e3, 20e3, 16e3, 10e3]
-    tested = configuration(mass, stiffness, measured_floors=[1, 4], modes=[1, 2])
-    declared = experiment(mass, stiffness, tested, frame={"total_mass": 37.0, "story_heights": 0.4})
-    declared["prior"] = [
-        {"kind": "nominal", "quantity": "story_stiffness", "values": stiffness, "std": 0.05},
-        {"kind": "nominal", "quantity": "floor_mass", "values": mass, "std": 0.05},
-    ]
-    measured = cvxshear.Experiment.from_dict(declared)
-    rivals = [cvxshear.close_loop(measured, effects=[], assume=assumed).estimate for assumed in ([], ["gravity"])]
-    limits = Limits.of(8.0, None, 4)
-    kept, chosen = best_test(rivals, limits), best_test(rivals, limits, sensors=2)
-    assert list(kept.measured_floors) == [1, 4]
-    assert chosen.standard_deviations >= kept.standard_deviations > 1
-    assert chosen.to_dict()["standard_deviations"] == chosen.standard_deviations
-    assert kept.added_mass.sum() > 0
-    assert best_test(rivals[:1] * 2, limits) is None
-    with pytest.raises(InputError, match="needs two of them"):
-        best_test(rivals[:1], limits)
 
 
 @pytest.mark.parametrize(

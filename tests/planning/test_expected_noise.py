@@ -6,7 +6,7 @@ from scipy.integrate import quad
 
 from cvxshear.modal.simulate import PAPER_FRAME
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
-from cvxshear.planning.noise import BAND, Declared, Recorded, band_factors
+from cvxshear.planning.expected_noise import BAND, Declared, Recorded, band_factors
 from cvxshear.util.errors import InputError
 
 WHICH = np.arange(3)
