@@ -15,7 +15,7 @@ from scipy.optimize import LinearConstraint
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.planning.choice import SOLVERS, Choice, choose, descended
 from cvxshear.planning.criteria import Criterion, criterion_named
-from cvxshear.planning.design import OPEN, Design, read_design
+from cvxshear.planning.design import UNDETERMINED, Design, read_design
 from cvxshear.planning.expected_noise import Declared, TestNoise
 from cvxshear.planning.model import AveragedModel, Test, TestModel
 from cvxshear.planning.results import Outlook, Plan
@@ -355,6 +355,6 @@ def outlook(model: AveragedModel, tests: Sequence[Test], choice: Choice) -> Outl
     """
     design = model.frames[0].design
     relative = model.shear_std(tests, choice.chosen)
-    std = np.where(relative < OPEN, relative, np.nan) * design.sizes
+    std = np.where(relative < UNDETERMINED, relative, np.nan) * design.sizes
     n = design.stories
     return Outlook(choice.chosen + 1, choice.value, choice.bound, choice.worst, std[:n], std[n:])
