@@ -14,9 +14,9 @@ from cvxshear.effects import Placed, compose
 from cvxshear.fit.separation import separation
 from cvxshear.model.shear import Modes, mode_derivatives, modes
 from cvxshear.planning.candidates import Candidates, candidates
+from cvxshear.planning.chances import Target
 from cvxshear.planning.design import Design
 from cvxshear.planning.expected_noise import TestNoise
-from cvxshear.planning.verdicts import Target
 from cvxshear.util.typing import Floats, Ints
 
 VAGUE = 10.0

@@ -13,13 +13,13 @@ import numpy as np
 from scipy.optimize import LinearConstraint
 
 from cvxshear.measurement.experiment import Experiment
+from cvxshear.planning.chances import chances, target
 from cvxshear.planning.choice import SOLVERS, Choice, choose, descended
 from cvxshear.planning.criteria import Criterion, criterion_named
 from cvxshear.planning.design import UNDETERMINED, Design, read_design
 from cvxshear.planning.expected_noise import Declared, TestNoise
 from cvxshear.planning.model import AveragedModel, Test, TestModel
 from cvxshear.planning.results import Outlook, Plan
-from cvxshear.planning.verdicts import chances, target
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints

@@ -10,11 +10,11 @@ import numpy as np
 from cvxshear.files.measurement import write_measurement
 from cvxshear.fit.results import plain
 from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.planning.chances import Chance
 from cvxshear.planning.choice import choose
 from cvxshear.planning.criteria import CRITERIA, criterion_named
 from cvxshear.planning.design import Fitted
 from cvxshear.planning.model import AveragedModel, Expected, TestModel
-from cvxshear.planning.verdicts import Chance
 from cvxshear.util.showing import Shown
 from cvxshear.util.typing import Floats, Ints, Json
 

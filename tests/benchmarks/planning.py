@@ -19,11 +19,11 @@ from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.separation import log_evidence
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.planning import Declared, Design, plan, predicted
+from cvxshear.planning.chances import SURE
 from cvxshear.planning.choice import choose, equally_spaced, values_of
 from cvxshear.planning.criteria import CRITERIA, criterion_named
 from cvxshear.planning.model import AveragedModel, TestModel
 from cvxshear.planning.planner import GOALS
-from cvxshear.planning.verdicts import SURE
 from cvxshear.priors.nominal import Nominal
 from cvxshear.priors.value import Value
 

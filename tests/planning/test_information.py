@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from cvxshear.planning.candidates import candidates
+from cvxshear.planning.chances import target
 from cvxshear.planning.design import Design
 from cvxshear.planning.model import VAGUE
-from cvxshear.planning.verdicts import target
 from cvxshear.util.errors import InputError
 from tests.planning.common import NOISE, design, frame_model, slow_covariance, tapered
 

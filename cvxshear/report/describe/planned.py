@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from cvxshear.planning.chances import SUFFICES
 from cvxshear.planning.design import UNDETERMINED
 from cvxshear.planning.results import Outlook, Plan
-from cvxshear.planning.verdicts import SUFFICES
 from cvxshear.report.describe.dispatch import describe
 from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, plain_rows
 from cvxshear.util.quantities import AUTOMATIC, Units, counted, percent, significant

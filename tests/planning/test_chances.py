@@ -7,7 +7,7 @@ from scipy.integrate import quad
 from cvxshear.effects import Gravity, GroundSpring, JointRotation, Place, Placed, Scale
 from cvxshear.fit.separation import log_evidence
 from cvxshear.measurement.experiment import Frame
-from cvxshear.planning.verdicts import NONE, Target, chances, target
+from cvxshear.planning.chances import NONE, Target, chances, target
 from cvxshear.util.errors import InputError
 
 ROTATION = Target(Placed(JointRotation()), 0.05)
