@@ -51,12 +51,12 @@ def _line(of: Closure) -> str:
 def verdict_section(of: Closure) -> Section:
     """What the verdict means and rests on."""
     assumed = f" In the model from the start: {', '.join(placed.label for placed in of.assumed)}." if of.assumed else ""
-    meaning = VERDICTS[of.verdict]
+    meaning = VERDICTS[of.verdict].sentence
     if not of.effects and of.verdict == "explained":
         meaning = "The shear model explains the data, once the modes are numbered otherwise; no effect was added."
     if not of.effects and of.verdict == "ambiguous":
         meaning = "The shear model explains the data; which modes of the frame were measured is in question."
-    return Section("verdict", "Verdict", (Sentence(f"{meaning} It rests on {of.rests_on}.{assumed}"),))
+    return Section("verdict", "Verdict", (Sentence(f"{meaning} It rests on {listed(list(of.rests_on))}.{assumed}"),))
 
 
 def frame_section(of: Closure, units: Units) -> Section:
