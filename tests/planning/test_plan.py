@@ -256,8 +256,10 @@ def test_the_command_shows_quantities_in_the_units_that_were_asked_for(file, run
 
 def test_vague_design_values_are_averaged_over_and_what_is_promised_is_their_average():
     """Against the root mean square over two hundred frames drawn from the priors: within 5 % in the mean."""
-    each = [(once[len(once) // 2 :], mean[len(mean) // 2 :]) for once, mean in vague_designs(frames=3, others=200, seed=3)]
-    at_design, averaged = (np.concatenate(stiffness) for stiffness in zip(*each, strict=True))
+    found = vague_designs(frames=3, others=200, seed=3)
+    at_design, averaged = (
+        np.concatenate([each[place][len(each[place]) // 2 :] for each in found]) for place in range(2)
+    )
     assert at_design.mean() > 1.08
     assert averaged.mean() == pytest.approx(1.0, abs=0.05)
     assert np.abs(averaged - 1).max() < np.abs(at_design - 1).max()
@@ -277,7 +279,7 @@ def test_firm_design_values_are_taken_as_they_are_and_a_declared_total_is_kept()
 
 
 def test_a_choice_that_changes_nothing_is_said_to_be_arbitrary(file, capsys):
-    """A single sensor tells nothing of a shape whose scale is free: every floor gives nearly what frequencies alone give."""
+    """A single sensor tells nothing of a shape of free scale: every floor gives nearly what frequencies alone give."""
     found = plan(file, sensors=1, modes=2)
     assert found.chosen.arbitrary
     assert found.chosen.worst == pytest.approx(found.objective, rel=0.01)
