@@ -26,13 +26,13 @@ COPIED = ("cvxshear", "tests", "examples", "docs", "pyproject.toml", "README.md"
 CONCERNED = {
     "planning": (
         "planning/test_information.py", "planning/test_expected_noise.py", "planning/test_chances.py",
-        "planning/test_windows.py", "planning/test_choice.py", "planning/test_plan.py", "report/test_describe_more.py",
+        "planning/test_windows.py", "planning/test_choice.py", "planning/test_plan.py",
     ),
     "programs": ("test_programs.py", "test_linear.py", "test_priors.py", "test_properties.py", "test_fast.py"),
     "priors": ("test_priors.py", "test_programs.py", "test_experiment.py"),
     "backends": ("test_backends.py", "test_certificates.py", "test_compiled.py", "test_working_set.py"),
     "effects": ("effects", "test_states.py"),
-    "data": ("test_data.py", "test_efficient.py", "test_states.py", "test_noise.py"),
+    "data": ("test_data.py", "test_priors.py", "test_efficient.py"),
     "fit": ("test_efficient.py", "test_noise.py", "test_smooth.py", "test_separation.py", "test_evidence.py"),
     "loop": ("test_evidence.py", "test_posterior.py", "test_search.py", "test_loop.py", "test_next_sensors.py"),
     "response": ("response",),

@@ -9,7 +9,7 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.paper import steel_frame, three_story
 from cvxshear.paper.scatter import SEED
-from cvxshear.paper.tables import DIFFERS, EXACT, MISPRINTED, ROUNDED, Row, Section
+from cvxshear.paper.tables import DIFFERS, MISPRINTED, ROUNDED, TO_THE_DIGIT, Row, Section
 from cvxshear.util.typing import Json
 
 
@@ -41,10 +41,11 @@ class Reproduction:
         """How many figures agree, in a sentence or two."""
         results = [row for section in self.sections if section.counted for row in section.rows]
         fixed = [row for row in results if row.chance is None and not row.printed.startswith("about")]
-        counts = {name: sum(row.verdict == name for row in fixed) for name in (EXACT, ROUNDED, MISPRINTED, DIFFERS)}
+        verdicts = (TO_THE_DIGIT, ROUNDED, MISPRINTED, DIFFERS)
+        counts = {name: sum(row.verdict == name for row in fixed) for name in verdicts}
         return (
-            f"{len(fixed)} printed results that no chance is involved in: {counts[EXACT]} are met to the last printed "
-            f"digit, {counts[ROUNDED]} more once computed, as the paper did, from its own rounded figures, "
+            f"{len(fixed)} printed results that no chance is involved in: {counts[TO_THE_DIGIT]} are met to the last "
+            f"printed digit, {counts[ROUNDED]} more once computed, as the paper did, from its own rounded figures, "
             f"{counts[MISPRINTED]} is a misprint, {counts[DIFFERS]} differ."
         )
 

@@ -13,12 +13,11 @@ from cvxshear.files.toml import load
 from cvxshear.methods import identify
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.paper import tables
-from cvxshear.paper.tables import Row, Section
+from cvxshear.paper.tables import KILO, Row, Section
 from cvxshear.programs import story_stiffnesses
 from cvxshear.programs.mass import normalized
 from cvxshear.util.typing import Floats
 
-KILO = 1e3
 ORDINALS = (1, 2)
 
 

@@ -10,10 +10,13 @@ from dataclasses import dataclass
 
 from cvxshear.util.typing import Json
 
+KILO = 1e3
+"""The paper prints stiffnesses in kN/m."""
+
 INITIAL_MASS = {1: (9.5, 7.5, 5.5), 2: (7.5, 7.5, 7.5)}
 """Section 5.1, kg."""
 
-METHODS = {"two-stage": "present", "qi": "Ref. [23]", "berman": "Ref. [17]"}
+PAPER_METHODS = {"two-stage": "present", "qi": "Ref. [23]", "berman": "Ref. [17]"}
 """Our name of each method, and the paper's."""
 
 ITERATIONS = {1: "14", 2: "16"}
@@ -129,7 +132,7 @@ def values(printed: tuple[str, ...]) -> tuple[float, ...]:
     return tuple(value(each) for each in printed)
 
 
-EXACT = "to the last digit"
+TO_THE_DIGIT = "to the last digit"
 ROUNDED = "from rounded figures"
 MISPRINTED = "misprint"
 DIFFERS = "differs"
@@ -192,7 +195,7 @@ class Row:
         if self.printed.startswith("about"):
             return ""
         if self.agrees:
-            return EXACT
+            return TO_THE_DIGIT
         if self.from_rounded is not None and same_digits(self.from_rounded, self.printed):
             return ROUNDED
         return DIFFERS

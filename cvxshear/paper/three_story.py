@@ -16,10 +16,9 @@ from cvxshear.methods.story_stiffness import identified_stiffness
 from cvxshear.paper import tables
 from cvxshear.paper.scatter import NoiseStudy, noise_study, paper_setups
 from cvxshear.paper.setups import three_story
-from cvxshear.paper.tables import Row, Section
+from cvxshear.paper.tables import KILO, Row, Section
 from cvxshear.util.typing import Floats
 
-KILO = 1e3
 FIGURE_6_SAMPLES = 2000
 UNLIKELY = 1.96
 """Standard errors that chance exceeds in one case of twenty."""
@@ -48,7 +47,7 @@ class ThreeStory:
         """What each method finds in each case."""
         return {
             (method, case): identify(self.experiment, method, self.backend, initial_mass=start).parts[0]
-            for method in tables.METHODS
+            for method in tables.PAPER_METHODS
             for case, start in tables.INITIAL_MASS.items()
         }
 
@@ -79,7 +78,7 @@ def sections(ours: ThreeStory) -> Iterator[Section]:
 
 
 def _place(table: str, method: str, case: int) -> str:
-    return f"{table}, Case {case}, {tables.METHODS[method]}"
+    return f"{table}, Case {case}, {tables.PAPER_METHODS[method]}"
 
 
 def _table_1(ours: ThreeStory) -> Iterator[Row]:

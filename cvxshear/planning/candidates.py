@@ -22,7 +22,7 @@ from scipy import linalg
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
 
-NEGLIGIBLE = 1e-12
+KNOWN_EXACTLY = 1e-12
 """Length of a row of the question, each parameter in its own size, below which the parameter is known exactly."""
 
 
@@ -143,8 +143,8 @@ def candidates(known: Floats, fixed: Floats, rows: Floats, question: Floats, wei
     """
     free = linalg.null_space(fixed, rcond=1e-12) if len(fixed) else np.eye(question.shape[1])
     left, sizes, right = np.linalg.svd(question @ free)
-    rank = int(np.sum(sizes > NEGLIGIBLE * max(1.0, sizes[0] if len(sizes) else 1.0)))
-    if not rank or sizes[0] <= NEGLIGIBLE:
+    rank = int(np.sum(sizes > KNOWN_EXACTLY * max(1.0, sizes[0] if len(sizes) else 1.0)))
+    if not rank or sizes[0] <= KNOWN_EXACTLY:
         raise InputError("what the plan is for is known exactly already; plan for something that is not")
     basis = free @ right.T
     known, rows = known @ basis, rows @ basis

@@ -16,16 +16,12 @@ import numpy as np
 
 from cvxshear.effects import Place, Placed, Scale, named
 from cvxshear.fit.separation import log_evidence
+from cvxshear.loop.conclusion import EXPLAINED
+from cvxshear.loop.posterior import ADDED
 from cvxshear.measurement.experiment import Frame
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Json
-
-SURE = 0.95
-"""Probability from which on the loop names an effect without rivals, as `explained` asks for."""
-
-ADDED = 0.5
-"""Probability from which on the loop adds an effect to the model: the median model."""
 
 DRAWS = 20_000
 """Simulated outcomes a possibility: a probability of 90 % is then known to 0.2 %."""
@@ -228,6 +224,6 @@ def _right(targets: Sequence[Target], G: Floats) -> list[float]:
         evidence = np.stack([np.zeros(DRAWS), *found], axis=1)
         likely = np.exp(evidence - evidence.max(axis=1, keepdims=True))
         likely /= likely.sum(axis=1, keepdims=True)
-        right = likely[:, truth] >= SURE if truth else likely[:, 1:].max(axis=1) < ADDED
+        right = likely[:, truth] >= EXPLAINED if truth else likely[:, 1:].max(axis=1) < ADDED
         result.append(float(np.mean(right)))
     return result

@@ -31,8 +31,9 @@ from cvxshear.util.errors import NoSolutionError
 from cvxshear.util.typing import Floats, Ints
 
 SOLVERS = ("clarabel", "scs")
+"""Conic solvers that cvxpy brings along and that know semidefinite constraints."""
 
-ACCURACY: dict[str, dict[str, Any]] = {
+SOLVER_ACCURACY: dict[str, dict[str, Any]] = {
     "clarabel": {"tol_gap_abs": 1e-6, "tol_gap_rel": 1e-6, "tol_feas": 1e-7},
     "scs": {"eps_abs": 1e-6, "eps_rel": 1e-6, "max_iters": 40_000},
 }
@@ -54,6 +55,7 @@ FEW = 20_000
 """Choices of which every one is looked at, where the information has `TYPICAL` rows: eighteen floors choose six."""
 
 TYPICAL = 45
+"""Rows of the information of an eighteen-story frame with three modes: a cubic measure of what one choice takes."""
 
 AT_LAST = 2
 """Times as many, of which every one is looked at where windows leave a gap: a few sensors on a tall frame."""
@@ -268,7 +270,7 @@ def relaxed(problem: Candidates, number: int, by: Criterion, solver: str = "clar
         with warnings.catch_warnings():
             # "Solution may be inaccurate": how accurate it is shows in the bound.
             warnings.simplefilter("ignore")
-            conic.solve(solver=solver.upper(), **ACCURACY[solver])
+            conic.solve(solver=solver.upper(), **SOLVER_ACCURACY[solver])
     except cp.SolverError as error:
         raise NoSolutionError(f"cvxpy-{solver}", str(error)) from error
     if w.value is None:

@@ -26,9 +26,9 @@ from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
 
-QUANTITIES = ("floor_mass", "story_stiffness")
+FRAME_QUANTITIES = ("floor_mass", "story_stiffness")
 
-UNDETERMINED = 1.0
+UNKNOWN_STD = 1.0
 """Relative standard deviation from which on a mass or stiffness counts as unknown: as uncertain as it is large."""
 
 FIRM = 0.1
@@ -153,7 +153,7 @@ class Design:
         free = linalg.null_space(fixed, rcond=1e-12) if len(fixed) else np.eye(len(self.sizes))
         known = self.known()[:, : len(self.sizes)] @ free
         information, axes = np.linalg.eigh(known.T @ known)
-        somewhat = information > UNDETERMINED**-2
+        somewhat = information > UNKNOWN_STD**-2
         root = free @ (axes[:, somewhat] / np.sqrt(information[somewhat]))
         if np.max(np.linalg.norm(root, axis=1), initial=0.0) <= FIRM * (1 + 1e-9):
             return (self,)
@@ -340,16 +340,16 @@ class Design:
             Where it has none.
         """
         frame = result.get("frame")
-        keys = [f"{quantity}{part}" for quantity in QUANTITIES for part in ("", "_std")]
+        keys = [f"{quantity}{part}" for quantity in FRAME_QUANTITIES for part in ("", "_std")]
         if not isinstance(frame, Mapping) or any(not isinstance(frame.get(key), list) for key in keys):
             raise InputError(
                 f"{name} holds no frame with standard deviations; it must be the JSON of loop, or of identify by the "
                 "efficient method"
             )
-        mass, stiffness = (checks.vector(frame[key], f"frame: {key}", above=0.0) for key in QUANTITIES)
+        mass, stiffness = (checks.vector(frame[key], f"frame: {key}", above=0.0) for key in FRAME_QUANTITIES)
         priors = tuple(
             Value(quantity=quantity, at=place, value=float(value), std=None if not std else float(std) / float(value))
-            for quantity, values in zip(QUANTITIES, (mass, stiffness), strict=True)
+            for quantity, values in zip(FRAME_QUANTITIES, (mass, stiffness), strict=True)
             for place, (value, std) in enumerate(zip(values, frame[f"{quantity}_std"], strict=True), 1)
         )
         frame = _completed(Frame(), len(mass))

@@ -16,7 +16,7 @@ from cvxshear.measurement.experiment import Experiment
 from cvxshear.planning.chances import chances, target
 from cvxshear.planning.choice import SOLVERS, Choice, choose, descended
 from cvxshear.planning.criteria import Criterion, criterion_named
-from cvxshear.planning.design import UNDETERMINED, Design, read_design
+from cvxshear.planning.design import UNKNOWN_STD, Design, read_design
 from cvxshear.planning.expected_noise import Declared, TestNoise
 from cvxshear.planning.model import AveragedModel, Test, TestModel
 from cvxshear.planning.results import Outlook, Plan
@@ -53,7 +53,7 @@ DESCENT_STEPS = 15
 MASS_STEP = 1e-3
 """Part of a floor's limit by which the differences of that gradient move a mass."""
 
-DIGITS = 2
+MASS_DIGITS = 2
 """Decimals, of the limit in percent, that a refined mass is given with: nobody weighs finer."""
 
 
@@ -106,7 +106,7 @@ class Limits:
     def practical(self, test: Floats) -> Floats:
         """The masses as one would weigh them, within the limits."""
         largest = float(self.floor.max())
-        result: Floats = np.minimum(np.round(test / largest, DIGITS) * largest, self.floor)
+        result: Floats = np.minimum(np.round(test / largest, MASS_DIGITS) * largest, self.floor)
         return self._within(result)
 
 
@@ -355,6 +355,6 @@ def outlook(model: AveragedModel, tests: Sequence[Test], choice: Choice) -> Outl
     """
     design = model.frames[0].design
     relative = model.shear_std(tests, choice.chosen)
-    std = np.where(relative < UNDETERMINED, relative, np.nan) * design.sizes
+    std = np.where(relative < UNKNOWN_STD, relative, np.nan) * design.sizes
     n = design.stories
     return Outlook(choice.chosen + 1, choice.value, choice.bound, choice.worst, std[:n], std[n:])

@@ -18,7 +18,7 @@ from cvxshear.planning.model import AveragedModel, Expected, TestModel
 from cvxshear.util.showing import Shown
 from cvxshear.util.typing import Floats, Ints, Json
 
-SAME = 0.01
+NO_DIFFERENCE = 0.01
 """Relative difference of the best and the worst choice up to which the choice does not matter: expected noise is not
 known to a hundredth."""
 
@@ -63,7 +63,7 @@ class Outlook:
     @property
     def arbitrary(self) -> bool:
         """Whether every choice of as many floors gives the same, so that nothing speaks for these."""
-        return self.worst <= (1 + SAME) * self.bound
+        return self.worst <= (1 + NO_DIFFERENCE) * self.bound
 
     def to_dict(self) -> Json:
         """The fields by name."""
@@ -153,7 +153,7 @@ class Plan(Shown):
     @property
     def arbitrary_masses(self) -> bool:
         """Whether all tests of the grid of added masses give the same."""
-        return self.grid_bound is not None and (self.grid_worst or 0.0) <= (1 + SAME) * self.grid_bound
+        return self.grid_bound is not None and (self.grid_worst or 0.0) <= (1 + NO_DIFFERENCE) * self.grid_bound
 
     @property
     def misfit(self) -> Fitted | None:

@@ -30,7 +30,7 @@ from scipy import linalg
 from cvxshear.planning.candidates import Candidates
 from cvxshear.util.typing import Bools, Floats, Ints
 
-MOST_ROUNDS = 60
+MIXTURE_ROUNDS = 60
 """Of looking for what bounds the best choice so far."""
 
 A_ROUND = 4
@@ -173,7 +173,7 @@ def least_of_largest(
     count = n - width + 1
     values = np.zeros((count, 2**width))
     added: set[tuple[int, bytes]] = set()
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MIXTURE_ROUNDS):
         least, chosen = least_largest(values, number)
         if least >= enough:
             break

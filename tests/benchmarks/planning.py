@@ -17,9 +17,9 @@ from cvxshear.files.toml import parse, read_text
 from cvxshear.fit.efficient import fitted
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.separation import log_evidence
+from cvxshear.loop.conclusion import EXPLAINED
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.planning import Declared, Design, plan, predicted
-from cvxshear.planning.chances import SURE
 from cvxshear.planning.choice import choose, equally_spaced, values_of
 from cvxshear.planning.criteria import CRITERIA, criterion_named
 from cvxshear.planning.model import AveragedModel, TestModel
@@ -219,7 +219,7 @@ def right_verdicts(planned, samples, seed):
                 gain = log_evidence(information, np.array(y), target.mean, target.std, target.side)
                 evidence.append(float(gain) - found.chi2 / 2 - y**2 / (2 * information))
             likely = np.exp(np.array(evidence) - max(evidence))
-            right += bool(likely[place + 1] >= SURE * likely.sum())
+            right += bool(likely[place + 1] >= EXPLAINED * likely.sum())
         result[truth.placed.label] = right / samples
     return result
 

@@ -9,7 +9,7 @@ import pytest
 
 from cvxshear import InputError
 from cvxshear.paper import Row, reproduce
-from cvxshear.paper.tables import DIFFERS, EXACT, MISPRINTED, ROUNDED, same_digits
+from cvxshear.paper.tables import DIFFERS, MISPRINTED, ROUNDED, TO_THE_DIGIT, same_digits
 from cvxshear.report.describe.paper import printed_beside_recomputed
 from cvxshear.report.terminal import text
 
@@ -19,9 +19,9 @@ DOCS = Path(__file__).parents[2] / "docs" / "paper.md"
 def test_every_printed_result_is_met_or_accounted_for(reproduction):
     counted = {
         name: sum(row.verdict == name for section in reproduction.sections if section.counted for row in section.rows)
-        for name in (EXACT, ROUNDED, MISPRINTED, DIFFERS)
+        for name in (TO_THE_DIGIT, ROUNDED, MISPRINTED, DIFFERS)
     }
-    assert counted == {EXACT: 73, ROUNDED: 11, MISPRINTED: 1, DIFFERS: 0}
+    assert counted == {TO_THE_DIGIT: 73, ROUNDED: 11, MISPRINTED: 1, DIFFERS: 0}
     assert "85 printed results" in reproduction.summary
 
 
@@ -67,7 +67,7 @@ def test_the_documentation_leaves_the_unexplained_to_the_loop():
 @pytest.mark.parametrize(
     ("row", "verdict"),
     [
-        (Row("x", "here", "1.50", 1.4961), EXACT),
+        (Row("x", "here", "1.50", 1.4961), TO_THE_DIGIT),
         (Row("x", "here", "1.50", 1.4886), DIFFERS),
         (Row("x", "here", "1.50", 1.4886, from_rounded=1.5), ROUNDED),
         (Row("x", "here", "-0.004", 0.113, misprint=True), MISPRINTED),

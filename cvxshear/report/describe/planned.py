@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.planning.chances import SUFFICES
-from cvxshear.planning.design import UNDETERMINED
+from cvxshear.planning.design import UNKNOWN_STD
 from cvxshear.planning.results import Outlook, Plan
 from cvxshear.report.describe.dispatch import describe
 from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, plain_rows
@@ -42,8 +42,8 @@ def sure(result: Plan) -> str:
     """The objective, and how far from the best the choice can be."""
     unit = "of the effects' sizes" if result.apart else "relative"
     said = f"{result.measure} ({result.criterion}): {percent(result.objective)} {unit}"
-    if result.objective >= UNDETERMINED:
-        said = f"{result.measure} ({result.criterion}): open, {percent(UNDETERMINED, 0)} {unit} or more"
+    if result.objective >= UNKNOWN_STD:
+        said = f"{result.measure} ({result.criterion}): open, {percent(UNKNOWN_STD, 0)} {unit} or more"
     if len(result.sensors) == result.model.design.stories:
         return said
     if result.chosen.arbitrary:
@@ -52,9 +52,9 @@ def sure(result: Plan) -> str:
         return f"{said}; every choice of as many floors was looked at, none is better"
     if not np.isfinite(result.gap):
         return f"{said}; the convex program gives no bound"
-    if result.bound >= UNDETERMINED:
+    if result.bound >= UNKNOWN_STD:
         return f"{said}; no choice of as many floors is better than open"
-    gap = "" if result.objective >= UNDETERMINED else f" (gap {percent(result.gap, 1)})"
+    gap = "" if result.objective >= UNKNOWN_STD else f" (gap {percent(result.gap, 1)})"
     return f"{said}; no choice of as many floors is below {percent(result.bound)}{gap}"
 
 
@@ -189,7 +189,7 @@ def _std(std: Floats, at: int, value: float) -> str:
 
 def _value(objective: float) -> str:
     """The criterion's standard deviation, relative."""
-    return "open" if objective >= UNDETERMINED else percent(objective)
+    return "open" if objective >= UNKNOWN_STD else percent(objective)
 
 
 def counts(result: Plan) -> Table:
