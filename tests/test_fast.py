@@ -229,7 +229,7 @@ def noisy_samples(count):
 
 
 def _masses(experiment):
-    return identify(experiment, "one-shot").frame.floor_mass
+    return identify(experiment).frame.floor_mass
 
 
 def test_two_processes_have_the_same_numbers_as_one_and_say_how_far_they_are():

@@ -272,6 +272,10 @@ def test_firm_design_values_are_taken_as_they_are_and_a_declared_total_is_kept()
     assert drawn[0] is vague
     logs = np.array([each.story_stiffness / vague.story_stiffness - 1 for each in drawn])
     np.testing.assert_allclose(np.sqrt(np.mean(logs**2, axis=0)), 0.3, rtol=0.25)
+    single = design([9.0], [2e3], stiffness_std=0.2).possible()
+    spread = np.array([each.story_stiffness[0] / 2e3 - 1 for each in single])
+    assert np.sqrt(np.mean(spread**2)) == pytest.approx(0.2, rel=1e-9)
+    assert np.mean(spread) == pytest.approx(0.0, abs=1e-12)
     heavy = design([9.0, 7.0, 5.0], [2e3, 1.5e3, 1e3], mass_std=0.3, frame={"total_mass": 21.0})
     totals = [each.floor_mass.sum() for each in heavy.possible()]
     np.testing.assert_allclose(totals, 21.0, rtol=1e-12)
