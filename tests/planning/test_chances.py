@@ -89,3 +89,12 @@ def test_over_several_frames_the_probability_of_the_right_verdict_is_their_mean(
     for place, found in enumerate(both):
         assert found.probability == pytest.approx(np.mean([each[place].probability for each in alone]))
     assert both[1].distance == pytest.approx(3.5)
+
+
+def test_physics_lets_joints_and_springs_be_on_one_side_and_gravity_near_its_value():
+    """Gravity's coefficient lies between 1 and 1.2 about 1.1: its mean and spread in sizes, and no side of nothing."""
+    item = Gravity().parameters[0]
+    assert (GRAVITY.mean, GRAVITY.side) == (1.0, 0)
+    assert pytest.approx((item.upper - item.lower) / np.sqrt(12) / 1.1) == GRAVITY.std
+    for one_sided in (ROTATION, SPRING):
+        assert (one_sided.mean, one_sided.std, one_sided.side) == (0.0, 1.0, 1)
