@@ -130,12 +130,16 @@ def _is_number(node):
     return isinstance(node.value, int | float) and not isinstance(node.value, bool)
 
 
+def _returns_something(node):
+    return node.value is not None and not (isinstance(node.value, ast.Constant) and node.value.value is None)
+
+
 CHANGES = (
     (ast.BinOp | ast.AugAssign | ast.BoolOp | ast.Compare, _has_other_operator, _other_operator, "operator of"),
     (ast.UnaryOp, lambda node: isinstance(node.op, ast.USub), _other_sign, "sign of"),
     (ast.If | ast.IfExp | ast.While, lambda node: True, _negated, "condition of"),
     (ast.Constant, _is_number, _other_number, "number"),
-    (ast.Return, lambda node: node.value is not None, _nothing, "dropped:"),
+    (ast.Return, _returns_something, _nothing, "dropped:"),
 )
 """Nodes, whether one can be changed, how, and the words for it."""
 
