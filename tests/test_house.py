@@ -16,8 +16,8 @@ ROOMS = (
     ("programs",), ("backends",), ("fit",), ("methods",), ("loop",),
     # Records and files, one and many: both end in an experiment.
     ("modal",), ("files",), ("campaign",), ("screening",),
-    # What is made of many identifications, and of an identified frame.
-    ("studies",), ("response",), ("planning",),
+    # What is made of an identified frame.
+    ("response",), ("planning",),
     # The published numbers, how results are shown, the public face, the command line.
     ("paper",), ("report",), ("__init__",), ("cli",), ("__main__",),
 )  # fmt: skip

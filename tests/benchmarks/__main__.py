@@ -1,4 +1,4 @@
-"""Print the tables of docs/speed.md: `python -m tests.benchmarks [starting] [large] [many] [solvers] [peers]`.
+"""Print the tables of docs/speed.md: `python -m tests.benchmarks [starting] [scaling] [many] [solvers] [peers]`.
 
 `python -m tests.benchmarks hard --programs 1000 --seed 1` prints that of docs/theory/backends.md.
 """
@@ -8,7 +8,7 @@ from importlib import import_module
 
 from tests.benchmarks.timing import machine
 
-PARTS = ("starting", "large", "many", "solvers", "peers", "response")
+PARTS = ("starting", "scaling", "many", "solvers", "peers", "response", "planning")
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks")

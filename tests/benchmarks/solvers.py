@@ -11,7 +11,7 @@ from cvxshear.backends.canonical import canonical
 from cvxshear.backends.cvxpy_backend import Cvxpy
 from cvxshear.programs import mass_correction, story_stiffnesses
 from cvxshear.programs.orthogonality import normalized
-from cvxshear.studies.scaling import exact_experiment
+from tests.benchmarks.scaling import exact_experiment
 from tests.benchmarks.timing import fastest as fastest_by_clock
 from tests.benchmarks.timing import shown, table
 

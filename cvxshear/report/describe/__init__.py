@@ -7,8 +7,8 @@ from cvxshear.report.describe import (
     experiment,
     identification,
     modal,
-    noise_study,
-    plan,
+    paper,
+    planned,
     prediction,
     screening,
 )
@@ -31,8 +31,8 @@ __all__ = [
     "identification",
     "line",
     "modal",
-    "noise_study",
-    "plan",
+    "paper",
+    "planned",
     "prediction",
     "screening",
 ]

@@ -9,9 +9,9 @@ from cvxshear.report.figures.frame import frame
 from cvxshear.report.figures.functions import coherence, functions
 from cvxshear.report.figures.mac import mac
 from cvxshear.report.figures.modal_shapes import modal_mac, modal_shapes
-from cvxshear.report.figures.noise import noise_boxes, noise_variation
+from cvxshear.report.figures.noise_scatter import noise_boxes, noise_variation
 from cvxshear.report.figures.output import save
-from cvxshear.report.figures.plan import plan
+from cvxshear.report.figures.planned_test import plan
 from cvxshear.report.figures.ranking import ranking
 from cvxshear.report.figures.residual import residual
 from cvxshear.report.figures.response import floor_spectra, response_histories, response_peaks, transfer_functions

@@ -1,17 +1,15 @@
 """The noise study: its statistics by hand, its samples, and the efficiency of the efficient method."""
 
-import io
 import json
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from cvxshear import InputError, UnsuitableError
-from cvxshear.studies import noise_study, paper_setups, six_story_study
-from cvxshear.studies.noise_table import markdown, render
-from cvxshear.studies.scatter import Scatter
-from cvxshear.studies.setups import Setup, six_story, three_story
+from cvxshear.paper import noise_study, paper_setups, six_story_study
+from cvxshear.paper.scatter import Scatter
+from cvxshear.paper.setups import Setup, six_story, three_story
+from cvxshear.report.terminal import text
 
 ALLOWED = 1.10
 """Root-mean-square error over Cramer-Rao bound that the efficient method stays within."""
@@ -142,14 +140,10 @@ def test_what_the_study_has_not_is_refused():
         study.of("one-shot", 0.02)
 
 
-def test_json_terminal_and_markdown_have_the_figures():
+def test_json_and_terminal_have_the_figures():
     study = noise_study([three_story(0.05)], ("two-stage", "efficient"), 4, seed=8)
     assert json.loads(json.dumps(study.to_dict()))["scatters"][0]["method"] == "two-stage"
-    console = Console(width=150, record=True, file=io.StringIO())
-    console.print(render(study))
-    shown = console.export_text()
-    bounds = [f"{value:.2f}" for value in 100 * study.scatters[0].relative_bound]
-    for text in (shown, markdown(study)):
-        assert all(value in text for value in bounds)
-        assert "shape noise 5 %, frequencies exact" in text
-        assert "truth in the 95 % interval" in text
+    shown = text(study, width=150)
+    assert all(f"{value:.2f}" in shown for value in 100 * study.scatters[0].relative_bound)
+    assert "shape noise 5 %, frequencies exact" in shown
+    assert "truth in the 95 % interval" in shown

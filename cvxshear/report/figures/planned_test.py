@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from cvxshear.planning.curve import accuracy_curve
-from cvxshear.planning.results import Plan
+from cvxshear.planning.results import Plan, accuracy_curve
 from cvxshear.report.figures.style import AFTER, BEFORE, PALE, QUIET, letters, new_figure, styled
 
 STORY = 0.24
@@ -88,7 +87,7 @@ def _curve(axes: Axes, result: Plan) -> None:
     curve = accuracy_curve(result)
     counts = [count for count, _, _ in curve]
     axes.plot(counts, [100 * value for _, value, _ in curve], "o-", color=AFTER, label="best found")
-    axes.plot(counts, [100 * bound for _, _, bound in curve], "--", color=QUIET, label="none is below")
+    axes.plot(counts, [100 * bound for _, _, bound in curve], "--", color=QUIET, label="no choice below")
     axes.plot(len(result.sensors), 100 * result.objective, "s", color=BEFORE, ms=7, label="plan", zorder=4)
     axes.set_xlabel("number of sensors")
     axes.set_ylabel("\n".join(textwrap.wrap(f"{result.measure}, %", LABEL)))

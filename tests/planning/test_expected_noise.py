@@ -6,7 +6,7 @@ from scipy.integrate import quad
 
 from cvxshear.modal.simulate import PAPER_FRAME
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
-from cvxshear.planning.noise import BAND, Declared, Recorded, band_factors
+from cvxshear.planning.expected_noise import BAND_WIDTH, Declared, Recorded, band_factors
 from cvxshear.util.errors import InputError
 
 WHICH = np.arange(3)
@@ -30,8 +30,8 @@ def test_ambient_frequencies_follow_aus_law():
     found = paper_modes()
     std, _ = Recorded("ambient", 1200.0, damping=0.01).of(found, PAPER_FRAME.masses, WHICH)
     wide = np.sqrt(0.01 / (2 * np.pi * 1200.0 * found.frequencies))
-    np.testing.assert_allclose(std, wide / np.sqrt(band_factors(BAND)[0]))
-    law = 1 / np.sqrt(2 * np.pi * 0.01 * 1200.0 * found.frequencies * band_factors(BAND)[1])
+    np.testing.assert_allclose(std, wide / np.sqrt(band_factors(BAND_WIDTH)[0]))
+    law = 1 / np.sqrt(2 * np.pi * 0.01 * 1200.0 * found.frequencies * band_factors(BAND_WIDTH)[1])
     np.testing.assert_allclose(Recorded("ambient", 1200.0).damping_std(found.frequencies), law)
     assert Declared().damping_std(found.frequencies) is None
 

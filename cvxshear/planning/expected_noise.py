@@ -25,13 +25,13 @@ from cvxshear.model.shear import Modes
 from cvxshear.util import checks
 from cvxshear.util.typing import Floats, Ints
 
-KINDS = ("ambient", "shaker", "hammer")
+EXCITATIONS = ("ambient", "shaker", "hammer")
 
 HAMMER = 0.35
 """Of the shaker's factor: between blows a hammer's force is known to be zero. From `python -m cvxshear.modal.study`,
 whose hammer records have frequencies that scatter 0.22 to 0.34 times as much as the law with the whole noise says."""
 
-BAND = 10.0
+BAND_WIDTH = 10.0
 """kappa: the band of data around a mode that identification uses is f (1 +- kappa zeta)."""
 
 SAMPLES_A_PERIOD = 6.0
@@ -120,7 +120,7 @@ class Recorded(TestNoise):
     least_periods: ClassVar[float] = 10.0
 
     def __post_init__(self) -> None:
-        checks.choice(self.kind, KINDS, "excitation")
+        checks.choice(self.kind, EXCITATIONS, "excitation")
         checks.number(self.duration, "duration", above=0.0)
         checks.number(self.damping, "damping", above=0.0)
         checks.number(self.noise, "sensor noise", above=0.0)
@@ -128,7 +128,7 @@ class Recorded(TestNoise):
     def of(self, found: Modes, mass: Floats, which: Ints) -> tuple[Floats, Floats]:
         periods = self.duration * found.frequencies[which]
         checks.number(float(periods.min()), "periods of the lowest mode in the record", least=self.least_periods)
-        frequency_std = self._unrecorded * np.sqrt(self.damping / (2 * np.pi * periods * band_factors(BAND)[0]))
+        frequency_std = self._unrecorded * np.sqrt(self.damping / (2 * np.pi * periods * band_factors(BAND_WIDTH)[0]))
         force = self._modal_force(found, mass)
         band = SAMPLES_A_PERIOD * float(found.frequencies[which].max()) / 2
         shape_std = [self._entry_std(found, force, int(mode), band) for mode in which]
@@ -161,7 +161,7 @@ class Recorded(TestNoise):
             unexplained = np.delete(own - force[mode] ** 2 / own[mode], mode)
             others = np.delete(phi, mode, axis=1)
             spread = spread + (others * (gain * unexplained)) @ others.T
-        spread = spread / own[mode] * self.damping / (self.duration * f[mode] * band_factors(BAND)[2])
+        spread = spread / own[mode] * self.damping / (self.duration * f[mode] * band_factors(BAND_WIDTH)[2])
         shape = phi[:, mode]
         largest = int(np.argmax(np.abs(shape)))
         # Of phi_i / phi_p, by which the entries are scaled.
@@ -178,7 +178,7 @@ class Recorded(TestNoise):
 
     def damping_std(self, frequencies: Floats) -> Floats:
         periods = self.duration * frequencies
-        return self._unrecorded / np.sqrt(2 * np.pi * self.damping * periods * band_factors(BAND)[1])
+        return self._unrecorded / np.sqrt(2 * np.pi * self.damping * periods * band_factors(BAND_WIDTH)[1])
 
 
 def band_factors(kappa: float) -> tuple[float, float, float]:

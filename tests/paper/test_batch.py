@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from cvxshear import identify
-from cvxshear.studies.batch import one_shot_batch, two_stage_batch
-from cvxshear.studies.noise import noise_study
-from cvxshear.studies.setups import Setup, three_story
+from cvxshear.paper.batch import one_shot_batch, two_stage_batch
+from cvxshear.paper.scatter import noise_study
+from cvxshear.paper.setups import Setup, three_story
 
 FIVE_STORY = Setup(
     floor_mass=np.array([2000.0, 1900.0, 1800.0, 1500.0, 1100.0]),

@@ -7,17 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cvxshear.studies.cramer_rao import bound
-from cvxshear.studies.noise import SIGMAS
-from cvxshear.studies.noise_table import percent
-from cvxshear.studies.setups import six_story, three_story
+from cvxshear.paper.scatter import SIGMAS
+from cvxshear.paper.setups import bound, six_story, three_story
+from cvxshear.report.describe.paper import in_percent
 
 DOCUMENTED = (Path(__file__).parents[2] / "docs" / "noise-study.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("setup", [*map(three_story, SIGMAS), six_story()], ids=[*map(str, SIGMAS), "six stories"])
 def test_the_bounds(setup):
-    assert f"Cramér-Rao bound, % | {' | '.join(percent(bound(setup) / setup.truth))} |" in DOCUMENTED
+    assert f"Cramér-Rao bound, % | {' | '.join(in_percent(bound(setup) / setup.truth))} |" in DOCUMENTED
 
 
 @pytest.mark.parametrize("floor", range(1, 7))

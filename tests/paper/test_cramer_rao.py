@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from cvxshear import identify
-from cvxshear.studies.cramer_rao import bound, cramer_rao
-from cvxshear.studies.setups import Setup, six_story, three_story
+from cvxshear.paper.setups import Setup, bound, cramer_rao, six_story, three_story
 
 
 def test_the_papers_frame_at_five_percent():

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from cvxshear.paper.scatter import NoiseStudy, Scatter
 from cvxshear.report.figures.style import (
     COLOURS,
     HATCHES,
@@ -23,8 +24,6 @@ from cvxshear.report.figures.style import (
     panels,
     styled,
 )
-from cvxshear.studies.noise import NoiseStudy
-from cvxshear.studies.scatter import Scatter
 from cvxshear.util.errors import InputError
 
 BOX = 0.8

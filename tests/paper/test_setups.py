@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cvxshear import InputError
-from cvxshear.studies.setups import Setup, six_story, three_story
+from cvxshear.paper.setups import Setup, six_story, three_story
 
 MASS, STIFFNESS = np.array([10.0, 7.5, 5.0]), np.array([1800.0, 1200.0, 600.0])
 
