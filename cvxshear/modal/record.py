@@ -52,8 +52,6 @@ class _Recorded:
                     f"{channel} points along {channel.axis}, {self.channels[0]} along {self.channels[0].axis}; "
                     "the channels of a record share one axis"
                 )
-            if channel.floor in seen:
-                raise InputError(f"{channel} and {seen[channel.floor]} are on the same floor; give one a floor")
             seen[channel.floor] = channel
         highest = max(seen)
         if self.stories == 0:
@@ -84,7 +82,7 @@ class TimeRecord(_Recorded):
     Parameters
     ----------
     channels : sequence of Channel
-        The responses, one a floor; ordered by floor on construction.
+        The responses, one a floor or several; ordered by floor on construction.
     stories : int, optional
         Stories of the frame; the highest measured floor where 0.
     quantity : str, optional
@@ -242,7 +240,7 @@ def _check_even_lines(frequencies: Floats) -> None:
 
 def _order_by_floor(record: TimeRecord | FrfRecord) -> None:
     """Put the channels and the columns of every run into ascending order of floors."""
-    order = np.argsort(record.floors)
+    order = np.argsort(record.floors, kind="stable")
     if np.all(np.diff(order) > 0):
         return
     put = object.__setattr__

@@ -30,17 +30,34 @@ class Channel:
         Direction of shaking, any name ("x").
     place : str, optional
         Where the channel was declared, for messages ('line 12 of record.toml'); the name where empty.
+    unit : str, optional
+        The unit in which the sensor was recorded ("g", "mm/s2"); the record's values have been converted from it.
+    position : (float, float), optional
+        Where the sensor sits on its floor, m: along the direction of test, and across it.
+    direction : float, optional
+        Degrees from the direction of test to the sensor's axis, counter-clockwise; 0 where not given.
     """
 
     name: str
     floor: int
     axis: str = "x"
     place: str = ""
+    unit: str | None = None
+    position: tuple[float, float] | None = None
+    direction: float | None = None
 
     def __post_init__(self) -> None:
         checks.text(self.name, "channel: name")
         checks.whole(self.floor, f'channel "{self.name}": floor', least=0, most=MOST_STORIES)
         checks.text(self.axis, f'channel "{self.name}": axis')
+        if self.unit is not None:
+            checks.text(self.unit, f'channel "{self.name}": unit')
+        if self.position is not None:
+            x, y = checks.vector(self.position, f'channel "{self.name}": position (m, along and across)', length=2)
+            object.__setattr__(self, "position", (float(x), float(y)))
+        if self.direction is not None:
+            degrees = checks.number(self.direction, f'channel "{self.name}": direction (degrees)')
+            object.__setattr__(self, "direction", degrees)
 
     def __str__(self) -> str:
         spot = f"floor {self.floor}" if self.floor else "ground"
@@ -60,12 +77,16 @@ class Run:
     floor : int, optional
         Where the force acts; 0 for a base acceleration or none.
     name : str, optional
+    start, end : float, optional
+        s; the part of the file that this run is. The arrays hold that part alone.
     """
 
     responses: Floats
     excitation: Floats | None = None
     floor: int = 0
     name: str = "run 1"
+    start: float | None = None
+    end: float | None = None
 
     def __post_init__(self) -> None:
         responses = _matrix(self.responses, f"{self.name}: responses", np.float64)
@@ -77,6 +98,12 @@ class Run:
                     f"{self.name}: excitation has {excitation.size} samples, the responses have {len(responses)}"
                 )
             object.__setattr__(self, "excitation", checks.frozen(excitation))
+        for key in ("start", "end"):
+            if getattr(self, key) is not None:
+                value = checks.number(getattr(self, key), f"{self.name}: {key} (s)")
+                object.__setattr__(self, key, value)
+        if self.start is not None and self.end is not None and self.end <= self.start:
+            raise InputError(f"{self.name}: end = {self.end:g} s must come after start = {self.start:g} s")
 
     @property
     def samples(self) -> int:
