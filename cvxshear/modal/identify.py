@@ -11,20 +11,18 @@ from threadpoolctl import threadpool_limits
 
 from cvxshear.modal import diagnostics
 from cvxshear.modal.assemble import assembled
-from cvxshear.modal.channels import channel_findings, without_dead
-from cvxshear.modal.estimate import Replication, covariance, details
+from cvxshear.modal.diagnostics import left_out, overlooked_modes
+from cvxshear.modal.estimate import Replication, covariance, details, settle_truncation
 from cvxshear.modal.functions import measured_functions
-from cvxshear.modal.leakage import settle_truncation
-from cvxshear.modal.overlooked import left_out, overlooked_modes
 from cvxshear.modal.picking import REACH, Sweep, Values, sweep_orders
-from cvxshear.modal.prepare import BLOCKS, METHODS, default_method, source_of
-from cvxshear.modal.rate import settled
+from cvxshear.modal.prepare import BLOCKS, METHODS, default_method, settled, source_of
 from cvxshear.modal.realization import Source
-from cvxshear.modal.record import FrfRecord, Record
 from cvxshear.modal.result import ModalResult
-from cvxshear.modal.shapes import RULES
-from cvxshear.modal.shift import shifted
 from cvxshear.modal.stabilization import Criteria
+from cvxshear.records.record import FrfRecord, Record
+from cvxshear.records.shapes import RULES
+from cvxshear.records.sick_channels import channel_findings, without_dead
+from cvxshear.records.signals import shifted
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError
 

@@ -8,11 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.modal import signs
-from cvxshear.modal.clock import offsets, undone
 from cvxshear.modal.realization import Poles, Source, realize
-from cvxshear.modal.runs import Complexes
-from cvxshear.modal.shapes import collinearity, mac, possible_changes, real_shape, sign_changes
 from cvxshear.modal.stabilization import (
     Cluster,
     Criteria,
@@ -24,6 +20,10 @@ from cvxshear.modal.stabilization import (
     stable_poles,
     undivided,
 )
+from cvxshear.records import shapes as frames
+from cvxshear.records.clocks import offsets, undone
+from cvxshear.records.record import Complexes
+from cvxshear.records.shapes import collinearity, mac, possible_changes, real_shape, sign_changes
 from cvxshear.util.typing import Bools, Floats
 
 MOST_CANDIDATES = 8
@@ -281,7 +281,7 @@ def _as_low_as_can_be(chosen: list[PoleCandidate], stories: int) -> list[PoleCan
 
 
 def _grows(chosen: list[PoleCandidate]) -> bool:
-    return bool(chosen) and signs.fits(_straight(chosen))
+    return bool(chosen) and frames.fits(_straight(chosen))
 
 
 def _straight(items: list[PoleCandidate]) -> Floats:
@@ -300,7 +300,7 @@ def _but_for_one_slip(usable: list[PoleCandidate], count: int) -> list[PoleCandi
     if len(strongest) < 2:
         return []
     shapes = _straight(strongest)
-    slipped = signs.flipped(shapes) is not None or signs.exchanged(shapes) is not None
+    slipped = frames.flipped(shapes) is not None or frames.exchanged(shapes) is not None
     return strongest if slipped else []
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.modal.runs import Complexes
+from cvxshear.records.record import Complexes
 from cvxshear.util.typing import Floats
 
 STEPS = 4001

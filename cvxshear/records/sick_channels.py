@@ -7,9 +7,7 @@ import dataclasses
 import numpy as np
 from scipy import signal
 
-from cvxshear.modal.findings import Finding
-from cvxshear.modal.record import FrfRecord, Record, TimeRecord
-from cvxshear.modal.runs import FrfRun, Run
+from cvxshear.records.record import Finding, FrfRecord, FrfRun, Record, Run, TimeRecord
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
 
