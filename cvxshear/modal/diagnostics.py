@@ -11,9 +11,7 @@ from cvxshear.modal.amplitude import amplitude_findings
 from cvxshear.modal.estimate import Details, Replication
 from cvxshear.modal.picking import PoleCandidate
 from cvxshear.modal.result import OVERLOOKED, ModalResult
-from cvxshear.records import shapes as frames
 from cvxshear.records.record import Finding, FrfRecord, Record
-from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import listed, ranged, significant
 from cvxshear.util.typing import Floats, Ints
 
@@ -74,7 +72,6 @@ def left_out(candidates: Sequence[PoleCandidate], chosen: Sequence[PoleCandidate
     return [item for item in candidates if (item.physical or item.shaky) and item.members not in taken]
 
 
-OF_CHANNELS = ("dead channel", "clipped channel", "held samples", "drift", "aliasing")
 SIGNIFICANT = 3.0
 """Standard deviations."""
 LEAST_TURN = 1.0
@@ -96,20 +93,9 @@ def modal_findings(
     lost: int,
     *,
     wanted: int,
-    accept_swapped: bool,
 ) -> list[Finding]:
-    """Everything the modes say about the record they came from; `wanted` is how many modes were asked for.
-
-    Raises
-    ------
-    InputError
-        Where two channels are swapped and `accept_swapped` is false.
-    """
-    found = signs_and_swaps(record, full.real)
-    swapped = [finding for finding in found if finding.kind == "swapped channels"]
-    if swapped and not accept_swapped:
-        raise InputError(swapped[0].message)
-    found += clock_findings(result, full)
+    """Everything the modes say about the record they came from; `wanted` is how many modes were asked for."""
+    found = clock_findings(result, full)
     found += resolution_findings(record, result)
     found += reciprocity_findings(full, setting)
     found += amplitude_findings(setting, result)
@@ -152,45 +138,6 @@ def clock_findings(result: ModalResult, full: Details) -> list[Finding]:
             )
         )
     return found
-
-
-def signs_and_swaps(record: Record, shapes: Floats) -> list[Finding]:
-    """Channels of the wrong sign, or in each other's place, by what the modes of a shear frame look like.
-
-    One change of sign, or one exchange of two channels, that mends all the modes found is named; where none
-    is needed, or the record needs more than one, nothing is said.
-    """
-    if shapes.shape[1] != record.stories or record.stories < 2 or frames.fits(shapes):
-        return []
-    first = shapes[0] / shapes[0][np.argmax(np.abs(shapes[0]))]
-    turned = frames.flipped(shapes)
-    if turned is not None:
-        channel = record.channels[turned]
-        return [
-            Finding(
-                "sign",
-                f"{channel} moves against all the others in the lowest mode, {_listed(first)} from the ground up; "
-                "turned round, every mode has as many changes of sign as a shear frame's; check its sign in the record "
-                "file",
-                {"channel": channel.name, "first_mode": first.tolist()},
-            )
-        ]
-    pair = frames.exchanged(shapes)
-    if pair is None:
-        return []
-    low, high = (record.channels[place] for place in pair)
-    return [
-        Finding(
-            "swapped channels",
-            f"{low} and {high} look swapped: the lowest mode is {_listed(first)} from the ground up, which no shear "
-            "frame has; exchanged, every mode has the signs of one. Exchange their floors in the record file",
-            {"channels": [low.name, high.name], "first_mode": first.tolist()},
-        )
-    ]
-
-
-def _listed(shape: Floats) -> str:
-    return "(" + ", ".join(f"{entry:.3f}" for entry in shape) + ")"
 
 
 def resolution_findings(record: Record, result: ModalResult) -> list[Finding]:

@@ -6,10 +6,9 @@ The stiffness matrix of a shear frame is a Jacobi matrix, so mode r changes sign
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 
+from cvxshear.measurement.sign_rule import fewest_changes, most_changes
 from cvxshear.records.record import Complexes
 from cvxshear.util.typing import Floats
 
@@ -84,8 +83,7 @@ def lost_phase(shape: Complexes) -> float:
 
 def sign_changes(shape: Floats) -> int:
     """How often the shape changes sign from the ground up."""
-    signs = np.sign(shape[shape != 0])
-    return int(np.sum(signs[1:] != signs[:-1]))
+    return fewest_changes(np.sign(shape))
 
 
 def possible_changes(shape: Floats, tolerance: float) -> tuple[int, int]:
@@ -100,56 +98,10 @@ def possible_changes(shape: Floats, tolerance: float) -> tuple[int, int]:
     tolerance : float
         Of the largest entry.
     """
-    sure = np.flatnonzero(np.abs(shape) > tolerance * np.abs(shape).max())
-    distance, differ = np.diff(sure), np.diff(np.sign(shape[sure])) != 0
-    within = np.sum(distance - (distance % 2 != differ))
-    return int(differ.sum()), int(within + sure[0] + len(shape) - 1 - sure[-1])
+    signs = np.where(np.abs(shape) > tolerance * np.abs(shape).max(), np.sign(shape), 0.0)
+    return fewest_changes(signs), most_changes(signs)
 
 
 def scaled_to_one(shape: Floats) -> Floats:
     """The shape with a largest entry of 1."""
     return np.asarray(shape / shape[np.argmax(np.abs(shape))])
-
-
-SLACK = 0.02
-"""Of the largest entry: by so much noise may bend the first mode."""
-
-
-def fits(shapes: Floats) -> bool:
-    """Whether shapes, shape (m, n), could be modes of a shear frame, the first its lowest."""
-    lowest = np.abs(shapes[0])
-    return _signs_fit(shapes) and bool(np.all(np.diff(lowest) > -SLACK * lowest.max()))
-
-
-def flipped(shapes: Floats) -> int | None:
-    """The one channel that moves against all others in the lowest mode, and whose sign mends every mode."""
-    if len(shapes) < 2:
-        return None
-    first = shapes[0] * (1.0 if np.sum(np.sign(shapes[0])) >= 0 else -1.0)
-    against = np.flatnonzero(first < -SLACK * np.abs(first).max())
-    if len(against) != 1:
-        return None
-    signs = np.where(np.arange(shapes.shape[1]) == against[0], -1.0, 1.0)
-    return int(against[0]) if fits(shapes * signs) else None
-
-
-def exchanged(shapes: Floats) -> tuple[int, int] | None:
-    """The two channels whose exchange mends every mode; the nearest where several pairs do, None where none is needed.
-
-    A shear frame may have a mode that a pair of exchanged channels has as well; so the exchange must mend the
-    lowest mode's growth, and at least one mode besides it must be there to agree.
-    """
-    if len(shapes) < 2 or fits(shapes):
-        return None
-    pairs = []
-    for i, j in itertools.combinations(range(shapes.shape[1]), 2):
-        order = np.arange(shapes.shape[1])
-        order[[i, j]] = j, i
-        if fits(shapes[:, order]):
-            pairs.append((i, j))
-    return min(pairs, key=lambda pair: pair[1] - pair[0]) if pairs else None
-
-
-def _signs_fit(shapes: Floats) -> bool:
-    changes = [sign_changes(shape) for shape in shapes]
-    return changes[0] == 0 and all(b > a for a, b in itertools.pairwise(changes))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from scipy import signal
@@ -50,13 +51,40 @@ def without_offset(record: TimeRecord) -> TimeRecord:
     return _mapped(record, lambda values: values - np.median(values, axis=0), record.sampling_rate)
 
 
+def scaled(record: Record, factors: Mapping[str, float]) -> Record:
+    """The record with channels, and "input", multiplied by factors; a channel that is not named stays."""
+    factor = np.array([factors.get(channel.name, 1.0) for channel in record.channels])
+    if isinstance(record, FrfRecord):
+        return dataclasses.replace(
+            record, runs=tuple(dataclasses.replace(run, responses=run.responses * factor) for run in record.runs)
+        )
+    of_input = factors.get("input", 1.0)
+    runs = tuple(
+        dataclasses.replace(
+            run,
+            responses=run.responses * factor,
+            excitation=None if run.excitation is None else run.excitation * of_input,
+        )
+        for run in record.runs
+    )
+    return dataclasses.replace(record, runs=runs)
+
+
+def only(record: Record, columns: Sequence[int]) -> Record:
+    """The record with these of its channels."""
+    kept = list(columns)
+    channels = tuple(record.channels[column] for column in kept)
+    # The same call for both kinds; the runs of each are of one kind.
+    runs: Any = tuple(dataclasses.replace(run, responses=run.responses[:, kept]) for run in record.runs)
+    return dataclasses.replace(record, channels=channels, runs=runs)
+
+
 def _mapped(record: TimeRecord, change: Callable[[Floats], Floats], rate: float) -> TimeRecord:
     runs = tuple(
-        Run(
-            change(run.responses),
-            None if run.excitation is None else change(run.excitation[:, None])[:, 0],
-            run.floor,
-            run.name,
+        dataclasses.replace(
+            run,
+            responses=change(run.responses),
+            excitation=None if run.excitation is None else change(run.excitation[:, None])[:, 0],
         )
         for run in record.runs
     )
@@ -97,7 +125,7 @@ def _shifted_run(run: Run, late: Floats, of_input: float, record: TimeRecord) ->
     excitation = run.excitation
     if excitation is not None:
         excitation = _advanced(excitation[:, None], np.array([of_input]), rate)[edge:-edge, 0]
-    return Run(responses, excitation, run.floor, run.name)
+    return dataclasses.replace(run, responses=responses, excitation=excitation)
 
 
 def _advanced(values: Floats, seconds: Floats, rate: float) -> Floats:
@@ -108,3 +136,52 @@ def _advanced(values: Floats, seconds: Floats, rate: float) -> Floats:
     turned = spectrum * np.exp(2j * np.pi * frequencies[:, None] * seconds[None, :])
     slope = (values[-1] - values[0]) / (len(values) - 1)
     return np.asarray(np.fft.irfft(turned, n=len(values), axis=0) + line + slope * rate * seconds)
+
+
+SINC_TERMS = 48
+"""Samples that a value between two samples is made of; a windowed sinc of so many is flat to 0.9 of half the rate."""
+
+
+def in_step(record: TimeRecord, late: Mapping[str, tuple[float, float]]) -> TimeRecord:
+    """The record with clocks that are late, and run slow, set right.
+
+    Parameters
+    ----------
+    record : TimeRecord
+    late : mapping
+        Channel name, and "input", to (seconds at the start of the record, seconds more in each second after).
+
+    Returns
+    -------
+    TimeRecord
+        Its runs without the ends for which some channel has no samples.
+    """
+    if not any(drift for _, drift in late.values()):
+        return shifted(record, {name: (seconds, 0.0) for name, (seconds, _) in late.items()})  # type: ignore[return-value]
+    rate, started, runs = record.sampling_rate, 0, []
+    for run in record.runs:
+        index = np.arange(run.samples)
+        moved = {name: rate * (a + b * (started + index) / rate) for name, (a, b) in late.items()}
+        edge = int(np.ceil(max(float(np.abs(each).max()) for each in moved.values()))) + SINC_TERMS // 2
+        inner = slice(edge, run.samples - edge)
+        responses = run.responses[inner].copy()
+        for column, channel in enumerate(record.channels):
+            if channel.name in moved:
+                responses[:, column] = _between(run.responses[:, column], (index + moved[channel.name])[inner])
+        excitation = run.excitation
+        if excitation is not None:
+            place = index + moved["input"] if "input" in moved else None
+            excitation = excitation[inner] if place is None else _between(excitation, place[inner])
+        runs.append(dataclasses.replace(run, responses=responses, excitation=excitation))
+        started += run.samples
+    return dataclasses.replace(record, runs=tuple(runs))
+
+
+def _between(values: Floats, places: Floats) -> Floats:
+    """Values at places between the samples, by a windowed sinc."""
+    whole = np.floor(places).astype(np.int64)
+    offset = np.arange(1 - SINC_TERMS // 2, SINC_TERMS // 2 + 1)
+    distance = (places - whole)[:, None] - offset[None, :]
+    weight = np.sinc(distance) * np.cos(np.pi * distance / (SINC_TERMS + 2)) ** 2
+    near = np.clip(whole[:, None] + offset[None, :], 0, len(values) - 1)
+    return np.asarray(np.einsum("kj,kj->k", values[near], weight))
