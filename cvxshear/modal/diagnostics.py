@@ -74,6 +74,8 @@ def left_out(candidates: Sequence[PoleCandidate], chosen: Sequence[PoleCandidate
 
 SIGNIFICANT = 3.0
 """Standard deviations."""
+CLOCK_CERTAIN = 4.5
+"""Standard deviations, of a score of blocks, for a clock that is off: one sound record in some hundreds has one."""
 LEAST_TURN = 1.0
 """Degrees at the highest mode; a clock offset that turns it less changes nothing that is reported."""
 COMPLEX = 5.0
@@ -121,7 +123,7 @@ def clock_findings(result: ModalResult, full: Details) -> list[Finding]:
         result.clock_offsets.items(), full.clocks.unexplained, full.clocks.before, strict=False
     ):
         turn = float(np.degrees(highest * abs(late)))
-        if len(full.frequencies) < 2 or turn < LEAST_TURN or abs(late) < SIGNIFICANT * std:
+        if len(full.frequencies) < 2 or turn < LEAST_TURN or abs(late) < CLOCK_CERTAIN * std:
             continue
         phases = (
             f"; phases of {before:.1f} degrees before, {left:.1f} after a straight line over frequency"

@@ -121,7 +121,12 @@ def identify_modes(
         # The matrices are small: with all cores, threads wait for each other longer than they compute.
         with threadpool_limits(1):
             looked = examined(record)
-            result, record = _with_clocks(looked.record, options, correct_clocks=correct_clocks)
+            try:
+                result, record = _with_clocks(looked.record, options, correct_clocks=correct_clocks)
+            except NoSolutionError as error:
+                raise NoSolutionError(error.backend, error.reason + _besides(looked)) from None
+            except InputError as error:
+                raise type(error)(str(error) + _besides(looked)) from None
             result = _with_what_was_seen(looked, result)
             if not functions:
                 return result
@@ -270,6 +275,12 @@ def _with_first_findings(first: ModalResult, again: ModalResult) -> ModalResult:
         if finding.kind == "clock offset"
     ]
     return dataclasses.replace(again, findings=(*mended, *again.findings), clock_offsets=first.clock_offsets)
+
+
+def _besides(looked: Examined) -> str:
+    """What the record gets wrong, for the message of a record without modes."""
+    said = [f"{finding.kind}: {finding.message}" for finding in looked.findings]
+    return f". What the record gets wrong: {'; '.join(said)}" if said else ""
 
 
 def _with_what_was_seen(looked: Examined, result: ModalResult) -> ModalResult:

@@ -36,7 +36,7 @@ DRIFT_CERTAIN = 6.0
 """Standard deviations of a dozen parts of the record; a drift of fewer is none."""
 DRIFT_SHORTEST = 0.08
 """Samples from the middle of the record to its end that a drift must make."""
-AS_GOOD = 0.85
+AS_GOOD = 0.97
 """Of the largest agreement: of delays that reach it the smallest is taken, which a sidelobe of a few modes is not."""
 
 
@@ -137,10 +137,10 @@ class Segments:
 
 
 def _window(length: int, *, decaying: bool) -> Floats:
-    """Hann's window, its rise cut to a fiftieth where what comes first is loudest, shape (length, 1)."""
+    """Hann's window, its rise cut to a tenth where what comes first is loudest, shape (length, 1)."""
     if not decaying:
         return np.hanning(length)[:, None]
-    rise = max(length // 50, 2)
+    rise = max(length // 10, 2)
     return np.concatenate([np.hanning(2 * rise)[:rise], np.hanning(2 * (length - rise))[length - rise :]])[:, None]
 
 

@@ -20,7 +20,7 @@ from cvxshear.util.typing import Floats
 
 SILENT = 6.0
 """Times the agreement that chance makes at one delay, which the search over delays and drifts brings it to."""
-LEAST_AGREEMENT, MOST_CHANCE = 0.08, 0.2
+LEAST_AGREEMENT, MOST_CHANCE = 0.08, 0.55
 """Bounds of that limit: hum has a little in common with everything; few lines leave much to chance."""
 AGREED = 0.25
 """Agreement of a channel's phases with the others' from which on its clock can be told."""

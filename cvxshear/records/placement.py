@@ -2,9 +2,9 @@
 
 The modes of a shear frame on the ground are a Markov system (its flexibility matrix is oscillatory: Gantmacher and
 Krein 1950, "Oscillation matrices and kernels"), and stay one at any choice of floors: the first mode has one sign and
-grows with height, the second over the first falls with height. The first does not hold for a reversed channel; neither holds
-for two exchanged ones; a factor on a channel spoils the first alone. Against each stands that the lowest mode was not
-found, or the second: what is then called the first has another shape, and another ratio of frequencies to the next.
+grows with height, the second over the first falls with height. The first does not hold for a reversed channel; neither
+holds for two exchanged ones; a factor on a channel spoils the first alone. Against each stands that the lowest mode was
+not found, or the second: what is then called the first has another shape, and another ratio of frequencies to the next.
 """
 
 from __future__ import annotations
@@ -37,10 +37,14 @@ FREQUENCY_RATIOS = {(1, 2): (2.85, 0.2), (1, 3): (4.6, 0.25), (2, 3): (1.62, 0.1
 of 4 to 12 stories have 2.9 to 3.0, 4.4 to 4.9 and 1.5 to 1.65, those with a soft or a stiff story spread about it."""
 WORST = 10.0
 """Largest loss of log likelihood for one rule broken: no rule is as certain as its Gaussian says far out."""
+NEAR_TOP = 0.9
+"""Of the height: the second mode's node lies below it."""
+UNUSUAL = 3.0
+"""Loss of log likelihood for a second mode whose node is beyond the sensors."""
 SURE = 0.95
 """Probability from which on a channel is taken to be what a hypothesis says."""
-DOUBTFUL = 0.8
-"""Probability that the channels are as declared, below which their doubt is said."""
+DOUBTFUL = 0.3
+"""Probability of a hypothesis from which on it is said beside that the channels are as declared."""
 
 
 @dataclass(frozen=True)
@@ -131,11 +135,14 @@ def _likelihood(frequencies: Floats, shapes: Floats, floors: Ints, stories: int,
         low = low * np.sign(low[np.argmax(np.abs(low))])
         result -= _unlike_a_first_mode(low, floors, stories)
     else:
-        result -= WORST * max(0, _changes(low) - 1) + 3.0 * (_changes(low) == 0)
+        # Its node lies in the upper half: sensors below and at the top are on both sides of it.
+        around = floors[0] <= stories / 2 and floors[-1] > NEAR_TOP * stories
+        result -= WORST * max(0, _changes(low) - 1) + (WORST if around else UNUSUAL) * (_changes(low) == 0)
     if numbers == (1, 2):
         result -= _rises(low, high)
     else:
-        result -= WORST * max(0, _changes(high) - 2)
+        whole = len(floors) == stories
+        result -= WORST * (abs(_changes(high) - 2) if whole else max(0, _changes(high) - 2))
     return float(result)
 
 
@@ -194,12 +201,10 @@ def findings_of(hypotheses: Sequence[Hypothesis], channels: Sequence[Channel], f
     """
     best = hypotheses[0]
     sound = next(item.probability for item in hypotheses if item.kind == "sound")
-    if best.kind == "sound" and best.probability >= DOUBTFUL:
-        return []
     if best.kind != "sound" and best.probability >= SURE:
         return [_said(best, channels, first, sound)]
-    rivals = [item for item in hypotheses if item.probability > 0.05 and item.kind != "sound"]
-    if not rivals:
+    rivals = [item for item in hypotheses if item.kind != "sound" and item.probability > best.probability / 3]
+    if not rivals or rivals[0].probability < DOUBTFUL:
         return []
     names = [channels[place].name for item in rivals for place in item.places]
     options = [f"{_in_words(item, channels)} ({100 * item.probability:.0f} %)" for item in rivals]

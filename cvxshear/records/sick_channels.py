@@ -33,6 +33,8 @@ MANY_SPIKES = 0.01
 """Share of the samples; more is no accident."""
 AR_ORDER = 24
 """Coefficients of the model that spikes stand out of: two for each mode of a dozen stories."""
+WINSORIZED = 4.0
+"""Local deviations that samples are cut to where the model is fitted, lest spikes make it."""
 NO_SPIKES = ("clipped channel", "stuck channel", "held samples")
 """Kinds of findings whose corners would be taken for spikes."""
 HUM_SHARE = 0.3
@@ -128,7 +130,8 @@ def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
 def _interpolation_errors(values: Floats) -> Floats:
     """Each sample less what an autoregressive model makes of those around it; nought at the ends."""
     order = min(AR_ORDER, len(values) // 8)
-    spectrum = np.abs(np.fft.rfft(values, 2 * len(values))) ** 2
+    limit = WINSORIZED * np.minimum(_local_scale(values), 1e300)
+    spectrum = np.abs(np.fft.rfft(np.clip(values, -limit, limit), 2 * len(values))) ** 2
     covariances = np.fft.irfft(spectrum)[: order + 1]
     covariances[0] *= 1.0 + 1e-6
     model = np.concatenate([[1.0], -linalg.solve_toeplitz(covariances[:-1], covariances[1:])])
