@@ -136,7 +136,14 @@ def clock_findings(result: ModalResult, full: Details) -> list[Finding]:
                 f'the clock of "{name}" is {abs(late) * 1e3:.2f} ms {"late" if late > 0 else "early"} '
                 f'(std {significant(std * 1e3, 2)} ms) against that of "{names[full.clocks.reference]}": '
                 f"a phase of {turn:.1f} degrees at the highest mode{phases}",
-                {"channel": name, "seconds": late, "std": std, "turn_degrees": turn, "left_degrees": left},
+                {
+                    "channel": name,
+                    "seconds": late,
+                    "std": std,
+                    "turn_degrees": turn,
+                    "before_degrees": before,
+                    "left_degrees": left,
+                },
             )
         )
     return found

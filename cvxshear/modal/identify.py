@@ -289,9 +289,10 @@ def _with_what_was_seen(looked: Examined, result: ModalResult) -> ModalResult:
     for finding in looked.findings:
         name = finding.numbers.get("channel")
         if finding.kind == "clock offset" and name in offsets:
-            rest, std = offsets[name]
-            offsets[name] = finding.numbers["seconds"] + rest, std
-            seen.append(clock_offset(name, finding.numbers["reference"], *offsets[name]))
+            against = finding.numbers["reference"]
+            (rest, std), (zero, spread) = result.clock_offsets[name], result.clock_offsets.get(against, (0.0, 0.0))
+            offsets[name] = finding.numbers["seconds"] + rest - zero, float(np.hypot(std, spread))
+            seen.append(clock_offset(name, against, *offsets[name]))
         else:
             seen.append(finding)
     twice = {finding.numbers["channel"] for finding in seen if finding.kind == "clock offset"}

@@ -29,8 +29,8 @@ def default_method(record: Record) -> str:
     if record.input == "none":
         return "ssi"
     if record.input == "base":
-        return "okid"
-    return "era" if all(impulsive(run) for run in record.runs) else "okid"
+        return "subspace"
+    return "era" if all(impulsive(run) for run in record.runs) else "subspace"
 
 
 def source_of(record: Record, method: str, *, estimator: str = "h1", blocks: int = BLOCKS) -> Source:
@@ -83,7 +83,7 @@ def _suited(record: Record) -> tuple[str, ...]:
         "none": ("ssi",),
         "free_decay": ("era", "ssi"),
         "force": (default_method(record), "era", "okid", "subspace"),
-        "base": ("okid", "subspace"),
+        "base": ("subspace", "okid"),
     }[record.input]
 
 
@@ -116,7 +116,8 @@ def _release(responses: Floats) -> int:
 def _driven(record: TimeRecord, method: str, blocks: int) -> Source:
     samples = sum(run.samples for run in record.runs)
     lags = sources.lags_for(record.stories, len(record.channels), samples)
-    before = lags if method == "okid" else 2 * sources.SUBSPACE_ROWS - 1
+    rows = sources.rows_for(record.stories, len(record.channels))
+    before = lags if method == "okid" else 2 * rows - 1
     pieces = []
     for run, start, stop in _cuts(record, blocks, before, 0):
         if run.excitation is None:
@@ -124,7 +125,7 @@ def _driven(record: TimeRecord, method: str, blocks: int) -> Source:
         pieces.append((run.excitation[start - before : stop, None], run.responses[start - before : stop]))
     if method == "okid":
         return sources.OkidSource(pieces, record.sampling_rate, _one_floor(record), lags)
-    return sources.SubspaceSource(pieces, record.sampling_rate)
+    return sources.SubspaceSource(pieces, record.sampling_rate, _one_floor(record), rows, lags)
 
 
 def _one_floor(record: TimeRecord) -> int:

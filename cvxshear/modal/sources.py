@@ -63,6 +63,11 @@ def lags_for(stories: int, outputs: int, samples: int) -> int:
     return max(LAGS, min(wanted, int(MOST_UNKNOWNS * samples / (1 + outputs))))
 
 
+def rows_for(stories: int, outputs: int) -> int:
+    """The block rows of past and future that hold three samples a state of a frame of so many stories."""
+    return max(SUBSPACE_ROWS, int(np.ceil(SAMPLES_A_STATE * 2 * stories / outputs)))
+
+
 class OkidSource:
     """A record with measured input, in blocks, for OKID followed by the eigensystem realization algorithm.
 
@@ -170,11 +175,15 @@ def _in_vectors(vectors: Complexes, drive: Complexes) -> Complexes:
             ) from None
 
 
-SUBSPACE_ROWS = 30
+SUBSPACE_ROWS, SAMPLES_A_STATE = 30, 3.0
+"""Block rows of past and of future: so many at least, and as many as give three samples for each state of the frame."""
 
 
 class SubspaceSource:
     """A record with measured input, in blocks, for PO-MOESP.
+
+    The poles and shapes are those of the projection, whose instruments no noise is correlated with. What is asked of
+    impulse responses, residues for these poles, is had from an observer's Markov parameters of the same blocks.
 
     Parameters
     ----------
@@ -182,16 +191,26 @@ class SubspaceSource:
         Blocks of input and output; each carries 2 * rows - 1 samples of what came before it.
     sampling_rate : float
         Hz.
+    floor : int, optional
+        Where a force acts; 0 for a base acceleration.
     rows : int, optional
         Block rows of past and of future.
+    lags : int, optional
+        Of the observer.
     """
 
     unit = "block"
 
     def __init__(
-        self, pieces: Sequence[tuple[Floats, Floats]], sampling_rate: float, rows: int = SUBSPACE_ROWS
+        self,
+        pieces: Sequence[tuple[Floats, Floats]],
+        sampling_rate: float,
+        floor: int = 0,
+        rows: int = SUBSPACE_ROWS,
+        lags: int = LAGS,
     ) -> None:
         self.sampling_rate = sampling_rate
+        self._observer = OkidSource(pieces, sampling_rate, floor, min(lags, 2 * rows - 1))
         self.rows = rows
         self.inputs = pieces[0][0].shape[1]
         self.outputs = pieces[0][1].shape[1]
@@ -211,8 +230,9 @@ class SubspaceSource:
         """The same: the data are not weighted."""
         return self.factor()
 
-    def impulse(self, keep: Bools | None = None) -> None:
-        """None: the projection leaves no impulse response."""
+    def impulse(self, keep: Bools | None = None) -> Impulse:
+        """The observer's Markov parameters, from the first that the direct term is not part of."""
+        return self._observer.impulse(keep)
 
 
 def _data(excitation: Floats, response: Floats, rows: int) -> Floats:
