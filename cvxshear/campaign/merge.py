@@ -48,7 +48,7 @@ def merged(tests: Sequence[IdentifiedRecord]) -> Json:
     frame = frame_in(_frame(tests), {test.state or test.modes.name for test in tests})
     priors = _priors(tests)
     if scale_unknown(tests):
-        frame["total_mass"] = 1.0
+        frame |= {"total_mass": 1.0, "total_mass_placeholder": True}
     result: Json = {"frame": frame}
     if priors:
         result["prior"] = priors

@@ -9,7 +9,7 @@ import numpy as np
 
 from cvxshear.modal.amplitude import amplitude_findings
 from cvxshear.modal.estimate import Details, Replication
-from cvxshear.modal.picking import PoleCandidate
+from cvxshear.modal.picking import MOSTLY_ROTATION, PoleCandidate
 from cvxshear.modal.result import OVERLOOKED, ModalResult
 from cvxshear.records.record import Finding, FrfRecord, Record
 from cvxshear.util.quantities import listed, ranged, significant
@@ -248,6 +248,11 @@ def _mode_findings(record: Record, result: ModalResult, setting: Replication, wa
         )
         for item in sweep.candidates
         if item.physical and not any(item is other for other in sweep.chosen)
+    )
+    found.extend(
+        Finding("rotation", f"{item.frequency:.3f} Hz is set aside: {item.reason}", {"frequency": item.frequency})
+        for item in sweep.candidates
+        if item.reason.startswith(MOSTLY_ROTATION)
     )
     for mode, phase in zip(result.modes, result.lost_phase, strict=True):
         if phase > COMPLEX:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -122,7 +122,7 @@ def identify_modes(
         with threadpool_limits(1):
             looked = examined(record)
             try:
-                result, record = _with_clocks(looked.record, options, correct_clocks=correct_clocks)
+                result, record = _with_clocks(looked, options, correct_clocks=correct_clocks)
             except NoSolutionError as error:
                 raise NoSolutionError(error.backend, error.reason + _besides(looked)) from None
             except InputError as error:
@@ -137,16 +137,17 @@ def identify_modes(
         raise NoSolutionError(options.method or default_method(record), reason) from error
 
 
-def _with_clocks(record: Record, options: Options, *, correct_clocks: bool) -> tuple[ModalResult, Record]:
+def _with_clocks(looked: Examined, options: Options, *, correct_clocks: bool) -> tuple[ModalResult, Record]:
     """The result, and the record it is of: with its clocks set right where that was asked for and needed."""
-    result = _identified(record, options)
+    record = looked.record
+    result = _identified(record, options, looked.turning)
     if not correct_clocks or not any(finding.kind == "clock offset" for finding in result.findings):
         return result, record
     record = shifted(record, result.clock_offsets)
-    return _with_first_findings(result, _identified(record, options)), record
+    return _with_first_findings(result, _identified(record, options, looked.turning)), record
 
 
-def _identified(record: Record, options: Options) -> ModalResult:
+def _identified(record: Record, options: Options, turning: Callable[[float], float] | None = None) -> ModalResult:
     method = options.method or default_method(record)
     shift = 0.0 if record.exponential_window is None else 1.0 / record.exponential_window
     wanted = _wanted(record, options)
@@ -164,6 +165,7 @@ def _identified(record: Record, options: Options) -> ModalResult:
             shift=shift,
             picked=options.pick,
             order=order,
+            turning=turning,
         )
 
     highest = max(options.pick, default=0.0)
@@ -176,8 +178,9 @@ def _identified(record: Record, options: Options) -> ModalResult:
         if of_places and of_places[0].kind == "swapped channels" and hypotheses[0].probability >= SURE:
             if not options.accept_swapped:
                 raise InputError(of_places[0].message)
-            order = np.arange(len(record.channels))
-            order[list(hypotheses[0].places)] = hypotheses[0].places[::-1]
+            order = list(range(len(record.channels)))
+            low, high = hypotheses[0].places
+            order[low], order[high] = high, low
             source, sweep = settled(record, wanted, lambda record: attempt(record, order), highest=highest)
         elif of_places and of_places[0].numbers["corrected"]:
             factor = -1.0 if hypotheses[0].kind == "sign" else hypotheses[0].factor

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +27,9 @@ from cvxshear.util.typing import Bools, Floats
 
 MOST_CANDIDATES = 8
 """Strongest candidates that clock offsets are told by."""
+
+MOSTLY_ROTATION = "mostly rotation"
+"""How the reason of a candidate begins that is set aside as a mode of rotation."""
 
 FAINT = 1e-3
 """Of the loudest resonance's energy: fainter ones may be of noise."""
@@ -115,6 +118,7 @@ def sweep_orders(
     shift: float = 0.0,
     picked: Sequence[float] = (),
     order: Sequence[int] | None = None,
+    turning: Callable[[float], float] | None = None,
 ) -> Sweep:
     """Sweep the orders, cluster the stable poles and choose the frame's modes.
 
@@ -138,6 +142,8 @@ def sweep_orders(
         Frequencies in Hz whose nearest stable poles are the modes, whatever else would choose them.
     order : sequence of int, optional
         The channels from the ground up, where two are known to be in each other's place.
+    turning : callable, optional
+        The share of rotation in the motion at a frequency, Hz; a mode of more than half is none of sway.
 
     Returns
     -------
@@ -156,7 +162,7 @@ def sweep_orders(
         found.append(PoleCandidate(tuple(members), value, shape, share, 0.0, *_lasting(cluster, share, criteria)))
     found.sort(key=lambda item: item.frequency)
     found = _weighed(_distinct(_within(found, band), criteria), source.data(), source.sampling_rate)
-    found = _collinear(found, criteria)
+    found = _swaying(_collinear(found, criteria), turning)
     if picked:
         return Sweep(poles, stable, tuple(found), tuple(_by_hand(found, picked)))
     usable = [item for item in found if item.physical]
@@ -213,6 +219,23 @@ def _collinear(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandi
         measure = max(collinearity(straight), collinearity(item.shape))
         if item.physical and measure < criteria.least_collinearity:
             reason = f"modal phase collinearity {measure:.2f} only"
+            result.append(dataclasses.replace(item, physical=False, reason=reason))
+        else:
+            result.append(item)
+    return result
+
+
+def _swaying(found: list[PoleCandidate], turning: Callable[[float], float] | None) -> list[PoleCandidate]:
+    """Set the modes aside that are mostly rotation, by the difference of sensors on one floor."""
+    if turning is None:
+        return found
+    result = []
+    for item in found:
+        share = turning(item.frequency)
+        if item.physical and share > 0.5:
+            reason = (
+                f"{MOSTLY_ROTATION}: {100 * share:.0f} % of the motion is in the difference of sensors on one floor"
+            )
             result.append(dataclasses.replace(item, physical=False, reason=reason))
         else:
             result.append(item)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import nnls
@@ -12,8 +12,12 @@ from scipy.optimize import nnls
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.picking import Sweep
 from cvxshear.records.record import Complexes, Finding
+from cvxshear.util.dataframe import data_frame
 from cvxshear.util.showing import Shown
 from cvxshear.util.typing import Floats, Ints, Json
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 OVERLOOKED = "overlooked mode"
 """The kind of the findings that put the numbers of modes in doubt."""
@@ -186,6 +190,43 @@ class ModalResult(Shown):
             "findings": [finding.to_dict() for finding in self.findings],
         }
 
+    @property
+    def written_frequency_std(self) -> Floats:
+        """Relative standard deviations of the frequencies, with what no scatter shows, as files have them."""
+        return np.maximum(frequency_std(self.frequency_std, self.modes, self.findings), LEAST_STD)
+
+    @property
+    def written_entry_std(self) -> Floats:
+        """Standard deviations of the entries over each mode's largest, as files have them, shape (m, n)."""
+        return entry_std(self.entry_std, self.mode_shapes, self.floors, self.findings)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row a mode: number, frequency, damping ratio, their standard deviations, one column a floor.
+
+        Returns
+        -------
+        pandas.DataFrame
+            `frequency` in Hz, `frequency_std` relative as measurement files have it, `damping_ratio` and its `std` as
+            fractions of critical, `floor_1`, ... in the scale of `mode_shapes`; indexed by `mode`.
+
+        Raises
+        ------
+        InputError
+            Where pandas is not installed.
+        """
+        columns: dict[str, Sequence[object]] = {
+            "mode": self.modes.tolist(),
+            "frequency": self.frequencies.tolist(),
+            "frequency_std": self.written_frequency_std.tolist(),
+            "damping_ratio": self.damping_ratios.tolist(),
+            "damping_ratio_std": self.damping_std.tolist(),
+        }
+        columns |= {
+            f"floor_{floor}": entries.tolist()
+            for floor, entries in zip(self.floors.tolist(), self.mode_shapes.T, strict=True)
+        }
+        return data_frame(columns).set_index("mode")
+
     def configuration(self, *, added_mass: Sequence[float] | None = None, state: str | None = None) -> Json:
         """The table `[[configuration]]` of a measurement file that these modes make."""
         result: Json = {"name": self.name}
@@ -200,10 +241,8 @@ class ModalResult(Shown):
             "frequencies": self.frequencies.tolist(),
             "mode_shapes": self.mode_shapes.tolist(),
             "mass_normalized": self.mass_normalized,
-            "frequency_std": np.maximum(
-                frequency_std(self.frequency_std, self.modes, self.findings), LEAST_STD
-            ).tolist(),
-            "mode_shape_std": entry_std(self.entry_std, self.mode_shapes, self.floors, self.findings).tolist(),
+            "frequency_std": self.written_frequency_std.tolist(),
+            "mode_shape_std": self.written_entry_std.tolist(),
             "mode_shape_noise": "additive",
             "damping_ratios": np.clip(self.damping_ratios, 0.0, None).tolist(),
         }
@@ -239,12 +278,12 @@ class ModalResult(Shown):
         Notes
         -----
         Where neither the shapes nor the frame nor a prior say how heavy the frame is, the total mass is set
-        to 1 kg: masses and stiffnesses then come out per kilogram of the frame. The measurement file that is
-        written of the result says so in a comment at its head.
+        to 1, with `total_mass_placeholder = true`: masses and stiffnesses then come out relative to it, and no
+        command shows them in kilograms or newtons. A comment at the head of the measurement file says so too.
         """
         table = frame_in({"stories": self.stories, **(frame or {})}, {state or self.name})
         if self.needs_mass(table, priors):
-            table["total_mass"] = 1.0
+            table |= {"total_mass": 1.0, "total_mass_placeholder": True}
         result: Json = {"frame": table}
         if priors:
             result["prior"] = [dict(prior) for prior in priors]

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
 from cvxshear.records.record import Complexes, TimeRecord
 from cvxshear.records.signals import impulsive
@@ -32,8 +33,10 @@ MAINS = (50.0, 60.0)
 """Hz; lines at these and twice and three times as much, folded, say nothing of a frame."""
 NO_DRIFT = 0.97
 """Of the agreement with a drift: reached without one, there is none."""
-DRIFT_CERTAIN = 6.0
-"""Standard deviations of a dozen parts of the record; a drift of fewer is none."""
+DRIFT_CHANCE = 1e-5
+"""Probability that chance makes a slope so steep of the delays in the parts of a record."""
+STEADY = 0.01
+"""Samples that the delay of a sound clock may seem to change by, as modes ring with other weights."""
 DRIFT_SHORTEST = 0.08
 """Samples from the middle of the record to its end that a drift must make."""
 AS_GOOD = 0.97
@@ -183,7 +186,9 @@ def band_clock(segments: Segments, first: int, second: int) -> BandClock:
     if np.count_nonzero(sound) < 3:
         return BandClock(float(grid[place]), 0.0, step, np.inf, agreement, chance, float(grid[place]))
     middle, slope, std, slope_std = _line(around[sound], tops[sound], heights[sound])
-    if abs(slope) < DRIFT_CERTAIN * slope_std or abs(slope) * half < DRIFT_SHORTEST / segments.rate:
+    slope_std = float(np.hypot(slope_std, STEADY / segments.rate / half))
+    certain = stats.t.isf(DRIFT_CHANCE, max(np.count_nonzero(sound) - 2, 1))
+    if abs(slope) < certain * slope_std or abs(slope) * half < DRIFT_SHORTEST / segments.rate:
         return BandClock(middle, 0.0, std, slope_std, agreement, chance, middle)
     start = middle - slope * float(np.average(times, weights=weights))
     return BandClock(start, slope, std, slope_std, agreement, chance, middle)

@@ -6,12 +6,13 @@ Every step that changes the record is said in a finding; a record with nothing w
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 from scipy import signal
 
 from cvxshear.records.clocks import BandClock, Segments, band_clock
-from cvxshear.records.floors import one_a_floor
+from cvxshear.records.floors import one_a_floor, turning
 from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord
 from cvxshear.records.sick_channels import channel_findings, without_sick, without_spikes
 from cvxshear.records.signals import detrended, impulsive, in_step, only, scaled
@@ -52,6 +53,8 @@ class Examined:
     record : TimeRecord or FrfRecord
         One channel a floor, none of them dead, clocks within half a sample of each other.
     findings : tuple of Finding
+    turning : callable or None
+        The share of rotation at a frequency, Hz, where some floor has several sensors.
     late : dict
         What was taken out of the clocks of channels, and of "input": (s at the start, s a second).
     """
@@ -59,6 +62,7 @@ class Examined:
     record: Record
     findings: tuple[Finding, ...]
     late: dict[str, tuple[float, float]]
+    turning: Callable[[float], float] | None = None
 
 
 def examined(record: Record) -> Examined:
@@ -82,14 +86,14 @@ def examined(record: Record) -> Examined:
     if isinstance(record, FrfRecord):
         record, of_floors = one_a_floor(record)
         return Examined(record, (*findings, *of_floors), {})
-    record = without_spikes(record, findings)
-    record, of_clocks, late = _in_step(record)
-    record, of_floors = one_a_floor(record)
+    steady, of_clocks, late = _in_step(without_spikes(record, findings))
+    share = turning(steady)
+    steady, of_floors = one_a_floor(steady)
     findings += [*of_clocks, *of_floors]
-    if isinstance(record, TimeRecord) and record.input == "base":
-        record, of_signs = _with_the_base(record)
+    if steady.input == "base":
+        steady, of_signs = _with_the_base(steady)
         findings += of_signs
-    return Examined(record, tuple(findings), late)
+    return Examined(steady, tuple(findings), late, share)
 
 
 def _in_step(record: TimeRecord) -> tuple[TimeRecord, list[Finding], dict[str, tuple[float, float]]]:
@@ -272,8 +276,11 @@ def floor_over_base(record: TimeRecord) -> tuple[Floats, Floats] | None:
     if length < 64:
         return None
     record = detrended(record)
-    cross, power, base = 0.0, 0.0, 0.0
+    lines_of = length // 2 + 1
+    cross = np.zeros((lines_of, len(record.channels)), dtype=np.complex128)
+    power, base, frequencies = np.zeros(cross.shape), np.zeros((lines_of, 1)), np.zeros(lines_of)
     for run in record.runs:
+        assert run.excitation is not None
         both = np.column_stack([run.excitation, run.responses])
         weight = run.samples
         frequencies, each = signal.csd(both[:, [0]], both, rate, nperseg=length, axis=0)

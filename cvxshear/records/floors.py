@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
+from scipy import signal
 
-from cvxshear.records.record import Channel, Finding, Record, Run
-from cvxshear.records.signals import only, scaled
+from cvxshear.records.record import Channel, Finding, Record, Run, TimeRecord
+from cvxshear.records.signals import AnyRecord, only, scaled, with_responses
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Ints
 
 ACROSS = 30.0
 """Degrees from the direction of test, or from its opposite, beyond which a sensor says little of it."""
 ROTATES = 0.05
 """Share of a floor's mean square motion in its rotation that is worth a word."""
+LINES_A_HERTZ, NEARBY = 20.0, 0.01
+"""Lines of the spectra that a mode's rotation is told by, and how far about its frequency, relative."""
 CONTRADICTING = 4.0
 """Mean square of the difference over that of the mean from which on two sensors on one floor contradict each other."""
 
 
-def one_a_floor(record: Record) -> tuple[Record, list[Finding]]:
+def one_a_floor(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
     """The record with one channel a floor, each the mean of those that sit there, in the direction of test.
 
     A sensor at `direction` degrees from that of test shows the floor's motion times the cosine; one more than
@@ -43,14 +46,38 @@ def one_a_floor(record: Record) -> tuple[Record, list[Finding]]:
         channels.append(dataclasses.replace(first, name=name, position=None, direction=None))
         if len(group) > 1:
             findings.append(_rotation(record, group))
-    runs: Any = tuple(
-        dataclasses.replace(run, responses=np.column_stack([run.responses[:, group].mean(axis=1) for group in groups]))
-        for run in record.runs
-    )
-    return dataclasses.replace(record, channels=tuple(channels), runs=runs), findings
+    means = [np.column_stack([run.responses[:, group].mean(axis=1) for group in groups]) for run in record.runs]
+    return with_responses(record, means, tuple(channels)), findings
 
 
-def _along(record: Record) -> tuple[Record, list[Finding]]:
+def turning(record: TimeRecord) -> Callable[[float], float] | None:
+    """How much of a frame's motion at a frequency, Hz, is rotation; None where no floor has two sensors.
+
+    The power spectra of the sensors' differences on the floors that have several, over those and the means together.
+    """
+    groups = [np.flatnonzero(record.floors == floor) for floor in np.unique(record.floors)]
+    groups = [group for group in groups if len(group) > 1]
+    if not groups:
+        return None
+    rate = record.sampling_rate
+    length = min(int(LINES_A_HERTZ * rate), *(run.samples for run in record.runs)) // 2 * 2
+    lines = np.fft.rfftfreq(length, 1 / rate)
+    mean, apart = np.zeros(len(lines)), np.zeros(len(lines))
+    for run in record.runs:
+        for group in groups:
+            values = run.responses[:, group]
+            middle = values.mean(axis=1, keepdims=True)
+            mean += run.samples * signal.welch(middle, rate, nperseg=length, axis=0)[1].mean(axis=1)
+            apart += run.samples * signal.welch(values - middle, rate, nperseg=length, axis=0)[1].mean(axis=1)
+
+    def share(frequency: float) -> float:
+        near = np.abs(lines - frequency) <= max(2 * lines[1], NEARBY * frequency)
+        return float(apart[near].sum() / max(apart[near].sum() + mean[near].sum(), 1e-300))
+
+    return share
+
+
+def _along(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
     """Sensors turned into the direction of test; those that stand across it left out."""
     angles = [channel.direction or 0.0 for channel in record.channels]
     if not any(angles):
@@ -72,7 +99,7 @@ def _along(record: Record) -> tuple[Record, list[Finding]]:
     return only(scaled(record, factors), kept), findings
 
 
-def _rotation(record: Record, group: Floats) -> Finding:
+def _rotation(record: Record, group: Ints) -> Finding:
     names = [record.channels[int(column)] for column in group]
     mean, apart = 0.0, 0.0
     for run in record.runs:

@@ -6,11 +6,12 @@ A record holds physical values: sign and calibration have been applied. Its arra
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.util import checks
@@ -296,6 +297,76 @@ class TimeRecord(_Recorded):
         if self.input == "force":
             checks.whole(run.floor, f"{run.name}: input_floor", least=1, most=self.stories)
 
+    @staticmethod
+    def of(
+        table: Any,
+        *,
+        floors: Mapping[str, int] | Sequence[int] | None = None,
+        excitation: str | ArrayLike | None = None,
+        drive: str | None = None,
+        input_floor: int = 0,
+        sampling_rate: float | None = None,
+        **options: Any,
+    ) -> TimeRecord:
+        """The record of one run in a table: an array, a pandas DataFrame or an xarray DataArray.
+
+        Parameters
+        ----------
+        table : array_like, shape (samples, channels), or pandas.DataFrame or xarray.DataArray
+            m/s2, m/s or m. A data frame has one column a channel and the time as its index; a data array has two
+            dimensions, the first of them time, the second one named coordinate a channel.
+        floors : mapping of str to int, or sequence of int, optional
+            The floor of each channel used, by its name or in the order of the columns; 1, 2, ... where None.
+        excitation : str or array_like, shape (samples,), optional
+            The input: the name of its column, or its samples; N for a force, m/s2 for a base acceleration.
+        drive : str, optional
+            `input` of the record; where None "base" with an excitation, "force" where `input_floor` is given too, and
+            "none" without.
+        input_floor : int, optional
+            Where a force acts.
+        sampling_rate : float, optional
+            Hz; from the index or the coordinate of time where None.
+        **options
+            Of `TimeRecord`: stories, quantity, band, name, ....
+
+        Returns
+        -------
+        TimeRecord
+
+        Raises
+        ------
+        InputError
+            Where a channel is not in the table, or nothing tells the sampling rate.
+        """
+        values, names, times = _columns_of(table)
+        force: Any = excitation
+        if isinstance(excitation, str):
+            force = values[:, _place(excitation, names)]
+        left = [name for name in names if not (isinstance(excitation, str) and name == excitation)]
+        if isinstance(floors, Mapping):
+            chosen = dict(floors)
+        else:
+            chosen = dict(zip(left, range(1, len(left) + 1) if floors is None else floors, strict=False))
+            if floors is not None and len(floors) != len(left):
+                raise InputError(f"floors must have {len(left)} entries, one a channel, not {len(floors)}")
+        if sampling_rate is None:
+            if times is None or len(times) < 2:
+                raise InputError("give sampling_rate, in Hz: the table has no time that tells it")
+            steps = np.diff(times)
+            sampling_rate = 1.0 / float(np.median(steps))
+            uneven = np.flatnonzero(np.abs(steps * sampling_rate - 1.0) > UNEVEN)
+            if uneven.size:
+                raise InputError(
+                    f"the table's time steps from {times[uneven[0]]:g} s to {times[uneven[0] + 1]:g} s, where its step "
+                    f"is {1 / sampling_rate:g} s; samples must be evenly spaced"
+                )
+        if drive is None:
+            drive = "none" if force is None else "force" if input_floor else "base"
+        columns = [_place(name, names) for name in chosen]
+        channels = tuple(Channel(name, floor) for name, floor in chosen.items())
+        run = Run(values[:, columns], force, input_floor)
+        return TimeRecord(channels, runs=(run,), sampling_rate=sampling_rate, input=drive, **options)
+
     @property
     def duration(self) -> float:
         """Length of all runs together, s."""
@@ -369,6 +440,39 @@ class FrfRecord(_Recorded):
 
 
 Record = TimeRecord | FrfRecord
+
+
+UNEVEN = 0.01
+"""Of a step; time stamps are rounded, and a gap is at least one step."""
+
+
+def _columns_of(table: Any) -> tuple[Floats, list[str], Floats | None]:
+    """The values of a table, shape (samples, channels), the names of its columns, and its times, s, if it has any."""
+    names: Sequence[object] | None = None
+    times = None
+    if hasattr(table, "columns") and hasattr(table, "index"):
+        names, times = list(table.columns), np.asarray(table.index)
+    elif hasattr(table, "dims") and hasattr(table, "coords"):
+        if len(table.dims) != 2:
+            raise InputError(f"the data array has the dimensions {tuple(table.dims)}; it needs two, time and channels")
+        time, channel = table.dims
+        names = list(table.coords[channel].values) if channel in table.coords else None
+        times = np.asarray(table.coords[time].values) if time in table.coords else None
+    values = _matrix(getattr(table, "values", table), "the table", np.float64)
+    if times is not None and times.dtype.kind in "mM":
+        times = (times - times[0]) / np.timedelta64(1, "s")
+    # A plain count of rows is no time.
+    if times is not None and (times.dtype.kind not in "f" or len(times) != len(values)):
+        times = None
+    if names is None:
+        names = [f"channel {place}" for place in range(1, values.shape[1] + 1)]
+    return values, [str(name) for name in names], times
+
+
+def _place(name: str, names: Sequence[str]) -> int:
+    if name not in names:
+        raise InputError(f'there is no channel "{name}" in the table; there are {", ".join(names)}')
+    return names.index(name)
 
 
 def _refuse_nonfinite(values: NDArray[Any], where: str) -> None:

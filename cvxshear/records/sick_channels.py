@@ -9,7 +9,7 @@ from scipy import linalg, ndimage, signal
 
 from cvxshear.records.clocks import mains_lines
 from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord
-from cvxshear.records.signals import impulsive, only
+from cvxshear.records.signals import AnyRecord, impulsive, only
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats
 
@@ -33,8 +33,12 @@ MANY_SPIKES = 0.01
 """Share of the samples; more is no accident."""
 AR_ORDER = 24
 """Coefficients of the model that spikes stand out of: two for each mode of a dozen stories."""
+PASSES = 8
+"""Times that spikes are looked for; so many may stand within reach of each other."""
 WINSORIZED = 4.0
 """Local deviations that samples are cut to where the model is fitted, lest spikes make it."""
+BEGINNING = 15
+"""Samples on either side of a spike, which are alike; where motion begins they are not."""
 NO_SPIKES = ("clipped channel", "stuck channel", "held samples")
 """Kinds of findings whose corners would be taken for spikes."""
 HUM_SHARE = 0.3
@@ -65,7 +69,7 @@ def channel_findings(record: Record) -> list[Finding]:
     return found
 
 
-def without_sick(record: Record, findings: list[Finding]) -> Record:
+def without_sick(record: AnyRecord, findings: list[Finding]) -> AnyRecord:
     """The record without the channels that measure nothing.
 
     Raises
@@ -104,7 +108,8 @@ def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
     (a * reversed a * x) / (a'a): white where the model holds, and largest at the sample itself.
     """
     cleaned, found = np.array(responses), np.zeros(responses.shape, dtype=bool)
-    for _ in range(3):
+    # One spike throws the errors around it off: the largest in reach is taken first, and those beside it after.
+    for _ in range(PASSES):
         off, scale = np.zeros(responses.shape), np.full(responses.shape, np.inf)
         for column, values in enumerate(cleaned.T):
             if values.std() > 0:
@@ -112,11 +117,13 @@ def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
                 scale[:, column] = _local_scale(off[:, column])
         ratio = np.abs(off) / scale
         near = ndimage.maximum_filter1d(ratio, 5, axis=0)
-        now = (ratio > SPIKE) & (ratio >= ndimage.maximum_filter1d(ratio, 3, axis=0))
-        for column in np.flatnonzero(now.any(axis=0)):
-            others = np.delete(near, column, axis=1)
+        now = (ratio > SPIKE) & (ratio >= ndimage.maximum_filter1d(ratio, 2 * AR_ORDER + 1, axis=0))
+        for hit in np.flatnonzero(now.any(axis=0)).tolist():
+            others = np.delete(near, hit, axis=1)
             if others.shape[1]:
-                now[:, column] &= others.max(axis=1) < SPIKE / 2
+                now[:, hit] &= others.max(axis=1) < SPIKE / 2
+        for place, hit in np.argwhere(now).tolist():
+            now[place, hit] = not _begins(cleaned[:, hit], place)
         if not now.any():
             break
         found |= now
@@ -125,6 +132,16 @@ def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
     many = found.mean(axis=0) > MANY_SPIKES
     found[:, many], cleaned[:, many] = False, responses[:, many]
     return found, cleaned
+
+
+def _begins(values: Floats, place: int) -> bool:
+    """Whether motion begins at a sample, and goes on as strongly after it."""
+    # The model looks so many samples ahead: it errs before the first sample that moves.
+    later = place + AR_ORDER + 1
+    before, after = np.abs(values[max(0, place - BEGINNING) : place]), np.abs(values[later : later + BEGINNING])
+    if not len(before) or not len(after):
+        return True
+    return bool(np.median(after) > 3.0 * np.median(before) and abs(values[place]) < 4.0 * after.max())
 
 
 def _interpolation_errors(values: Floats) -> Floats:
@@ -180,7 +197,7 @@ def _stuck(responses: Floats, column: int, where: str, name: str, rate: float) -
         moved = np.median(others[start:stop].std(axis=0) / np.maximum(usual, 1e-300)) > 0.3
         # Where all is quiet, converters of few bits repeat themselves; the others then do as well.
         if moved or np.median(np.mean(np.diff(others[start:stop], axis=0) == 0, axis=0)) < 0.2:
-            count, longest = count + stop - start, max(longest, int(stop - start))
+            count, longest = int(count + stop - start), max(longest, int(stop - start))
             first = int(start) if first < 0 else first
     if not count:
         return []

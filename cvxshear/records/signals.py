@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy import signal
 
-from cvxshear.records.record import FrfRecord, FrfRun, Record, Run, TimeRecord
+from cvxshear.records.record import Channel, FrfRecord, FrfRun, Record, Run, TimeRecord
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
+
+AnyRecord = TypeVar("AnyRecord", bound=TimeRecord | FrfRecord)
 
 IMPULSIVE = 0.1
 """A force that does nearly all its work within this share of the run is a blow."""
@@ -51,32 +53,34 @@ def without_offset(record: TimeRecord) -> TimeRecord:
     return _mapped(record, lambda values: values - np.median(values, axis=0), record.sampling_rate)
 
 
-def scaled(record: Record, factors: Mapping[str, float]) -> Record:
+def scaled(record: AnyRecord, factors: Mapping[str, float]) -> AnyRecord:
     """The record with channels, and "input", multiplied by factors; a channel that is not named stays."""
     factor = np.array([factors.get(channel.name, 1.0) for channel in record.channels])
-    if isinstance(record, FrfRecord):
-        return dataclasses.replace(
-            record, runs=tuple(dataclasses.replace(run, responses=run.responses * factor) for run in record.runs)
-        )
-    of_input = factors.get("input", 1.0)
-    runs = tuple(
-        dataclasses.replace(
-            run,
-            responses=run.responses * factor,
-            excitation=None if run.excitation is None else run.excitation * of_input,
-        )
-        for run in record.runs
+    changed = with_responses(record, [run.responses * factor for run in record.runs])
+    if "input" not in factors or not isinstance(changed, TimeRecord):
+        return changed
+    runs: Any = tuple(
+        dataclasses.replace(run, excitation=None if run.excitation is None else run.excitation * factors["input"])
+        for run in changed.runs
     )
-    return dataclasses.replace(record, runs=runs)
+    return dataclasses.replace(changed, runs=runs)
 
 
-def only(record: Record, columns: Sequence[int]) -> Record:
+def only(record: AnyRecord, columns: Sequence[int]) -> AnyRecord:
     """The record with these of its channels."""
     kept = list(columns)
     channels = tuple(record.channels[column] for column in kept)
-    # The same call for both kinds; the runs of each are of one kind.
-    runs: Any = tuple(dataclasses.replace(run, responses=run.responses[:, kept]) for run in record.runs)
-    return dataclasses.replace(record, channels=channels, runs=runs)
+    return with_responses(record, [run.responses[:, kept] for run in record.runs], channels)
+
+
+def with_responses(
+    record: AnyRecord, responses: Sequence[Any], channels: tuple[Channel, ...] | None = None
+) -> AnyRecord:
+    """The record with other responses in its runs, and other channels."""
+    changes: dict[str, Any] = {"channels": record.channels if channels is None else channels}
+    each: Any = zip(record.runs, responses, strict=True)
+    changes["runs"] = tuple(dataclasses.replace(run, responses=values) for run, values in each)
+    return dataclasses.replace(record, **changes)
 
 
 def _mapped(record: TimeRecord, change: Callable[[Floats], Floats], rate: float) -> TimeRecord:
