@@ -83,6 +83,10 @@ COMPLEX = 5.0
 UNRECIPROCAL = 0.02
 """Relative; sensors and hammers are hardly calibrated better."""
 OTHER = "not a sway mode that the frame still lacks: torsion, another axis, a local or split mode"
+GAIN_CHANGED = 0.04
+"""Change of a channel's gain between two records that is worth a word: twice what calibrations differ by."""
+GAIN_SEEN = 0.15
+"""Of a mode's largest entry: smaller ones change by noise."""
 FEWEST_PERIODS = 500
 """Of the lowest mode in an ambient record: the usual advice is 1000 to 2000 (Brincker and Ventura 2015)."""
 
@@ -268,3 +272,39 @@ def _mode_findings(record: Record, result: ModalResult, setting: Replication, wa
 
 def _modes(numbers: list[int]) -> str:
     return f"mode{'' if len(numbers) == 1 else 's'} {ranged(numbers)}"
+
+
+def cables_changed(before: ModalResult, after: ModalResult) -> list[Finding]:
+    """What changed between two records of one frame that a cable explains: one channel reversed, or with another gain.
+
+    The entries of a channel change by one and the same factor in every mode; damage changes them by another in each.
+    """
+    floors = np.intersect1d(before.floors, after.floors)
+    modes = np.intersect1d(before.modes, after.modes)
+    if len(floors) < 3 or len(modes) < 2:
+        return []
+    old, new = (
+        item.mode_shapes[np.ix_(np.isin(item.modes, modes), np.isin(item.floors, floors))] for item in (before, after)
+    )
+    seen = np.abs(old) > GAIN_SEEN * np.abs(old).max(axis=1, keepdims=True)
+    ratios = np.where(seen, new / np.where(seen, old, 1.0), np.nan)
+    # The scale of a mode is free: that of the channels' median.
+    ratios = ratios / np.nanmedian(ratios, axis=1, keepdims=True)
+    gains, spread = np.nanmedian(ratios, axis=0), np.nanmax(np.abs(ratios - np.nanmedian(ratios, axis=0)), axis=0)
+    off = np.abs(gains - 1.0)
+    place = int(np.argmax(off))
+    others = np.delete(off, place)
+    if np.sum(seen[:, place]) < 2 or off[place] < GAIN_CHANGED or off[place] < 3 * spread[place]:
+        return []
+    if others.max() > off[place] / 3:
+        return []
+    gain, floor = float(gains[place]), int(floors[place])
+    what = "is reversed" if abs(gain + 1.0) < GAIN_CHANGED else f"reads {gain:.3f} times as much"
+    return [
+        Finding(
+            "cable",
+            f'floor {floor} {what} in "{after.name}" as against "{before.name}", in every mode by the same factor and '
+            "no other floor with it: a cable, a sensor or a calibration explains that, and it is no damage",
+            {"floor": floor, "gain": gain, "records": [before.name, after.name]},
+        )
+    ]

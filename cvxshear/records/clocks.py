@@ -187,7 +187,7 @@ def band_clock(segments: Segments, first: int, second: int) -> BandClock:
         return BandClock(float(grid[place]), 0.0, step, np.inf, agreement, chance, float(grid[place]))
     middle, slope, std, slope_std = _line(around[sound], tops[sound], heights[sound])
     slope_std = float(np.hypot(slope_std, STEADY / segments.rate / half))
-    certain = stats.t.isf(DRIFT_CHANCE, max(np.count_nonzero(sound) - 2, 1))
+    certain = float(stats.t.isf(DRIFT_CHANCE, max(int(np.count_nonzero(sound)) - 2, 1)))
     if abs(slope) < certain * slope_std or abs(slope) * half < DRIFT_SHORTEST / segments.rate:
         return BandClock(middle, 0.0, std, slope_std, agreement, chance, middle)
     start = middle - slope * float(np.average(times, weights=weights))
