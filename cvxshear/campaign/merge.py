@@ -11,7 +11,9 @@ import numpy as np
 from cvxshear.campaign.many import IdentifiedRecord
 from cvxshear.files.measurement import write_measurement
 from cvxshear.measurement.experiment import Experiment
+from cvxshear.modal.diagnostics import cables_changed
 from cvxshear.modal.result import frame_in
+from cvxshear.records.record import Finding
 from cvxshear.util.checks import shown
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Json
@@ -48,7 +50,7 @@ def merged(tests: Sequence[IdentifiedRecord]) -> Json:
     frame = frame_in(_frame(tests), {test.state or test.modes.name for test in tests})
     priors = _priors(tests)
     if scale_unknown(tests):
-        frame["total_mass"] = 1.0
+        frame |= {"total_mass": 1.0, "total_mass_placeholder": True}
     result: Json = {"frame": frame}
     if priors:
         result["prior"] = priors
@@ -72,11 +74,17 @@ def write_merged(path: str | Path, tests: Sequence[IdentifiedRecord]) -> None:
     declared = merged(tests)
     Experiment.from_dict(declared, name=Path(path).stem)
     comments = [f"scale: {UNKNOWN_SCALE}"] if scale_unknown(tests) else []
+    comments.extend(f"{finding.kind}: {finding.message}" for finding in cables_of(tests))
     for test in tests:
         modes = test.modes
         comments.append(f"Modes of {modes.name} by {modes.method}; standard deviations: {modes.uncertainty}")
         comments.extend(f"{modes.name}: {finding.kind}: {finding.message}" for finding in modes.findings)
     write_measurement(path, declared, comments)
+
+
+def cables_of(tests: Sequence[IdentifiedRecord]) -> list[Finding]:
+    """What changed between each record and the first that a cable explains, before any damage is looked for."""
+    return [finding for test in tests[1:] for finding in cables_changed(tests[0].modes, test.modes)]
 
 
 def scale_unknown(tests: Sequence[IdentifiedRecord]) -> bool:

@@ -134,12 +134,14 @@ def measured(
 
 def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
     """The modes of each record."""
-    from cvxshear.campaign.merge import UNKNOWN_SCALE
+    from cvxshear.campaign.merge import UNKNOWN_SCALE, cables_of
     from cvxshear.report import terminal
 
     for test in tests:
         yield from terminal.shown(test.modes)
         yield ""
+    for finding in cables_of(tests):
+        yield f"{finding.kind}: {finding.message}"
     if needs_mass(tests):
         yield f"scale: {UNKNOWN_SCALE}"
 

@@ -112,7 +112,7 @@ def _exact(frame: Frame, effects: Sequence[Placed]) -> Frame:
     """The frame with a total mass only where it holds exactly."""
     released = any("total_mass" in placed.effect.releases for placed in effects)
     if frame.floor_masses is None and frame.total_mass is not None and (released or frame.total_mass_std is not None):
-        return dataclasses.replace(frame, total_mass=None, total_mass_std=None)
+        return dataclasses.replace(frame, total_mass=None, total_mass_std=None, total_mass_placeholder=False)
     return frame
 
 

@@ -14,7 +14,7 @@ from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Json
 
-UNSAID = (("stories", 0), ("accept", ()))
+UNSAID = (("stories", 0), ("accept", ()), ("total_mass_placeholder", False))
 """Keys of a frame, with the values that stand for "not given"."""
 
 DAMPING_KINDS = ("modal", "story", "rayleigh")
@@ -38,6 +38,8 @@ class Frame:
         m/s2.
     total_mass_std : float, optional
         Relative standard deviation of `total_mass`; exact without it.
+    total_mass_placeholder : bool, optional
+        Whether `total_mass` stands for one that nobody gave: masses and stiffnesses are then relative to it.
     reference : str, optional
         The state that is the frame itself: no change and no undeclared mass sits in it.
     accept : sequence of str, optional
@@ -55,6 +57,7 @@ class Frame:
     floor_masses: Floats | None = None
     gravity: float = 9.81
     total_mass_std: float | None = None
+    total_mass_placeholder: bool = False
     reference: str | None = None
     accept: tuple[str, ...] = ()
 
@@ -79,6 +82,9 @@ class Frame:
             put(self, "total_mass_std", checks.number(self.total_mass_std, "frame: total_mass_std", above=0.0))
             if self.total_mass is None or self.floor_masses is not None:
                 raise InputError("frame: total_mass_std belongs to total_mass; give that, and no floor_masses")
+        put(self, "total_mass_placeholder", checks.flag(self.total_mass_placeholder, "frame: total_mass_placeholder"))
+        if self.total_mass_placeholder and (self.total_mass is None or self.floor_masses is not None):
+            raise InputError("frame: total_mass_placeholder belongs to total_mass; leave it out where that is known")
         if self.reference is not None:
             checks.text(self.reference, "frame: reference")
         put(self, "accept", self._checked_accept(self.accept))

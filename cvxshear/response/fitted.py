@@ -55,7 +55,7 @@ class Fitted:
             estimate.theta,
             estimate.uncertainty.covariance(),
             estimate.uncertainty.null_directions,
-            mass_known,
+            mass_known and not estimate.experiment.frame.total_mass_placeholder,
         )
 
     @staticmethod

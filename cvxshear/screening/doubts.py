@@ -295,6 +295,11 @@ def _near(value: float, size: float) -> bool:
 
 def total_mass(experiment: Experiment) -> Iterator[Finding]:
     """The declared total against that of the configurations."""
+    if experiment.frame.total_mass_placeholder:
+        said = f"total_mass = {experiment.frame.total_mass:g} stands for one that nobody gave: masses and stiffnesses "
+        change = "write total_mass in kg, and take total_mass_placeholder out"
+        yield Finding("total_mass", None, f"{said}are relative to it", change, refuses=False)
+        return
     declared = experiment.frame.known_total
     different = {tuple(each.added_mass) for each in experiment.configurations}
     if declared is None or len(different) < 2 or experiment.stories > TALLEST_FITTED:

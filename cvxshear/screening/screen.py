@@ -80,7 +80,7 @@ FAR_DATUM = 3.5
 
 
 class Remark(Protocol):
-    """What a record's own diagnostics say, see `cvxshear.modal.findings`."""
+    """What a record's own diagnostics say, see `cvxshear.records.record`."""
 
     @property
     def kind(self) -> str:

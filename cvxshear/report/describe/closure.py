@@ -9,7 +9,7 @@ from cvxshear.loop.next_test import NextTest
 from cvxshear.report.describe.dispatch import describe, line
 from cvxshear.report.describe.errors import before_after, residual_section, steps_section
 from cvxshear.report.describe.evidence import candidates_section, effect_sections, effects_section, sets_section
-from cvxshear.report.describe.experiment import declared, measured_modes
+from cvxshear.report.describe.experiment import declared, measured_modes, units_for
 from cvxshear.report.describe.frame import frame_table
 from cvxshear.report.describe.headline import NAMED, headline
 from cvxshear.report.describe.numbering import in_doubt, numbering_sections
@@ -20,6 +20,7 @@ from cvxshear.util.quantities import AUTOMATIC, Units, capital, chance, counted,
 
 @describe.register
 def _closure(of: Closure, units: Units = AUTOMATIC) -> Document:
+    units = units_for(of.experiment, units)
     sections = (
         verdict_section(of),
         *numbering_sections(of),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
@@ -33,6 +34,11 @@ def _headline(of: Experiment) -> str:
     return f"{counted(of.stories, 'story')}, {', '.join(tests)}"
 
 
+def units_for(of: Experiment, units: Units) -> Units:
+    """The units to show: relative ones where the total mass stands for one that nobody gave."""
+    return dataclasses.replace(units, relative=True) if of.frame.total_mass_placeholder else units
+
+
 def declared(of: Experiment, units: Units = AUTOMATIC) -> Section:
     """What was declared of the frame, and each test in a line."""
     facts = Facts(tuple(_facts(of, units)))
@@ -50,7 +56,10 @@ def _facts(of: Experiment, units: Units) -> Iterator[tuple[str, str]]:
     yield "test", of.name
     yield "stories", str(of.stories)
     yield "story heights", "not declared" if frame.story_heights is None else listed(frame.story_heights, "m")
-    yield "total mass", f"{_total(of, units)}, without added mass" if frame.known_total else "not declared"
+    if frame.total_mass_placeholder:
+        yield "total mass", "not given: 1 stands for it, and masses and stiffnesses are relative to it"
+    else:
+        yield "total mass", f"{_total(of, units)}, without added mass" if frame.known_total else "not declared"
     if frame.reference is not None:
         yield "reference state", frame.reference
     for each in of.static:

@@ -9,7 +9,7 @@ import numpy as np
 from cvxshear.methods import Identification, SingleIdentification
 from cvxshear.report.describe import vocabulary
 from cvxshear.report.describe.dispatch import describe, line
-from cvxshear.report.describe.experiment import declared
+from cvxshear.report.describe.experiment import declared, units_for
 from cvxshear.report.describe.frame import frame_table
 from cvxshear.report.describe.parameters import in_words
 from cvxshear.report.describe.vocabulary import Document, Row, Section, Sentence, Table
@@ -32,6 +32,7 @@ RULED_OUT = 1e-3
 
 @describe.register
 def _identification(of: Identification, units: Units = AUTOMATIC) -> Document:
+    units = units_for(of.experiment, units)
     sections = [declared(of.experiment, units)]
     sections += [part_section(of, part, place, units) for place, part in enumerate(of.parts, 1)]
     if of.undetermined:

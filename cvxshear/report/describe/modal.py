@@ -31,9 +31,9 @@ def scale_in_words(of: ModalResult) -> str:
 
 
 def shape_deviations(of: ModalResult) -> Floats:
-    """Standard deviations of the shapes' entries, in the unit of the shapes, shape (m, n)."""
+    """Standard deviations of the shapes' entries as files have them, in the unit of the shapes, shape (m, n)."""
     largest = np.abs(of.mode_shapes).max(axis=1, keepdims=True)
-    return np.asarray(of.mode_shape_std * largest)
+    return np.asarray(of.written_entry_std * largest)
 
 
 @describe.register
@@ -65,7 +65,7 @@ def _table(of: ModalResult) -> Table:
     rows = columns(
         [str(mode) for mode in of.modes],
         [f"{frequency:.4f}" for frequency in of.frequencies],
-        percents(of.frequency_std.tolist()),
+        percents(of.written_frequency_std.tolist()),
         percents(damping),
         percents(spread),
         [f"{value:.4f}" for value in of.phase_collinearity.tolist()],

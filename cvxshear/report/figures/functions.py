@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from cvxshear.modal import ModalResult
-from cvxshear.modal.functions import Functions
-from cvxshear.modal.synthesis import band_of, synthesized
+from cvxshear.modal.functions import Functions, band_of, synthesized
 from cvxshear.report.figures.style import (
     BEFORE,
     COLOURS,
