@@ -165,7 +165,7 @@ def figures_for(*paths: str | None) -> ModuleType | None:
         return None
     try:
         from cvxshear.report import figures
-        from cvxshear.report.figures.output import kind_of
+        from cvxshear.report.figures.style import kind_of
     except ImportError as error:
         raise InputError(f"--figure needs {error.name}: pip install matplotlib") from error
     for path in asked:

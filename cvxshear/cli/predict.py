@@ -134,7 +134,7 @@ class Files:
 
     def __init__(self, series: str | None, models: list[str], figures: list[str]) -> None:
         from cvxshear.report.handover import model_kind
-        from cvxshear.report.series import series_kind
+        from cvxshear.report.series_files import series_kind
 
         self.series, self.models = series, models
         self.figures = [_figure(each) for each in figures]
@@ -159,7 +159,7 @@ class Files:
     def of(self, result: RecordPrediction) -> list[Callable[[], None]]:
         """What writes each of them."""
         from cvxshear.report.handover import write_model
-        from cvxshear.report.series import write_series
+        from cvxshear.report.series_files import write_series
 
         writers = [] if self.series is None else [partial(write_series, self.series, result)]
         writers += [partial(write_model, each, result) for each in self.models]
