@@ -62,6 +62,13 @@ ReportOut = Annotated[
     str | None,
     writes("--report", what="Write a report, one HTML file.", metavar="OUT.html", endings=(".html", ".htm")),
 ]
+TitleOption = Annotated[str | None, typer.Option("--title", help="Title of the report.")]
+ClientOption = Annotated[str | None, typer.Option("--client", help="For whom the report is.")]
+AuthorOption = Annotated[str | None, typer.Option("--author", help="Who answers for the report.")]
+DateOption = Annotated[str | None, typer.Option("--date", help="Date of the report.")]
+PhotographOption = Annotated[
+    str | None, typer.Option("--photograph", help="A PNG or JPEG that the report shows.", callback=input_files)
+]
 MeasurementOut = Annotated[
     str | None,
     writes(
@@ -156,6 +163,22 @@ def deliver(
 def to_json(result: Json, *, ascii_only: bool = False) -> str:
     """The result as JSON; nan cannot stand in JSON and has no place in a result."""
     return json.dumps(result, indent=2, allow_nan=False, ensure_ascii=ascii_only)
+
+
+def heading_of(report: str | None, **parts: str | None) -> dict[str, str]:
+    """What the command line says for the head of a report.
+
+    Raises
+    ------
+    InputError
+        Where no report is asked for, or a text is empty.
+    """
+    from cvxshear.util import checks
+
+    given = {key: checks.text(value, f"--{key}") for key, value in parts.items() if value is not None}
+    if given and report is None:
+        raise InputError(f"--{next(iter(given))} belongs to a report: add --report OUT.html")
+    return given
 
 
 def figures_for(*paths: str | None) -> ModuleType | None:

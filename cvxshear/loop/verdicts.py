@@ -104,7 +104,7 @@ _ALL = (
         "The shear model explains the data; which modes of the frame were measured is in question.",
         "{found}; but {doubt}; {change}",
         "{model} explains the data; but {doubt}; {change}",
-        "Make the test that the report proposes, or take the rivals along as possible causes.",
+        "Take what was found and its rivals as possible causes until a test distinguishes them.",
         "#8a5a00",
         "#e0b04a",
     ),

@@ -121,7 +121,7 @@ def render(
         body=[s for s in document.sections if s.parts and s.key not in (*FIRST_SECTIONS, *APPENDIX)],
         appendix=[section for section in document.sections if section.parts and section.key in APPENDIX],
         heading=heading,
-        photograph=photograph(heading),
+        photograph=photograph_of(heading),
         headline=capital(headline(result)),
         verdict=verdict_of(result),
         open_questions=open_questions(result),
@@ -138,7 +138,7 @@ def render(
     )
 
 
-def photograph(heading: Heading) -> str:
+def photograph_of(heading: Heading) -> str:
     """The photograph as an address that holds it; empty where there is none.
 
     Raises

@@ -264,7 +264,6 @@ def _middle(placed: Placed, z: Floats) -> float:
 def _mark(axes: Axes, placed: Placed, z: Floats, at: _Columns, *, sure: bool) -> None:
     """Colour what an effect acts on: a story, a floor, what joins two floors, or the whole frame."""
     place, base = placed.place, np.concatenate([[0.0], z])
-    look = {"fc": "#D55E0033", "ec": BEFORE, "lw": 1.6} if sure else {"fc": "none", "ec": BEFORE, "lw": 1.0, "ls": "--"}
     left, wide = at.left - 0.035, at.right - at.left + 0.07
     other = getattr(place, "to", None)
     if place.floor is not None and other is not None:
@@ -282,7 +281,10 @@ def _mark(axes: Axes, placed: Placed, z: Floats, at: _Columns, *, sure: bool) ->
         axes.plot([at.right + 0.03, at.right + 0.05, at.right + 0.05, at.right + 0.03], [low, low, high, high],
                   color=BEFORE, lw=1.6, ls="-" if sure else "--")  # fmt: skip
         return
-    axes.add_patch(Rectangle((left, low), wide, high - low, zorder=4, **look))
+    band = Rectangle((left, low), wide, high - low, fc="none", ec=BEFORE, lw=1.0, ls="--", zorder=4)
+    if sure:
+        band.set(facecolor="#D55E0033", linewidth=1.6, linestyle="-")
+    axes.add_patch(band)
     if sure and place.story is not None:
         for side in (at.left, at.right):
             axes.plot([side, side], [low, high], color=BEFORE, lw=4.0, solid_capstyle="butt", zorder=5)
@@ -335,6 +337,10 @@ def _numbered(axes: Axes, experiment: Experiment, found: IdentifiedFrame, title:
     _structure(axes, found, z, at)
     _numbers(axes, found, z, at, float(z[-1]) * LINE / inches)
     axes.set_ylabel(label)
+    if narrow_page():
+        # The numbers need the room of the axis.
+        axes.yaxis.set_visible(False)
+        axes.spines["left"].set_visible(False)
     for x, text, std, align in (
         (at.left - GAP, "story stiffness", found.story_stiffness_std, "right"),
         (at.right + GAP, "floor mass", found.floor_mass_std, "left"),

@@ -33,7 +33,7 @@ SHOWN = 14
 """Effects that are drawn, the most probable first; those that were added always are."""
 
 LONGEST_LABEL = 44
-"""Letters of an effect's name beside its dots; half as many on a telephone."""
+"""Letters of an effect's name beside its dots; on two lines on a telephone."""
 
 LEAST = 1e-4
 """Probability below which, and as far from certainty, an effect is drawn at the edge of the figure."""
@@ -70,13 +70,15 @@ def ranking(result: Closure) -> Figure:
     mine = [item for item in result.candidates if item.placed in added]
     others = [item for item in result.candidates if item.placed not in added]
     bars = [*mine, *others[: max(SHOWN - len(mine), 0)]]
-    figure = new_figure(page_width(), 0.24 * max(len(bars), 2) + (1.9 if narrow_page() else 1.35))
+    row, room = (0.36, 1.9) if narrow_page() else (0.24, 1.35)
+    figure = new_figure(page_width(), row * max(len(bars), 2) + room)
     axes = figure.subplots()
     axes.axvline(0.0, color="black", ls=":", lw=1.2)
     _arrows(axes, bars)
     _dots(axes, bars, len(mine))
-    longest, wrap = (LONGEST_LABEL // 2, 30) if narrow_page() else (LONGEST_LABEL, 90)
-    axes.set_yticks(range(len(bars)), [letters(item.placed.label, longest) for item in bars])
+    wrap = 30 if narrow_page() else 90
+    labels = ["\n".join(textwrap.wrap(letters(item.placed.label, LONGEST_LABEL), wrap - 6)) for item in bars]
+    axes.set_yticks(range(len(bars)), labels)
     for label in axes.get_yticklabels()[: len(mine)]:
         label.set_fontweight("bold")
     axes.set_ylim(max(len(bars), 1) - 0.4, -0.6)
