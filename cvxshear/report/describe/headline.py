@@ -140,7 +140,7 @@ def headline(result: Closure) -> str:
         model=_model(result),
         found=_effects(result.effects),
         doubt=_doubt(result),
-        place=f"in {listed(result.remains[:2])}" if result.remains else "",
+        place=f"in {listed(result.remains[:2]) or 'no single part'}",
         change="" if found.changes and not added else change_in_words(before.estimate, result.estimate),
         within=_within(result),
     )

@@ -336,10 +336,10 @@ def _numbered(axes: Axes, experiment: Experiment, found: IdentifiedFrame, title:
     at = _Columns(0.46, 0.57)
     _structure(axes, found, z, at)
     _numbers(axes, found, z, at, float(z[-1]) * LINE / inches)
-    axes.set_ylabel(label)
+    axes.set_ylabel("" if narrow_page() else label)
     if narrow_page():
         # The numbers need the room of the axis.
-        axes.yaxis.set_visible(False)
+        axes.set_yticks([])
         axes.spines["left"].set_visible(False)
     for x, text, std, align in (
         (at.left - GAP, "story stiffness", found.story_stiffness_std, "right"),
