@@ -127,6 +127,7 @@ def headline(result: Closure) -> str:
     result : Closure
     """
     verdict, found = verdict_of(result), result.numberings[0]
+    spread = "in no single part" if verdict.provisional else ""
     added = bool(result.effects)
     before = result.before
     renumbered = ""
@@ -140,7 +141,7 @@ def headline(result: Closure) -> str:
         model=_model(result),
         found=_effects(result.effects),
         doubt=_doubt(result),
-        place=f"in {listed(result.remains[:2]) or 'no single part'}",
+        place=f"in {listed(result.remains[:2])}" if result.remains else spread,
         change="" if found.changes and not added else change_in_words(before.estimate, result.estimate),
         within=_within(result),
     )

@@ -17,21 +17,8 @@ from cvxshear.measurement.experiment import Experiment
 from cvxshear.methods import Identification, IdentifiedFrame
 from cvxshear.report.describe.headline import verdict_of
 from cvxshear.report.describe.identified import in_one_unit
+from cvxshear.report.figures import style
 from cvxshear.report.figures.figure_table import figure
-from cvxshear.report.figures.style import (
-    AFTER,
-    BEFORE,
-    PALE,
-    QUIET,
-    grid_of,
-    letters,
-    narrow_page,
-    new_figure,
-    page_width,
-    panels,
-    spread,
-    styled,
-)
 from cvxshear.util.quantities import AUTOMATIC, Units, capital, chance, counted, with_std
 from cvxshear.util.typing import Floats
 
@@ -96,15 +83,19 @@ def _structure(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns) -> N
     strokes = THINNEST + (THICKEST - THINNEST) * stiffness / max(float(stiffness.max()), SMALLEST)
     wide = at.right - at.left
     axes.add_patch(
-        Rectangle((at.left - 0.04, -0.04 * total), wide + 0.08, 0.04 * total, fc="none", ec=QUIET, hatch="////", lw=0)
+        Rectangle(
+            (at.left - 0.04, -0.04 * total), wide + 0.08, 0.04 * total, fc="none", ec=style.QUIET, hatch="////", lw=0
+        )
     )
     axes.plot([at.left - 0.04, at.right + 0.04], [0, 0], color="black", lw=1.0)
     for low, high, stroke in zip(z - heights, z, strokes, strict=True):
         for side in (at.left, at.right):
-            axes.plot([side, side], [low, high], color=AFTER, lw=stroke, solid_capstyle="butt")
+            axes.plot([side, side], [low, high], color=style.AFTER, lw=stroke, solid_capstyle="butt")
     for level, slab in zip(z, slabs, strict=True):
         axes.add_patch(
-            Rectangle((at.left - 0.02, level - slab / 2), wide + 0.04, slab, fc=PALE, ec="black", lw=0.8, zorder=3)
+            Rectangle(
+                (at.left - 0.02, level - slab / 2), wide + 0.04, slab, fc=style.PALE, ec="black", lw=0.8, zorder=3
+            )
         )
     axes.set_xlim(0, 1)
     axes.set_ylim(-0.045 * total, total + float(slabs.max()))
@@ -113,7 +104,7 @@ def _structure(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns) -> N
 
 
 def _leader(axes: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
-    axes.plot(*zip(start, end, strict=True), color=QUIET, lw=0.5)
+    axes.plot(*zip(start, end, strict=True), color=style.QUIET, lw=0.5)
 
 
 # What was found, at its place.
@@ -158,14 +149,14 @@ def findings(result: Closure) -> Figure:
         One panel a state in which something was found, beside one of the frame itself.
     """
     states = _shown_states(result)
-    narrow = narrow_page()
-    rows, columns = grid_of(len(states), 1 if narrow else 2)
+    narrow = style.narrow_page()
+    rows, columns = style.grid_of(len(states), 1 if narrow else 2)
     marks = [_marks(result, state, first=not place) for place, state in enumerate(states)]
     lines = max(sum(mark.lines for mark in each) for each in marks)
     height = float(np.clip(max(result.experiment.stories * 0.36, lines * LINE), 1.9, 6.5))
-    width = page_width() if narrow or columns > 1 else 5.4
-    drawn = new_figure(width, rows * (height + 0.7))
-    every = panels(drawn, len(states), columns, sharey=True)
+    width = style.page_width() if narrow or columns > 1 else 5.4
+    drawn = style.new_figure(width, rows * (height + 0.7))
+    every = style.panels(drawn, len(states), columns, sharey=True)
     for place, (axes, state, each) in enumerate(zip(every, states, marks, strict=True)):
         _state(axes, result, state, each, height)
         if place % columns:
@@ -223,7 +214,7 @@ def _marks(result: Closure, state: str | None, *, first: bool) -> list[_Mark]:
 
 def _wrapped(texts: Sequence[str]) -> str:
     lines = [line for text in texts for line in textwrap.wrap(text, WRAPPED)]
-    return "\n".join(letters(line, WRAPPED + 2) for line in lines)
+    return "\n".join(style.letters(line, WRAPPED + 2) for line in lines)
 
 
 def _state(axes: Axes, result: Closure, state: str | None, marks: Sequence[_Mark], height: float) -> None:
@@ -232,20 +223,22 @@ def _state(axes: Axes, result: Closure, state: str | None, marks: Sequence[_Mark
     _structure(axes, result.frame, z, at)
     tests = [each for each in result.experiment.configurations if state in (None, each.state)]
     sensors = sorted({int(floor) for each in tests for floor in each.measured_floors})
-    axes.plot([at.left - 0.06] * len(sensors), z[np.array(sensors, dtype=int) - 1], ls="none", marker=">", color=QUIET)
+    axes.plot(
+        [at.left - 0.06] * len(sensors), z[np.array(sensors, dtype=int) - 1], ls="none", marker=">", color=style.QUIET
+    )
     total = float(axes.get_ylim()[1])
     order = sorted(marks, key=lambda mark: _middle(mark.placed, z))
     room = max((mark.lines for mark in marks), default=1) * LINE * total / height
-    levels = spread(np.array([_middle(mark.placed, z) for mark in order]), room, room / 2, total - room / 2)
+    levels = style.spread(np.array([_middle(mark.placed, z) for mark in order]), room, room / 2, total - room / 2)
     for mark, level in zip(order, levels, strict=True):
         _mark(axes, mark.placed, z, at, sure=mark.sure)
         _leader(axes, (at.right + 0.05, _middle(mark.placed, z)), (at.right + GAP + 0.02, level))
         axes.text(at.right + GAP + 0.03, level, mark.text, ha="left", va="center", color="black", fontsize=8)
     if not marks:
         words = "nothing was added" if state is None else "nothing was found here"
-        axes.text(at.right + GAP, total / 2, words, ha="left", va="center", color=QUIET, style="italic")
+        axes.text(at.right + GAP, total / 2, words, ha="left", va="center", color=style.QUIET, style="italic")
     found = sum(mark.placed.place.state == state for mark in marks if mark.sure)
-    heading = "every state" if state is None else f"state {letters(state, 18)}"
+    heading = "every state" if state is None else f"state {style.letters(state, 18)}"
     axes.set_title(heading if state is None or not found else f"{heading}: {counted(found, 'finding')}", weight="bold")
     axes.set_ylabel(label)
 
@@ -268,7 +261,9 @@ def _mark(axes: Axes, placed: Placed, z: Floats, at: _Columns, *, sure: bool) ->
     other = getattr(place, "to", None)
     if place.floor is not None and other is not None:
         dashes = "-" if sure else "--"
-        axes.plot([at.left, at.right], [base[place.floor], base[other]], color=BEFORE, lw=2.6, ls=dashes, zorder=5)
+        axes.plot(
+            [at.left, at.right], [base[place.floor], base[other]], color=style.BEFORE, lw=2.6, ls=dashes, zorder=5
+        )
         return
     thick = 0.16 * float(np.diff(base).min())
     low, high = 0.0, float(z[-1])
@@ -279,15 +274,15 @@ def _mark(axes: Axes, placed: Placed, z: Floats, at: _Columns, *, sure: bool) ->
     else:
         # The whole frame: a bracket beside it leaves the frame to be seen.
         axes.plot([at.right + 0.03, at.right + 0.05, at.right + 0.05, at.right + 0.03], [low, low, high, high],
-                  color=BEFORE, lw=1.6, ls="-" if sure else "--")  # fmt: skip
+                  color=style.BEFORE, lw=1.6, ls="-" if sure else "--")  # fmt: skip
         return
-    band = Rectangle((left, low), wide, high - low, fc="none", ec=BEFORE, lw=1.0, ls="--", zorder=4)
+    band = Rectangle((left, low), wide, high - low, fc="none", ec=style.BEFORE, lw=1.0, ls="--", zorder=4)
     if sure:
         band.set(facecolor="#D55E0033", linewidth=1.6, linestyle="-")
     axes.add_patch(band)
     if sure and place.story is not None:
         for side in (at.left, at.right):
-            axes.plot([side, side], [low, high], color=BEFORE, lw=4.0, solid_capstyle="butt", zorder=5)
+            axes.plot([side, side], [low, high], color=style.BEFORE, lw=4.0, solid_capstyle="butt", zorder=5)
 
 
 # The identified frame with its numbers.
@@ -317,10 +312,12 @@ def frame(result: Closure | Identification) -> Figure:
     Figure
     """
     frames = _frames(result)
-    rows, columns = grid_of(len(frames), 2)
+    rows, columns = style.grid_of(len(frames), 2)
     height = float(np.clip(result.experiment.stories * 2 * LINE, 2.2, 8.0))
-    drawn = new_figure(page_width() if narrow_page() else PANEL_WIDTH * columns, rows * (height + 0.75))
-    for axes, (title, found) in zip(panels(drawn, len(frames), columns), frames, strict=True):
+    drawn = style.new_figure(
+        style.page_width() if style.narrow_page() else PANEL_WIDTH * columns, rows * (height + 0.75)
+    )
+    for axes, (title, found) in zip(style.panels(drawn, len(frames), columns), frames, strict=True):
         _numbered(axes, result.experiment, found, title, height)
     return drawn
 
@@ -328,7 +325,7 @@ def frame(result: Closure | Identification) -> Figure:
 def _frames(result: Closure | Identification) -> list[tuple[str, IdentifiedFrame]]:
     if isinstance(result, Closure):
         return [("", result.frame)]
-    return [(letters(part.name) if len(result.parts) > 1 else "", part.frame) for part in result.parts]
+    return [(style.letters(part.name) if len(result.parts) > 1 else "", part.frame) for part in result.parts]
 
 
 def _numbered(axes: Axes, experiment: Experiment, found: IdentifiedFrame, title: str, inches: float) -> None:
@@ -336,8 +333,8 @@ def _numbered(axes: Axes, experiment: Experiment, found: IdentifiedFrame, title:
     at = _Columns(0.46, 0.57)
     _structure(axes, found, z, at)
     _numbers(axes, found, z, at, float(z[-1]) * LINE / inches)
-    axes.set_ylabel("" if narrow_page() else label)
-    if narrow_page():
+    axes.set_ylabel("" if style.narrow_page() else label)
+    if style.narrow_page():
         # The numbers need the room of the axis.
         axes.set_yticks([])
         axes.spines["left"].set_visible(False)
@@ -357,11 +354,11 @@ def _numbers(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns, gap: f
     stiffnesses, unit = in_one_unit(found.story_stiffness, found.story_stiffness_std, AUTOMATIC.of_stiffness)
     masses, mass_unit = in_one_unit(found.floor_mass, found.floor_mass_std, AUTOMATIC.of_mass)
     top, middle = float(z[-1]), z - np.diff(z, prepend=0.0) / 2
-    word, other = ("", "") if narrow_page() else ("story ", "floor ")
-    for i, (level, shown) in enumerate(zip(middle, spread(middle, gap, 0.0, top), strict=True)):
+    word, other = ("", "") if style.narrow_page() else ("story ", "floor ")
+    for i, (level, shown) in enumerate(zip(middle, style.spread(middle, gap, 0.0, top), strict=True)):
         _leader(axes, (at.left, level), (at.left - GAP + 0.01, shown))
         axes.text(at.left - GAP, shown, f"{word}{i + 1}:  {stiffnesses[i]} {unit}", ha="right", va="center")
-    for i, (level, shown) in enumerate(zip(z, spread(z, gap, 0.0, top), strict=True)):
+    for i, (level, shown) in enumerate(zip(z, style.spread(z, gap, 0.0, top), strict=True)):
         _leader(axes, (at.right + 0.02, level), (at.right + GAP - 0.01, shown))
         axes.text(at.right + GAP, shown, f"{other}{i + 1}:  {masses[i]} {mass_unit}", ha="left", va="center")
 
@@ -386,7 +383,7 @@ def springs_between_levels(values: Floats, stds: Floats, units: Units = AUTOMATI
         Colour and number say the same: orange is stiffer than the shear frame has it, purple softer; a heavy outline
         marks what is more than `STANDS_OUT` standard deviations from zero.
     """
-    return styled(_springs)(np.asarray(values, dtype=float), np.asarray(stds, dtype=float), units)
+    return style.styled(_springs)(np.asarray(values, dtype=float), np.asarray(stds, dtype=float), units)
 
 
 def _springs(values: Floats, stds: Floats, units: Units) -> Figure:
@@ -395,8 +392,8 @@ def _springs(values: Floats, stds: Floats, units: Units) -> Figure:
     factor, unit = units.of_stiffness(np.where(lower, values, 0.0).ravel().tolist())
     with np.errstate(divide="ignore", invalid="ignore"):
         sizes = np.where(lower, values / stds, np.nan)
-    side = page_width() if count > MOST_LEVELS // 2 else 4.2
-    drawn = new_figure(side, 0.55 * side + 0.6)
+    side = style.page_width() if count > MOST_LEVELS // 2 else 4.2
+    drawn = style.new_figure(side, 0.55 * side + 0.6)
     axes = drawn.subplots()
     most = max(float(np.nanmax(np.abs(sizes), initial=0.0)), STANDS_OUT)
     image = axes.imshow(sizes[1:, :-1], cmap="PuOr_r", vmin=-most, vmax=most, aspect="auto")

@@ -15,20 +15,9 @@ from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import Closure
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.methods import Identification
+from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_frame import elevations
 from cvxshear.report.figures.figure_table import figure
-from cvxshear.report.figures.style import (
-    AFTER,
-    BEFORE,
-    MEASURED,
-    QUIET,
-    even_columns,
-    letters,
-    narrow_page,
-    new_figure,
-    page_width,
-    panels_by_group,
-)
 from cvxshear.util.typing import Floats, Ints
 
 
@@ -176,30 +165,32 @@ def shapes(result: Closure) -> Figure:
     """
     before, after = mode_shapes(result.before.estimate), mode_shapes(result.estimate)
     most = max(len(each.frequencies) for each in result.experiment.configurations)
-    fitting = 2 if narrow_page() else MOST_COLUMNS
-    columns = even_columns(most, fitting)
+    fitting = 2 if style.narrow_page() else MOST_COLUMNS
+    columns = style.even_columns(most, fitting)
     stories = result.experiment.stories
     tall = float(np.clip(0.16 * stories, 1.6, 3.0))
     counts = [len(each.frequencies) for each in result.experiment.configurations]
     rows = sum(-(-count // columns) for count in counts)
-    above = 3 * ABOVE if narrow_page() else ABOVE
-    width = page_width() if narrow_page() else max(page_width() * columns / fitting, 5.6)
+    above = 3 * ABOVE if style.narrow_page() else ABOVE
+    width = style.page_width() if style.narrow_page() else max(style.page_width() * columns / fitting, 5.6)
     height = rows * (tall + TITLE) + above + BELOW
     # Panels of one size need no search for a layout, which takes long for many of them.
-    figure = new_figure(width, height, fixed=True)
+    figure = style.new_figure(width, height, fixed=True)
     figure.subplots_adjust(
         left=0.6 / width, right=1 - 0.12 / width, bottom=BELOW / height, top=1 - (above + TITLE) / height,
         hspace=TITLE / tall, wspace=0.08,
     )  # fmt: skip
     z, label = elevations(result.experiment)
-    groups = panels_by_group(figure, counts, columns, sharex=True, sharey=True)
+    groups = style.panels_by_group(figure, counts, columns, sharex=True, sharey=True)
     drawn = [(axes, place) for group in groups for place, axes in enumerate(group)]
     for (axes, place), first, last in zip(drawn, before, after, strict=True):
         _displaced_frame(axes, z, first, last)
         if place % columns == 0:
             axes.set_ylabel(label)
     figure.text(0.5, 0.08 / height, "sway (largest measured entry = 1)", ha="center", va="bottom")
-    figure.legend(handles=_legend(changed=len(result.steps) > 1), loc="upper center", ncols=1 if narrow_page() else 3)
+    figure.legend(
+        handles=_legend(changed=len(result.steps) > 1), loc="upper center", ncols=1 if style.narrow_page() else 3
+    )
     return figure
 
 
@@ -208,35 +199,42 @@ def _displaced_frame(axes: Axes, z: Floats, before: ModeShape, after: ModeShape)
     sway = np.concatenate([[0.0], after.modelled])
     axes.axvline(0, color="#C8C8C8", lw=0.5)
     for side in (-HALF_WIDTH, HALF_WIDTH):
-        axes.plot(sway + side, base, color=AFTER, lw=1.0)
-    axes.hlines(z, after.modelled - HALF_WIDTH, after.modelled + HALF_WIDTH, color=AFTER, lw=1.6)
+        axes.plot(sway + side, base, color=style.AFTER, lw=1.0)
+    axes.hlines(z, after.modelled - HALF_WIDTH, after.modelled + HALF_WIDTH, color=style.AFTER, lw=1.6)
     axes.plot(
-        np.concatenate([[0.0], before.modelled]), base, color=BEFORE, ls="--", marker="D", mfc="white", ms=3.6, lw=1.0
+        np.concatenate([[0.0], before.modelled]),
+        base,
+        color=style.BEFORE,
+        ls="--",
+        marker="D",
+        mfc="white",
+        ms=3.6,
+        lw=1.0,
     )
     axes.errorbar(
         after.measured,
         z[after.floors - 1],
         xerr=after.std,
         fmt="o",
-        color=MEASURED,
+        color=style.MEASURED,
         ms=3.0,
         capsize=2.0,
         lw=0.9,
         zorder=5,
     )
-    axes.axhline(0, color=QUIET, lw=0.8)
+    axes.axhline(0, color=style.QUIET, lw=0.8)
     axes.set_xlim(-1.45, 1.45)
     axes.set_xticks([-1, 0, 1])
     axes.set_ylim(0, 1.07 * float(z[-1]))
     axes.set_title(
-        f"{letters(after.configuration, 16)}\nmode {after.mode}: {after.measured_frequency:#.4g} Hz", fontsize=7.5
+        f"{style.letters(after.configuration, 16)}\nmode {after.mode}: {after.measured_frequency:#.4g} Hz", fontsize=7.5
     )
 
 
 def _legend(*, changed: bool) -> list[Line2D]:
     first = "shear model" if changed else "the same model"
     return [
-        Line2D([], [], color=MEASURED, marker="o", ms=3.0, lw=0.9, label="measured ± one std"),
-        Line2D([], [], color=BEFORE, ls="--", marker="D", mfc="white", ms=3.6, lw=1.0, label=first),
-        Line2D([], [], color=AFTER, lw=1.6, label="with effects" if changed else "shear model"),
+        Line2D([], [], color=style.MEASURED, marker="o", ms=3.0, lw=0.9, label="measured ± one std"),
+        Line2D([], [], color=style.BEFORE, ls="--", marker="D", mfc="white", ms=3.6, lw=1.0, label=first),
+        Line2D([], [], color=style.AFTER, lw=1.6, label="with effects" if changed else "shear model"),
     ]

@@ -15,25 +15,8 @@ from cvxshear.modal.functions import Functions
 from cvxshear.modal.picking import Sweep
 from cvxshear.modal.synthesis import band_of, synthesized
 from cvxshear.report.describe.from_records import method_in_words
+from cvxshear.report.figures import style
 from cvxshear.report.figures.figure_table import figure
-from cvxshear.report.figures.style import (
-    AFTER,
-    BEFORE,
-    COLOURS,
-    LINES,
-    PAGE_WIDTH,
-    QUIET,
-    assorted,
-    even_columns,
-    letters,
-    logarithmic,
-    narrow_page,
-    new_figure,
-    page_width,
-    panels,
-    panels_by_group,
-    spread,
-)
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
 
@@ -45,8 +28,8 @@ HIGHEST = 1.3
 """Times the highest natural frequency: where the axis ends."""
 POLES: dict[str, dict[str, Any]] = {
     "pole": {"marker": ".", "color": "#B5B5B5", "ms": 3.0},
-    "stable": {"marker": "+", "color": BEFORE, "ms": 4.5, "mew": 0.8},
-    "of a mode": {"marker": "o", "color": AFTER, "ms": 3.4},
+    "stable": {"marker": "+", "color": style.BEFORE, "ms": 4.5, "mew": 0.8},
+    "of a mode": {"marker": "o", "color": style.AFTER, "ms": 3.4},
 }
 
 
@@ -78,8 +61,8 @@ def stabilization(*results: ModalResult) -> Figure:
         Where a result holds no order sweep.
     """
     most = max(len(result.frequencies) for result in results)
-    figure = new_figure(max(PAGE_WIDTH, LABEL * most + 1.4), 3.4 * len(results) + 0.5)
-    for axes, result in zip(panels(figure, len(results), 1), results, strict=True):
+    figure = style.new_figure(max(style.PAGE_WIDTH, LABEL * most + 1.4), 3.4 * len(results) + 0.5)
+    for axes, result in zip(style.panels(figure, len(results), 1), results, strict=True):
         if result.sweep is None:
             raise InputError(f"{result.name}: not identified from a record here, so there is no order sweep to draw")
         if result.functions is not None:
@@ -92,7 +75,7 @@ def stabilization(*results: ModalResult) -> Figure:
         _labels(axes, result, top, figure.get_figwidth() - 1.0)
         axes.set_xlabel("frequency, Hz")
         axes.set_ylabel("model order (states)", y=0.5 / (1 + BAND))
-        axes.set_title(f"{letters(result.name)}: {method_in_words(result)}")
+        axes.set_title(f"{style.letters(result.name)}: {method_in_words(result)}")
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=4)
     return figure
@@ -119,7 +102,7 @@ def _indicator(axes: Axes, result: ModalResult) -> None:
     values = result.functions.indicator[:, :2]
     shown = (lines > 0.2 * result.frequencies[0]) & (lines < HIGHEST * result.frequencies[-1])
     for place, column in enumerate(values.T):
-        behind.plot(lines[shown], column[shown], color=QUIET, lw=0.9, ls=":" if place else "-", alpha=0.8)
+        behind.plot(lines[shown], column[shown], color=style.QUIET, lw=0.9, ls=":" if place else "-", alpha=0.8)
     behind.set_yscale("log")
     low, high = float(values[shown, 0].min()), float(values[shown, 0].max())
     behind.set_ylim(low, low * (high / low) ** (1 + BAND))
@@ -127,7 +110,7 @@ def _indicator(axes: Axes, result: ModalResult) -> None:
     behind.spines["right"].set_visible(False)
     axes.set_zorder(behind.get_zorder() + 1)
     axes.patch.set_visible(False)
-    axes.plot([], [], color=QUIET, lw=0.9, alpha=0.8, label="mode indicator function")
+    axes.plot([], [], color=style.QUIET, lw=0.9, alpha=0.8, label="mode indicator function")
 
 
 def _labels(axes: Axes, result: ModalResult, top: int, inches: float) -> None:
@@ -136,9 +119,9 @@ def _labels(axes: Axes, result: ModalResult, top: int, inches: float) -> None:
     end = axes.get_xlim()[1]
     gap = end * LABEL / inches
     for mode, frequency, x in zip(
-        result.modes, frequencies, spread(frequencies, gap, gap / 2, end - gap / 2), strict=True
+        result.modes, frequencies, style.spread(frequencies, gap, gap / 2, end - gap / 2), strict=True
     ):
-        axes.plot([frequency, frequency, x], [0, 1.03 * top, 1.1 * top], color=AFTER, lw=0.6, alpha=0.6)
+        axes.plot([frequency, frequency, x], [0, 1.03 * top, 1.1 * top], color=style.AFTER, lw=0.6, alpha=0.6)
         axes.text(x, 1.12 * top, f"{mode}: {frequency:#.4g} Hz", rotation=90, ha="center", va="bottom", fontsize=7)
 
 
@@ -187,9 +170,11 @@ def functions(*results: ModalResult) -> Figure:
         lines = seen.frequencies[shown]
         for output, (axes, column) in enumerate(zip(drawn, strongest, strict=True)):
             axes.plot(lines, np.abs(seen.values[shown, output, column]), color="black", lw=0.8, label="measured")
-            axes.plot(lines, np.abs(made[shown, output, column]), color=BEFORE, ls="--", lw=1.1, label="of the modes")
+            axes.plot(
+                lines, np.abs(made[shown, output, column]), color=style.BEFORE, ls="--", lw=1.1, label="of the modes"
+            )
             axes.set_yscale("log")
-            logarithmic(axes.yaxis, most=5)
+            style.logarithmic(axes.yaxis, most=5)
             _dress(axes, result, f"floor {seen.floors[output]}{_against(seen, int(column))}", several=len(results) > 1)
     _label_units(figure, groups, [_named(_functions_of(result)) for result in results])
     figure.legend(*groups[0][0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
@@ -261,7 +246,9 @@ def _looks(seen: Sequence[Functions]) -> dict[str, dict[str, Any]]:
     """One look for each that drives, the lowest floor first, whichever records it is in."""
     drivers = {_driver(each, column): int(floor) for each in seen for column, floor in enumerate(each.inputs)}
     labels = sorted(drivers, key=drivers.__getitem__)
-    marks = zip(labels, assorted(COLOURS, len(labels)), assorted(LINES, len(labels)), strict=True)
+    marks = zip(
+        labels, style.assorted(style.COLOURS, len(labels)), style.assorted(style.LINES, len(labels)), strict=True
+    )
     return {label: {"color": colour, "ls": line, "lw": 0.9} for label, colour, line in marks}
 
 
@@ -290,16 +277,16 @@ def _panels_of(
     """The panels of each record, on rows of its own."""
     counts = [len(_outputs(_functions_of(result), reference=reference)) for result in results]
     most = max(counts)
-    columns = even_columns(most, 1 if narrow_page() else 4 if most > 9 else 3)
-    figure = new_figure(page_width(), height * sum(-(-count // columns) for count in counts) + 0.7)
+    columns = style.even_columns(most, 1 if style.narrow_page() else 4 if most > 9 else 3)
+    figure = style.new_figure(style.page_width(), height * sum(-(-count // columns) for count in counts) + 0.7)
     figure.supxlabel("frequency, Hz", fontsize=8.5)
-    return figure, panels_by_group(figure, counts, columns)
+    return figure, style.panels_by_group(figure, counts, columns)
 
 
 def _dress(axes: Axes, result: ModalResult, title: str, *, several: bool) -> None:
     for frequency in result.frequencies:
-        axes.axvline(float(frequency), color=QUIET, lw=0.5, alpha=0.6, zorder=0)
-    axes.set_title(f"{letters(result.name, 20)}\n{title}" if several else title, fontsize=7.5)
+        axes.axvline(float(frequency), color=style.QUIET, lw=0.5, alpha=0.6, zorder=0)
+    axes.set_title(f"{style.letters(result.name, 20)}\n{title}" if several else title, fontsize=7.5)
     axes.grid(axis="y")
     axes.tick_params(labelsize=7)
 

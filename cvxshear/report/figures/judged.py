@@ -15,17 +15,8 @@ from cvxshear.data import Deviation
 from cvxshear.loop import Closure
 from cvxshear.loop.residual import by_part
 from cvxshear.loop.results import Candidate
+from cvxshear.report.figures import style
 from cvxshear.report.figures.figure_table import figure
-from cvxshear.report.figures.style import (
-    AFTER,
-    BEFORE,
-    QUIET,
-    letters,
-    narrow_page,
-    new_figure,
-    page_width,
-    power_of_ten,
-)
 from cvxshear.util.quantities import chance
 from cvxshear.util.typing import Floats
 
@@ -70,28 +61,28 @@ def ranking(result: Closure) -> Figure:
     mine = [item for item in result.candidates if item.placed in added]
     others = [item for item in result.candidates if item.placed not in added]
     bars = [*mine, *others[: max(SHOWN - len(mine), 0)]]
-    row, room = (0.36, 1.9) if narrow_page() else (0.24, 1.35)
-    figure = new_figure(page_width(), row * max(len(bars), 2) + room)
+    row, room = (0.36, 1.9) if style.narrow_page() else (0.24, 1.35)
+    figure = style.new_figure(style.page_width(), row * max(len(bars), 2) + room)
     axes = figure.subplots()
     axes.axvline(0.0, color="black", ls=":", lw=1.2)
     _arrows(axes, bars)
     _dots(axes, bars, len(mine))
-    wrap = 30 if narrow_page() else 90
-    labels = ["\n".join(textwrap.wrap(letters(item.placed.label, LONGEST_LABEL), wrap - 6)) for item in bars]
+    wrap = 30 if style.narrow_page() else 90
+    labels = ["\n".join(textwrap.wrap(style.letters(item.placed.label, LONGEST_LABEL), wrap - 6)) for item in bars]
     axes.set_yticks(range(len(bars)), labels)
     for label in axes.get_yticklabels()[: len(mine)]:
         label.set_fontweight("bold")
     axes.set_ylim(max(len(bars), 1) - 0.4, -0.6)
     axes.tick_params(axis="y", length=0)
     axes.set_xlabel("\n".join(textwrap.wrap("probability that it is there (scale of the logarithm of the odds)", wrap)))
-    axes.xaxis.set_major_locator(FixedLocator(_log_odds(TICKS[::2] if narrow_page() else TICKS).tolist()))
+    axes.xaxis.set_major_locator(FixedLocator(_log_odds(TICKS[::2] if style.narrow_page() else TICKS).tolist()))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(_percent))
     edge = float(_log_odds([1.0 - LEAST])[0])
     axes.set_xlim(-1.04 * edge, 1.04 * edge)
     axes.grid(axis="x")
     handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=1 if narrow_page() else 3)
+    figure.legend(handles, labels, loc="outside upper left", ncols=1 if style.narrow_page() else 3)
     return figure
 
 
@@ -105,8 +96,8 @@ def _log_odds(probabilities: list[float] | tuple[float, ...]) -> Floats:
 def _arrows(axes: Axes, bars: list[Candidate]) -> None:
     before, after = _log_odds([item.prior for item in bars]), _log_odds([item.probability for item in bars])
     axes.hlines(range(len(bars)), before, after, color="#B0B0B0", lw=1.0, zorder=1)
-    style: dict[str, Any] = {"ls": "none", "marker": "D", "mfc": "white", "mec": BEFORE, "mew": 1.2, "ms": 5.0}
-    axes.plot(before, range(len(bars)), label="before the data", **style)
+    look: dict[str, Any] = {"ls": "none", "marker": "D", "mfc": "white", "mec": style.BEFORE, "mew": 1.2, "ms": 5.0}
+    axes.plot(before, range(len(bars)), label="before the data", **look)
 
 
 def _dots(axes: Axes, bars: list[Candidate], added: int) -> None:
@@ -115,8 +106,8 @@ def _dots(axes: Axes, bars: list[Candidate], added: int) -> None:
     inside = np.array([LEAST <= item.probability <= 1.0 - LEAST for item in bars], dtype=bool)
     mine = np.arange(len(bars)) < added
     for chosen, label, face, colour in (
-        (mine, "with the data: added", AFTER, AFTER),
-        (~mine, "with the data: not added", QUIET, QUIET),
+        (mine, "with the data: added", style.AFTER, style.AFTER),
+        (~mine, "with the data: not added", style.QUIET, style.QUIET),
     ):
         for marker, there in (("o", inside), ("<", ~inside & (after < 0)), (">", ~inside & (after > 0))):
             at = np.flatnonzero(chosen & there)
@@ -177,13 +168,13 @@ def residual(result: Closure) -> Figure:
     kinds = list(dict.fromkeys(after.noise for _, after in pairs))
     rows = list(dict.fromkeys((after.configuration, after.place) for _, after in pairs))
     # On a telephone the kinds of data go below one another.
-    stacked = len(kinds) if narrow_page() else 1
-    figure = new_figure(page_width(), stacked * (ROW * len(rows) + ROOM))
+    stacked = len(kinds) if style.narrow_page() else 1
+    figure = style.new_figure(style.page_width(), stacked * (ROW * len(rows) + ROOM))
     drawn = figure.subplots(stacked, len(kinds) // stacked, sharey=True, squeeze=False).ravel()
     for axes, kind in zip(drawn, kinds, strict=True):
         _residual_panel(axes, rows, [pair for pair in pairs if pair[1].noise == kind])
-    longest = 12 if narrow_page() else 20
-    drawn[0].set_yticks(range(len(rows)), [f"{letters(name, longest)}, {place}" for name, place in rows])
+    longest = 12 if style.narrow_page() else 20
+    drawn[0].set_yticks(range(len(rows)), [f"{style.letters(name, longest)}, {place}" for name, place in rows])
     drawn[0].set_ylim(len(rows) - 0.4, -0.6)
     handles, labels = drawn[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=2)
@@ -196,12 +187,16 @@ def _residual_panel(axes: Axes, rows: Sequence[tuple[str, str]], pairs: Sequence
     places = np.array([rows.index((after.configuration, after.place)) for _, after in pairs], dtype=float)
     axes.axvspan(-USUAL if signed else 0, USUAL, color="#EFEFEF", zorder=0, lw=0)
     _dumbbells(axes, places, [before.deviations for before, _ in pairs], [after.deviations for _, after in pairs])
-    what = pairs[0][1].noise.replace("_", " ")
+    what = f"{pairs[0][1].noise.replace('_', ' ')}, {'model less measurement' if signed else 'root mean square'}"
+    lines = (
+        textwrap.wrap(f"{what}, standard deviations", 22)
+        if style.narrow_page()
+        else [f"{what},", "standard deviations"]
+    )
+    axes.set_xlabel("\n".join(lines))
     if signed:
-        axes.axvline(0, color=QUIET, lw=0.8)
-        axes.set_xlabel(f"{what}, model less measurement,\nstandard deviations")
+        axes.axvline(0, color=style.QUIET, lw=0.8)
     else:
-        axes.set_xlabel(f"{what}, root mean square,\nstandard deviations")
         axes.set_xlim(left=0)
     axes.grid(axis="x")
     axes.tick_params(axis="y", length=0)
@@ -209,13 +204,15 @@ def _residual_panel(axes: Axes, rows: Sequence[tuple[str, str]], pairs: Sequence
 
 def _dumbbells(axes: Axes, places: Floats, before: Sequence[float], after: Sequence[float]) -> None:
     axes.hlines(places, before, after, color="#B0B0B0", lw=1.0, zorder=1)
-    axes.plot(before, places, ls="none", marker="D", mfc="white", mec=BEFORE, mew=1.2, ms=5.0, label="shear model")
-    axes.plot(after, places, ls="none", marker="o", color=AFTER, ms=4.2, label="with effects")
+    axes.plot(
+        before, places, ls="none", marker="D", mfc="white", mec=style.BEFORE, mew=1.2, ms=5.0, label="shear model"
+    )
+    axes.plot(after, places, ls="none", marker="o", color=style.AFTER, ms=4.2, label="with effects")
     largest = float(np.nanmax(np.abs([*before, *after, 1.0])))
     if largest > COMPRESSED:
         axes.set_xscale("symlog", linthresh=LINEAR, linscale=1.0)
         axes.xaxis.set_major_locator(FixedLocator(_decades(largest)))
-        axes.xaxis.set_major_formatter(FuncFormatter(power_of_ten))
+        axes.xaxis.set_major_formatter(FuncFormatter(style.power_of_ten))
         axes.xaxis.set_minor_formatter(FuncFormatter(lambda value, at: ""))
         axes.set_xlim(-2 * largest, 2 * largest)
     else:

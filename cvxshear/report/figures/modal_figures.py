@@ -13,22 +13,9 @@ from cvxshear.methods import Identification
 from cvxshear.modal import ModalResult
 from cvxshear.modal.shapes import mac as mac_of
 from cvxshear.modal.shapes import scaled_to_one
+from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_shapes import mac_tables
 from cvxshear.report.figures.figure_table import figure
-from cvxshear.report.figures.style import (
-    AFTER,
-    MEASURED,
-    PAGE_WIDTH,
-    QUIET,
-    even_columns,
-    grid_of,
-    letters,
-    narrow_page,
-    new_figure,
-    page_width,
-    panels,
-    panels_by_group,
-)
 from cvxshear.util.quantities import percents
 from cvxshear.util.typing import Floats
 
@@ -66,15 +53,15 @@ def mac(result: Closure | Identification) -> Figure:
     """
     tables = mac_tables(result)
     stories = result.experiment.stories
-    most = 1 if narrow_page() else 3 if stories <= 4 else 2
-    rows, columns = grid_of(len(tables), most)
-    side = 2.6 if narrow_page() else PAGE_WIDTH / most
-    figure = new_figure(side * columns + 0.9, rows * (side + 0.3))
-    axes = panels(figure, len(tables), columns)
+    most = 1 if style.narrow_page() else 3 if stories <= 4 else 2
+    rows, columns = style.grid_of(len(tables), most)
+    side = 2.6 if style.narrow_page() else style.PAGE_WIDTH / most
+    figure = style.new_figure(side * columns + 0.9, rows * (side + 0.3))
+    axes = style.panels(figure, len(tables), columns)
     for each, (name, table) in zip(axes, tables, strict=True):
         configuration = next(item for item in result.experiment.configurations if item.name == name)
         image = draw_matrix(each, table, configuration.modes.tolist(), list(range(1, stories + 1)))
-        each.set_title(letters(name))
+        each.set_title(style.letters(name))
         each.set_xlabel("mode of the model")
         each.set_ylabel("measured mode")
     figure.colorbar(image, ax=axes, label="MAC (1: the same shape)", shrink=0.8)
@@ -142,16 +129,17 @@ def modal_shapes(*results: ModalResult) -> Figure:
         Largest entry 1; a mode that several records hold faces one way in all of them.
     """
     most = max(len(result.frequencies) for result in results)
-    fitting = 2 if narrow_page() else MOST_COLUMNS
-    columns = even_columns(most, fitting)
+    fitting = 2 if style.narrow_page() else MOST_COLUMNS
+    columns = style.even_columns(most, fitting)
     counts = [len(result.frequencies) for result in results]
     rows = sum(-(-count // columns) for count in counts)
     stories = max(result.stories for result in results)
     tall = float(np.clip(0.16 * stories, 1.5, 3.0))
-    figure = new_figure(
-        page_width() if narrow_page() else max(PAGE_WIDTH * columns / fitting, 4.0), rows * (tall + 0.65) + 0.4
+    figure = style.new_figure(
+        style.page_width() if style.narrow_page() else max(style.PAGE_WIDTH * columns / fitting, 4.0),
+        rows * (tall + 0.65) + 0.4,
     )
-    groups = panels_by_group(figure, counts, columns, sharex=True, sharey=True)
+    groups = style.panels_by_group(figure, counts, columns, sharex=True, sharey=True)
     facing: dict[int, tuple[ModalResult, Floats]] = {}
     for result, drawn in zip(results, groups, strict=True):
         for row, (axes, mode) in enumerate(zip(drawn, result.modes, strict=True)):
@@ -184,14 +172,14 @@ def modal_mac(*results: ModalResult) -> Figure:
         One panel a record; beside the diagonal it is near 0 where the sensors tell the modes apart.
     """
     columns = min(len(results), 3)
-    rows, columns = grid_of(len(results), columns)
-    side = PAGE_WIDTH / 3
-    figure = new_figure(side * columns + 0.9, rows * (side + 0.3))
-    drawn = panels(figure, len(results), columns)
+    rows, columns = style.grid_of(len(results), columns)
+    side = style.PAGE_WIDTH / 3
+    figure = style.new_figure(side * columns + 0.9, rows * (side + 0.3))
+    drawn = style.panels(figure, len(results), columns)
     for axes, result in zip(drawn, results, strict=True):
         table = np.array([[mac_of(one, other) for other in result.mode_shapes] for one in result.mode_shapes])
         image = draw_matrix(axes, table, result.modes.tolist(), result.modes.tolist())
-        axes.set_title(letters(result.name))
+        axes.set_title(style.letters(result.name))
         axes.set_xlabel("mode")
         axes.set_ylabel("mode")
     figure.colorbar(image, ax=drawn, label="MAC (1: the same shape)", shrink=0.8)
@@ -208,23 +196,23 @@ def _facing(result: ModalResult, shape: Floats, facing: dict[int, tuple[ModalRes
 def _panel(axes: Axes, result: ModalResult, row: int, shape: Floats, stories: int) -> None:
     heights = np.concatenate([[0], result.floors])
     axes.axvline(0, color="#C8C8C8", lw=0.5)
-    axes.plot(np.concatenate([[0.0], shape]), heights, color=AFTER, lw=1.2)
+    axes.plot(np.concatenate([[0.0], shape]), heights, color=style.AFTER, lw=1.2)
     known = "assumed" not in result.uncertainty
     axes.errorbar(
         shape,
         result.floors,
         xerr=result.mode_shape_std[row] if known else None,
         fmt="o",
-        color=MEASURED,
+        color=style.MEASURED,
         ms=3.0,
         capsize=2.0,
         lw=0.9,
     )
-    axes.axhline(0, color=QUIET, lw=0.8)
+    axes.axhline(0, color=style.QUIET, lw=0.8)
     axes.set_xlim(-1.3, 1.3)
     axes.set_xticks([-1, 0, 1])
     axes.set_ylim(0, 1.07 * stories)
     axes.yaxis.set_major_locator(MaxNLocator(6, integer=True))
     std = f" ± {percents([float(result.frequency_std[row])])[0]}" if known else ""
-    title = f"{letters(result.name, 18)}\nmode {result.modes[row]}\n{result.frequencies[row]:#.4g} Hz{std}"
+    title = f"{style.letters(result.name, 18)}\nmode {result.modes[row]}\n{result.frequencies[row]:#.4g} Hz{std}"
     axes.set_title(title, fontsize=7)

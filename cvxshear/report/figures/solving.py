@@ -9,22 +9,8 @@ from matplotlib.ticker import MaxNLocator
 
 from cvxshear.backends import Comparison
 from cvxshear.methods import Identification, SingleIdentification
+from cvxshear.report.figures import style
 from cvxshear.report.figures.figure_table import figure
-from cvxshear.report.figures.style import (
-    COLOURS,
-    LINES,
-    MARKERS,
-    PAGE_WIDTH,
-    assorted,
-    grid_of,
-    letters,
-    logarithmic,
-    narrow_page,
-    new_figure,
-    page_width,
-    panels,
-    power_of_ten,
-)
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
 
@@ -66,13 +52,13 @@ def convergence(*results: Identification, true_mass: Floats | None = None) -> Fi
     parts = [part for result in results for part in result.parts if part.history is not None and len(part.history) > 1]
     if not parts:
         raise InputError("there is no mass iteration to show: identify with the method two-stage")
-    rows, columns = grid_of(len(parts), 2 if len(parts) in (2, 4) else 3)
-    figure = new_figure(max(PAGE_WIDTH * columns / 3, 5.0), 2.6 * rows + 0.6)
-    drawn = panels(figure, len(parts), columns, sharey=True)
+    rows, columns = style.grid_of(len(parts), 2 if len(parts) in (2, 4) else 3)
+    figure = style.new_figure(max(style.PAGE_WIDTH * columns / 3, 5.0), 2.6 * rows + 0.6)
+    drawn = style.panels(figure, len(parts), columns, sharey=True)
     for place, (axes, part) in enumerate(zip(drawn, parts, strict=True)):
         _panel(axes, part, true_mass)
         several = sum(item.name == part.name for item in parts) > 1
-        axes.set_title(f"{letters(part.name, 20)}{_start(part) if several else ''}", fontsize=8.5)
+        axes.set_title(f"{style.letters(part.name, 20)}{_start(part) if several else ''}", fontsize=8.5)
         if place % columns == 0:
             axes.set_ylabel("error of the mass, relative" if true_mass is not None else "mass still to go, relative")
     handles, labels = drawn[0].get_legend_handles_labels()
@@ -97,11 +83,16 @@ def _panel(axes: Axes, part: SingleIdentification, true_mass: Floats | None) -> 
     if errors.shape[1] > MOST_LINES:
         errors = np.column_stack([np.nanmax(errors, axis=1), np.nanmedian(errors, axis=1)])
         names = ["largest of all floors", "median of all floors"]
-    marks = zip(assorted(COLOURS, len(names)), assorted(MARKERS, len(names)), assorted(LINES, len(names)), strict=True)
+    marks = zip(
+        style.assorted(style.COLOURS, len(names)),
+        style.assorted(style.MARKERS, len(names)),
+        style.assorted(style.LINES, len(names)),
+        strict=True,
+    )
     for values, name, (colour, marker, line) in zip(errors.T, names, marks, strict=True):
         axes.plot(values, color=colour, marker=marker, ls=line, ms=3.5, lw=1.0, label=name)
     axes.set_yscale("log")
-    logarithmic(axes.yaxis)
+    style.logarithmic(axes.yaxis)
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     axes.set_xlabel("iteration")
     axes.grid(axis="y")
@@ -135,26 +126,28 @@ def backend_differences(comparison: Comparison) -> Figure:
     """
     names = list(dict.fromkeys(row.backend for row in comparison.rows))
     kinds = list(dict.fromkeys(row.kind for row in comparison.rows))
-    stacked = 2 if narrow_page() else 1
-    figure = new_figure(page_width(), stacked * (0.27 * len(names) + 1.7))
+    stacked = 2 if style.narrow_page() else 1
+    figure = style.new_figure(style.page_width(), stacked * (0.27 * len(names) + 1.7))
     # Room for the last number of one axis beside the first of the other.
     left, right = figure.subplots(stacked, 2 // stacked, sharey=True, gridspec_kw={"wspace": 0.08})
-    marks = zip(kinds, assorted(COLOURS, len(kinds)), assorted(MARKERS, len(kinds)), strict=True)
+    marks = zip(
+        kinds, style.assorted(style.COLOURS, len(kinds)), style.assorted(style.MARKERS, len(kinds)), strict=True
+    )
     offsets = np.linspace(-0.28, 0.28, len(kinds)) if len(kinds) > 1 else np.zeros(1)
     for place, (kind, colour, marker) in enumerate(marks):
         rows = [row for row in comparison.rows if row.kind == kind and not row.failure]
         at = [names.index(row.backend) + offsets[place] for row in rows]
         # Every other kind is hollow, so that the markers part without their colours too.
-        style = {"ls": "none", "marker": marker, "mec": colour, "mfc": "white" if place % 2 else colour, "ms": 4.0}
-        left.plot([max(row.difference or 0.0, SAME) for row in rows], at, label=kind, **style)
-        right.plot([row.relative_time or np.nan for row in rows], at, **style)
+        look = {"ls": "none", "marker": marker, "mec": colour, "mfc": "white" if place % 2 else colour, "ms": 4.0}
+        left.plot([max(row.difference or 0.0, SAME) for row in rows], at, label=kind, **look)
+        right.plot([row.relative_time or np.nan for row in rows], at, **look)
     left.set_xscale("log")
     right.set_xscale("log")
-    left.set_xlabel(f"largest relative difference\n(none at all is drawn at {power_of_ten(SAME)})")
+    left.set_xlabel(f"largest relative difference\n(none at all is drawn at {style.power_of_ten(SAME)})")
     right.set_xlabel("time / time of the closed form")
     left.set_xlim(left=SAME / 3)
     for axes in (left, right):
-        logarithmic(axes.xaxis, most=6)
+        style.logarithmic(axes.xaxis, most=6)
         axes.grid(axis="x")
         axes.tick_params(axis="y", length=0)
         for edge in np.arange(len(names) - 1) + 0.5:
@@ -162,5 +155,5 @@ def backend_differences(comparison: Comparison) -> Figure:
     left.set_yticks(range(len(names)), names)
     left.set_ylim(len(names) - 0.4, -0.6)
     handles, labels = left.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 2 if narrow_page() else 4))
+    figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 2 if style.narrow_page() else 4))
     return figure
