@@ -192,7 +192,11 @@ def listed_backends(listed: Sequence[ListedBackend]) -> Iterator[RenderableType]
 
 def text(result: object, width: int = PAGE) -> str:
     """A result as plain text, folded to a width."""
-    console = Console(file=io.StringIO(), width=width, color_system=None, highlight=False, markup=False, emoji=False)
+    # A console that finds itself in a notebook would show an empty block of its own there.
+    console = Console(
+        file=io.StringIO(), width=width, color_system=None, highlight=False, markup=False, emoji=False,
+        force_jupyter=False,
+    )  # fmt: skip
     with console.capture() as captured:
         for part in shown(result):
             console.print(part)

@@ -417,3 +417,11 @@ def test_a_wide_table_goes_below_itself():
     assert [part.rows[0].cells for part in parts] == [tuple("abcd"), tuple("aefg"), tuple("ah")]
     assert len({part.key for part in parts}) == 3
     assert wide.folded(7) == (wide,)
+
+
+def test_print_in_a_notebook_shows_the_text_alone(paper, monkeypatch):
+    shown = []
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    monkeypatch.setattr("rich.jupyter.display", lambda *args: shown.append(args))
+    assert str(paper).startswith("EXPLAINED")
+    assert shown == []
