@@ -14,8 +14,9 @@ from rich.text import Text
 
 from cvxshear.backends import ListedBackend
 from cvxshear.methods import Identification
+from cvxshear.modal import ModalResult
 from cvxshear.report.describe import Document, Facts, Points, Section, Sentence, Table, describe
-from cvxshear.report.describe.from_records import doubts_section
+from cvxshear.report.describe.from_records import doubts_section, poles_table
 from cvxshear.report.describe.identified import damping_section
 from cvxshear.response import IdentifiedDamping
 from cvxshear.screening import Finding
@@ -29,6 +30,7 @@ __all__ = [
     "identification",
     "listed_backends",
     "plain_table",
+    "poles",
     "rendered",
     "shown",
     "text",
@@ -168,6 +170,11 @@ def identification(
 def doubts(found: Sequence[Finding]) -> Iterator[RenderableType]:
     """Doubts above a result that was computed all the same."""
     yield from _section(doubts_section(found))
+
+
+def poles(results: Sequence[ModalResult]) -> Iterator[RenderableType]:
+    """The numbered poles of each record, to choose modes from by hand."""
+    return (_table(poles_table(result)) for result in results)
 
 
 def damping(found: IdentifiedDamping) -> Iterator[RenderableType]:

@@ -19,7 +19,8 @@ from cvxshear.report.describe.vocabulary import (
     line,
 )
 from cvxshear.screening import Finding, Screening
-from cvxshear.util.quantities import AUTOMATIC, Units, capital, counted, listed, percents, ranged, with_stds
+from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import AUTOMATIC, Units, capital, counted, listed, percent, percents, ranged, with_stds
 from cvxshear.util.typing import Floats
 
 METHODS = {
@@ -90,6 +91,33 @@ def _table(result: ModalResult) -> Table:
     head = ("mode", "frequency, Hz", "std", "damping", "std", "MPC", "lost phase")
     title = "Modes. MPC: phase collinearity, 1 where all floors move in step; lost phase: 0° where they do"
     return Table("identified-modes", title, head, rows)
+
+
+def poles_table(result: ModalResult) -> Table:
+    """The clusters of stable poles of a record by number, which of them are the modes, and why the others are not.
+
+    Parameters
+    ----------
+    result : ModalResult
+        With the order sweep that it was identified by.
+
+    Raises
+    ------
+    InputError
+        Where it holds none.
+    """
+    if result.sweep is None:
+        raise InputError(f"{result.name}: not identified from a record here, so there are no poles to choose from")
+    chosen = {item.members for item in result.sweep.chosen}
+    rows = columns(
+        [str(number) for number in range(1, len(result.sweep.candidates) + 1)],
+        [f"{item.frequency:.4f}" for item in result.sweep.candidates],
+        [percent(item.persistence, 0) for item in result.sweep.candidates],
+        [percent(item.energy, 1) for item in result.sweep.candidates],
+        ["mode" if item.members in chosen else item.reason for item in result.sweep.candidates],
+    )
+    head = ("pole", "frequency, Hz", "orders it is stable in", "share of energy", "taken")
+    return Table("poles", f"{result.name}: --pick with the frequencies, commas between", head, rows, words=(0, 4))
 
 
 def _shapes(result: ModalResult) -> Table:
