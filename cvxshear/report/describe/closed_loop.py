@@ -106,7 +106,7 @@ def effect_sections(result: Closure, units: Units) -> Iterator[Section]:
         parts: tuple[Block, ...] = (
             Sentence(kind.summary),
             facts,
-            Points(f"size-{place}", tuple(consequences(result.estimate, item.placed, units))),
+            Points(f"size-{place}", tuple(consequences(result.judged, item.placed, units))),
         )
         yield Section(f"effect-{place}", capital(item.placed.label), parts, detail=True, below=True)
 
@@ -241,7 +241,9 @@ def verdict_section(result: Closure) -> Section:
     """What the verdict means, what it rests on, and which data carried it."""
     verdict = verdict_of(result)
     meaning = verdict.sentence if result.effects or not verdict.plain else verdict.plain
-    said = [meaning, f"It rests on {result.rests_on}.", evidence_in_words(result)]
+    noise, *granted = result.rests_on
+    said = [meaning, f"It rests on {noise}.", evidence_in_words(result)]
+    said += [f"Taken for granted, as no datum tells: {text.rstrip('.')}." for text in granted]
     if result.assumed:
         said.append(f"In the model from the start: {', '.join(placed.label for placed in result.assumed)}.")
     return Section("verdict", "Verdict", (Sentence(" ".join(each for each in said if each)),))

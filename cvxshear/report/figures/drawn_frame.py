@@ -250,19 +250,17 @@ def _middle(placed: Placed, z: Floats) -> float:
         return float(base[place.story - 1 : place.story + 1].mean())
     if place.floor is None:
         return float(z[-1] / 2)
-    other = getattr(place, "to", None)
-    return float(base[place.floor] if other is None else (base[place.floor] + base[other]) / 2)
+    return float(base[place.floor] if place.to is None else (base[place.floor] + base[place.to]) / 2)
 
 
 def _mark(axes: Axes, placed: Placed, z: Floats, at: _Columns, *, sure: bool) -> None:
     """Colour what an effect acts on: a story, a floor, what joins two floors, or the whole frame."""
     place, base = placed.place, np.concatenate([[0.0], z])
     left, wide = at.left - 0.035, at.right - at.left + 0.07
-    other = getattr(place, "to", None)
-    if place.floor is not None and other is not None:
+    if place.floor is not None and place.to is not None:
         dashes = "-" if sure else "--"
         axes.plot(
-            [at.left, at.right], [base[place.floor], base[other]], color=style.BEFORE, lw=2.6, ls=dashes, zorder=5
+            [at.left, at.right], [base[place.floor], base[place.to]], color=style.BEFORE, lw=2.6, ls=dashes, zorder=5
         )
         return
     thick = 0.16 * float(np.diff(base).min())
