@@ -79,7 +79,7 @@ def test_several_effects_make_a_sentence_that_can_be_read(paper):
     assert " and 5.0 ± 0.2 kg missing on floor 1 (97.0 % probable); the largest " in two
     three = headline(dataclasses.replace(paper, effects=(effect, other, other)))
     assert three.startswith(f"3 effects were found, the first: {effect.size.removesuffix(')')}")
-    assert len(three) < 250
+    assert len(three) < 300
     rival = Rival(paper.candidates[1].placed, 0.2, False)
     doubtful = dataclasses.replace(other, rivals=(rival,))
     several = headline(dataclasses.replace(paper, verdict="ambiguous", effects=(effect, doubtful)))
