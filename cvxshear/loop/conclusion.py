@@ -12,6 +12,7 @@ from scipy import stats
 from cvxshear.backends import Backend
 from cvxshear.effects import Effect, Placed
 from cvxshear.fit.efficient import Estimate, fitted_with, parameter_names
+from cvxshear.loop.duals import dual_set, frequencies_alone
 from cvxshear.loop.fitter import Fitter, with_stand_in
 from cvxshear.loop.held_out import held_out_frequency_errors
 from cvxshear.loop.hypotheses import OPEN, Hypothesis
@@ -22,7 +23,7 @@ from cvxshear.loop.numbering import OVERLOOKED, NumberingProbability
 from cvxshear.loop.posterior import RIVAL, Posterior
 from cvxshear.loop.residual import where_it_sits
 from cvxshear.loop.results import AddedEffect, Candidate, Closure, EffectSet, Step, parameters_of, stds_of
-from cvxshear.loop.search import Search
+from cvxshear.loop.search import Search, fits_alike
 from cvxshear.util.errors import NoModesError
 
 EXPLAINED = 0.95
@@ -74,7 +75,7 @@ def conclude(
     # With the modes numbered in one way some effects are there, in another others: one and the same holds them all.
     here = posterior.within(numbering.changes)
     search, found = _fit_of_verdict(judging, here)
-    twins = {placed: search.twins(found, placed) for placed in found.effects}
+    twins = _twins(search, found, here)
     posterior, here = posterior.with_twins(twins), here.with_twins(twins)
     fitter = search.fitter
     judged = found.estimate
@@ -88,7 +89,8 @@ def conclude(
     added = tuple(_added(posterior, judged, placed) for placed in _by_probability(posterior, judged, fitter))
     significant = after.p_value is not None and after.p_value < RESIDUAL_LEVEL
     negligible = significant and _negligible(final)
-    rivals = [model for rival in _rival_sets(here, added) if (model := search.visited[rival].estimate) is not None]
+    fits = {model.effects: model.estimate for model in reversed(here.models)}
+    rivals = [estimate for rival in _rival_sets(here, added) if (estimate := fits[rival]) is not None]
     return Closure(
         experiment=fitter.experiment,
         backend=fitter.backend.name,
@@ -122,6 +124,21 @@ def _fit_of_verdict(searches: Sequence[Search], posterior: Posterior) -> tuple[S
         each.fit_of(wanted)
     best = max(own, key=lambda each: each.visited[wanted].score)
     return best, best.visited[wanted]
+
+
+def _twins(search: Search, found: ModelClass, posterior: Posterior) -> dict[Placed, list[Placed]]:
+    """For each effect of a set what no datum tells from it: exact twins, and the dual where frequencies are alone."""
+    experiment = search.fitter.experiment
+    twins = {placed: search.twins(found, placed) for placed in found.effects}
+    if not frequencies_alone(experiment):
+        return twins
+    known = [item.placed for item in search.fitter.hypotheses]
+    alike = [model.effects for model in posterior.models if fits_alike(model, found)]
+    if dual_set(found.effects, known, experiment.stories) in alike:
+        for placed in found.effects:
+            other = dual_set(frozenset([placed]), known, experiment.stories)
+            twins[placed] += [each for each in other or () if each not in (placed, *twins[placed])]
+    return twins
 
 
 def _by_probability(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[Placed]:

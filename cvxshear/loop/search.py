@@ -144,9 +144,7 @@ class Search:
         found = []
         for twin in self.invariances(model).twins(placed):
             other = self.visited.get((model.effects - {placed}) | {twin})
-            if other is not None and other.estimate is not None:
-                close = abs(other.estimate.chi2 - model.estimate.chi2) <= ALIKE * max(1.0, model.estimate.chi2)
-                found += [twin] if close else []
+            found += [twin] if other is not None and fits_alike(other, model) else []
         return found
 
     def refine(self) -> None:
@@ -277,3 +275,10 @@ class Search:
         new = [each for each in sets if each not in self.visited]
         held = [[placed for placed in model.estimate.effects if placed in each | assumed] for each in new]
         self._record(self.fitter.models([self.fitter.proposal(model.estimate, effects) for effects in held]))
+
+
+def fits_alike(a: ModelClass, b: ModelClass) -> bool:
+    """Whether two sets fit the same data equally well."""
+    if a.estimate is None or b.estimate is None:
+        return False
+    return abs(a.estimate.chi2 - b.estimate.chi2) <= ALIKE * max(1.0, b.estimate.chi2)
