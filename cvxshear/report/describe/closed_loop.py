@@ -243,7 +243,8 @@ def verdict_section(result: Closure) -> Section:
     meaning = verdict.sentence if result.effects or not verdict.plain else verdict.plain
     noise, *granted = result.rests_on
     said = [meaning, f"It rests on {noise}.", evidence_in_words(result)]
-    said += [f"Taken for granted, as no datum tells: {text.rstrip('.')}." for text in granted]
+    if granted:
+        said.append(f"No datum tells, and it takes for granted, {'; '.join(text.rstrip('.') for text in granted)}.")
     if result.assumed:
         said.append(f"In the model from the start: {', '.join(placed.label for placed in result.assumed)}.")
     return Section("verdict", "Verdict", (Sentence(" ".join(each for each in said if each)),))
