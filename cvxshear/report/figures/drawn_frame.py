@@ -12,7 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from cvxshear.effects import Placed
+from cvxshear.effects.open_class import named_pair, pairs
 from cvxshear.loop import Closure
+from cvxshear.loop.results import AddedEffect
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.methods import Identification, IdentifiedFrame
 from cvxshear.report.describe.headline import verdict_of
@@ -51,6 +53,9 @@ MOST_RIVALS = 2
 
 WRAPPED = 30
 """Letters of a line beside a frame."""
+
+MOST_TIES = 3
+"""Springs between levels that are drawn in the frame; the matrix of springs has them all."""
 
 STANDS_OUT = 3.0
 """Standard deviations from zero from which a spring is marked: among 100 springs noise alone makes 0.3 such."""
@@ -186,6 +191,7 @@ class _Mark:
     placed: Placed
     text: str
     sure: bool
+    joined: tuple[tuple[int, int], ...] = ()
 
     @property
     def lines(self) -> int:
@@ -196,13 +202,14 @@ class _Mark:
 def _marks(result: Closure, state: str | None, *, first: bool) -> list[_Mark]:
     """What is marked in the drawing of a state; what concerns every state is marked in the first one."""
     sure = not verdict_of(result).provisional
+    tied = {id(item): _standing_out(item, places) for item, places in networks(result)}
     found = []
     for item in result.effects:
         place, rivals = item.placed.place, item.rivals[:MOST_RIVALS]
         if place.state == state or (first and place.state is None):
             said = [item.size if sure else f"provisional: {item.size}", f"{chance(item.probability)} probable"]
             said += [f"or: {rival.placed.label} ({chance(rival.probability)})" for rival in rivals]
-            found.append(_Mark(item.placed, _wrapped(said), sure))
+            found.append(_Mark(item.placed, _wrapped(said), sure, tied.get(id(item), ())))
         else:
             found += [
                 _Mark(each.placed, _wrapped([f"or here: {each.placed.label} ({chance(each.probability)})"]), sure=False)
@@ -210,6 +217,16 @@ def _marks(result: Closure, state: str | None, *, first: bool) -> list[_Mark]:
                 if each.placed.place.state == state
             ]
     return found[:MOST_MARKS]
+
+
+def _standing_out(item: AddedEffect, places: Sequence[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
+    """The pairs of levels whose springs stand out of their deviations, at most `MOST_TIES` of them."""
+    sizes = {
+        place: abs(item.parameters[name]) / (item.std[name] or np.inf)
+        for place, name in zip(places, item.parameters, strict=True)
+    }
+    largest = sorted(sizes, key=sizes.__getitem__, reverse=True)[:MOST_TIES]
+    return tuple(place for place in largest if sizes[place] > STANDS_OUT)
 
 
 def _wrapped(texts: Sequence[str]) -> str:
@@ -231,7 +248,11 @@ def _state(axes: Axes, result: Closure, state: str | None, marks: Sequence[_Mark
     room = max((mark.lines for mark in marks), default=1) * LINE * total / height
     levels = style.spread(np.array([_middle(mark.placed, z) for mark in order]), room, room / 2, total - room / 2)
     for mark, level in zip(order, levels, strict=True):
-        _mark(axes, mark.placed, z, at, sure=mark.sure)
+        if mark.joined:
+            for low, high in mark.joined:
+                _tie(axes, low, high, z, at, sure=mark.sure)
+        else:
+            _mark(axes, mark.placed, z, at, sure=mark.sure)
         _leader(axes, (at.right + 0.05, _middle(mark.placed, z)), (at.right + GAP + 0.02, level))
         axes.text(at.right + GAP + 0.03, level, mark.text, ha="left", va="center", color="black", fontsize=8)
     if not marks:
@@ -258,10 +279,7 @@ def _mark(axes: Axes, placed: Placed, z: Floats, at: _Columns, *, sure: bool) ->
     place, base = placed.place, np.concatenate([[0.0], z])
     left, wide = at.left - 0.035, at.right - at.left + 0.07
     if place.floor is not None and place.to is not None:
-        dashes = "-" if sure else "--"
-        axes.plot(
-            [at.left, at.right], [base[place.floor], base[place.to]], color=style.BEFORE, lw=2.6, ls=dashes, zorder=5
-        )
+        _tie(axes, place.floor, place.to, z, at, sure=sure)
         return
     thick = 0.16 * float(np.diff(base).min())
     low, high = 0.0, float(z[-1])
@@ -281,6 +299,13 @@ def _mark(axes: Axes, placed: Placed, z: Floats, at: _Columns, *, sure: bool) ->
     if sure and place.story is not None:
         for side in (at.left, at.right):
             axes.plot([side, side], [low, high], color=style.BEFORE, lw=4.0, solid_capstyle="butt", zorder=5)
+
+
+def _tie(axes: Axes, low: int, high: int, z: Floats, at: _Columns, *, sure: bool) -> None:
+    """Draw what joins two levels, 0 the ground."""
+    base = np.concatenate([[0.0], z])
+    dashes = "-" if sure else "--"
+    axes.plot([at.left, at.right], [base[low], base[high]], color=style.BEFORE, lw=2.6, ls=dashes, zorder=5)
 
 
 # The identified frame with its numbers.
@@ -362,6 +387,47 @@ def _numbers(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns, gap: f
 
 
 # Springs between all pairs of levels.
+
+
+def networks(result: Closure) -> list[tuple[AddedEffect, list[tuple[int, int]]]]:
+    """The effects that are springs between pairs of levels, each with the pairs of its parameters in their order."""
+    known = {named_pair(i, j): (i, j) for i, j in pairs(result.experiment.stories, ground=True)}
+    return [
+        (item, [known[name] for name in item.parameters])
+        for item in result.effects
+        if set(item.parameters) <= set(known) and set(item.placed.units(result.experiment)) == {"N/m"}
+    ]
+
+
+@figure(
+    "springs",
+    Closure,
+    title="Springs between levels",
+    caption="Every symmetric stiffness is a network of springs between levels. Shown is what the stories do not have: "
+    "stiffness and standard deviation of each spring; a heavy outline marks what stands out of its deviation.",
+    alternative="Matrix of the springs between all pairs of levels; the largest are named in the table of effects.",
+    section="effects",
+    applies=lambda result: bool(networks(result)),
+    needs="springs between levels that no story joins",
+    narrow=True,
+)
+def springs(result: Closure) -> Figure:
+    """The matrix of springs between levels of the effect that has them.
+
+    Parameters
+    ----------
+    result : Closure
+
+    Returns
+    -------
+    Figure
+    """
+    item, places = networks(result)[0]
+    values, stds = np.full((2, result.experiment.stories + 1, result.experiment.stories + 1), np.nan)
+    for (low, high), name in zip(places, item.parameters, strict=True):
+        std = item.std[name]
+        values[high, low], stds[high, low] = item.parameters[name], np.nan if std is None else std
+    return _springs(values, stds, AUTOMATIC)
 
 
 def springs_between_levels(values: Floats, stds: Floats, units: Units = AUTOMATIC) -> Figure:
