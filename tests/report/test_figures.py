@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from scipy import linalg
 
 import cvxshear
 from cvxshear.cli import main
@@ -70,7 +71,7 @@ def test_no_text_of_a_loops_figure_overlaps_or_is_cut_off(draw, result, request)
 @pytest.mark.parametrize("result", ["paper", "eight", "ambiguous", "unexplained"])
 def test_no_text_of_a_narrow_figure_overlaps_or_is_cut_off(result, request):
     found = request.getfixturevalue(result)
-    for entry in figures.figures_of(type(found)).values():
+    for entry in figure_table.applicable(found):
         with for_narrow_page():
             drawn = entry.draw(found)
         assert drawn.get_figwidth() <= 3.7
@@ -399,3 +400,32 @@ def test_a_figure_from_outside_is_found_everywhere(paper, comparison, monkeypatc
         main(["loop", "paper", "--effects", "gravity", "--figure", f"pie:{tmp_path / 'pie.svg'}"])
     assert ended.value.code in (0, None)
     assert (tmp_path / "pie.svg").read_text().startswith("<?xml")
+
+
+def test_where_the_shear_model_fails_is_drawn_and_told():
+    """A brace from floor 1 to floor 4 of a five-story chain, which no effect that is looked for has: 6000 kN/m."""
+    rng, n, k = np.random.default_rng(4), 5, np.linspace(2.4e7, 1.6e7, 5)
+    across = np.array([-1.0, 0.0, 0.0, 1.0, 0.0])
+    K = np.diag(k + np.append(k[1:], 0)) - np.diag(k[1:], 1) - np.diag(k[1:], -1) + 6e6 * np.outer(across, across)
+    tests = []
+    for added in (0.0, 3e3):
+        mass = np.full(n, 1e4) + np.array([0, 0, 0, 0, added])
+        values, vectors = linalg.eigh(K, np.diag(mass))
+        shapes = vectors.T / np.abs(vectors.T).max(axis=1, keepdims=True)
+        tests.append({
+            "name": f"{added:g} kg", "state": "bare", "added_mass": (mass - 1e4).tolist(),
+            "frequencies": (np.sqrt(values) / (2 * np.pi) * (1 + 0.001 * rng.standard_normal(n))).tolist(),
+            "mode_shapes": (shapes + 0.01 * rng.standard_normal((n, n))).tolist(),
+            "frequency_std": 0.001, "mode_shape_std": 0.01,
+        })  # fmt: skip
+    declared = {"frame": {"story_heights": 3.0, "total_mass": 5e4}, "configuration": tests}
+    found = cvxshear.close_loop(cvxshear.Experiment.from_dict(declared), ["other_stiffness", "gravity", "base_rocking"])
+    assert found.verdict == "located"
+    assert "floors 1 and 4" in str(found).replace("\n", " ")
+    axes = found.figure("findings").axes[0]
+    ties = [line for line in axes.lines if mpl.colors.to_hex(line.get_color()) == "#d55e00"]
+    assert [list(line.get_ydata()) for line in ties] == [[3.0, 12.0]]
+    (said,) = [text.get_text() for text in found.figure("springs").axes[0].texts if text.get_weight() == "bold"]
+    value, std = map(float, said.split("\n± "))
+    assert abs(value - 6000) < 3 * std
+    assert_readable(found.figure("springs"))

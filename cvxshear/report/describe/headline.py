@@ -89,7 +89,12 @@ def _facts(result: Closure) -> Iterator[tuple[str, str]]:
 def noise_in_words(result: Closure) -> str:
     """The estimated noise in a few words; empty where all of it was declared."""
     found = result.noise.noise.factors
-    said = [f"{significant(100 * factor * DEFAULTS[kind], 2)} % of {plural_of(kind)}" for kind, factor in found]
+    # Sizes of effects of many parameters are estimated with the noise, and are none.
+    said = [
+        f"{significant(100 * factor * DEFAULTS[kind], 2)} % of {plural_of(kind)}"
+        for kind, factor in found
+        if kind in DEFAULTS
+    ]
     return f"an estimated noise of {listed(said)}" if said else ""
 
 

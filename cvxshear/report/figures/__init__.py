@@ -3,7 +3,7 @@
 `figure_table` lists them; needs matplotlib (`pip install matplotlib`).
 """
 
-from cvxshear.report.figures.drawn_frame import findings, frame, springs_between_levels
+from cvxshear.report.figures.drawn_frame import findings, frame, springs, springs_between_levels
 from cvxshear.report.figures.drawn_shapes import shapes
 from cvxshear.report.figures.figure_table import FigureEntry, drawn_figure, figure, figures_of
 from cvxshear.report.figures.frequency_figures import coherence, functions, stabilization
@@ -39,6 +39,7 @@ __all__ = [
     "response_peaks",
     "save",
     "shapes",
+    "springs",
     "springs_between_levels",
     "stabilization",
     "transfer_functions",
