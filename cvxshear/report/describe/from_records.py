@@ -23,7 +23,7 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import AUTOMATIC, Units, capital, counted, listed, percent, percents, ranged, with_stds
 from cvxshear.util.typing import Floats
 
-METHODS = {
+METHOD_WORDS = {
     "era": "eigensystem realization (era)",
     "okid": "observer identification and eigensystem realization (okid)",
     "subspace": "subspace identification (subspace)",
@@ -35,7 +35,7 @@ METHODS = {
 
 def method_in_words(result: ModalResult) -> str:
     """How the modes were found."""
-    return METHODS.get(result.method, result.method)
+    return METHOD_WORDS.get(result.method, result.method)
 
 
 def scale_in_words(result: ModalResult) -> str:

@@ -11,7 +11,7 @@ from cvxshear.report.describe.vocabulary import Block, Document, Facts, Row, Sec
 from cvxshear.util.quantities import AUTOMATIC, Units, counted, percents, ranged, significant
 from cvxshear.util.typing import Floats
 
-MOST_COLUMNS = 11
+FLOOR_COLUMNS = 11
 """Of a table of measured modes beside the modes' numbers; more go below."""
 
 
@@ -141,4 +141,4 @@ def _modes(each: Configuration, place: int, units: Units) -> Iterator[Block]:
     )
     head = ("mode", "frequency, Hz", "std", *floors, "std of the shape")
     title = "Shapes are scaled to a largest entry of 1" if floors else "Frequencies alone"
-    yield from Table(f"modes-{place}", title, head, rows).folded(MOST_COLUMNS)
+    yield from Table(f"modes-{place}", title, head, rows).folded(FLOOR_COLUMNS)

@@ -36,7 +36,7 @@ PANEL_WIDTH = 6.8
 GAP = 0.07
 """Distance of a label from a column, as a part of the panel's width."""
 
-SMALLEST = 1e-300
+NEARLY_NOTHING = 1e-300
 """Stands for a largest mass or stiffness of nothing at all, kg or N/m: thicknesses are divided by it."""
 
 THINNEST, THICKEST = 1.0, 7.0
@@ -84,8 +84,8 @@ def _structure(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns) -> N
     """Ground, columns as wide as stories are stiff, and slabs as thick as floors are heavy."""
     heights, total = np.diff(z, prepend=0.0), float(z[-1])
     mass, stiffness = (np.nan_to_num(values) for values in (found.floor_mass, found.story_stiffness))
-    slabs = SLAB * float(heights.min()) * mass / max(float(mass.max()), SMALLEST)
-    strokes = THINNEST + (THICKEST - THINNEST) * stiffness / max(float(stiffness.max()), SMALLEST)
+    slabs = SLAB * float(heights.min()) * mass / max(float(mass.max()), NEARLY_NOTHING)
+    strokes = THINNEST + (THICKEST - THINNEST) * stiffness / max(float(stiffness.max()), NEARLY_NOTHING)
     wide = at.right - at.left
     axes.add_patch(
         Rectangle(

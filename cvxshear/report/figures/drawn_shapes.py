@@ -133,9 +133,11 @@ def _mac(experiment: Experiment, name: str, modelled: Floats) -> Floats:
     return table
 
 
-MOST_COLUMNS = 5
+SHAPES_A_ROW = 5
+"""Panels of mode shapes side by side on a page."""
+
 ABOVE, BELOW, TITLE = 0.3, 0.55, 0.5
-"""inch, for the legend, the common label, and the two lines of title of a panel."""
+"""Room, inch, for the legend, the common label, and the two lines of title of a panel."""
 
 HALF_WIDTH = 0.16
 """Of the drawn frame, where the largest entry of a shape is 1."""
@@ -165,7 +167,7 @@ def shapes(result: Closure) -> Figure:
     """
     before, after = mode_shapes(result.before.estimate), mode_shapes(result.estimate)
     most = max(len(each.frequencies) for each in result.experiment.configurations)
-    fitting = 2 if style.narrow_page() else MOST_COLUMNS
+    fitting = 2 if style.narrow_page() else SHAPES_A_ROW
     columns = style.even_columns(most, fitting)
     stories = result.experiment.stories
     tall = float(np.clip(0.16 * stories, 1.6, 3.0))

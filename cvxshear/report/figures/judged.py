@@ -20,7 +20,7 @@ from cvxshear.report.figures.figure_table import figure
 from cvxshear.util.quantities import chance
 from cvxshear.util.typing import Floats
 
-SHOWN = 14
+MOST_BARS = 14
 """Effects that are drawn, the most probable first; those that were added always are."""
 
 LONGEST_LABEL = 44
@@ -60,7 +60,7 @@ def ranking(result: Closure) -> Figure:
     added = {item.placed for item in result.effects}
     mine = [item for item in result.candidates if item.placed in added]
     others = [item for item in result.candidates if item.placed not in added]
-    bars = [*mine, *others[: max(SHOWN - len(mine), 0)]]
+    bars = [*mine, *others[: max(MOST_BARS - len(mine), 0)]]
     row, room = (0.36, 1.9) if style.narrow_page() else (0.24, 1.35)
     figure = style.new_figure(style.page_width(), row * max(len(bars), 2) + room)
     axes = figure.subplots()

@@ -14,7 +14,7 @@ from cvxshear.modal import ModalResult
 from cvxshear.modal.shapes import mac as mac_of
 from cvxshear.modal.shapes import scaled_to_one
 from cvxshear.report.figures import style
-from cvxshear.report.figures.drawn_shapes import mac_tables
+from cvxshear.report.figures.drawn_shapes import SHAPES_A_ROW, mac_tables
 from cvxshear.report.figures.figure_table import figure
 from cvxshear.util.quantities import percents
 from cvxshear.util.typing import Floats
@@ -22,7 +22,7 @@ from cvxshear.util.typing import Floats
 NUMBERED = 8
 """Modes up to which the cells hold their numbers."""
 
-SAME = 1e-12
+MAC_ROUNDING = 1e-12
 """What a MAC of two shapes that are the same lacks of 1 by rounding."""
 
 
@@ -100,12 +100,9 @@ def written(value: float, digits: int) -> str:
     digits : int
     """
     shown = f"{value:.{digits}f}"
-    if float(shown) < 1 or value > 1 - SAME:
+    if float(shown) < 1 or value > 1 - MAC_ROUNDING:
         return shown
     return f"> {1 - 10.0**-digits:.{digits}f}"
-
-
-MOST_COLUMNS = 5
 
 
 @figure(
@@ -129,7 +126,7 @@ def modal_shapes(*results: ModalResult) -> Figure:
         Largest entry 1; a mode that several records hold faces one way in all of them.
     """
     most = max(len(result.frequencies) for result in results)
-    fitting = 2 if style.narrow_page() else MOST_COLUMNS
+    fitting = 2 if style.narrow_page() else SHAPES_A_ROW
     columns = style.even_columns(most, fitting)
     counts = [len(result.frequencies) for result in results]
     rows = sum(-(-count // columns) for count in counts)

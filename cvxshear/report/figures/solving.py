@@ -98,7 +98,7 @@ def _panel(axes: Axes, part: SingleIdentification, true_mass: Floats | None) -> 
     axes.grid(axis="y")
 
 
-SAME = 1e-17
+NO_DIFFERENCE = 1e-17
 """Where an answer without any difference is drawn: below what a number of 64 bits can tell."""
 
 
@@ -139,13 +139,13 @@ def backend_differences(comparison: Comparison) -> Figure:
         at = [names.index(row.backend) + offsets[place] for row in rows]
         # Every other kind is hollow, so that the markers part without their colours too.
         look = {"ls": "none", "marker": marker, "mec": colour, "mfc": "white" if place % 2 else colour, "ms": 4.0}
-        left.plot([max(row.difference or 0.0, SAME) for row in rows], at, label=kind, **look)
+        left.plot([max(row.difference or 0.0, NO_DIFFERENCE) for row in rows], at, label=kind, **look)
         right.plot([row.relative_time or np.nan for row in rows], at, **look)
     left.set_xscale("log")
     right.set_xscale("log")
-    left.set_xlabel(f"largest relative difference\n(none at all is drawn at {style.power_of_ten(SAME)})")
+    left.set_xlabel(f"largest relative difference\n(none at all is drawn at {style.power_of_ten(NO_DIFFERENCE)})")
     right.set_xlabel("time / time of the closed form")
-    left.set_xlim(left=SAME / 3)
+    left.set_xlim(left=NO_DIFFERENCE / 3)
     for axes in (left, right):
         style.logarithmic(axes.xaxis, most=6)
         axes.grid(axis="x")
