@@ -178,11 +178,11 @@ class Deviation:
     Parameters
     ----------
     noise : str
-        One of `NOISES`.
+        One of `NOISES`, or "prior" for a declared statement.
     configuration : str
-        Where it was measured.
+        Where it was measured; empty for a statement.
     place : str
-        Which part, such as "mode 1" or "floor 2".
+        Which part, such as "mode 1" or "floor 2"; the statement in words.
     error : float or None
         Relative.
     deviations : float
@@ -200,6 +200,8 @@ class Deviation:
     @property
     def label(self) -> str:
         """Such as 'the frequency of mode 1 of "bare"'."""
+        if not self.configuration:
+            return f'the statement "{self.place}"'
         return f'the {self.noise.replace("_", " ")} of {self.place} of "{self.configuration}"'
 
     def to_dict(self) -> Json:

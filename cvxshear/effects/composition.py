@@ -116,15 +116,16 @@ def _assembled(state: State) -> State:
         )
     k, S = state.story_stiffness - state.brace_stiffness, state.joint_flexibility
     uu, ut, tt = _stories(tuple(state.heights.tolist()))
-    Kuu, Kut, Ktt = (np.einsum("i,iab->ab", k, unit) for unit in (uu, ut, tt))
+    Kuu, Kut, Ktt = (np.tensordot(k, unit, 1) for unit in (uu, ut, tt))
     turned = np.linalg.solve(np.eye(len(S)) + Ktt * S, Kut.T)
     down = -S[:, None] * turned
     # Condensation is a congruence with [1; down], so a derivative of the full matrix passes through it.
     bent = ut @ down
     each = uu + bent + bent.transpose(0, 2, 1) + down.T @ tt @ down
-    dK = np.einsum("pi,iab->pab", state.d_story_stiffness - state.d_brace_stiffness, each)
-    dK += (T * state.d_brace_stiffness[:, None, :]) @ T.T
-    dK -= np.einsum("ps,sa,sb->pab", state.d_joint_flexibility, turned, turned, optimize=True)
+    dK = np.tensordot(state.d_story_stiffness - state.d_brace_stiffness, each, 1)
+    if state.d_brace_stiffness.any():
+        dK += (T * state.d_brace_stiffness[:, None, :]) @ T.T
+    dK -= np.tensordot(state.d_joint_flexibility, turned[:, :, None] * turned[:, None, :], 1)
     K = Kuu + Kut @ down
     return state.with_stiffness(0.5 * (K + K.T) + stiffness_matrix(state.brace_stiffness), dK)
 

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from cvxshear.data import NOISES, Datum, Model, Noise, data_of
+from cvxshear.data import NOISES, Datum, Deviation, Model, Noise, data_of
 from cvxshear.effects import Placed, compose
 from cvxshear.effects.composition import slices
 from cvxshear.fit.expectation import Expectation
@@ -257,6 +257,22 @@ class Misfit:
     def _model(self, tested: Tested, theta: Floats, by: slice, derivatives: bool) -> Model:
         state = compose(self.experiment, tested, self.effects, theta, derivatives=derivatives)
         return Model(state, by, derivatives)
+
+    def statement_deviations(self, theta: Floats) -> list[Deviation]:
+        """How far each soft prior, and a soft total mass, lies from the model, in its own standard deviations.
+
+        What an effect says of a prior that does not hold is left out of account.
+        """
+        plain = Misfit(self.experiment)
+        residuals, at = plain._soft(theta[: 2 * self.experiment.stories])[0], 0
+        found = []
+        for words, rows in self.experiment.soft_statements:
+            own = residuals[at : at + rows]
+            at += rows
+            if rows:
+                size = float(own[0]) if rows == 1 else float(np.sqrt(np.mean(own**2)))
+                found.append(Deviation("prior", "", words, None, size, rows))
+        return found
 
     def _soft(self, theta: Floats) -> tuple[Floats, Floats]:
         """The soft priors, and a total mass declared with a standard deviation, as data."""
