@@ -202,7 +202,7 @@ def test_a_report_is_written_whole(paper, comparison, tmp_path):
 
 def test_results_show_themselves_in_a_notebook(paper, unexplained, comparison):
     shown = paper._repr_html_()
-    assert html.escape(paper.effects[0].size.removesuffix(")"), quote=True) in shown
+    assert paper.effects[0].size.removesuffix(")") in html.unescape(shown)
     assert shown.count('<img src="data:image/png;base64,') == 1
     assert "26.35" in shown
     Page(shown)
