@@ -23,7 +23,7 @@ from cvxshear.cli.output import (
     progress,
     typed,
 )
-from cvxshear.cli.pictures import FiguresOut, Pictures
+from cvxshear.cli.pictures import LIST, FiguresOut, Pictures
 from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
 from cvxshear.util.errors import CvxshearError, InputError
 from cvxshear.util.writing import check_output
@@ -45,7 +45,10 @@ def modes(
     count: Annotated[int | None, typer.Option(help="How many modes; as many as stories where not given.")] = None,
     pick: Annotated[
         str | None,
-        typer.Option(help="Take the stable poles nearest to these frequencies, Hz.", metavar="3.68,11.1,..."),
+        typer.Option(
+            help="Take the stable poles nearest to these frequencies, Hz; 'list' prints the poles.",
+            metavar="3.68,11.1,...",
+        ),
     ] = None,
     correct_clocks: Annotated[bool, typer.Option(help="Take clock offsets between the channels out.")] = False,
     accept_swapped: Annotated[bool, typer.Option(help="Go on where two channels look swapped.")] = False,
@@ -65,10 +68,12 @@ def modes(
     """
     from cvxshear.campaign import identify_modes_many, write_merged
     from cvxshear.files.uff import write_uff
+    from cvxshear.modal import ModalResult
+    from cvxshear.report import terminal
     from cvxshear.report.sheets import sheets_of_modes
 
     sources = _files(records, output)
-    pictures, tables = Pictures(figure, "records"), Spreadsheets(csv, xlsx)
+    pictures, tables = Pictures(figure, ModalResult), Spreadsheets(csv, xlsx)
     if report is not None:
         from cvxshear.report.modal_html import write_modal_report
     options = {
@@ -77,7 +82,7 @@ def modes(
         "count": count,
         "correct_clocks": correct_clocks,
         "accept_swapped": accept_swapped,
-        "pick": numbers(pick, "--pick"),
+        "pick": None if pick == LIST else numbers(pick, "--pick"),
     }
     if uff is not None and len(sources) > 1:
         raise InputError("--uff holds the modes of one record; identify the records one by one for it")
@@ -96,7 +101,9 @@ def modes(
         if report is not None:
             command, failed = shlex.join(["cvxshear", *typed]), [str(error) for error in errors]
             files.append(lambda: write_modal_report(results, report, command, failed))
-        deliver(_said(sources, found), out, lambda: tables_of(tests), *files)
+        deliver(
+            _said(sources, found), out, lambda: terminal.poles(results) if pick == LIST else tables_of(tests), *files
+        )
     if errors:
         raise typer.Exit(2 if any(isinstance(error, InputError) for error in errors) else 1)
 

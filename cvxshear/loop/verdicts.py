@@ -22,7 +22,9 @@ class Verdict:
     name : str
         As it stands in the JSON.
     sentence : str
-        What it means.
+        What it means of a result with effects, or of any result where `plain` is empty.
+    plain : str
+        What it means of a result without effects.
     headline : str
         Sentence for a result with effects, with `FIELDS` in braces. A semicolon separates its parts; a part whose
         fields are all empty is left out.
@@ -40,6 +42,7 @@ class Verdict:
 
     name: str
     sentence: str
+    plain: str
     headline: str
     bare: str
     advice: str
@@ -76,6 +79,7 @@ _ALL = (
     Verdict(
         "adequate",
         "The shear model explains the data; nothing was added.",
+        "",
         "{model} explains the data {within}; {doubt}",
         "{model} explains the data {within}; {doubt}",
         "Use the masses and stiffnesses with the standard deviations that stand beside them.",
@@ -86,6 +90,7 @@ _ALL = (
     Verdict(
         "explained",
         "The shear model alone does not explain the data; with the effects that were added it does.",
+        "The shear model explains the data once the modes are numbered otherwise; nothing was added.",
         "{found}; {change}",
         "{model} explains the data; {change}",
         "Use the masses and stiffnesses of the final model; look at the remaining candidates before you rely on it.",
@@ -96,15 +101,17 @@ _ALL = (
     Verdict(
         "ambiguous",
         "The data are explained with the effects that were added, but something else would explain them as well.",
+        "The shear model explains the data; which modes of the frame were measured is in question.",
         "{found}; but {doubt}; {change}",
         "{model} explains the data; but {doubt}; {change}",
-        "Make the test that the report proposes, or take the rivals along as possible causes.",
+        "Take what was found and its rivals as possible causes until a test distinguishes them.",
         "#8a5a00",
         "#e0b04a",
     ),
     Verdict(
         "located",
         "No cause in the catalogue explains the data, but where the shear model fails is known.",
+        "",
         "{found}; no cause in the catalogue accounts for it; {doubt}; {change}",
         "where the shear model fails is known; no cause in the catalogue accounts for it; {change}",
         "Look at the place that is named; a cause of your own can be added as an effect.",
@@ -114,6 +121,7 @@ _ALL = (
     Verdict(
         "unexplained",
         "A significant residual is left that no effect of the catalogue accounts for.",
+        "",
         "a significant residual is left {place}; provisionally, {found}; {change}",
         "a significant residual is left {place}; no effect that was looked for accounts for it",
         "Check the measurement where the residual sits first; what is named is provisional.",

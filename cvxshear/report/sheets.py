@@ -16,7 +16,7 @@ from cvxshear.loop import Closure
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.methods import Identification
 from cvxshear.modal import ModalResult
-from cvxshear.report.describe.errors import ERRORS
+from cvxshear.report.describe.before_after import ERRORS
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Json
 from cvxshear.util.writing import write_file

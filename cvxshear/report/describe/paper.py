@@ -12,8 +12,7 @@ from cvxshear.paper.scatter import NoiseStudy, Scatter
 from cvxshear.paper.setups import Setup
 from cvxshear.paper.tables import Row, decimals
 from cvxshear.paper.tables import Section as Printed
-from cvxshear.report.describe.dispatch import describe, line
-from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, plain_rows
+from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, describe, line, plain_rows
 from cvxshear.util.quantities import AUTOMATIC, Units, counted
 from cvxshear.util.typing import Floats
 

@@ -7,8 +7,7 @@ import numpy as np
 from cvxshear.planning.chances import SUFFICES
 from cvxshear.planning.design import UNKNOWN_STD
 from cvxshear.planning.results import Outlook, Plan
-from cvxshear.report.describe.dispatch import describe
-from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, plain_rows
+from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, describe, plain_rows
 from cvxshear.util.quantities import AUTOMATIC, Units, counted, percent, significant
 from cvxshear.util.typing import Floats
 
