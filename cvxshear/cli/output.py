@@ -15,7 +15,7 @@ import typer
 from cvxshear.cli.checked import input_files, output_file
 from cvxshear.cli.streams import printing, takes_unicode
 from cvxshear.util.errors import InputError
-from cvxshear.util.text import printable
+from cvxshear.util.text import escaped, printable
 from cvxshear.util.writing import write_file
 
 if TYPE_CHECKING:
@@ -155,7 +155,7 @@ def deliver(
 
 def to_json(result: Json, *, ascii_only: bool = False) -> str:
     """The result as JSON; nan cannot stand in JSON and has no place in a result."""
-    return json.dumps(result, indent=2, allow_nan=False, ensure_ascii=ascii_only)
+    return escaped(json.dumps(result, indent=2, allow_nan=False, ensure_ascii=ascii_only), surrogates=True)
 
 
 def figures_for(*paths: str | None) -> ModuleType | None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from cvxshear.util.text import printable
+from cvxshear.util.text import escaped, printable
 from cvxshear.util.writing import write_file
 
 WIDTH = 110
@@ -39,7 +39,7 @@ def write_measurement(path: str | Path, declared: Mapping[str, Any], comments: I
         Where the file cannot be written.
     """
     head = [f"# {part}\n" for comment in comments for part in _wrapped(comment)]
-    text = tomli_w.dumps(_plain(declared))
+    text = escaped(tomli_w.dumps(_plain(declared)))
     write_file(path, "".join([*head, "\n" * bool(head), _NUMBERS.sub(_in_one_line, text)]))
 
 
