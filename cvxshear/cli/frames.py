@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,6 +26,7 @@ from cvxshear.cli.pictures import FiguresOut, Pictures
 from cvxshear.cli.records import measured, needs_mass, records_in_json, tables_of
 from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
 from cvxshear.util.errors import UnsuitableError
+from cvxshear.util.text import shell_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -160,7 +160,7 @@ def loop(
         said["validation"] = tried.to_dict()
     files = [*pictures.of(result), *tables.of(lambda: sheets_of_closure(result))]
     if report is not None:
-        command = shlex.join(["cvxshear", *typed])
+        command = shell_line(["cvxshear", *typed])
         files.append(lambda: write_report(result, report, command, units=display, prediction=tried))
     beside = _damping_of(damping) if tried is None else ("", *terminal.shown(tried))
     deliver(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -15,7 +14,7 @@ import typer
 from cvxshear.cli.checked import input_files, output_file
 from cvxshear.cli.streams import printing, takes_unicode
 from cvxshear.util.errors import InputError
-from cvxshear.util.text import escaped, printable
+from cvxshear.util.text import json_text, printable
 from cvxshear.util.writing import write_file
 
 if TYPE_CHECKING:
@@ -137,7 +136,7 @@ def deliver(
     """
     writers = list(files)
     if out is not None and out != "-":
-        writers.append(partial(write_file, out, to_json(result) + "\n"))
+        writers.append(partial(write_file, out, json_text(result) + "\n"))
     failures = []
     for write in writers:
         try:
@@ -146,16 +145,11 @@ def deliver(
             failures.append(str(error))
     if out == "-":
         with printing():
-            sys.stdout.write(to_json(result, ascii_only=not takes_unicode()) + "\n")
+            sys.stdout.write(json_text(result, ascii_only=not takes_unicode()) + "\n")
     else:
         show(tables())
     if failures:
         raise InputError("; ".join(failures))
-
-
-def to_json(result: Json, *, ascii_only: bool = False) -> str:
-    """The result as JSON; nan cannot stand in JSON and has no place in a result."""
-    return escaped(json.dumps(result, indent=2, allow_nan=False, ensure_ascii=ascii_only), surrogates=True)
 
 
 def figures_for(*paths: str | None) -> ModuleType | None:

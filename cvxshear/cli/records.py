@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -26,6 +25,7 @@ from cvxshear.cli.output import (
 from cvxshear.cli.pictures import FiguresOut, Pictures
 from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
 from cvxshear.util.errors import CvxshearError, InputError
+from cvxshear.util.text import shell_line
 from cvxshear.util.writing import check_output
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def modes(
         if uff is not None:
             files.append(lambda: write_uff(uff, results[0]))
         if report is not None:
-            command, failed = shlex.join(["cvxshear", *typed]), [str(error) for error in errors]
+            command, failed = shell_line(["cvxshear", *typed]), [str(error) for error in errors]
             files.append(lambda: write_modal_report(results, report, command, failed))
         deliver(_said(sources, found), out, lambda: tables_of(tests), *files)
     if errors:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import platform
 from collections.abc import Iterator
 from importlib import metadata
@@ -14,6 +13,7 @@ from cvxshear.report.describe import describe
 from cvxshear.report.describe.headline import headline
 from cvxshear.response.fitted import without_nan
 from cvxshear.util.quantities import AUTOMATIC, Units, capital
+from cvxshear.util.text import json_text
 from cvxshear.util.typing import Json
 from cvxshear.version import __version__
 
@@ -103,7 +103,7 @@ def contents(result: Closure, comparison: Comparison, command: str, units: Units
 
 def readable_json(value: object) -> str:
     """JSON that a person can read."""
-    return json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False)
+    return json_text(value, indent=1)
 
 
 def versions() -> Iterator[tuple[str, str]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
@@ -16,6 +15,7 @@ from cvxshear.fit.misfit import Misfit
 from cvxshear.report.opensees import opensees_script
 from cvxshear.response import Fitted, RecordPrediction
 from cvxshear.response.handover import matrices
+from cvxshear.util.text import json_text
 from cvxshear.util.typing import Floats
 from cvxshear.util.writing import ending_of, write_file
 
@@ -65,7 +65,7 @@ def _mat(result: RecordPrediction) -> bytes:
 
 
 def _json(result: RecordPrediction) -> str:
-    return json.dumps({name: values.tolist() for name, values in matrices(result.after.damped).items()}, indent=1)
+    return json_text({name: values.tolist() for name, values in matrices(result.after.damped).items()}, indent=1)
 
 
 def _py(result: RecordPrediction) -> str:

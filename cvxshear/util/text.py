@@ -7,7 +7,11 @@ is read, and no control character stands in the file.
 
 from __future__ import annotations
 
+import json
+import os
 import re
+import shlex
+from collections.abc import Iterable
 
 FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
 """First letters of a formula in spreadsheet programs, the full-width ones among them (OWASP, "CSV injection")."""
@@ -49,3 +53,21 @@ def escaped(text: str, *, surrogates: bool = False) -> str:
         return f"\\u{0xFFFD if 0xD800 <= code <= 0xDFFF and not surrogates else code:04x}"
 
     return STEERING.sub(escape, text)
+
+
+def shell_line(arguments: Iterable[str]) -> str:
+    r"""A command as it is typed in a shell; what would steer a terminal stands as \xNN inside $'...' (bash, zsh)."""
+    return " ".join(shlex.quote(each) if each.isprintable() else f"$'{_shell_escaped(each)}'" for each in arguments)
+
+
+def _shell_escaped(text: str) -> str:
+    quoted = text.replace("\\", "\\\\").replace("'", "\\'")
+    return "".join(
+        each if each.isprintable() else "".join(f"\\x{byte:02x}" for byte in os.fsencode(each)) for each in quoted
+    )
+
+
+def json_text(value: object, *, indent: int = 2, ascii_only: bool = False) -> str:
+    """A value as JSON; nan cannot stand in JSON and has no place in a result."""
+    text = json.dumps(value, indent=indent, allow_nan=False, ensure_ascii=ascii_only)
+    return escaped(text, surrogates=True)
