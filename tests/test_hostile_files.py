@@ -246,7 +246,7 @@ def test_a_cell_that_is_no_measurement(cell, tmp_path):
 def test_a_quote_that_never_ends(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text('a,b\n1,"2\n' + "1,2\n" * 100)
-    with pytest.raises(InputError, match="line 2 is no line of a table: unexpected end of data"):
+    with pytest.raises(InputError, match="line 2 is no line of a table: its quotation marks"):
         read_csv(path)
 
 

@@ -36,12 +36,15 @@ class Columns:
     values : array, shape (rows, columns)
     lines : array of int, shape (rows,), optional
         The line of the file that each row stands on; None for a binary file.
+    units : tuple of str, optional
+        What a line of units says of each column; empty where there is none.
     """
 
     source: str
     names: tuple[str, ...]
     values: Floats
     lines: Ints | None = None
+    units: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if len(self.values) < FEWEST_ROWS:

@@ -10,7 +10,6 @@ Shapes that carry the scale say so by their unit, "floor 1, 1/sqrt(kg)".
 
 from __future__ import annotations
 
-import csv
 import importlib
 import io
 import math
@@ -21,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from cvxshear.files.csv import read_rows
 from cvxshear.files.reading import read_bytes
 from cvxshear.files.uff import read_modes
 from cvxshear.util import checks
@@ -29,7 +29,6 @@ from cvxshear.util.errors import InputError
 LARGEST = 5_000_000
 """Bytes of a table of modes."""
 TOO_LARGE = "too many for a table of modes; is it a record?"
-SEPARATORS = (";", "\t", ",")
 COLUMNS = {
     "mode": "modes",
     "frequency": "frequencies",
@@ -65,19 +64,7 @@ def read_mode_csv(path: str | Path) -> dict[str, Any]:
     InputError
         Naming the file, the line and the column.
     """
-    path = Path(path)
-    try:
-        text = read_bytes(path, LARGEST, TOO_LARGE).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path!s} is not UTF-8 text (byte {error.start}); is it a CSV file?") from None
-    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip() and line[0] != "#"]
-    separator = next((mark for mark in SEPARATORS if lines and mark in lines[0][1]), ",")
-    cells = csv.reader(io.StringIO("\n".join(line for _, line in lines)), delimiter=separator, skipinitialspace=True)
-    comma = "," if separator == "," else "."
-    rows: Rows = [
-        (number, [cell.replace(",", comma) if place else cell for cell in row])
-        for place, ((number, _), row) in enumerate(zip(lines, cells, strict=False))
-    ]
+    rows: Rows = [(number, list(cells)) for number, cells in read_rows(path, LARGEST, TOO_LARGE)]
     return _modes_of(rows, str(path))
 
 
@@ -241,8 +228,10 @@ def _columns(header: Sequence[str], source: str) -> tuple[dict[str, int], dict[i
             several[int(floor[1])] = place
             scaled |= set() if floor[2] else {floor[3] is not None}
         else:
+            # Of a file that is no such table nothing is quoted: it may have been named by mistake.
+            shown = f'column "{name[:60]}"' if keys or entries else f"column {place + 1}"
             raise InputError(
-                f'{source}: column "{name}" is not one of a table of modes: mode, frequency, frequency std, damping, '
+                f'{source}: {shown} is not one of a table of modes: mode, frequency, frequency std, damping, '
                 "floor 1, floor 1 std, floor 2, ..."
             )
         if taken:

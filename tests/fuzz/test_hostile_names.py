@@ -20,8 +20,9 @@ from tests.campaign.shared import write_records
 
 NAMES = (
     # What a spreadsheet takes for a formula, and what hides one.
-    "=1+1", "+1+1", "-1+1", "@SUM(1+1)", '=HYPERLINK("http://x.y","z")', "=cmd|' /C calc'!A0", "＝1+1", "＋1", "－1", "＠A1",
-    " =1+1", "'=1+1", "a,=1+1", "a;=1+1", 'a",=1+1', "a\t=1+1", "a\n=1+1", "\t=1+1", "\r=1+1", "\n=1+1", "0x1p3", "1e5",
+    "=1+1", "+1+1", "-1+1", "@SUM(1+1)", '=HYPERLINK("http://x.y","z")', "=cmd|' /C calc'!A0", "＝1+1", "＋1", "－1",
+    "＠A1", " =1+1", "'=1+1", "a,=1+1", "a;=1+1", 'a",=1+1', "a\t=1+1", "a\n=1+1", "\t=1+1", "\r=1+1", "\n=1+1",
+    "0x1p3", "1e5",
     # What steers a terminal, or no file of its kind can hold.
     "a\x00b", "a\x01b", "\x07", "\x1b[31mred", "\x1b]0;t\x07", "a\x7fb", "a\x85b", "a\x9bb", "a\u2028b", "a\u202eb",
     "a\u200bb", "\ufeffa", "a\ufffe", "a\r\nb",
