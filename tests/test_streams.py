@@ -7,6 +7,8 @@ import json
 import os
 import subprocess
 import sys
+import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -99,8 +101,9 @@ def shell(command: str) -> tuple[int, str, str]:
 
 FULL = "cvxshear: standard output cannot be written: No space left on device\n"
 STREAMS = {
-    "closed": (">&-", 0, ""),
-    "both closed": (">&- 2>&-", 0, ""),
+    "closed": (">&-", 1, "cvxshear: standard output cannot be written: it is closed\n"),
+    "closed, JSON": ("--json - >&-", 1, "cvxshear: standard output cannot be written: it is closed\n"),
+    "both closed": (">&- 2>&-", 1, ""),
     "closed at the other end": ("| exec true", 1, ""),
     "full": ("> /dev/full", 1, FULL),
     "full, JSON": ("--json - > /dev/full", 1, FULL),
@@ -115,6 +118,39 @@ def test_a_standard_output_that_takes_nothing(kind):
     # Whether a reader that ends at once has ended in time is chance.
     assert found[0] == status or (kind == "closed at the other end" and found[0] == 0)
     assert found[2] == complaint
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+@pytest.mark.parametrize("options", ["--help", "--version", "loop --help", "new"])
+def test_help_that_cannot_be_printed(options):
+    line = f"{sys.executable} -m cvxshear {options} > /dev/full"
+    found = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)
+    assert (found.returncode, found.stderr) == (1, FULL)
+
+
+PIPED = [["identify"], ["loop", "--effects", "ground_spring"], ["check"], ["plan"], ["backends", "--only", "kkt"]]
+
+
+@pytest.mark.parametrize("command", PIPED, ids=lambda each: each[0])
+@pytest.mark.parametrize("named", [False, True])
+def test_a_pipe_is_read_once(command, named, tmp_path):
+    """A named pipe that is opened again would wait for ever, and standard input has nothing more to give."""
+    text = files.measurement()
+    path = "/dev/stdin"
+    if named:
+        path = str(tmp_path / "pipe.toml")
+        os.mkfifo(path)
+        threading.Thread(target=Path(path).write_bytes, args=[text], daemon=True).start()
+    found = subprocess.run(
+        [*COMMAND, command[0], path, *command[1:], "--json", "-"],
+        input=None if named else text, capture_output=True, check=True, timeout=120,
+    )  # fmt: skip
+    (tmp_path / "plain.toml").write_bytes(text)
+    plain = subprocess.run(
+        [*COMMAND, command[0], str(tmp_path / "plain.toml"), *command[1:], "--json", "-"],
+        capture_output=True, check=True,
+    )  # fmt: skip
+    assert json.loads(found.stdout).keys() == json.loads(plain.stdout).keys()
 
 
 def test_the_file_is_written_where_standard_output_takes_nothing(tmp_path):

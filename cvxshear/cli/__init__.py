@@ -12,7 +12,8 @@ from cvxshear.cli import backends, check, frames, new, records, studies
 from cvxshear.cli import plan as planning
 from cvxshear.cli.output import typed
 from cvxshear.cli.predict import predict
-from cvxshear.cli.streams import OutputError, sound_streams
+from cvxshear.cli.streams import OutputError, lost, sound_streams
+from cvxshear.files.reading import streams_read_once
 from cvxshear.util.errors import CvxshearError, LostProcessError, NoSolutionError
 
 app = typer.Typer(
@@ -61,8 +62,12 @@ def main(arguments: list[str] | None = None) -> None:
     status: Any = 0
     typed[:] = sys.argv[1:] if arguments is None else arguments
     try:
-        with sound_streams():
-            status = app(args=arguments, standalone_mode=False)
+        with sound_streams(), streams_read_once():
+            try:
+                status = app(args=arguments, standalone_mode=False)
+            except OSError as error:
+                # Files that cannot be read or written have raised InputError: this was the help, or the version.
+                raise lost(error) from error
     except (NoSolutionError, LostProcessError) as error:
         _complain(error)
         status = 1

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from cvxshear.cli.output import writes
+from cvxshear.cli.streams import printing
 from cvxshear.util.errors import InputError
 from cvxshear.util.writing import write_file
 
@@ -36,6 +38,7 @@ def new(
     folder = Path(output).parent if output is not None else Path()
     text = template_from(modes, folder) if modes is not None else template(3 if stories is None else stories)
     if output is None:
-        typer.echo(text, nl=False)
+        with printing():
+            sys.stdout.write(text)
     else:
         write_file(output, text)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import errno
 import io
 import os
 import sys
@@ -27,12 +28,13 @@ def takes_unicode() -> bool:
 def sound_streams() -> Iterator[None]:
     """Standard output and error as any terminal takes them: escapes for what it has no letter for.
 
-    One that is closed is given the null device, lest a file opened later take its number.
+    In place of one that is closed stands the null device, lest a file opened later take its number: standard output
+    as a device that cannot be written, since a result would be lost; standard error as one that takes all.
     """
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:
-            null = os.open(os.devnull, os.O_WRONLY)
+            null = os.open(os.devnull, os.O_RDONLY if name == "stdout" else os.O_WRONLY)
             setattr(sys, name, open(null, "w", encoding="utf-8", closefd=False))  # noqa: SIM115 - open to the end
         elif isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors=SPELLED)
@@ -54,10 +56,15 @@ def printing() -> Iterator[None]:
         yield
         sys.stdout.flush()
     except OSError as error:
-        # Python flushes once more at its end, and would complain there.
-        if isinstance(sys.stdout, io.TextIOWrapper):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise OutputError(error.strerror) from error
+        raise lost(error) from error
+
+
+def lost(error: OSError) -> OutputError:
+    """What to raise where standard output does not take what was printed; it takes all that comes after."""
+    # Python flushes once more at its end, and would complain there.
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return OutputError("it is closed" if error.errno == errno.EBADF else error.strerror)
 
 
 def _spelled(error: UnicodeError) -> tuple[str, int]:

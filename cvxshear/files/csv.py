@@ -199,7 +199,8 @@ def _columns(lines: Iterable[Line], layout: Layout, where: str, limit: float) ->
     table = np.frombuffer(values, dtype=np.float64).reshape(len(numbers), len(names))
     if stamps:
         table = table.copy()
-        table[:, stamps] -= table[0, stamps]
+        # To the microsecond: seconds since 1970 have no more digits.
+        table[:, stamps] = np.round(table[:, stamps] - table[0, stamps], 6)
         # A clock without a date begins anew at midnight.
         table[:, stamps] += DAY * np.cumsum(np.diff(table[:, stamps], axis=0, prepend=0.0) < -DAY / 2, axis=0)
     units = layout.units or ("",) * len(names)

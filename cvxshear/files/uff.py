@@ -158,8 +158,9 @@ def _sets(path: Path, kind: int, limit: float) -> list[Json]:
             places = [place for place, each in enumerate(file.get_set_types()) if int(each) == kind]
             found = file.read_sets(places) if places else []
     except Exception as error:
-        # pyuff raises whatever its parsing runs into.
-        raise InputError(f"{where} is not a universal file that can be read: {str(error)[:200]}") from error
+        # pyuff raises whatever its parsing runs into, and quotes the file, which may have been named by mistake.
+        reason = f"{type(error).__name__} in pyuff"
+        raise InputError(f"{where} is not a universal file that can be read ({reason})") from error
     sets = [found] if isinstance(found, dict) else list(found)
     if any(key not in item for item in sets for key in NEEDED[kind]):
         raise InputError(f"{where} is not a universal file that can be read: a data set {kind} lacks its numbers")
