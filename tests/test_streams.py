@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -216,3 +218,38 @@ def test_nothing_is_said_of_a_reader_that_has_gone():
     with contextlib.closing(running.stderr):
         assert running.stderr.read() == ""
     assert running.wait() == 1
+
+
+def alive(group: int) -> list[str]:
+    """The processes of a group, zombies left out."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            # After the name, which stands in parentheses: state, parent, group.
+            state, _, of_group = path.read_text().rpartition(")")[2].split()[:3]
+            if int(of_group) == group and state != "Z":
+                found.append((path.parent / "cmdline").read_text().replace("\0", " "))
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc here")
+@pytest.mark.parametrize("ending", ["SIGKILL", "SIGTERM", "SIGINT"])
+def test_nothing_outlives_its_parent(ending):
+    """Two processes work for a third one that is ended, by Ctrl-C as a terminal sends it: to all of them."""
+    line = [sys.executable, "-m", "cvxshear", "study", "noise", "--jobs", "2", "--samples", "100000", "--methods"]
+    found = subprocess.Popen(
+        [*line, "efficient"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    until = time.monotonic() + 60
+    while len(alive(found.pid)) < 3 and time.monotonic() < until:
+        time.sleep(0.05)
+    assert len(alive(found.pid)) >= 3
+    number = getattr(signal, ending)
+    (os.killpg if ending == "SIGINT" else os.kill)(found.pid, number)
+    out, err = found.communicate(timeout=60)
+    if ending == "SIGINT":
+        assert (found.returncode, out, err) == (130, "", "")
+    until = time.monotonic() + 2
+    while alive(found.pid) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert alive(found.pid) == []
