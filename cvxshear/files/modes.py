@@ -10,9 +10,9 @@ from cvxshear.files.measurement import write_measurement
 from cvxshear.files.record import RecordFile, read_record
 from cvxshear.files.uff import write_uff
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.modal.findings import Finding
 from cvxshear.modal.identify import identify_modes
 from cvxshear.modal.result import ModalResult
+from cvxshear.records.record import Finding
 from cvxshear.util.typing import Json
 from cvxshear.util.writing import check_output
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from cvxshear.files.record import RECORD_KEYS, columns_of, rate_of, read_record, refuse_two_rates
 from cvxshear.files.record_tables import added_mass_of, channels_of, driver_of, placed, runs_of, tables_of
-from cvxshear.modal.motion import Drive, Motion
+from cvxshear.records.motion import Drive, Motion
 from cvxshear.util import checks
 
 

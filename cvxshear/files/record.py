@@ -29,8 +29,7 @@ from cvxshear.files.record_tables import (
 )
 from cvxshear.files.uff import read_uff
 from cvxshear.measurement.experiment import MOST_STORIES
-from cvxshear.modal.record import INPUTS, FrfRecord, Record, TimeRecord
-from cvxshear.modal.runs import Channel, FrfRun, Run
+from cvxshear.records.record import INPUTS, Channel, FrfRecord, FrfRun, Record, Run, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats

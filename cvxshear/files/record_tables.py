@@ -11,7 +11,7 @@ from typing import Any
 
 from cvxshear.files.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES
-from cvxshear.modal.record import QUANTITIES
+from cvxshear.records.record import QUANTITIES
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 

@@ -24,7 +24,7 @@ from cvxshear.util.writing import write_file
 
 if TYPE_CHECKING:
     from cvxshear.modal.result import ModalResult
-    from cvxshear.modal.runs import Complexes
+    from cvxshear.records.record import Complexes
 
 X_TRANSLATION = 1
 AXES = ("", "x", "y", "z", "rx", "ry", "rz")

@@ -3,20 +3,75 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
-from cvxshear.modal import signs
 from cvxshear.modal.amplitude import amplitude_findings
 from cvxshear.modal.estimate import Details, Replication
-from cvxshear.modal.findings import Finding
-from cvxshear.modal.record import FrfRecord, Record
-from cvxshear.modal.result import ModalResult
-from cvxshear.util.errors import InputError
+from cvxshear.modal.picking import PoleCandidate
+from cvxshear.modal.result import OVERLOOKED, ModalResult
+from cvxshear.records.record import Finding, FrfRecord, Record
 from cvxshear.util.quantities import listed, ranged, significant
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Floats, Ints
 
-OF_CHANNELS = ("dead channel", "clipped channel", "held samples", "drift", "aliasing")
+A_MODE = 0.3
+"""Probability that a stable pole of no reproducible shape between two modes is a mode of the frame: of another
+direction, of twisting, of a floor or of noise it is as often."""
+
+
+def overlooked_modes(
+    frequencies: Floats, modes: Ints, left_out: Sequence[PoleCandidate], *, floors: int, stories: int
+) -> list[Finding]:
+    """The resonances that put the numbers of modes in doubt.
+
+    Parameters
+    ----------
+    frequencies : ndarray, shape (m,)
+        Of the modes found, Hz.
+    modes : ndarray of int, shape (m,)
+        Their numbers.
+    left_out : sequence of PoleCandidate
+        Stable poles that are none of them.
+    floors : int
+        Measured.
+    stories : int
+
+    Returns
+    -------
+    list of Finding
+        Each with the numbers `frequency`, `modes` as they would be, and `probability`.
+    """
+    if floors == stories:
+        return []
+    between: dict[int, list[float]] = {}
+    for item in left_out:
+        between.setdefault(int(np.searchsorted(frequencies, item.frequency)), []).append(item.frequency)
+    share = A_MODE / max(len(between), 1)
+    findings = []
+    for place, resonances in sorted(between.items()):
+        moved = modes + (np.arange(len(modes)) >= place)
+        if not 0 < place < len(modes) or moved[-1] > stories:
+            continue
+        below, above, at = modes[place - 1], modes[place], listed([f"{each:.4g}" for each in resonances])
+        findings.append(
+            Finding(
+                OVERLOOKED,
+                f"between modes {below} and {above} lies a resonance that is not among them, at {at} Hz; if it is a "
+                f"mode of the frame, what is called mode {above} is mode {above + 1}, and so on (written as "
+                f"other_modes, with a probability of {100 * share:.0f} %)",
+                {"frequency": resonances[0], "modes": moved.tolist(), "probability": share},
+            )
+        )
+    return findings
+
+
+def left_out(candidates: Sequence[PoleCandidate], chosen: Sequence[PoleCandidate]) -> list[PoleCandidate]:
+    """The candidates that are resonances of something, and not among those chosen."""
+    taken = {item.members for item in chosen}
+    return [item for item in candidates if (item.physical or item.shaky) and item.members not in taken]
+
+
 SIGNIFICANT = 3.0
 """Standard deviations."""
 LEAST_TURN = 1.0
@@ -38,20 +93,9 @@ def modal_findings(
     lost: int,
     *,
     wanted: int,
-    accept_swapped: bool,
 ) -> list[Finding]:
-    """Everything the modes say about the record they came from; `wanted` is how many modes were asked for.
-
-    Raises
-    ------
-    InputError
-        Where two channels are swapped and `accept_swapped` is false.
-    """
-    found = signs_and_swaps(record, full.real)
-    swapped = [finding for finding in found if finding.kind == "swapped channels"]
-    if swapped and not accept_swapped:
-        raise InputError(swapped[0].message)
-    found += clock_findings(result, full)
+    """Everything the modes say about the record they came from; `wanted` is how many modes were asked for."""
+    found = clock_findings(result, full)
     found += resolution_findings(record, result)
     found += reciprocity_findings(full, setting)
     found += amplitude_findings(setting, result)
@@ -94,45 +138,6 @@ def clock_findings(result: ModalResult, full: Details) -> list[Finding]:
             )
         )
     return found
-
-
-def signs_and_swaps(record: Record, shapes: Floats) -> list[Finding]:
-    """Channels of the wrong sign, or in each other's place, by what the modes of a shear frame look like.
-
-    One change of sign, or one exchange of two channels, that mends all the modes found is named; where none
-    is needed, or the record needs more than one, nothing is said.
-    """
-    if shapes.shape[1] != record.stories or record.stories < 2 or signs.fits(shapes):
-        return []
-    first = shapes[0] / shapes[0][np.argmax(np.abs(shapes[0]))]
-    turned = signs.flipped(shapes)
-    if turned is not None:
-        channel = record.channels[turned]
-        return [
-            Finding(
-                "sign",
-                f"{channel} moves against all the others in the lowest mode, {_listed(first)} from the ground up; "
-                "turned round, every mode has as many changes of sign as a shear frame's; check its sign in the record "
-                "file",
-                {"channel": channel.name, "first_mode": first.tolist()},
-            )
-        ]
-    pair = signs.exchanged(shapes)
-    if pair is None:
-        return []
-    low, high = (record.channels[place] for place in pair)
-    return [
-        Finding(
-            "swapped channels",
-            f"{low} and {high} look swapped: the lowest mode is {_listed(first)} from the ground up, which no shear "
-            "frame has; exchanged, every mode has the signs of one. Exchange their floors in the record file",
-            {"channels": [low.name, high.name], "first_mode": first.tolist()},
-        )
-    ]
-
-
-def _listed(shape: Floats) -> str:
-    return "(" + ", ".join(f"{entry:.3f}" for entry in shape) + ")"
 
 
 def resolution_findings(record: Record, result: ModalResult) -> list[Finding]:

@@ -14,9 +14,8 @@ import numpy as np
 from scipy import signal
 
 from cvxshear.modal.frf import Spectra, hit_spectra, table_spectra
-from cvxshear.modal.prepare import detrended, impulsive, without_offset
-from cvxshear.modal.record import FrfRecord, Record, TimeRecord
-from cvxshear.modal.runs import Complexes
+from cvxshear.records.record import Complexes, FrfRecord, Record, TimeRecord
+from cvxshear.records.signals import detrended, impulsive, without_offset
 from cvxshear.util.typing import Floats, Ints
 
 LINES = 512

@@ -6,7 +6,7 @@ import numpy as np
 
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.result import ModalResult
-from cvxshear.modal.runs import Complexes
+from cvxshear.records.record import Complexes
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats
 

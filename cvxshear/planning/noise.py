@@ -28,8 +28,9 @@ from cvxshear.util.typing import Floats, Ints
 KINDS = ("ambient", "shaker", "hammer")
 
 HAMMER = 0.35
-"""Of the shaker's factor: between blows a hammer's force is known to be zero. From `python -m cvxshear.modal.study`,
-whose hammer records have frequencies that scatter 0.22 to 0.34 times as much as the law with the whole noise says."""
+"""Of the shaker's factor: between blows a hammer's force is known to be zero. From the study
+`python -m tests.benchmarks.records`, whose hammer records have frequencies that scatter 0.22 to 0.34 times as much as
+the law with the whole noise says."""
 
 BAND = 10.0
 """kappa: the band of data around a mode that identification uses is f (1 +- kappa zeta)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cvxshear.modal.motion import Drive
+from cvxshear.records.motion import Drive
 from cvxshear.response.family import Family
 from cvxshear.response.hold import held_at
 from cvxshear.response.instants import possible_instants

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.fit.results import plain
-from cvxshear.modal.motion import Motion
+from cvxshear.records.motion import Motion
 from cvxshear.response.model import DampedModel, Response
 from cvxshear.response.transfer import Transfer, errors, peak, power_at, segment, transfer
 from cvxshear.util.typing import Floats, Ints, Json

@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from cvxshear.modal.motion import Drive
 from cvxshear.model.shear import Modes, modes
+from cvxshear.records.motion import Drive
 from cvxshear.response.hold import held
 from cvxshear.response.poles import Poles, modal_damping, poles
 from cvxshear.util.errors import InputError

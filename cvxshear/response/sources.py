@@ -16,8 +16,8 @@ from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import Closure, close_loop
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.modal import Record
-from cvxshear.modal.motion import Motion
-from cvxshear.modal.record import FrfRecord, TimeRecord
+from cvxshear.records.motion import Motion
+from cvxshear.records.record import FrfRecord, TimeRecord
 from cvxshear.response.fitted import Fitted, Models
 from cvxshear.util.checks import choice, shown
 from cvxshear.util.errors import InputError

@@ -14,7 +14,7 @@ from cvxshear.util.typing import Json
 
 
 class Remark(Protocol):
-    """What a record's own diagnostics say, see `cvxshear.modal.findings`."""
+    """What a record's own diagnostics say, see `cvxshear.records.record`."""
 
     @property
     def kind(self) -> str:

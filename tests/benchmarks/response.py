@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 from scipy import signal
 
-from cvxshear.modal.motion import Drive
+from cvxshear.records.motion import Drive
 from cvxshear.response import DampedModel, response
 from cvxshear.response.batch import batch_peaks
 from cvxshear.response.family import Family

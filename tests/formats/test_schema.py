@@ -15,7 +15,7 @@ from cvxshear.campaign import IdentifiedRecord, merged
 from cvxshear.cli.records import _said
 from cvxshear.files.template import template
 from cvxshear.modal import from_arrays, identify_modes
-from cvxshear.modal.simulate import PAPER_FRAME, base_record
+from cvxshear.records.simulate import PAPER_FRAME, base_record
 from cvxshear.util.errors import InputError
 from tests.frames import EXAMPLES, MEASURED
 

@@ -8,7 +8,7 @@ import pytest
 from cvxshear.files.modes import modes_from_file
 from cvxshear.files.record import read_record
 from cvxshear.modal import Channel, FrfRecord, FrfRun, Run, TimeRecord, identify_modes
-from cvxshear.modal.simulate import PAPER_FRAME, base_record
+from cvxshear.records.simulate import PAPER_FRAME, base_record
 from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError, UnsuitableError
 from tests.modal.shared import csv
 

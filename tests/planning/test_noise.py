@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from cvxshear.modal.simulate import PAPER_FRAME
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.planning.noise import BAND, Declared, Recorded, band_factors
+from cvxshear.records.simulate import PAPER_FRAME
 from cvxshear.util.errors import InputError
 
 WHICH = np.arange(3)
@@ -51,7 +51,7 @@ def test_four_times_the_record_halves_every_standard_deviation():
     ],
 )
 def test_the_laws_are_what_simulated_records_scatter_by(kind, duration, frequency, entries):
-    """Root mean square errors, %, of twenty seeds with 5 % noise, as `python -m cvxshear.modal.study` prints them."""
+    """Root mean square errors, %, of twenty seeds with 5 % noise: `python -m tests.benchmarks.records` prints them."""
     expected = Recorded(kind, duration, damping=0.01, noise=0.05).of(paper_modes(), PAPER_FRAME.masses, WHICH)
     for law, seen in zip(expected, (frequency, entries), strict=True):
         ratio = np.array(seen) / (100 * law)

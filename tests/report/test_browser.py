@@ -14,8 +14,8 @@ import cvxshear
 from cvxshear import backends
 from cvxshear.fit.efficient import efficient
 from cvxshear.modal import identify_modes
-from cvxshear.modal.motion import Drive, Motion
-from cvxshear.modal.simulate import PAPER_FRAME, base_record, hammer_record
+from cvxshear.records.motion import Drive, Motion
+from cvxshear.records.simulate import PAPER_FRAME, base_record, hammer_record
 from cvxshear.report.describe import describe
 from cvxshear.report.html import write_prediction_report, write_report
 from cvxshear.report.modal_html import write_modal_report

@@ -9,7 +9,7 @@ import pytest
 
 import cvxshear
 from cvxshear.modal import from_arrays, identify_modes
-from cvxshear.modal.simulate import PAPER_FRAME, KnownFrame, base_record, hammer_record, shaker_record
+from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, base_record, hammer_record, shaker_record
 from cvxshear.report import figures
 from cvxshear.report.figures.residual import _decades
 from cvxshear.report.shapes import mode_shapes

@@ -6,8 +6,8 @@ import pytest
 import cvxshear
 from cvxshear import backends
 from cvxshear.fit.efficient import efficient
-from cvxshear.modal.motion import Drive, Motion
 from cvxshear.model.shear import modes
+from cvxshear.records.motion import Drive, Motion
 from cvxshear.response import DampedModel, Fitted, batch_peaks, predict, predict_many, response, sample_peaks
 from cvxshear.response.family import Family
 from cvxshear.response.hold import held, held_at

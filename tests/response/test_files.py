@@ -13,8 +13,8 @@ import cvxshear
 from cvxshear import effects
 from cvxshear.effects import Placed
 from cvxshear.files.uff import read_uff
-from cvxshear.modal.motion import Drive, Motion
 from cvxshear.paper.three_story import ThreeStory
+from cvxshear.records.motion import Drive, Motion
 from cvxshear.report.handover import write_model
 from cvxshear.report.series import write_series
 from cvxshear.response import Fitted, Models, predict

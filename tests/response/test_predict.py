@@ -11,7 +11,7 @@ from cvxshear import backends, effects
 from cvxshear.effects import Placed
 from cvxshear.fit.efficient import efficient
 from cvxshear.modal import Channel, Run, TimeRecord
-from cvxshear.modal.motion import Drive, Motion
+from cvxshear.records.motion import Drive, Motion
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
 from cvxshear.response.series import series
 from cvxshear.response.transfer import peak

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from cvxshear.modal import ModalResult
-from cvxshear.modal.shapes import mac, scaled_to_one
+from cvxshear.records.shapes import mac, scaled_to_one
 from cvxshear.report.figures.mac import draw_matrix
 from cvxshear.report.figures.style import (
     AFTER,

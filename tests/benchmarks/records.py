@@ -1,6 +1,6 @@
 """How near the identified modes come to a known frame's, and whether the stated standard deviations hold.
 
-Run `python -m cvxshear.modal.study` for the figures in docs/modal.md.
+Run `python -m tests.benchmarks.records` for the figures in docs/modal.md.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.modal.identify import identify_modes
-from cvxshear.modal.record import TimeRecord
 from cvxshear.modal.result import ModalResult
-from cvxshear.modal.shapes import scaled_to_one
-from cvxshear.modal.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
+from cvxshear.records.record import TimeRecord
+from cvxshear.records.shapes import scaled_to_one
+from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
 from cvxshear.util.typing import Floats, Json
 
 MAKERS: dict[str, Callable[..., TimeRecord]] = {

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, signal
 
-from cvxshear.modal.record import TimeRecord
-from cvxshear.modal.runs import Channel, Run
+from cvxshear.records.record import Channel, Run, TimeRecord
 from cvxshear.util.typing import Floats
 
 OVERSAMPLING = 8

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import signal
 
 from cvxshear.measurement.experiment import MOST_STORIES
-from cvxshear.modal.record import Record, TimeRecord
+from cvxshear.records.record import Record, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints

@@ -1,10 +1,15 @@
-"""Comparing complex shapes, and the real normal mode behind one."""
+"""Mode shapes: how alike, how real, how often they change sign, and what those of a shear frame look like.
+
+The stiffness matrix of a shear frame is a Jacobi matrix, so mode r changes sign r - 1 times from the ground up
+(Gantmacher and Krein 1950), and the first mode grows with height.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from cvxshear.modal.runs import Complexes
+from cvxshear.measurement.sign_rule import fewest_changes, most_changes
+from cvxshear.records.record import Complexes
 from cvxshear.util.typing import Floats
 
 RULES = ("magnitude", "projection")
@@ -78,8 +83,7 @@ def lost_phase(shape: Complexes) -> float:
 
 def sign_changes(shape: Floats) -> int:
     """How often the shape changes sign from the ground up."""
-    signs = np.sign(shape[shape != 0])
-    return int(np.sum(signs[1:] != signs[:-1]))
+    return fewest_changes(np.sign(shape))
 
 
 def possible_changes(shape: Floats, tolerance: float) -> tuple[int, int]:
@@ -94,10 +98,8 @@ def possible_changes(shape: Floats, tolerance: float) -> tuple[int, int]:
     tolerance : float
         Of the largest entry.
     """
-    sure = np.flatnonzero(np.abs(shape) > tolerance * np.abs(shape).max())
-    distance, differ = np.diff(sure), np.diff(np.sign(shape[sure])) != 0
-    within = np.sum(distance - (distance % 2 != differ))
-    return int(differ.sum()), int(within + sure[0] + len(shape) - 1 - sure[-1])
+    signs = np.where(np.abs(shape) > tolerance * np.abs(shape).max(), np.sign(shape), 0.0)
+    return fewest_changes(signs), most_changes(signs)
 
 
 def scaled_to_one(shape: Floats) -> Floats:
