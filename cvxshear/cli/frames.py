@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,14 +10,20 @@ import typer
 
 from cvxshear.cli.checked import input_files
 from cvxshear.cli.output import (
+    AuthorOption,
     BackendName,
+    ClientOption,
+    DateOption,
     File,
     Files,
     JsonOut,
+    PhotographOption,
     Quiet,
     ReportOut,
+    TitleOption,
     UnitsOption,
     deliver,
+    heading_of,
     names,
     numbers,
     progress,
@@ -63,15 +70,15 @@ def identify(
     Example: cvxshear identify paper --method two-stage
     """
     # The solvers load slowly, and help needs none of them.
+    from cvxshear import Identification, load
     from cvxshear import identify as run
-    from cvxshear import load
     from cvxshear.report import terminal
     from cvxshear.report.sheets import sheets_of_identification
     from cvxshear.response import Fitted, damping_of
     from cvxshear.screening import refuse_mistakes
     from cvxshear.util.quantities import Units
 
-    pictures, tables, display = Pictures(figure, "identification"), Spreadsheets(csv, xlsx), Units.parse(units)
+    pictures, tables, display = Pictures(figure, Identification), Spreadsheets(csv, xlsx), Units.parse(units)
     experiment, start = load(file), numbers(initial_mass, "--initial-mass")
     doubts = refuse_mistakes(experiment)
     named = method or ("efficient" if start is None else "two-stage")
@@ -113,6 +120,11 @@ def loop(
     backend: BackendName = "auto",
     jobs: Annotated[int, typer.Option(help="Processes that fit candidates; -1 takes every core.")] = 1,
     report: ReportOut = None,
+    title: TitleOption = None,
+    client: ClientOption = None,
+    author: AuthorOption = None,
+    date: DateOption = None,
+    photograph: PhotographOption = None,
     validate: Annotated[
         str | None,
         typer.Option(
@@ -130,18 +142,22 @@ def loop(
 
     Example: cvxshear loop paper
     """
-    from cvxshear import close_loop
+    from cvxshear import Closure, close_loop
     from cvxshear.report import terminal
     from cvxshear.report.sheets import sheets_of_closure
     from cvxshear.response import damping_of, models_of_loop, predict
     from cvxshear.screening import refuse_mistakes
     from cvxshear.util.quantities import Units
 
-    pictures, tables, display = Pictures(figure, "closure"), Spreadsheets(csv, xlsx), Units.parse(units)
+    pictures, tables, display = Pictures(figure, Closure), Spreadsheets(csv, xlsx), Units.parse(units)
     if report is not None:
-        from cvxshear.report.html import write_report
+        from cvxshear.report.html import photograph_of, write_report
+    said_of_it = heading_of(report, title=title, client=client, author=author, date=date, photograph=photograph)
     with progress("closing the loop", quiet) as advance:
         experiment, found = measured(sources, jobs=jobs, progress=advance)
+        heading = dataclasses.replace(experiment.report, **said_of_it)
+        if report is not None:
+            photograph_of(heading)
         # A record has no numbers to put right, and who names others asks for it: they are weighed with the effects.
         weighed = [each.name for each in experiment.configurations if found or each.other_modes]
         doubts = refuse_mistakes(experiment, weighed)
@@ -161,7 +177,7 @@ def loop(
     files = [*pictures.of(result), *tables.of(lambda: sheets_of_closure(result))]
     if report is not None:
         command = shell_line(["cvxshear", *typed])
-        files.append(lambda: write_report(result, report, command, units=display, prediction=tried))
+        files.append(lambda: write_report(result, report, command, units=display, prediction=tried, heading=heading))
     beside = _damping_of(damping) if tried is None else ("", *terminal.shown(tried))
     deliver(
         said,

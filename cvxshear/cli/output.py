@@ -61,6 +61,13 @@ ReportOut = Annotated[
     str | None,
     writes("--report", what="Write a report, one HTML file.", metavar="OUT.html", endings=(".html", ".htm")),
 ]
+TitleOption = Annotated[str | None, typer.Option("--title", help="Title of the report.")]
+ClientOption = Annotated[str | None, typer.Option("--client", help="For whom the report is.")]
+AuthorOption = Annotated[str | None, typer.Option("--author", help="Who answers for the report.")]
+DateOption = Annotated[str | None, typer.Option("--date", help="Date of the report.")]
+PhotographOption = Annotated[
+    str | None, typer.Option("--photograph", help="A PNG or JPEG that the report shows.", callback=input_files)
+]
 MeasurementOut = Annotated[
     str | None,
     writes(
@@ -152,6 +159,22 @@ def deliver(
         raise InputError("; ".join(failures))
 
 
+def heading_of(report: str | None, **parts: str | None) -> dict[str, str]:
+    """What the command line says for the head of a report.
+
+    Raises
+    ------
+    InputError
+        Where no report is asked for, or a text is empty.
+    """
+    from cvxshear.util import checks
+
+    given = {key: checks.text(value, f"--{key}") for key, value in parts.items() if value is not None}
+    if given and report is None:
+        raise InputError(f"--{next(iter(given))} belongs to a report: add --report OUT.html")
+    return given
+
+
 def figures_for(*paths: str | None) -> ModuleType | None:
     """The figures, where one is asked for; a wrong ending or a missing package is told before anything runs."""
     asked = [path for path in paths if path is not None]
@@ -159,7 +182,7 @@ def figures_for(*paths: str | None) -> ModuleType | None:
         return None
     try:
         from cvxshear.report import figures
-        from cvxshear.report.figures.output import kind_of
+        from cvxshear.report.figures.style import kind_of
     except ImportError as error:
         raise InputError(f"--figure needs {error.name}: pip install matplotlib") from error
     for path in asked:

@@ -21,14 +21,6 @@ if TYPE_CHECKING:
     from cvxshear.response.sources import ModelSource
     from cvxshear.screening import Finding
 
-FIGURES = {
-    "history": "response_histories",
-    "peaks": "response_peaks",
-    "transfer": "transfer_functions",
-    "spectra": "floor_spectra",
-}
-"""Functions of `report.figures` by the words of --figure."""
-
 
 def predict(
     context: typer.Context,
@@ -70,7 +62,7 @@ def predict(
     figure: Annotated[
         list[str] | None,
         typer.Option(
-            help=f"Draw {', '.join(FIGURES)} into a file: KIND:OUT.svg, .png or .pdf; may be repeated.",
+            help="Draw history, peaks, transfer or spectra into a file: KIND:OUT.svg, .png or .pdf; may be repeated.",
             metavar="KIND:OUT",
         ),
     ] = None,
@@ -134,7 +126,7 @@ class Files:
 
     def __init__(self, series: str | None, models: list[str], figures: list[str]) -> None:
         from cvxshear.report.handover import model_kind
-        from cvxshear.report.series import series_kind
+        from cvxshear.report.series_files import series_kind
 
         self.series, self.models = series, models
         self.figures = [_figure(each) for each in figures]
@@ -147,7 +139,7 @@ class Files:
     def claim(self, context: typer.Context) -> None:
         """Refuse, before the run, what could not be written, or would be written over what is read."""
         from cvxshear.report import handover
-        from cvxshear.report import series as tables
+        from cvxshear.report import series_files as tables
 
         if self.series is not None:
             claim(context, "--out", self.series, [f".{kind}" for kind in tables.WRITERS])
@@ -159,7 +151,7 @@ class Files:
     def of(self, result: RecordPrediction) -> list[Callable[[], None]]:
         """What writes each of them."""
         from cvxshear.report.handover import write_model
-        from cvxshear.report.series import write_series
+        from cvxshear.report.series_files import write_series
 
         writers = [] if self.series is None else [partial(write_series, self.series, result)]
         writers += [partial(write_model, each, result) for each in self.models]
@@ -167,12 +159,19 @@ class Files:
 
     def _draw(self, kind: str, path: str, result: RecordPrediction) -> None:
         if self.drawing is not None:
-            self.drawing.save(getattr(self.drawing, FIGURES[kind])(result), path)
+            self.drawing.save(self.drawing.drawn_figure(kind, result), path)
 
 
 def _figure(text: str) -> tuple[str, str]:
     """Kind and file of a figure."""
     kind, mark, path = text.partition(":")
-    if not mark or kind not in FIGURES or not path:
-        raise InputError(f"--figure must be KIND:OUT, such as peaks:peaks.svg, KIND one of {', '.join(FIGURES)}")
+    if not mark or not path:
+        raise InputError("--figure must be KIND:OUT, such as peaks:peaks.svg")
+    figures_for(path)
+    from cvxshear.report.figures import figures_of
+    from cvxshear.response import RecordPrediction
+
+    known = figures_of(RecordPrediction)
+    if kind not in known:
+        raise InputError(f"--figure must be KIND:OUT, such as peaks:peaks.svg, KIND one of {', '.join(known)}")
     return kind, path

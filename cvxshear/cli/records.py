@@ -65,10 +65,11 @@ def modes(
     """
     from cvxshear.campaign import identify_modes_many, write_merged
     from cvxshear.files.uff import write_uff
+    from cvxshear.modal import ModalResult
     from cvxshear.report.sheets import sheets_of_modes
 
     sources = _files(records, output)
-    pictures, tables = Pictures(figure, "records"), Spreadsheets(csv, xlsx)
+    pictures, tables = Pictures(figure, ModalResult), Spreadsheets(csv, xlsx)
     if report is not None:
         from cvxshear.report.modal_html import write_modal_report
     options = {

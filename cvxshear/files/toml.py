@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import re
 import tomllib
@@ -66,6 +67,9 @@ def load(path: str | Path) -> Experiment:
         )
     try:
         experiment = Experiment.from_dict(with_modes_read(declared, path.parent), name=named_after(path))
+        if experiment.report.photograph is not None:
+            beside = dataclasses.replace(experiment.report, photograph=str(path.parent / experiment.report.photograph))
+            experiment = dataclasses.replace(experiment, report=beside)
         for expected in experiment.expected:
             checks.choice(expected.name, [effect.name for effect in catalogue()], "effect: name")
         return experiment

@@ -1,8 +1,9 @@
-"""What is declared of the frame itself: its stories, masses and weight, and how its damping is modelled."""
+"""What is declared of the frame itself, how its damping is modelled, and what a report says of the test."""
 
 from __future__ import annotations
 
 import dataclasses
+import datetime
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -163,3 +164,47 @@ class Damping:
     def from_dict(declared: object) -> Damping:
         """The damping that the table `[damping]` of a measurement file declares."""
         return Damping(**checks.keys(declared, ["kind"], [], "damping"))
+
+
+@dataclass(frozen=True)
+class Heading:
+    """What a report says of the test besides its results; each part is None where nobody said it.
+
+    Parameters
+    ----------
+    title, client, author, test : str, optional
+    date : str, optional
+    photograph : str, optional
+        Name of a PNG or JPEG file.
+    """
+
+    title: str | None = None
+    client: str | None = None
+    author: str | None = None
+    date: str | None = None
+    test: str | None = None
+    photograph: str | None = None
+
+    @staticmethod
+    def from_dict(declared: object) -> Heading:
+        """The heading that the table `[report]` of a measurement file declares.
+
+        Raises
+        ------
+        InputError
+            Where a key is unknown or its value no text.
+        """
+        table = dict(checks.keys(declared, [item.name for item in dataclasses.fields(Heading)], [], "report"))
+        # TOML has dates of its own.
+        if isinstance(table.get("date"), datetime.date):
+            table["date"] = table["date"].isoformat()
+        return Heading(**{key: checks.text(value, f"report: {key}") for key, value in table.items()})
+
+    def to_dict(self) -> Json:
+        """The table that declares it in a measurement file."""
+        return {key: value for key, value in dataclasses.asdict(self).items() if value is not None}
+
+    @property
+    def lines(self) -> list[tuple[str, str]]:
+        """Names and texts that stand below the title."""
+        return [(key, value) for key, value in self.to_dict().items() if key not in ("title", "photograph")]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from cvxshear.measurement.configuration import Configuration
-from cvxshear.measurement.declaration import DAMPING_KINDS, Damping, Frame
+from cvxshear.measurement.declaration import DAMPING_KINDS, Damping, Frame, Heading
 from cvxshear.measurement.expected_effect import ExpectedEffect
 from cvxshear.measurement.static_test import StaticTest
 from cvxshear.priors import Prior, check_quantity
@@ -50,6 +50,8 @@ class Experiment(Shown):
     expected : sequence of ExpectedEffect, optional
         What is known beforehand of effects that the shear model lacks.
     damping : Damping, optional
+    report : Heading, optional
+        What a report says of the test: title, client, author, date, photograph.
 
     Raises
     ------
@@ -64,6 +66,7 @@ class Experiment(Shown):
     static: tuple[StaticTest, ...] = ()
     expected: tuple[ExpectedEffect, ...] = ()
     damping: Damping = field(default_factory=Damping)
+    report: Heading = field(default_factory=Heading)
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -185,7 +188,7 @@ class Experiment(Shown):
         """
         frame_keys = {item.name: "[frame]" for item in dataclasses.fields(Frame)}
         tested_keys = {item.name: "[[configuration]]" for item in dataclasses.fields(Configuration)}
-        tables = ["frame", "configuration", "prior", "static", "effect", "damping"]
+        tables = ["frame", "configuration", "prior", "static", "effect", "damping", "report"]
         table = checks.keys(declared, tables, [], "the measurement file", elsewhere={**tested_keys, **frame_keys})
         if table.get("configuration") is None:
             raise InputError("at least one [[configuration]] is needed: none was found")
@@ -207,7 +210,8 @@ class Experiment(Shown):
             for place, item in enumerate(_tables(table.get("effect"), "effect"), 1)
         )
         damping = Damping() if table.get("damping") is None else Damping.from_dict(table["damping"])
-        return Experiment(frame, configurations, tuple(priors), name, static, expected, damping)
+        report = Heading() if table.get("report") is None else Heading.from_dict(table["report"])
+        return Experiment(frame, configurations, tuple(priors), name, static, expected, damping, report)
 
     def to_dict(self) -> Json:
         """The dict of the measurement file's shape that declares this experiment."""
@@ -221,6 +225,8 @@ class Experiment(Shown):
         result["configuration"] = [each.to_dict() for each in self.configurations]
         if self.static:
             result["static"] = [each.to_dict() for each in self.static]
+        if self.report != Heading():
+            result["report"] = self.report.to_dict()
         return result
 
     @property

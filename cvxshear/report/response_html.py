@@ -2,47 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
-from cvxshear.report import figures
-from cvxshear.report.contents import readable_json, versions
 from cvxshear.report.describe import describe
-from cvxshear.report.drawings import drawings
-from cvxshear.report.pages import environment
+from cvxshear.report.pages import drawings, environment, readable_json, versions
 from cvxshear.response import RecordPrediction
 from cvxshear.util.typing import Json
 from cvxshear.util.writing import write_file
-
-CAPTIONS = {
-    "history": (
-        "Accelerations of the floors over time, predicted and measured.",
-        "Total accelerations of the floors around the strongest motion: predicted (dashed), with the band that holds "
-        "95\N{NO-BREAK SPACE}% by the deviations of masses, stiffnesses, effects and damping, and, where the record "
-        "has them, measured.",
-    ),
-    "transfer": (
-        "Sizes of the transfer functions from the excitation to the floors: measured, before and after.",
-        "Size of each floor's transfer function: measured, of the shear model (before), and of the model with what the "
-        "loop found (after). All go through the same estimate.",
-    ),
-    "peaks": (
-        "Peaks over the height; the numbers are in the table above.",
-        "Peaks over the height with error bars that hold 95\N{NO-BREAK SPACE}%; circles are measured.",
-    ),
-    "spectra": (
-        "Response spectra of the floors.",
-        "Peak acceleration of an oscillator on each floor: what equipment there is shaken by.",
-    ),
-}
-"""For each figure what it is to whoever cannot see it, and what stands below it."""
-
-ONE_MODEL = {
-    "transfer": (
-        "Sizes of the transfer functions from the excitation to the floors: measured and predicted.",
-        "Size of each floor's transfer function, measured and predicted. Both go through the same estimate.",
-    ),
-}
-"""The same where nothing was added to the shear model, so that before and after are one."""
 
 
 def write_prediction_report(result: RecordPrediction, path: str | Path, command: str) -> None:
@@ -84,18 +51,10 @@ def prediction_contents(result: RecordPrediction) -> Json:
     result : RecordPrediction
     """
     drawn = {
-        "history": figures.response_histories(result),
-        "peaks": figures.response_peaks(result),
-        "spectra": figures.floor_spectra(result),
+        name: dataclasses.replace(each, section=f"predicted-{each.section}") for name, each in drawings(result).items()
     }
-    figures_of: dict[str, tuple[str, ...]] = {"peaks": ("history", "peaks", "spectra")}
-    if result.after.comparison is not None:
-        drawn["transfer"] = figures.transfer_functions(result)
-        figures_of = {"errors": ("history", "transfer"), "peaks": ("peaks", "spectra")}
     return {
         "prediction": describe(result),
         "prediction_json": readable_json(result.to_dict()),
-        "captions": CAPTIONS | (ONE_MODEL if result.otherwise_before is None else {}),
-        "figures_of": figures_of,
-        "figure": drawings(drawn),
+        "figure": drawn,
     }

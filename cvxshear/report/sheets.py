@@ -10,7 +10,7 @@ from cvxshear.loop import Closure
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.methods import Identification
 from cvxshear.modal import ModalResult
-from cvxshear.report.describe.errors import ERRORS
+from cvxshear.report.describe.before_after import ERRORS
 from cvxshear.util.typing import Json
 
 FRAME = ("floor / story", "floor mass, kg", "floor mass std, kg", "story stiffness, N/m", "story stiffness std, N/m")

@@ -14,11 +14,10 @@ from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.posterior import Rival
 from cvxshear.report import terminal
 from cvxshear.report.describe import describe
-from cvxshear.report.describe.frame import frame_table
 from cvxshear.report.describe.headline import change_in_words, headline
-from cvxshear.report.describe.parameters import in_words
+from cvxshear.report.describe.identified import frame_table, in_words
 from cvxshear.report.describe.vocabulary import Table, plain_rows
-from cvxshear.report.house_table import plain_table
+from cvxshear.report.terminal import plain_table
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import (
     Units,

@@ -13,10 +13,9 @@ from matplotlib.figure import Figure
 
 import cvxshear
 from cvxshear.report import figures
-from cvxshear.report.figures.mac import written
-from cvxshear.report.figures.output import inline_svg
-from cvxshear.report.figures.style import letters, power_of_ten, spread
-from cvxshear.report.shapes import mac_tables, mode_shapes
+from cvxshear.report.figures.drawn_shapes import mac_tables, mode_shapes
+from cvxshear.report.figures.modal_figures import written
+from cvxshear.report.figures.style import inline_svg, letters, power_of_ten, spread
 from cvxshear.util.errors import InputError
 
 ODDS = [1.0] + [0.0] * 13

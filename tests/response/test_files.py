@@ -16,7 +16,7 @@ from cvxshear.files.uff import read_uff
 from cvxshear.paper.three_story import ThreeStory
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.report.handover import write_model
-from cvxshear.report.series import write_series
+from cvxshear.report.series_files import write_series
 from cvxshear.response import Fitted, Models, predict
 from cvxshear.response.handover import matrices
 from cvxshear.response.series import series

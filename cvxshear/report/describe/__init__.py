@@ -1,19 +1,17 @@
 """Results in words: one description each, which terminal, report, notebook and `print` arrange."""
 
 from cvxshear.report.describe import (
-    closure,
-    comparison,
-    damping,
-    experiment,
-    identification,
-    modal,
+    backends_compared,
+    before_after,
+    closed_loop,
+    from_records,
+    identified,
+    measured,
     noise_study,
     plan,
     prediction,
-    screening,
 )
-from cvxshear.report.describe.dispatch import describe, line
-from cvxshear.report.describe.vocabulary import Document, Facts, Points, Row, Section, Sentence, Table
+from cvxshear.report.describe.vocabulary import Document, Facts, Points, Row, Section, Sentence, Table, describe, line
 
 __all__ = [
     "Document",
@@ -23,16 +21,15 @@ __all__ = [
     "Section",
     "Sentence",
     "Table",
-    "closure",
-    "comparison",
-    "damping",
+    "backends_compared",
+    "before_after",
+    "closed_loop",
     "describe",
-    "experiment",
-    "identification",
+    "from_records",
+    "identified",
     "line",
-    "modal",
+    "measured",
     "noise_study",
     "plan",
     "prediction",
-    "screening",
 ]

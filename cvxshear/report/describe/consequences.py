@@ -129,7 +129,7 @@ def _stiffness(found: list[Change], units: Units) -> Iterator[str]:
         f"It {word} {abs(most.stiffness[story]) / factor:.3g} {unit}, {percent(abs(shares[worst, story]))} of the "
         f'story stiffness, {way} story {story + 1} in "{most.configuration}"'
     )
-    if (worst, story) != (least, other):
+    if (worst, story) != (least, other) and abs(shares[least, other]) > NOTHING:
         sentence += (
             f', where it does most; least in story {other + 1} in "{found[int(least)].configuration}": '
             f"{percent(abs(shares[least, other]))}"

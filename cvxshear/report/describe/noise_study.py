@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from cvxshear.report.describe.dispatch import describe, line
-from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, plain_rows
+from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, describe, line, plain_rows
 from cvxshear.studies import NoiseStudy
 from cvxshear.studies.noise_table import blocks, note
 from cvxshear.util.quantities import AUTOMATIC, Units, counted

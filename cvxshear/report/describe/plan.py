@@ -6,8 +6,7 @@ import numpy as np
 
 from cvxshear.planning.apart import SUFFICES
 from cvxshear.planning.results import OPEN, Outlook, Plan
-from cvxshear.report.describe.dispatch import describe
-from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, plain_rows
+from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, describe, plain_rows
 from cvxshear.util.quantities import AUTOMATIC, Units, counted, percent, significant
 from cvxshear.util.typing import Floats
 

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from cvxshear.report.figures.figure_table import figure
 from cvxshear.report.figures.style import (
     COLOURS,
     HATCHES,
@@ -21,7 +22,6 @@ from cvxshear.report.figures.style import (
     grid_of,
     new_figure,
     panels,
-    styled,
 )
 from cvxshear.studies.noise import NoiseStudy
 from cvxshear.studies.scatter import Scatter
@@ -31,7 +31,13 @@ BOX = 0.8
 """Of the distance between two noise levels, what the boxes of all methods take."""
 
 
-@styled
+@figure(
+    "boxes",
+    NoiseStudy,
+    title="Scatter of the estimates",
+    caption="Boxes hold the middle half of the estimates with the median; whiskers reach 1.5 box lengths at most.",
+    alternative="Box plots of the identified masses and stiffnesses at each noise level.",
+)
 def noise_boxes(study: NoiseStudy, methods: tuple[str, ...] = ()) -> Figure:
     """Box plots of the identified masses and stiffnesses at each noise level (the paper's Fig. 5).
 
@@ -71,7 +77,13 @@ def noise_boxes(study: NoiseStudy, methods: tuple[str, ...] = ()) -> Figure:
     return figure
 
 
-@styled
+@figure(
+    "variation",
+    NoiseStudy,
+    title="Coefficients of variation",
+    caption="Coefficient of variation of each estimate over the noise level, beside the Cramér-Rao bound.",
+    alternative="Coefficients of variation of each method beside the Cramér-Rao bound.",
+)
 def noise_variation(study: NoiseStudy, methods: tuple[str, ...] = ()) -> Figure:
     """Coefficients of variation beside the Cramer-Rao bound (the paper's Fig. 6).
 

@@ -12,7 +12,8 @@ from matplotlib.ticker import MaxNLocator
 
 from cvxshear.planning.curve import accuracy_curve
 from cvxshear.planning.results import Plan
-from cvxshear.report.figures.style import AFTER, BEFORE, PALE, QUIET, letters, new_figure, styled
+from cvxshear.report.figures.figure_table import figure
+from cvxshear.report.figures.style import AFTER, BEFORE, PALE, QUIET, letters, new_figure
 
 STORY = 0.24
 """inch a story, at least."""
@@ -24,7 +25,15 @@ WIDTH = 0.9
 """inch a test; its name needs as much."""
 
 
-@styled
+@figure(
+    "plan",
+    Plan,
+    title="The planned tests",
+    caption="Left: the frame of each test with its sensors and the masses to add. Right: the expected accuracy over "
+    "the number of sensors, with the bound below which no choice can be.",
+    alternative="Sensors and added masses of each test, and accuracy over the number of sensors.",
+    section="tests",
+)
 def plan(result: Plan) -> Figure:
     """The frame of each test with the masses to add and the sensors drawn in, and accuracy against number of sensors.
 

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
 
+from cvxshear.report.figures.figure_table import figure
 from cvxshear.report.figures.style import (
     AFTER,
     BEFORE,
@@ -19,7 +20,6 @@ from cvxshear.report.figures.style import (
     logarithmic,
     new_figure,
     panels,
-    styled,
 )
 from cvxshear.response import RecordPrediction
 from cvxshear.response.compare import seen
@@ -45,7 +45,16 @@ def _floors(result: RecordPrediction) -> Ints:
     return np.asarray(floors[chosen][::-1], dtype=np.int64)
 
 
-@styled
+@figure(
+    "history",
+    RecordPrediction,
+    title="Accelerations over time",
+    caption="Total accelerations of the floors around the strongest motion: predicted (dashed), with the band that "
+    "holds 95\N{NO-BREAK SPACE}% by the deviations of masses, stiffnesses, effects and damping, and, where the record "
+    "has them, measured.",
+    alternative="Accelerations of the floors over time, predicted and measured.",
+    section="peaks",
+)
 def response_histories(result: RecordPrediction) -> Figure:
     """Accelerations of the floors over time around the strongest, predicted with a 95 % band, and measured.
 
@@ -94,7 +103,14 @@ def _legend(figure: Figure, axes: Axes) -> None:
     figure.legend(handles, labels, loc="outside upper left", ncols=max(len(labels), 1))
 
 
-@styled
+@figure(
+    "peaks",
+    RecordPrediction,
+    title="Peaks",
+    caption="Peaks over the height with error bars that hold 95\N{NO-BREAK SPACE}%; circles are measured.",
+    alternative="Peaks over the height; the numbers are in the table above.",
+    section="peaks",
+)
 def response_peaks(result: RecordPrediction) -> Figure:
     """Peaks of acceleration, drift and, where masses have a scale, shear over the height, with 95 % error bars.
 
@@ -150,7 +166,17 @@ def _measured_peaks(axes: Axes, result: RecordPrediction) -> None:
         axes.plot(top, result.motion.floors, color=MEASURED, marker="o", mfc="white", ls="none", label="measured")
 
 
-@styled
+@figure(
+    "transfer",
+    RecordPrediction,
+    title="Transfer functions",
+    caption="Size of each floor's transfer function: measured, of the shear model, and, where effects were added, of "
+    "the model with effects. All go through the same estimate.",
+    alternative="Sizes of the transfer functions from the excitation to the floors, measured and predicted.",
+    section="errors",
+    applies=lambda result: result.after.comparison is not None,
+    needs="measured accelerations of floors",
+)
 def transfer_functions(result: RecordPrediction) -> Figure:
     """Sizes of the transfer functions from the excitation to the floors: measured and predicted.
 
@@ -180,8 +206,8 @@ def transfer_functions(result: RecordPrediction) -> Figure:
         column = int(np.flatnonzero(after.floors == floor)[0])
         curves = [(after.measured, MEASURED, "-", "measured"), (after.predicted, AFTER, "--", "predicted")]
         if before is not None:
-            curves[1] = (after.predicted, AFTER, "--", "after")
-            curves.append((before.predicted, BEFORE, ":", "before: shear model"))
+            curves[1] = (after.predicted, AFTER, "--", "with effects")
+            curves.append((before.predicted, BEFORE, ":", "shear model"))
         for of, colour, dashes, label in curves:
             axes.semilogy(lines, np.abs(of.functions[shown, column]), color=colour, ls=dashes, lw=1.1, label=label)
         logarithmic(axes.yaxis, 5)
@@ -198,7 +224,14 @@ def transfer_functions(result: RecordPrediction) -> Figure:
     return figure
 
 
-@styled
+@figure(
+    "spectra",
+    RecordPrediction,
+    title="Floor spectra",
+    caption="Peak acceleration of an oscillator on each floor: what equipment there has to bear.",
+    alternative="Response spectra of the floors.",
+    section="peaks",
+)
 def floor_spectra(result: RecordPrediction) -> Figure:
     """Response spectra of the floors.
 

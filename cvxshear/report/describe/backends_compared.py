@@ -7,35 +7,37 @@ from collections.abc import Iterator
 
 from cvxshear.backends import Comparison, ProgramKind
 from cvxshear.backends.comparison import BackendResult
-from cvxshear.report.describe.dispatch import describe, line
-from cvxshear.report.describe.vocabulary import Block, Document, Points, Row, Section, Sentence, Table
+from cvxshear.report.describe.vocabulary import Block, Document, Points, Row, Section, Sentence, Table, describe, line
 from cvxshear.util.quantities import AUTOMATIC, Units, counted, exponential, significant
 
 
 @describe.register
-def _comparison(of: Comparison, units: Units = AUTOMATIC) -> Document:
-    tables: list[Block] = [part for kind in of.kinds for part in _kind(of, kind)]
-    if of.left_out:
-        tables.insert(0, Sentence(f"Without the paper's programs: {of.left_out}."))
+def _comparison(result: Comparison, units: Units = AUTOMATIC) -> Document:
+    tables: list[Block] = [part for kind in result.kinds for part in _kind(result, kind)]
+    if result.left_out:
+        tables.insert(0, Sentence(f"Without the paper's programs: {result.left_out}."))
     return Document(
-        of.experiment,
-        f"{of.experiment}: {_headline(of)}",
-        (Section("programs", "Programs", tuple(tables)), Section("worst", "All programs", (worst(of),), detail=True)),
+        result.experiment,
+        f"{result.experiment}: {_headline(result)}",
+        (
+            Section("programs", "Programs", tuple(tables)),
+            Section("worst", "All programs", (worst(result),), detail=True),
+        ),
     )
 
 
 @line.register
-def _line(of: Comparison) -> str:
-    return f"<Comparison {of.experiment}: {_headline(of)}>"
+def _line(result: Comparison) -> str:
+    return f"<Comparison {result.experiment}: {_headline(result)}>"
 
 
-def _headline(of: Comparison) -> str:
-    backends = len({row.backend for row in of.rows})
-    return f"{counted(backends, 'backend')} on {counted(len(of.kinds), 'kind')} of programs"
+def _headline(result: Comparison) -> str:
+    backends = len({row.backend for row in result.rows})
+    return f"{counted(backends, 'backend')} on {counted(len(result.kinds), 'kind')} of programs"
 
 
-def _kind(of: Comparison, kind: ProgramKind) -> Iterator[Block]:
-    rows = [row for row in of.rows if row.kind == kind.kind]
+def _kind(result: Comparison, kind: ProgramKind) -> Iterator[Block]:
+    rows = [row for row in result.rows if row.kind == kind.kind]
     name = kind.kind.replace(" ", "-")
     title = f"{programs(kind)}, against the {rows[0].reference}"
     head = ("backend", "difference", "primal", "dual", "gap", "error", "iterations", "told", "time, ms", "time / kkt")
@@ -75,11 +77,11 @@ def _cells(row: BackendResult) -> Iterator[str]:
     yield "–" if row.tolerance is None else exponential(row.tolerance, 1)
 
 
-def worst(of: Comparison) -> Table:
+def worst(result: Comparison) -> Table:
     """For each backend its worst figures over all programs that it takes."""
-    names = dict.fromkeys(row.backend for row in of.rows)
+    names = dict.fromkeys(row.backend for row in result.rows)
     head = ("backend", "programs solved", "largest difference", "largest certificate residual", "remark")
-    rows = tuple(_worst(name, [row for row in of.rows if row.backend == name]) for name in names)
+    rows = tuple(_worst(name, [row for row in result.rows if row.backend == name]) for name in names)
     return Table("backends-table", "Worst figures of each backend over all programs", head, rows, words=(0, 4))
 
 

@@ -1,4 +1,4 @@
-"""The mass iteration on its way."""
+"""How the solution is computed: the mass iteration step by step, and all backends on the same programs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from cvxshear.backends import Comparison
 from cvxshear.methods import Identification, SingleIdentification
+from cvxshear.report.figures.figure_table import figure
 from cvxshear.report.figures.style import (
     COLOURS,
     LINES,
@@ -17,9 +19,11 @@ from cvxshear.report.figures.style import (
     grid_of,
     letters,
     logarithmic,
+    narrow_page,
     new_figure,
+    page_width,
     panels,
-    styled,
+    power_of_ten,
 )
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
@@ -28,7 +32,17 @@ MOST_LINES = 6
 """Floors that have a line each; with more, the largest and the median are drawn."""
 
 
-@styled
+@figure(
+    "convergence",
+    Identification,
+    title="The mass iteration",
+    caption="Error of each floor mass over the iterations of the two-stage method.",
+    alternative="Error of each floor mass over the iterations.",
+    applies=lambda *results: any(
+        part.history is not None and len(part.history) > 1 for result in results for part in result.parts
+    ),
+    needs="a method that iterates on the masses: two-stage",
+)
 def convergence(*results: Identification, true_mass: Floats | None = None) -> Figure:
     """The error of each floor mass over the iterations of the two-stage method (the paper's Fig. 4).
 
@@ -91,3 +105,62 @@ def _panel(axes: Axes, part: SingleIdentification, true_mass: Floats | None) -> 
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     axes.set_xlabel("iteration")
     axes.grid(axis="y")
+
+
+SAME = 1e-17
+"""Where an answer without any difference is drawn: below what a number of 64 bits can tell."""
+
+
+@figure(
+    "backends",
+    Comparison,
+    title="Agreement of the backends",
+    caption="Left: how far each backend's answer is from the closed form (from the median of all where a bound is "
+    "active). Right: its time over that of the closed form, on this machine.",
+    alternative="Differences between the backends and their times; the numbers are in the table that follows.",
+    section="worst",
+    narrow=True,
+)
+def backend_differences(comparison: Comparison) -> Figure:
+    """Each backend's largest difference from the reference, and its time over that of the closed form.
+
+    Parameters
+    ----------
+    comparison : Comparison
+
+    Returns
+    -------
+    Figure
+        One row a backend, one marker a kind of program; a program that a backend does not take has none.
+    """
+    names = list(dict.fromkeys(row.backend for row in comparison.rows))
+    kinds = list(dict.fromkeys(row.kind for row in comparison.rows))
+    stacked = 2 if narrow_page() else 1
+    figure = new_figure(page_width(), stacked * (0.27 * len(names) + 1.7))
+    # Room for the last number of one axis beside the first of the other.
+    left, right = figure.subplots(stacked, 2 // stacked, sharey=True, gridspec_kw={"wspace": 0.08})
+    marks = zip(kinds, assorted(COLOURS, len(kinds)), assorted(MARKERS, len(kinds)), strict=True)
+    offsets = np.linspace(-0.28, 0.28, len(kinds)) if len(kinds) > 1 else np.zeros(1)
+    for place, (kind, colour, marker) in enumerate(marks):
+        rows = [row for row in comparison.rows if row.kind == kind and not row.failure]
+        at = [names.index(row.backend) + offsets[place] for row in rows]
+        # Every other kind is hollow, so that the markers part without their colours too.
+        style = {"ls": "none", "marker": marker, "mec": colour, "mfc": "white" if place % 2 else colour, "ms": 4.0}
+        left.plot([max(row.difference or 0.0, SAME) for row in rows], at, label=kind, **style)
+        right.plot([row.relative_time or np.nan for row in rows], at, **style)
+    left.set_xscale("log")
+    right.set_xscale("log")
+    left.set_xlabel(f"largest relative difference\n(none at all is drawn at {power_of_ten(SAME)})")
+    right.set_xlabel("time / time of the closed form")
+    left.set_xlim(left=SAME / 3)
+    for axes in (left, right):
+        logarithmic(axes.xaxis, most=6)
+        axes.grid(axis="x")
+        axes.tick_params(axis="y", length=0)
+        for edge in np.arange(len(names) - 1) + 0.5:
+            axes.axhline(edge, color="#E6E6E6", lw=0.5, zorder=0)
+    left.set_yticks(range(len(names)), names)
+    left.set_ylim(len(names) - 0.4, -0.6)
+    handles, labels = left.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 2 if narrow_page() else 4))
+    return figure

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.report.describe.dispatch import describe, line
-from cvxshear.report.describe.vocabulary import Block, Document, Facts, Row, Section, Sentence, Table
+from cvxshear.report.describe.vocabulary import Block, Document, Facts, Row, Section, Sentence, Table, describe, line
 from cvxshear.util.quantities import AUTOMATIC, Units, counted, percents, ranged, significant
 from cvxshear.util.typing import Floats
 
@@ -17,55 +16,59 @@ MOST_COLUMNS = 11
 
 
 @describe.register
-def _experiment(of: Experiment, units: Units = AUTOMATIC) -> Document:
-    return Document(of.name, f"{of.name}: {_headline(of)}", (declared(of, units), measured_modes(of, units)))
+def _experiment(experiment: Experiment, units: Units = AUTOMATIC) -> Document:
+    return Document(
+        experiment.name,
+        f"{experiment.name}: {_headline(experiment)}",
+        (declared(experiment, units), measured_modes(experiment, units)),
+    )
 
 
 @line.register
-def _line(of: Experiment) -> str:
-    return f"<Experiment {of.name}: {_headline(of)}>"
+def _line(experiment: Experiment) -> str:
+    return f"<Experiment {experiment.name}: {_headline(experiment)}>"
 
 
-def _headline(of: Experiment) -> str:
-    tests = [counted(len(of.configurations), "configuration")]
-    if of.static:
-        tests.append(counted(len(of.static), "static test"))
-    return f"{counted(of.stories, 'story')}, {', '.join(tests)}"
+def _headline(experiment: Experiment) -> str:
+    tests = [counted(len(experiment.configurations), "configuration")]
+    if experiment.static:
+        tests.append(counted(len(experiment.static), "static test"))
+    return f"{counted(experiment.stories, 'story')}, {', '.join(tests)}"
 
 
-def declared(of: Experiment, units: Units = AUTOMATIC) -> Section:
+def declared(experiment: Experiment, units: Units = AUTOMATIC) -> Section:
     """What was declared of the frame, and each test in a line."""
-    facts = Facts(tuple(_facts(of, units)))
+    facts = Facts(tuple(_facts(experiment, units)))
     # One unit for all, that of the frame itself where its mass is known.
-    sums = [float(each.added_mass.sum()) for each in of.configurations]
-    mass = units.of_mass([*sums, of.frame.known_total or 0.0])
+    sums = [float(each.added_mass.sum()) for each in experiment.configurations]
+    mass = units.of_mass([*sums, experiment.frame.known_total or 0.0])
     head = ("configuration", "modes", "floors", "added mass", "noise")
-    rows = tuple(_test(each, mass) for each in of.configurations)
+    rows = tuple(_test(each, mass) for each in experiment.configurations)
     tests = Table("tests", "What was tested", head, rows, words=(0, 3, 4))
     return Section("declared", "Measured and declared", (facts, tests))
 
 
-def _facts(of: Experiment, units: Units) -> Iterator[tuple[str, str]]:
-    frame = of.frame
-    yield "test", of.name
-    yield "stories", str(of.stories)
+def _facts(experiment: Experiment, units: Units) -> Iterator[tuple[str, str]]:
+    frame = experiment.frame
+    yield "test", experiment.name
+    yield "stories", str(experiment.stories)
     yield "story heights", "not declared" if frame.story_heights is None else listed(frame.story_heights, "m")
-    yield "total mass", f"{_total(of, units)}, without added mass" if frame.known_total else "not declared"
+    yield "total mass", f"{_total(experiment, units)}, without added mass" if frame.known_total else "not declared"
     if frame.reference is not None:
         yield "reference state", frame.reference
-    for each in of.static:
+    for each in experiment.static:
         yield f'static test "{each.name}"', f"displacements of {counted(int(each.measured.sum()), 'floor')}"
-    for prior in of.priors:
+    for prior in experiment.priors:
         yield "known beforehand", prior.describe().replace("_", " ")
-    for expected in of.expected:
+    for expected in experiment.expected:
         yield "expected beforehand", expected.name.replace("_", " ")
 
 
-def _total(of: Experiment, units: Units) -> str:
-    total = of.frame.known_total
+def _total(experiment: Experiment, units: Units) -> str:
+    total = experiment.frame.known_total
     assert total is not None
     factor, unit = units.of_mass([total])
-    off = "" if of.frame.total_mass_std is None else f" ± {100 * of.frame.total_mass_std:g} %"
+    off = "" if experiment.frame.total_mass_std is None else f" ± {100 * experiment.frame.total_mass_std:g} %"
     return f"{total / factor:g} {unit}{off}"
 
 
@@ -104,10 +107,10 @@ def listed(values: Floats, unit: str, factor: float = 1.0) -> str:
     return f"{shown[0]} {unit} each" if same else f"{', '.join(shown)} {unit}"
 
 
-def measured_modes(of: Experiment, units: Units = AUTOMATIC) -> Section:
+def measured_modes(experiment: Experiment, units: Units = AUTOMATIC) -> Section:
     """The measured modes of every configuration."""
     parts: list[Block] = []
-    for place, each in enumerate(of.configurations, 1):
+    for place, each in enumerate(experiment.configurations, 1):
         parts += _modes(each, place, units)
     return Section("modes", "Measured modes", tuple(parts), detail=True, below=True)
 

@@ -1,10 +1,13 @@
-"""Measured mode shapes beside those of a model, at all floors, in one scale."""
+"""Measured mode shapes beside those of a model, at all floors and in one scale, as data and as displaced frames."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from cvxshear.data import Model, Shapes
 from cvxshear.data.pairing import mac
@@ -12,6 +15,20 @@ from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import Closure
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.methods import Identification
+from cvxshear.report.figures.drawn_frame import elevations
+from cvxshear.report.figures.figure_table import figure
+from cvxshear.report.figures.style import (
+    AFTER,
+    BEFORE,
+    MEASURED,
+    QUIET,
+    even_columns,
+    letters,
+    narrow_page,
+    new_figure,
+    page_width,
+    panels_by_group,
+)
 from cvxshear.util.typing import Floats, Ints
 
 
@@ -125,3 +142,101 @@ def _mac(experiment: Experiment, name: str, modelled: Floats) -> Floats:
             measured = shape[known] / np.max(np.abs(shape[known]))
             table[row] = [mac(measured, each[known]) if each[known].any() else 0.0 for each in model]
     return table
+
+
+MOST_COLUMNS = 5
+ABOVE, BELOW, TITLE = 0.3, 0.55, 0.5
+"""inch, for the legend, the common label, and the two lines of title of a panel."""
+
+HALF_WIDTH = 0.16
+"""Of the drawn frame, where the largest entry of a shape is 1."""
+
+
+@figure(
+    "shapes",
+    Closure,
+    title="Mode shapes",
+    caption="Each measured mode: dots with error bars are measured, the dashed line is the shear model, the frame is "
+    "the final model.",
+    alternative="Measured mode shapes with error bars beside those of the shear model and of the final model.",
+    section="shapes",
+    narrow=True,
+)
+def shapes(result: Closure) -> Figure:
+    """Every measured mode with its error bars, the final model's as a displaced frame, and the first model's as a line.
+
+    Parameters
+    ----------
+    result : Closure
+
+    Returns
+    -------
+    Figure
+        One panel a configuration and measured mode.
+    """
+    before, after = mode_shapes(result.before.estimate), mode_shapes(result.estimate)
+    most = max(len(each.frequencies) for each in result.experiment.configurations)
+    fitting = 2 if narrow_page() else MOST_COLUMNS
+    columns = even_columns(most, fitting)
+    stories = result.experiment.stories
+    tall = float(np.clip(0.16 * stories, 1.6, 3.0))
+    counts = [len(each.frequencies) for each in result.experiment.configurations]
+    rows = sum(-(-count // columns) for count in counts)
+    above = 3 * ABOVE if narrow_page() else ABOVE
+    width = page_width() if narrow_page() else max(page_width() * columns / fitting, 5.6)
+    height = rows * (tall + TITLE) + above + BELOW
+    # Panels of one size need no search for a layout, which takes long for many of them.
+    figure = new_figure(width, height, fixed=True)
+    figure.subplots_adjust(
+        left=0.6 / width, right=1 - 0.12 / width, bottom=BELOW / height, top=1 - (above + TITLE) / height,
+        hspace=TITLE / tall, wspace=0.08,
+    )  # fmt: skip
+    z, label = elevations(result.experiment)
+    groups = panels_by_group(figure, counts, columns, sharex=True, sharey=True)
+    drawn = [(axes, place) for group in groups for place, axes in enumerate(group)]
+    for (axes, place), first, last in zip(drawn, before, after, strict=True):
+        _displaced_frame(axes, z, first, last)
+        if place % columns == 0:
+            axes.set_ylabel(label)
+    figure.text(0.5, 0.08 / height, "sway (largest measured entry = 1)", ha="center", va="bottom")
+    figure.legend(handles=_legend(changed=len(result.steps) > 1), loc="upper center", ncols=1 if narrow_page() else 3)
+    return figure
+
+
+def _displaced_frame(axes: Axes, z: Floats, before: ModeShape, after: ModeShape) -> None:
+    base = np.concatenate([[0.0], z])
+    sway = np.concatenate([[0.0], after.modelled])
+    axes.axvline(0, color="#C8C8C8", lw=0.5)
+    for side in (-HALF_WIDTH, HALF_WIDTH):
+        axes.plot(sway + side, base, color=AFTER, lw=1.0)
+    axes.hlines(z, after.modelled - HALF_WIDTH, after.modelled + HALF_WIDTH, color=AFTER, lw=1.6)
+    axes.plot(
+        np.concatenate([[0.0], before.modelled]), base, color=BEFORE, ls="--", marker="D", mfc="white", ms=3.6, lw=1.0
+    )
+    axes.errorbar(
+        after.measured,
+        z[after.floors - 1],
+        xerr=after.std,
+        fmt="o",
+        color=MEASURED,
+        ms=3.0,
+        capsize=2.0,
+        lw=0.9,
+        zorder=5,
+    )
+    axes.axhline(0, color=QUIET, lw=0.8)
+    axes.set_xlim(-1.45, 1.45)
+    axes.set_xticks([-1, 0, 1])
+    axes.set_ylim(0, 1.07 * float(z[-1]))
+    axes.set_title(
+        f"{letters(after.configuration, 16)}\nmode {after.mode}: {after.measured_frequency:#.4g} Hz", fontsize=7.5
+    )
+
+
+def _legend(*, changed: bool) -> list[Line2D]:
+    first = "shear model" if changed else "the same model"
+    return [
+        Line2D([], [], color=MEASURED, marker="o", ms=3.0, lw=0.9, label="measured ± one std"),
+        Line2D([], [], color=BEFORE, ls="--", marker="D", mfc="white", ms=3.6, lw=1.0, label=first),
+        Line2D([], [], color=AFTER, lw=1.6, label="with effects" if changed else "shear model"),
+    ]
