@@ -17,7 +17,7 @@ from scipy import io
 from cvxshear.files import toml
 from cvxshear.files.csv import read_csv
 from cvxshear.files.mat import read_mat
-from cvxshear.files.record import read_record
+from cvxshear.files.record_file import read_record
 from cvxshear.files.toml import files_of, load
 from cvxshear.files.uff import read_uff
 from cvxshear.util.errors import InputError

@@ -30,7 +30,7 @@ from cvxshear.util.writing import check_output
 
 if TYPE_CHECKING:
     from cvxshear import Experiment
-    from cvxshear.campaign import IdentifiedRecord
+    from cvxshear.files.modes import IdentifiedRecord
     from cvxshear.util.parallel import Progress
     from cvxshear.util.typing import Json
 
@@ -63,7 +63,7 @@ def modes(
 
     Example: cvxshear modes bare.toml loaded.toml -o test.toml
     """
-    from cvxshear.campaign import identify_modes_many, write_merged
+    from cvxshear.files.modes import identify_modes_many, write_merged
     from cvxshear.files.uff import write_uff
     from cvxshear.modal import ModalResult
     from cvxshear.report.sheets import sheets_of_modes
@@ -115,7 +115,7 @@ def measured(
         Where no mode was found in a record.
     """
     from cvxshear import Experiment, load
-    from cvxshear.campaign import identify_modes_many, merged
+    from cvxshear.files.modes import identify_modes_many, merged
     from cvxshear.files.toml import is_built_in, is_record_file
 
     files = list(names) if len(names) == 1 and is_built_in(names[0]) else _files(names)
@@ -135,7 +135,7 @@ def measured(
 
 def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
     """The modes of each record."""
-    from cvxshear.campaign.merge import UNKNOWN_SCALE
+    from cvxshear.files.modes import UNKNOWN_SCALE
     from cvxshear.report import terminal
 
     for test in tests:
@@ -147,7 +147,7 @@ def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
 
 def needs_mass(tests: Sequence[IdentifiedRecord]) -> bool:
     """Whether a total mass of 1 kg stands for one that nobody gave."""
-    from cvxshear.campaign.merge import scale_unknown
+    from cvxshear.files.modes import scale_unknown
 
     return bool(tests) and scale_unknown(tests)
 
@@ -161,7 +161,7 @@ def records_in_json(tests: Sequence[IdentifiedRecord]) -> Json:
 
 def _files(names: Sequence[str], written: str | None = None) -> list[str]:
     """The record files of names and patterns; what a pattern matches is not to be written over either."""
-    from cvxshear.campaign import record_files
+    from cvxshear.files.modes import record_files
 
     files, left_out = record_files(names)
     for path in left_out:

@@ -61,6 +61,17 @@ class Columns:
             return f"{self.source}, sample {row + 1}"
         return f"{self.source}, line {int(self.lines[row])}"
 
+    def rows(self, which: slice) -> Columns:
+        """The same columns in some of their rows."""
+        lines = None if self.lines is None else self.lines[which]
+        return Columns(self.source, self.names, self.values[which], lines, self.units)
+
+    def check(self, name: str, asked: str) -> None:
+        """Raise `InputError` where there is no such column; `asked` says who asks for it."""
+        if name not in self.names:
+            shown = ", ".join(each[:60] for each in self.names[:12]) + (", ..." if len(self.names) > 12 else "")
+            raise InputError(f'{asked}: {self.source} has no column "{name[:60]}"; it has {shown}')
+
     def column(self, name: str, asked: str) -> Floats:
         """The values of a column, once they are known to be finite, shape (rows,).
 
@@ -70,9 +81,7 @@ class Columns:
         asked : str
             Who asks for it, for messages.
         """
-        if name not in self.names:
-            shown = ", ".join(each[:60] for each in self.names[:12]) + (", ..." if len(self.names) > 12 else "")
-            raise InputError(f'{asked}: {self.source} has no column "{name[:60]}"; it has {shown}')
+        self.check(name, asked)
         values = self.values[:, self.names.index(name)]
         bad = np.flatnonzero(~(np.abs(values) <= checks.LARGEST))
         if bad.size:

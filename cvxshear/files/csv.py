@@ -95,8 +95,21 @@ def read_csv(path: str | Path, limit: float = LIMIT) -> Columns:
         Where the file is empty, too large, has no header, or a cell is not a number, naming the column and the line.
         What stands in the file is quoted only where it is a table of numbers.
     """
-    where = str(path)
-    lines = ((number, line) for number, line in enumerate(_text(Path(path), limit), 1) if line.strip())
+    return columns_of(_text(Path(path), limit), str(path), limit)
+
+
+def columns_of(text: Iterable[str], where: str, limit: float) -> Columns:
+    """The columns of a text, line by line, as `read_csv` reads them.
+
+    Parameters
+    ----------
+    text : iterable of str
+    where : str
+        The file, for messages.
+    limit : float
+        Bytes that the numbers may have.
+    """
+    lines = ((number, line) for number, line in enumerate(text, 1) if line.strip())
     head = list(islice(lines, LONGEST_HEAD))
     layout = layout_of(head, where)
     after = (each for each in chain(head, lines) if each[0] >= (layout.first or layout.line + 1))

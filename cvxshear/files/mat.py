@@ -47,6 +47,11 @@ def read_mat(path: str | Path, limit: float = LIMIT) -> Columns:
         read = mat73.read(path, where, limit)
     else:
         read = mat5.read(content, where, limit)
+    return columns_of_arrays(read, where)
+
+
+def columns_of_arrays(read: Mapping[str, Any], where: str) -> Columns:
+    """The longest vectors, and matrices of as many rows or columns, of named arrays, as `read_mat` names them."""
     found: dict[str, Array] = {}
     for name, array in _arrays(read):
         for part, values in _real_parts(name, array):

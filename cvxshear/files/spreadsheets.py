@@ -1,4 +1,4 @@
-"""Tables for spreadsheet programs, as CSV or as a workbook: the one place where cells are written."""
+"""Tables of spreadsheet programs: workbooks are read here, and cells written, as CSV or as a workbook."""
 
 from __future__ import annotations
 
@@ -6,11 +6,16 @@ import importlib
 import io
 import math
 import re
+import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from cvxshear.files.columns import TOO_LARGE, Columns
+from cvxshear.files.csv import columns_of
+from cvxshear.files.reading import MEGABYTE, read_bytes
 from cvxshear.util.errors import InputError
 from cvxshear.util.text import cell_text, printable
 from cvxshear.util.writing import write_file
@@ -22,6 +27,9 @@ LONGEST_TITLE = 31
 
 LONGEST_CELL = 32_767
 """Letters that a cell may have (Excel)."""
+
+INFLATED = 20
+"""Times the limit of a file that its parts may have once inflated: workbooks of numbers shrink to about a tenth."""
 
 WIDEST = 28
 """Letters that a column of a workbook is made wide for at most."""
@@ -102,6 +110,61 @@ def workbook(sheets: Iterable[Sheet]) -> bytes:
     content = io.BytesIO()
     book.save(content)
     return content.getvalue()
+
+
+def read_xlsx_rows(path: str | Path, limit: float, remedy: str) -> list[tuple[int, list[Any]]]:
+    """Number and cells of each row of a workbook's first sheet that is not empty.
+
+    Parameters
+    ----------
+    path : str or Path
+    limit : float
+        Bytes that the file may have, as it is and once inflated.
+    remedy : str
+        What to do about a larger one.
+
+    Raises
+    ------
+    InputError
+        Where openpyxl (the extra `xlsx`) is not installed, or the file is no workbook or too large.
+    """
+    openpyxl = load_openpyxl()
+    content = io.BytesIO(read_bytes(Path(path), limit, remedy))
+    try:
+        with zipfile.ZipFile(content) as archive:
+            inflated = sum(each.file_size for each in archive.infolist())
+        if inflated > INFLATED * limit:
+            raise InputError(f"{path!s} inflates to more than {INFLATED * limit / MEGABYTE:g} MB; {remedy}")
+        book = openpyxl.load_workbook(content, read_only=True, data_only=True)
+        found = [list(row) for row in book.worksheets[0].iter_rows(values_only=True)]
+    except InputError:
+        raise
+    except Exception as error:
+        # openpyxl raises whatever its parsing of the archive runs into.
+        raise InputError(f"{path!s} is not a workbook that can be read ({type(error).__name__})") from None
+    return [(number, row) for number, row in enumerate(found, 1) if any(cell not in (None, "") for cell in row)]
+
+
+def read_xlsx(path: str | Path, limit: float) -> Columns:
+    """The columns of a workbook's first sheet, with a preamble, units and stamps as in delimited text.
+
+    Parameters
+    ----------
+    path : str or Path
+    limit : float
+        Bytes, as for `read_csv`.
+    """
+    rows = read_xlsx_rows(path, limit, TOO_LARGE)
+    lines = {number: "\t".join(map(_as_text, row)) for number, row in rows}
+    return columns_of((lines.get(number, "") for number in range(1, max(lines, default=0) + 1)), str(path), limit)
+
+
+def _as_text(cell: object) -> str:
+    if isinstance(cell, datetime):
+        return cell.isoformat(sep=" ")
+    if isinstance(cell, str):
+        return " ".join(cell.replace('"', " ").split())
+    return "" if cell is None else str(cell)
 
 
 def load_openpyxl() -> Any:

@@ -8,14 +8,12 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
-from cvxshear.files.mode_tables import READERS
+from cvxshear.files.formats import read_modes_of
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
 from cvxshear.util.text import escaped, printable
 from cvxshear.util.typing import Floats
-
-ENDINGS = {".csv": "csv", ".txt": "csv", ".xlsx": "xlsx", ".uff": "uff", ".unv": "uff", ".u55": "uff"}
 
 MASS, STIFFNESS, FORCE = 10.0, 10e3, 100.0
 """Of the floors (kg) and stories (N/m) of the frame that stands for the user's, and a pull at its top (N)."""
@@ -131,7 +129,7 @@ def template_from(modes: str | Path, folder: str | Path = ".") -> str:
     Parameters
     ----------
     modes : str or Path
-        Ending in .csv, .txt, .xlsx, .uff, .unv or .u55.
+        Of one of the formats in `files.formats.FORMATS` that hold modes.
     folder : str or Path, optional
         Where the measurement file will stand; it names the other from there.
 
@@ -145,10 +143,7 @@ def template_from(modes: str | Path, folder: str | Path = ".") -> str:
     InputError
         Where the file cannot be read.
     """
-    key = ENDINGS.get(Path(modes).suffix.lower())
-    if key is None:
-        raise InputError(f"{modes!s}: modes are read from files that end in {', '.join(ENDINGS)}")
-    found = READERS[key](modes)
+    key, found = read_modes_of(modes)
     named = toml_line(key, os.path.relpath(modes, folder))
     total = CARRIED if found.get("mass_normalized") else TO_FILL_IN.replace("{file}", printable(Path(modes).name))
     text = _filled(f"{named}  # frequencies and mode shapes", max(found["measured_floors"]), total)

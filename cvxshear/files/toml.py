@@ -10,7 +10,7 @@ from importlib import resources
 from pathlib import Path
 
 from cvxshear.effects import catalogue
-from cvxshear.files.mode_tables import with_modes_read
+from cvxshear.files.formats import format_of, naming_keys, refuse_data, with_modes_read
 from cvxshear.files.reading import named_after, read_bytes
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import checks
@@ -22,9 +22,6 @@ LARGEST_FILE = 5_000_000
 
 BUILT_IN = {"paper": ("paper", "paper.toml"), "los-alamos": ("builtin", "los-alamos.toml")}
 """Examples that travel with the package, and where they stand in it."""
-
-NAMING_KEYS = ("file", "csv", "xlsx", "uff")
-"""Keys of tables whose values are names of other files."""
 
 LONGEST_KEY = 16
 """Parts, with dots between; the time that reading a key takes grows with their square."""
@@ -59,6 +56,7 @@ def load(path: str | Path) -> Experiment:
             f"load takes the name of a measurement file, not {shown(path)}; a dict goes to Experiment.from_dict"
         )
     path = Path(path)
+    refuse_data(path)
     declared = parse(read_text(path), path)
     if "record" in declared:
         raise InputError(
@@ -126,6 +124,7 @@ def is_record_file(path: str | Path) -> bool:
     if is_built_in(path):
         return False
     path = Path(path)
+    refuse_data(path)
     return "record" in parse(read_text(path), path)
 
 
@@ -148,11 +147,12 @@ def files_of(path: str | Path) -> tuple[Path, ...]:
     try:
         declared = parse(read_text(path), path)
     except InputError:
-        if path.suffix.lower() != ".json":
+        # A result's JSON names no other file, nor does a file of samples, which the command will refuse.
+        if path.suffix.lower() != ".json" and format_of(path) is None:
             raise
         return (path,)
     tables: list[object] = []
     for value in declared.values():
         tables += value if isinstance(value, list) else [value]
-    named = [each.get(key) for each in tables if isinstance(each, dict) for key in NAMING_KEYS]
+    named = [each.get(key) for each in tables if isinstance(each, dict) for key in naming_keys()]
     return (path, *(path.parent / name for name in named if isinstance(name, str)))

@@ -34,7 +34,7 @@ def sheets_of_identification(result: Identification) -> list[Sheet]:
 def sheets_of_closure(result: Closure) -> list[Sheet]:
     """The identified frame, the effects added, the errors before and after, and the modes."""
     said = result.to_dict()
-    words = {key: label for key, label, _ in ERRORS}
+    words = {key: label.format(held_out="predicted from the rest") for key, label, _ in ERRORS}
     errors: list[tuple[Cell, ...]] = [
         (words.get(key, _words(key)), said["before"][key], said["after"][key]) for key in said["before"]
     ]

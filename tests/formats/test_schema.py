@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.campaign import IdentifiedRecord, merged
 from cvxshear.cli.records import _said
+from cvxshear.files.modes import IdentifiedRecord, merged
 from cvxshear.files.template import template
 from cvxshear.modal import from_arrays, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, base_record
