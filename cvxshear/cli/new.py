@@ -22,21 +22,38 @@ def new(
     stories: Annotated[int | None, typer.Option(help="How many stories the frame has; 3 where not given.")] = None,
     modes: Annotated[
         str | None,
-        typer.Option("--from", help="Take the modes from this table (.csv, .xlsx) or universal file.", metavar="FILE"),
+        typer.Option(
+            "--from", help="Take the modes from this table or universal file (.csv, .xlsx, .uff).", metavar="FILE"
+        ),
+    ] = None,
+    record: Annotated[
+        str | None,
+        typer.Option(
+            "--record",
+            help="Begin a record file for what a logger wrote (.csv, .csv.gz, .xlsx, .mat, .npz, .uff).",
+            metavar="DATA",
+        ),
     ] = None,
 ) -> None:
-    """Begin a measurement file: one with every key explained, to fill in.
+    """Begin a measurement file, or with --record a record file: one with every key explained, to fill in.
 
     Example: cvxshear new --stories 5 -o test.toml
     """
+    from cvxshear.files.record_template import record_template
     from cvxshear.files.template import template, template_from
 
-    if modes is not None and stories is not None:
-        raise InputError("give either --from, whose floors tell the stories, or --stories")
+    given = [
+        name for name, value in (("--from", modes), ("--stories", stories), ("--record", record)) if value is not None
+    ]
+    if len(given) > 1:
+        raise InputError(f"give only one of {' and '.join(given)}: either tells what the file is begun from")
     if output is not None and Path(output).exists():
         raise InputError(f"{output} is there already; name a new file, or delete the old one first")
     folder = Path(output).parent if output is not None else Path()
-    text = template_from(modes, folder) if modes is not None else template(3 if stories is None else stories)
+    if record is not None:
+        text = record_template(record, folder)
+    else:
+        text = template_from(modes, folder) if modes is not None else template(3 if stories is None else stories)
     if output is None:
         with printing():
             sys.stdout.write(text)

@@ -35,7 +35,7 @@ MOST_COLUMNS = 10_000
 LONGEST_HEAD = 400
 """Lines within which the header and the first line of numbers must stand."""
 
-UNIT = re.compile(r"[\[(]?\s*(?:[a-zA-Zµ°%]{1,4}(?:[/·^*²0-9-]{1,4}[a-zA-Z]{0,3}[²^0-9-]{0,3})?|-|)\s*[\])]?")
+UNIT = re.compile(r"[\[(]?\s*(?:[a-zA-Zµ°%]{1,4}(?:[/·^*²0-9-]{1,4}[a-zA-Z]{0,3}){0,3}|-|)\s*[\])]?")
 """A cell of a line of units: "s", "m/s2", "[g]", "mm/s^2", "-", or nothing."""
 
 STAMP = re.compile(r"(?:\d{4}-\d\d-\d\d[T ])?\d\d:\d\d(?::\d\d(?:[.,]\d+)?)?(?:Z|[+-]\d\d:?\d\d)?")
@@ -114,6 +114,13 @@ def columns_of(text: Iterable[str], where: str, limit: float) -> Columns:
     layout = layout_of(head, where)
     after = (each for each in chain(head, lines) if each[0] >= (layout.first or layout.line + 1))
     return _columns((each for each in after if not _comment(each[1])), layout, where, limit)
+
+
+def preamble_of(path: str | Path, limit: float = LIMIT) -> str:
+    """What stands before the line of names, comments among it; as for `read_csv`."""
+    head = [(number, line) for number, line in enumerate(islice(_text(Path(path), limit), LONGEST_HEAD), 1)]
+    layout = layout_of([each for each in head if each[1].strip()], str(path))
+    return "".join(line for number, line in head if number < layout.line)
 
 
 def layout_of(head: Sequence[Line], where: str) -> Layout:
