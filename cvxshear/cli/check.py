@@ -33,6 +33,6 @@ def check(
 
     experiment, tests = measured([file], accept_swapped=True)
     found = Screening.of(experiment, (item for each in tests for item in each.modes.findings))
-    deliver(found.to_dict(), out, lambda: terminal.shown(found))
+    deliver(found.to_dict(), out, lambda: terminal.shown(found), title=experiment.report.title or experiment.name)
     if found.refused:
         raise typer.Exit(MISTAKEN)

@@ -43,6 +43,10 @@ if TYPE_CHECKING:
     from cvxshear.response import IdentifiedDamping
 
 
+UNCERTAIN = 3
+"""Status of `loop --strict` where the verdict is not one to rely on."""
+
+
 def identify(
     file: File,
     method: Annotated[
@@ -106,6 +110,7 @@ def identify(
             *_damping_of(damping),
         ],
         *files,
+        title=experiment.report.title or experiment.name,
     )
 
 
@@ -131,6 +136,9 @@ def loop(
             help="A record file: predict it by the models before and after.", metavar="RECORD", callback=input_files
         ),
     ] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Status 3 where the verdict is ambiguous, located or unexplained.")
+    ] = False,
     units: UnitsOption = None,
     figure: FiguresOut = None,
     csv: CsvOut = None,
@@ -143,6 +151,7 @@ def loop(
     Example: cvxshear loop paper
     """
     from cvxshear import Closure, close_loop
+    from cvxshear.loop.verdicts import VERDICTS
     from cvxshear.report import terminal
     from cvxshear.report.sheets import sheets_of_closure
     from cvxshear.response import damping_of, models_of_loop, predict
@@ -189,7 +198,10 @@ def loop(
             *beside,
         ],
         *files,
+        title=heading.title or experiment.name,
     )
+    if strict and not VERDICTS[result.verdict].certain:
+        raise typer.Exit(UNCERTAIN)
 
 
 def _damping_of(found: IdentifiedDamping | None) -> Iterable[RenderableType]:

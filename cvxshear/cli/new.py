@@ -10,6 +10,7 @@ import typer
 
 from cvxshear.cli.output import writes
 from cvxshear.cli.streams import printing
+from cvxshear.files.formats import endings_of
 from cvxshear.util.errors import InputError
 from cvxshear.util.writing import write_file
 
@@ -22,15 +23,13 @@ def new(
     stories: Annotated[int | None, typer.Option(help="How many stories the frame has; 3 where not given.")] = None,
     modes: Annotated[
         str | None,
-        typer.Option(
-            "--from", help="Take the modes from this table or universal file (.csv, .xlsx, .uff).", metavar="FILE"
-        ),
+        typer.Option("--from", help=f"Take the modes from this file: {endings_of('modes')}.", metavar="FILE"),
     ] = None,
     record: Annotated[
         str | None,
         typer.Option(
             "--record",
-            help="Begin a record file for what a logger wrote (.csv, .csv.gz, .xlsx, .mat, .npz, .uff).",
+            help=f"Begin a record file for what a logger wrote: {endings_of('columns')}.",
             metavar="DATA",
         ),
     ] = None,

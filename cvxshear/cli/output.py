@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from functools import partial
+from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cvxshear.cli.checked import input_files, output_file
+from cvxshear.cli.checked import input_files, output_file, used
 from cvxshear.cli.streams import printing, takes_unicode
 from cvxshear.util.errors import InputError
 from cvxshear.util.text import json_text, printable
 from cvxshear.util.writing import write_file
+from cvxshear.version import __version__
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -123,6 +128,7 @@ def deliver(
     out: str | None,
     tables: Callable[[], Iterable[RenderableType]],
     *files: Callable[[], None],
+    title: str | None = None,
 ) -> None:
     """Write what was asked for and print the result, the one even where the other fails.
 
@@ -135,6 +141,8 @@ def deliver(
         What people are shown.
     *files : callable
         Each writes one more file.
+    title : str, optional
+        Of the test, for the JSON.
 
     Raises
     ------
@@ -142,6 +150,8 @@ def deliver(
         Where a file could not be written, after the result was printed.
     """
     writers = list(files)
+    if out is not None:
+        result = {**result, "about": about(used, title)}
     if out is not None and out != "-":
         writers.append(partial(write_file, out, json_text(result) + "\n"))
     failures = []
@@ -157,6 +167,41 @@ def deliver(
         show(tables())
     if failures:
         raise InputError("; ".join(failures))
+
+
+def about(files: Sequence[str], title: str | None) -> Json:
+    """What a result says of its origin: version, date, title of the test, and the files read with their SHA-256.
+
+    Parameters
+    ----------
+    files : sequence of str
+        As they were named; a built-in example among them by its text.
+    title : str or None
+    """
+    read = [{"name": file, "sha256": _digest(file)} for file in dict.fromkeys(files)]
+    # Who builds reproducibly says what the time is (reproducible-builds.org).
+    stamp = os.environ.get("SOURCE_DATE_EPOCH", "")
+    now = datetime.fromtimestamp(int(stamp), UTC) if stamp.isdigit() else datetime.now(UTC)
+    return {
+        "cvxshear": __version__,
+        "date": now.isoformat(timespec="seconds"),
+        "title": title,
+        "sha256": read[0]["sha256"] if read else None,
+        "files": read,
+    }
+
+
+def _digest(file: str) -> str | None:
+    """SHA-256 of a file's bytes; None where they cannot be read any more, or are a pattern of several."""
+    from cvxshear.files.columns import LIMIT
+    from cvxshear.files.reading import read_bytes
+    from cvxshear.files.toml import built_in_text, is_built_in
+
+    try:
+        content = built_in_text(file).encode() if is_built_in(file) else read_bytes(Path(file), LIMIT, "")
+    except InputError:
+        return None
+    return hashlib.sha256(content).hexdigest()
 
 
 def heading_of(report: str | None, **parts: str | None) -> dict[str, str]:
@@ -190,10 +235,18 @@ def figures_for(*paths: str | None) -> ModuleType | None:
     return figures
 
 
+_silent: list[bool] = [False]
+
+
+def silence(asked: bool) -> None:
+    """Show no progress from now on, where `cvxshear --quiet` asks for that before the command."""
+    _silent[0] = asked
+
+
 @contextmanager
 def progress(title: str, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
     """A bar on standard error, only where that is a terminal and nobody asked for quiet."""
-    if quiet or not sys.stderr.isatty():
+    if quiet or _silent[0] or not sys.stderr.isatty():
         yield None
         return
     from rich.console import Console

@@ -6,21 +6,20 @@ its name in a measurement file, and by `cvxshear new`, whose help lists it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
-from cvxshear.files.columns import Columns
-from cvxshear.files.csv import read_csv
-from cvxshear.files.mat import read_mat
-from cvxshear.files.mode_tables import read_mode_csv, read_mode_uff, read_mode_xlsx
-from cvxshear.files.npz import read_npz
-from cvxshear.files.spreadsheets import read_xlsx
-from cvxshear.files.uff import read_uff
-from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import listed
+
+if TYPE_CHECKING:
+    from cvxshear.files.columns import Columns
+
+ColumnReader = Callable[[Path, float], "Columns"]
+ModeReader = Callable[[str | Path], dict[str, Any]]
 
 ANY_TEXT = (".txt", ".dat", ".asc")
 """Endings that tell nothing of what a text holds."""
@@ -38,27 +37,46 @@ class Format:
         In small letters, with the dot; the first is the usual one.
     words : str
         What such a file is called: "a workbook".
-    columns : callable, optional
-        (path, limit in bytes) to `Columns`: what reads time histories and frequency response functions from it.
-    modes : callable, optional
+    columns : callable or str, optional
+        (path, limit in bytes) to `Columns`: what reads time histories and frequency response functions from it. A
+        reader that loads slowly is named, "module:function".
+    modes : callable or str, optional
         (path) to the keys of a table [[configuration]]: what reads modes from it.
     """
 
     name: str
     endings: tuple[str, ...]
     words: str
-    columns: Callable[[Path, float], Columns] | None = None
-    modes: Callable[[str | Path], dict[str, Any]] | None = None
+    columns: ColumnReader | str | None = None
+    modes: ModeReader | str | None = None
 
+    def read_columns(self, path: Path, limit: float) -> Columns:
+        """The columns of such a file."""
+        return cast("ColumnReader", _loaded(self.columns))(path, limit)
+
+    def read_modes(self, path: str | Path) -> dict[str, Any]:
+        """The keys of a table [[configuration]] that such a file holds."""
+        return cast("ModeReader", _loaded(self.modes))(path)
+
+
+def _loaded(reader: object) -> object:
+    if not isinstance(reader, str):
+        return reader
+    module, _, name = reader.partition(":")
+    return getattr(import_module(module), name)
+
+
+HERE = "cvxshear.files"
 
 FORMATS: list[Format] = [
-    Format("csv", (".csv", ".txt", ".dat", ".tsv", ".asc"), "delimited text", read_csv, read_mode_csv),
-    Format("gz", (".csv.gz", ".txt.gz", ".tsv.gz"), "delimited text compressed by gzip", read_csv),
-    Format("xlsx", (".xlsx",), "a workbook", read_xlsx, read_mode_xlsx),
-    Format("mat", (".mat",), "a MAT file", read_mat),
-    Format("npz", (".npz", ".npy"), "arrays of NumPy", read_npz),
-    Format("uff", (".uff", ".unv", ".u58", ".u55"), "a universal file", lambda path, limit: read_uff(path, limit)[0],
-           read_mode_uff),
+    Format("csv", (".csv", ".txt", ".dat", ".tsv", ".asc"), "delimited text", f"{HERE}.csv:read_csv",
+           f"{HERE}.mode_tables:read_mode_csv"),
+    Format("gz", (".csv.gz", ".txt.gz", ".tsv.gz"), "delimited text compressed by gzip", f"{HERE}.csv:read_csv"),
+    Format("xlsx", (".xlsx",), "a workbook", f"{HERE}.spreadsheets:read_xlsx", f"{HERE}.mode_tables:read_mode_xlsx"),
+    Format("mat", (".mat",), "a MAT file", f"{HERE}.mat:read_mat"),
+    Format("npz", (".npz", ".npy"), "arrays of NumPy", f"{HERE}.npz:read_npz"),
+    Format("uff", (".uff", ".unv", ".u58", ".u55"), "a universal file", f"{HERE}.uff:read_functions",
+           f"{HERE}.mode_tables:read_mode_uff"),
 ]  # fmt: skip
 """Every kind of file that is read, in the order in which messages and help list them."""
 
@@ -104,7 +122,7 @@ def read_columns(path: Path, limit: float) -> Columns:
         Where the file cannot be read.
     """
     found = format_of(path)
-    return (read_csv if found is None or found.columns is None else found.columns)(path, limit)
+    return (FORMATS[0] if found is None or found.columns is None else found).read_columns(path, limit)
 
 
 def read_modes_of(path: str | Path) -> tuple[str, dict[str, Any]]:
@@ -118,7 +136,7 @@ def read_modes_of(path: str | Path) -> tuple[str, dict[str, Any]]:
     found = format_of(path)
     if found is None or found.modes is None:
         raise InputError(f"{path!s}: modes are read from files that end in {endings_of('modes')}")
-    return found.name, found.modes(path)
+    return found.name, found.read_modes(path)
 
 
 def refuse_data(path: Path) -> None:
@@ -139,46 +157,7 @@ def refuse_data(path: Path) -> None:
         )
 
 
-def with_modes_read(declared: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The tables of a measurement file, the files that its configurations name read.
-
-    Parameters
-    ----------
-    declared : dict
-    folder : Path
-        Where the files are looked for.
-
-    Returns
-    -------
-    dict
-        What a configuration says itself goes before what its file says.
-
-    Raises
-    ------
-    InputError
-        Naming the configuration, and what is wrong with its file.
-    """
-    tables = declared.get("configuration")
-    if not isinstance(tables, list):
-        return dict(declared)
-    return {**declared, "configuration": [_resolved(table, place, folder) for place, table in enumerate(tables, 1)]}
-
-
 def naming_keys() -> Iterator[str]:
     """Keys of tables whose values are names of other files."""
     yield "file"
     yield from (each.name for each in FORMATS if each.modes is not None)
-
-
-def _resolved(table: object, place: int, folder: Path) -> object:
-    readers = {each.name: each.modes for each in FORMATS if each.modes is not None}
-    named = [key for key in readers if isinstance(table, Mapping) and key in table]
-    if not named or not isinstance(table, Mapping):
-        return table
-    where = f"configuration {place}"
-    said = [*named, *(key for key in ("frequencies", "mode_shapes") if key in table)]
-    if len(said) > 1:
-        raise InputError(f"{where}: {' and '.join(said)} all say what the modes are; give one")
-    key = named[0]
-    file = folder / checks.text(table[key], f"{where}: {key}")
-    return {**readers[key](file), **{name: value for name, value in table.items() if name != key}}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,6 +10,9 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from cvxshear.util.errors import InputError
+from cvxshear.util.text import printable
+
+logger = logging.getLogger(__name__)
 
 MEGABYTE = 1_000_000
 
@@ -69,6 +73,7 @@ def read_bytes(path: Path, largest: float, remedy: str, *, absent: str = "", nam
         raise InputError(f"{where} has more than {largest / MEGABYTE:g} MB; {remedy}")
     if kept is not None:
         kept[where] = content
+    logger.info("read %s, %d bytes", printable(where), len(content))
     return content
 
 

@@ -83,6 +83,11 @@ def read_uff(path: str | Path, limit: float = LIMIT) -> tuple[Columns, dict[str,
     return Columns(where, tuple(named), np.column_stack(list(named.values()))), notes
 
 
+def read_functions(path: str | Path, limit: float = LIMIT) -> Columns:
+    """The columns of `read_uff` without its notes."""
+    return read_uff(path, limit)[0]
+
+
 def write_uff(path: str | Path, result: ModalResult) -> None:
     """Write identified modes as data sets 151, 164 and 55 (normal modes, one a mode).
 

@@ -9,6 +9,7 @@ No process outlives the one that started it, however that ends: each looks after
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import threading
@@ -23,6 +24,8 @@ from threadpoolctl import threadpool_limits
 
 from cvxshear.util import checks
 from cvxshear.util.errors import LostProcessError
+
+logger = logging.getLogger(__name__)
 
 T = TypeVar("T")
 U = TypeVar("U")
@@ -72,6 +75,7 @@ def each(function: Callable[[T], U], items: Iterable[T], *, jobs: int = 1, progr
             )
         for part in parts:
             results += part
+            logger.debug("%d of %d done", len(results), len(todo))
             if progress is not None:
                 progress(len(results), len(todo))
     except BrokenProcessPool:

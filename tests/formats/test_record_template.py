@@ -72,7 +72,8 @@ def test_stamps(values, run, tmp_path):
     """Dates with times, in steps of 50 ms."""
     rows = [f"2024-05-01 23:59:{45 + 0.05 * i:06.3f}" if i < 300 else f"2024-05-02 00:00:{0.05 * i - 15:06.3f}"
             for i in range(len(values))]  # fmt: skip
-    body = "\n".join(f"{stamp};" + ";".join(f"{value:.9g}" for value in row[1:]) for stamp, row in zip(rows, values, strict=True))
+    numbers = [";".join(f"{value:.9g}" for value in row[1:]) for row in values]
+    body = "\n".join(f"{stamp};{row}" for stamp, row in zip(rows, numbers, strict=True))
     (tmp_path / "a.csv").write_text(f"Timestamp;ground;a1;a2;a3\n{body}\n")
     check(begun(run, tmp_path, "a.csv")[1], values)
 
@@ -155,6 +156,7 @@ def test_a_command_says_how_to_begin(command, values, run, tmp_path):
 
 def test_a_format_of_ones_own(values, run, tmp_path, monkeypatch):
     """One more line in the table, and record files, `new` and messages know it."""
+
     def read(path, limit):
         return Columns(str(path), ("time", "ground", "a1", "a2", "a3"), np.frombuffer(path.read_bytes()).reshape(-1, 5))
 

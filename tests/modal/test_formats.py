@@ -252,7 +252,8 @@ def test_a_file_that_would_be_refused_is_not_written(tmp_path):
 def test_an_unknown_mass_is_said(tmp_path):
     given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]])
     write_modes(tmp_path / "out.toml", given)
-    assert "nothing tells how heavy the frame is: total_mass = 1 is written in its place" in (tmp_path / "out.toml").read_text()
+    said = (tmp_path / "out.toml").read_text()
+    assert "nothing tells how heavy the frame is: total_mass = 1 is written in its place" in said
     assert cvxshear.load(tmp_path / "out.toml").frame.total_mass == 1.0
 
 

@@ -191,6 +191,7 @@ def test_a_record_as_the_model_is_that_of_its_modes(folder, capsys):
     said = json.loads(out)
     assert said.pop("warnings") == []
     assert any("have no scale" in remark for remark in said["remarks"])
+    assert said.pop("about")["files"]
     assert said == json.loads(json.dumps(predict("shaken.toml", "shaken.toml").to_dict()))
 
 
