@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import secrets
 import shlex
 from collections.abc import Iterable
 
@@ -68,6 +69,20 @@ def _shell_escaped(text: str) -> str:
 
 
 def json_text(value: object, *, indent: int = 2, ascii_only: bool = False) -> str:
-    """A value as JSON; nan cannot stand in JSON and has no place in a result."""
-    text = json.dumps(value, indent=indent, allow_nan=False, ensure_ascii=ascii_only)
-    return escaped(text, surrogates=True)
+    """A value as JSON, each row of numbers in a line; nan cannot stand in JSON and has no place in a result."""
+    rows: list[str] = []
+    mark = secrets.token_hex(8)
+
+    def marked(item: object) -> object:
+        # json writes indented text in Python, number by number, and a row without line breaks in C.
+        if isinstance(item, dict):
+            return {key: marked(each) for key, each in item.items()}
+        if not isinstance(item, list | tuple):
+            return item
+        if not item or not all(each is None or isinstance(each, int | float) for each in item):
+            return [marked(each) for each in item]
+        rows.append(json.dumps(item, allow_nan=False))
+        return f"{mark}{len(rows) - 1}"
+
+    text = escaped(json.dumps(marked(value), indent=indent, allow_nan=False, ensure_ascii=ascii_only), surrogates=True)
+    return re.sub(rf'"{mark}(\d+)"', lambda found: rows[int(found[1])], text)
