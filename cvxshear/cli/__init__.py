@@ -8,13 +8,12 @@ from typing import Annotated, Any
 
 import typer
 
-from cvxshear.cli import backends, check, frames, new, records, studies
+from cvxshear.cli import backends, before, frames, records, studies
 from cvxshear.cli import plan as planning
 from cvxshear.cli.checked import used
-from cvxshear.cli.output import silence, typed
+from cvxshear.cli.output import OutputError, lost, silence, sound_streams, typed
 from cvxshear.cli.predict import predict
-from cvxshear.cli.streams import OutputError, lost, sound_streams
-from cvxshear.files.reading import streams_read_once
+from cvxshear.files.inputs import streams_read_once
 from cvxshear.util.errors import CvxshearError, InputError, LostProcessError, NoSolutionError
 
 STATUSES = (
@@ -37,8 +36,8 @@ for command in (
     frames.loop,
     predict,
     records.modes,
-    new.new,
-    check.check,
+    before.new,
+    before.check,
     backends.backends,
     planning.plan,
     studies.reproduce,

@@ -95,9 +95,9 @@ def predict(
 def _screened(file: str, backend: str) -> tuple[ModelSource, Sequence[Finding] | None]:
     """What the model is made of, without mistakes, and its warnings; None where `loop` looked for them before."""
     from cvxshear import backends, close_loop
+    from cvxshear.measurement.declaration import NUMBERS
     from cvxshear.response import models_of_loop
     from cvxshear.screening import refuse_mistakes
-    from cvxshear.util.findings import NUMBERS
 
     if Path(file).suffix.lower() == ".json":
         return file, None

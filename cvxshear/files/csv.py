@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from cvxshear.files.columns import LIMIT, TOO_LARGE, Columns
-from cvxshear.files.reading import MEGABYTE, read_bytes
+from cvxshear.files.inputs import MEGABYTE, read_bytes
 from cvxshear.util.checks import shown
 from cvxshear.util.errors import InputError
 

@@ -74,7 +74,7 @@ FORMATS: list[Format] = [
     Format("gz", (".csv.gz", ".txt.gz", ".tsv.gz"), "delimited text compressed by gzip", f"{HERE}.csv:read_csv"),
     Format("xlsx", (".xlsx",), "a workbook", f"{HERE}.spreadsheets:read_xlsx", f"{HERE}.mode_tables:read_mode_xlsx"),
     Format("mat", (".mat",), "a MAT file", f"{HERE}.mat:read_mat"),
-    Format("npz", (".npz", ".npy"), "arrays of NumPy", f"{HERE}.npz:read_npz"),
+    Format("npz", (".npz", ".npy"), "arrays of NumPy", f"{HERE}.mat:read_npz"),
     Format("uff", (".uff", ".unv", ".u58", ".u55"), "a universal file", f"{HERE}.uff:read_functions",
            f"{HERE}.mode_tables:read_mode_uff"),
 ]  # fmt: skip

@@ -17,7 +17,7 @@ import numpy as np
 
 from cvxshear.files.columns import LIMIT, Columns, sampling_rate_of
 from cvxshear.files.formats import read_columns
-from cvxshear.files.reading import MEGABYTE, named_after
+from cvxshear.files.inputs import MEGABYTE, named_after
 from cvxshear.files.record_tables import (
     ChannelDeclaration,
     added_mass_of,

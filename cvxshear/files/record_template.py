@@ -13,10 +13,10 @@ import numpy as np
 from cvxshear.files.columns import LIMIT, Columns, sampling_rate_of
 from cvxshear.files.csv import preamble_of
 from cvxshear.files.formats import format_of, read_columns
-from cvxshear.files.reading import named_after
+from cvxshear.files.inputs import named_after
+from cvxshear.files.measurement_template import toml_line
 from cvxshear.files.record_file import FREQUENCY_NAMES, TIME_UNITS
 from cvxshear.files.record_tables import UNITS
-from cvxshear.files.template import toml_line
 from cvxshear.util.errors import InputError
 from cvxshear.util.text import printable
 
@@ -169,15 +169,14 @@ def _rate(columns: Columns, time: str | None, preamble: str) -> str:
     unit = _unit(columns, time)[0]
     unit = unit if unit in TIME_UNITS else "s"
     values = TIME_UNITS[unit] * columns.values[:, columns.names.index(time)]
-    lines = toml_line("time", time)
-    if unit != "s":
-        lines += f'\ntime_unit = "{unit}"  # GUESSED from the header'
+    line = toml_line("time", time)
+    more = "" if unit == "s" else f'\ntime_unit = "{unit}"  # GUESSED from the header'
     try:
         rate = sampling_rate_of(values[np.isfinite(values)], columns, time)
-        return f"{lines}  # GUESSED: it ticks at {rate:.6g} Hz, {len(values) / rate:.4g} s long"
+        return f"{line}  # GUESSED: it ticks at {rate:.6g} Hz, {len(values) / rate:.4g} s long{more}"
     except InputError:
         steps = np.diff(values[np.isfinite(values)])
-        return f"{lines}  # GUESSED: its steps are uneven, {np.median(steps):.4g} s in the middle"
+        return f"{line}  # GUESSED: its steps are uneven, {np.median(steps):.4g} s in the middle{more}"
 
 
 def _unit(columns: Columns, name: str) -> tuple[str, str]:

@@ -15,7 +15,7 @@ from typing import Any
 
 from cvxshear.files.columns import TOO_LARGE, Columns
 from cvxshear.files.csv import columns_of
-from cvxshear.files.reading import MEGABYTE, read_bytes
+from cvxshear.files.inputs import MEGABYTE, read_bytes
 from cvxshear.util.errors import InputError
 from cvxshear.util.text import cell_text, printable
 from cvxshear.util.writing import write_file

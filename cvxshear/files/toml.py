@@ -13,7 +13,7 @@ from typing import Any
 
 from cvxshear.effects import catalogue
 from cvxshear.files.formats import FORMATS, format_of, naming_keys, refuse_data
-from cvxshear.files.reading import named_after, read_bytes
+from cvxshear.files.inputs import named_after, read_bytes
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import checks
 from cvxshear.util.checks import shown

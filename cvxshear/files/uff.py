@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cvxshear.files.columns import LIMIT, TOO_LARGE, Columns
-from cvxshear.files.reading import read_bytes
+from cvxshear.files.inputs import read_bytes
 from cvxshear.util.errors import InputError
 from cvxshear.util.text import printable
 from cvxshear.util.typing import Floats, Ints, Json

@@ -7,6 +7,7 @@ from collections.abc import Collection
 
 import numpy as np
 
+from cvxshear.measurement.declaration import NUMBERS
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import Reading
 from cvxshear.measurement.sign_rule import violations
@@ -15,7 +16,6 @@ from cvxshear.screening.mistakes import TALLEST, Verdict, judge
 from cvxshear.screening.total_mass import total_mass
 from cvxshear.screening.units import angular_frequency, gravity, heights, masses
 from cvxshear.util.errors import InputError
-from cvxshear.util.findings import NUMBERS
 
 DOUBTS = (angular_frequency, heights, masses, gravity)
 """What is looked for in the declaration, whatever the shapes are like."""

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cvxshear import Experiment, InputError, load
+from cvxshear.measurement.declaration import MISTAKES as NAMES
 from cvxshear.screening import refuse_mistakes, screen
-from cvxshear.util.findings import MISTAKES as NAMES
 from tests.calibration import EFFECTS
 from tests.fe.experiments import simulated
 from tests.frames import EXAMPLES, configuration, experiment

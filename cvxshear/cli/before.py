@@ -1,4 +1,4 @@
-"""The command that begins a measurement file."""
+"""The commands before anything is fitted: to begin a file, and to look for mistakes in one."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from typing import Annotated
 
 import typer
 
-from cvxshear.cli.output import writes
-from cvxshear.cli.streams import printing
+from cvxshear.cli.checked import input_files
+from cvxshear.cli.output import JsonOut, deliver, printing, writes
+from cvxshear.cli.records import measured
 from cvxshear.files.formats import endings_of
 from cvxshear.util.errors import InputError
 from cvxshear.util.writing import write_file
@@ -38,8 +39,8 @@ def new(
 
     Example: cvxshear new --stories 5 -o test.toml
     """
+    from cvxshear.files.measurement_template import template, template_from
     from cvxshear.files.record_template import record_template
-    from cvxshear.files.template import template, template_from
 
     given = [
         name for name, value in (("--from", modes), ("--stories", stories), ("--record", record)) if value is not None
@@ -58,3 +59,31 @@ def new(
             sys.stdout.write(text)
     else:
         write_file(output, text)
+
+
+MISTAKEN = 2
+
+
+def check(
+    file: Annotated[
+        str,
+        typer.Argument(
+            help="A measurement file or a record file (TOML), or 'paper' for the example.",
+            metavar="FILE",
+            callback=input_files,
+        ),
+    ],
+    out: JsonOut = None,
+) -> None:
+    """Tell what looks wrong in a measurement file or a record, before anything is fitted; status 2 for a mistake.
+
+    Example: cvxshear check paper
+    """
+    from cvxshear.report import terminal
+    from cvxshear.screening import Screening
+
+    experiment, tests = measured([file], accept_swapped=True)
+    found = Screening.of(experiment, (item for each in tests for item in each.modes.findings))
+    deliver(found.to_dict(), out, lambda: terminal.shown(found), title=experiment.report.title or experiment.name)
+    if found.refused:
+        raise typer.Exit(MISTAKEN)
