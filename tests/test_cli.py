@@ -76,7 +76,7 @@ def test_json_into_a_file_comes_with_the_tables(run, tmp_path):
 def test_the_loop_tells_its_story(run):
     _, out, _ = run("loop", "paper")
     for said in (
-        "the shear model lacks the weight",
+        "the weight that the columns carry",
         "99.9 % probable",
         "before",
         "after",
