@@ -8,8 +8,7 @@ from cvxshear import Experiment, backends
 from cvxshear.effects import Place, Placed, Scale, named
 from cvxshear.fit.efficient import fitted
 from cvxshear.fit.expectation import MASS_WIDTH, STIFFNESS_WIDTH, Expectation
-from cvxshear.fit.misfit import Misfit
-from cvxshear.fit.noise import WIDTH
+from cvxshear.fit.misfit import WIDTH, Misfit
 from cvxshear.loop.evidence import log_evidence, log_interval, log_normal_between
 from tests.frames import chain, experiment
 

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from cvxshear.measurement.experiment import Configuration
+from cvxshear.model.observation import Observation
 from cvxshear.model.shear import Modes
 from cvxshear.util.typing import Floats, Ints
 
@@ -41,7 +42,7 @@ def scaled(measured: Floats, modelled: Floats, weights: Floats) -> tuple[Floats,
     return np.sum(weighted * weights * measured, axis=1) / safe, weighted / np.sqrt(safe)[:, None]
 
 
-def paired(configuration: Configuration, found: Modes, gain: Floats) -> Ints:
+def paired(configuration: Configuration, found: Modes, observation: Observation) -> Ints:
     """Which mode of the model each measured one is, zero-based.
 
     The declared numbers hold unless a shape speaks against them; modes that changed places are then paired
@@ -51,15 +52,15 @@ def paired(configuration: Configuration, found: Modes, gain: Floats) -> Ints:
     ----------
     configuration : Configuration
     found : Modes
-    gain : ndarray, shape (N,)
-        What the sensors make of a floor's motion.
+    observation : Observation
+        What the sensors show of the modes.
     """
     declared = configuration.modes - 1
     floors = configuration.measured_floors - 1
     if len(declared) < 2 or len(floors) < 2 or not configuration.measured.any():
         return declared
     weights, shapes = configuration.entry_weights, configuration.known_shapes
-    psi = found.shapes[np.ix_(declared, floors)] * gain[floors]
+    psi = observation.shown(found.shapes[declared], floors)
     modelled, measured = weights * psi, weights * shapes
     own = np.sum(modelled * measured, axis=1) ** 2
     if np.all(own >= PAIRED * np.sum(modelled**2, axis=1) * np.sum(measured**2, axis=1)):

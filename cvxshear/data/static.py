@@ -10,7 +10,7 @@ from scipy import linalg
 
 from cvxshear.data.base import Datum, Deviation, Model, Residual
 from cvxshear.measurement.experiment import Experiment, StaticTest
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +44,11 @@ class Static(Datum):
     def count(self) -> int:
         """One a measured displacement."""
         return int(np.sum(self.tested.measured))
+
+    @property
+    def floors(self) -> Ints:
+        """Those with a measured displacement."""
+        return np.flatnonzero(self.tested.measured) + 1
 
     def residual(self, model: Model) -> Residual:
         """Differences of displacements over their standard deviations, measured floors only."""

@@ -146,7 +146,7 @@ def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Co
     blank = dataclasses.replace(first, name="next test", added_mass=added_mass)
     state = compose(accepted.experiment, blank, accepted.effects, accepted.theta, derivatives=False)
     found = modes(state.system.M, state.system.K)
-    shapes = found.shapes[first.modes - 1] * state.gain
+    shapes = state.observation.shown(found.shapes[first.modes - 1])
     measured = dataclasses.replace(
         blank, mode_shapes=np.where(first.measured, shapes[:, first.measured_floors - 1], np.nan)
     )

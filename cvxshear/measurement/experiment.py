@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+import numpy as np
+
 from cvxshear.measurement.configuration import Configuration
 from cvxshear.measurement.declaration import DAMPING_KINDS, Damping, Frame, Heading
 from cvxshear.measurement.expected_effect import ExpectedEffect
@@ -253,6 +255,22 @@ class Experiment(Shown):
     def noise_declared(self) -> bool:
         """Whether every configuration declares both standard deviations; otherwise the weights are only relative."""
         return all(each.noise_declared for each in self.configurations)
+
+    @property
+    def soft_statements(self) -> tuple[tuple[str, int], ...]:
+        """Each prior in words with its number of residuals, none where it is exact; a soft total mass comes first.
+
+        Words that come twice carry a number.
+        """
+        frame = self.frame
+        found = [(prior.describe(), len(prior.residual(np.ones(self.stories))[0])) for prior in self.priors]
+        if frame.total_mass is not None and frame.total_mass_std is not None:
+            found.insert(0, (f"total mass = {frame.total_mass:g} kg within {100 * frame.total_mass_std:g} %", 1))
+        words = [item[0] for item in found]
+        return tuple(
+            (f"{text} ({words[: place + 1].count(text)})" if words.count(text) > 1 else text, rows)
+            for place, (text, rows) in enumerate(found)
+        )
 
     def with_priors(self, priors: Sequence[Prior]) -> Experiment:
         """The same experiment with these priors besides its own."""

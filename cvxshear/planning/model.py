@@ -145,8 +145,8 @@ class TestModel:
         dlam, dphi = mode_derivatives(found, state.system, self.which)
         mass = self.design.floor_mass + added_mass
         frequency_std, mode_std = self.noise.of(found, mass, self.which)
-        psi = found.shapes[self.which] * state.gain
-        dpsi = dphi * state.gain + (psi / state.gain) * state.d_gain[:, None, :]
+        psi = state.observation.shown(found.shapes[self.which])
+        dpsi = state.observation.shown_slopes(found.shapes[self.which], dphi, slice(None))
         largest = np.max(np.abs(psi), axis=1, keepdims=True)
         std = np.repeat(mode_std[:, None], psi.shape[1], axis=1)
         frequency = dlam * self.units[:, None] / (2 * found.eigenvalues[self.which]) / frequency_std

@@ -150,7 +150,7 @@ def _with_effect(exact: Experiment, target: Target, plan: Plan) -> Experiment:
     for each in exact.configurations:
         state = compose(exact, each, (target.placed,), theta)
         found = modes(state.system.M, state.system.K)
-        shapes = (found.shapes * state.gain)[np.ix_(each.modes - 1, each.measured_floors - 1)]
+        shapes = state.observation.shown(found.shapes[each.modes - 1], each.measured_floors - 1)
         scale = np.sum(shapes * each.mode_shapes, axis=1) / np.sum(shapes**2, axis=1)
         tests.append(
             dataclasses.replace(

@@ -110,7 +110,7 @@ class Fitted:
         """
         keys = ["effects", "theta", "covariance", "undetermined"]
         table = checks.keys(declared, keys, keys, where)
-        effects = tuple(_placed(item, f"{where}: effects") for item in table["effects"])
+        effects = tuple(_placed(item, f"{where}: effects", experiment) for item in table["effects"])
         size = 2 * experiment.stories + sum(len(placed.effect.parameters) for placed in effects)
         theta = checks.vector(table["theta"], f"{where}: theta", length=size)
         covariance = None
@@ -122,10 +122,10 @@ class Fitted:
         return Fitted(experiment, effects, theta, covariance, undetermined, mass_known)
 
 
-def _placed(item: object, where: str) -> Placed:
-    table = checks.keys(item, ["name", "fixed", "floor", "story", "configuration"], ["name"], where)
-    place = Place(table.get("floor"), table.get("story"), table.get("configuration"))
-    return Placed(named([table["name"]])[0], place, tuple(table.get("fixed", ())))
+def _placed(item: object, where: str, experiment: Experiment) -> Placed:
+    table = checks.keys(item, ["name", "fixed", "floor", "to", "story", "configuration"], ["name"], where)
+    place = Place(table.get("floor"), table.get("story"), table.get("configuration"), table.get("to"))
+    return Placed(named([table["name"]])[0].bound(experiment), place, tuple(table.get("fixed", ())))
 
 
 @dataclass(frozen=True, eq=False)

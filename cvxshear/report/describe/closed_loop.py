@@ -241,7 +241,7 @@ def verdict_section(result: Closure) -> Section:
     """What the verdict means, what it rests on, and which data carried it."""
     verdict = verdict_of(result)
     meaning = verdict.sentence if result.effects or not verdict.plain else verdict.plain
-    said = [meaning, f"It rests on {result.rests_on}.", evidence_in_words(result)]
+    said = [meaning, f"It rests on {listed(list(result.rests_on))}.", evidence_in_words(result)]
     if result.assumed:
         said.append(f"In the model from the start: {', '.join(placed.label for placed in result.assumed)}.")
     return Section("verdict", "Verdict", (Sentence(" ".join(each for each in said if each)),))

@@ -97,7 +97,7 @@ def _modelled(configuration: Configuration, model: Model, datum: Shapes | None) 
 
     The factor that lays a shape on the measured entries holds at the floors without a sensor too.
     """
-    full = model.modes.shapes[model.paired] * model.state.gain
+    full = model.state.observation.shown(model.modes.shapes[model.paired])
     factor = 1.0 / full[np.arange(len(full)), np.argmax(np.abs(full), axis=1)]
     if datum is not None:
         at_sensors = full[datum.kept][:, configuration.measured_floors - 1]
