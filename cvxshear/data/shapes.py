@@ -103,7 +103,7 @@ class Shapes(Datum):
         J = weights * scale[:, None] * dpsi
         if unit is not None:
             J = J - unit * np.sum(unit * J, axis=2, keepdims=True)
-        return Residual(r, J.reshape(len(J), -1).T)
+        return Residual(r, J.reshape(len(J), r.size).T)
 
     def errors(self, model: Model) -> Mapping[str, Floats]:
         """MAC of each shape known at two floors, and the largest difference of an entry of each."""
