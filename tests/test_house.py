@@ -15,7 +15,7 @@ ROOMS = (
     # Programs, what solves them, and the methods that are made of them.
     ("programs",), ("backends",), ("fit",), ("methods",), ("loop",),
     # Records and files, one and many: both end in an experiment.
-    ("records",), ("modal",), ("files",), ("campaign",), ("screening",),
+    ("records",), ("modal",), ("files",), ("screening",),
     # What is made of an identified frame.
     ("response",), ("planning",),
     # The published numbers, how results are shown, the public face, the command line.

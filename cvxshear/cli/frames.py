@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import shlex
 from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated
 
@@ -34,6 +33,7 @@ from cvxshear.cli.pictures import FiguresOut, Pictures
 from cvxshear.cli.records import measured, needs_mass, records_in_json, tables_of
 from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
 from cvxshear.util.errors import UnsuitableError
+from cvxshear.util.text import shell_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -41,6 +41,10 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from cvxshear.response import IdentifiedDamping
+
+
+UNCERTAIN = 3
+"""Status of `loop --strict` where the verdict is not one to rely on."""
 
 
 def identify(
@@ -106,6 +110,7 @@ def identify(
             *_damping_of(damping),
         ],
         *files,
+        title=experiment.report.title or experiment.name,
     )
 
 
@@ -131,6 +136,9 @@ def loop(
             help="A record file: predict it by the models before and after.", metavar="RECORD", callback=input_files
         ),
     ] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Status 3 where the verdict is ambiguous, located or unexplained.")
+    ] = False,
     units: UnitsOption = None,
     figure: FiguresOut = None,
     csv: CsvOut = None,
@@ -143,6 +151,7 @@ def loop(
     Example: cvxshear loop paper
     """
     from cvxshear import Closure, close_loop
+    from cvxshear.loop.verdicts import VERDICTS
     from cvxshear.report import terminal
     from cvxshear.report.sheets import sheets_of_closure
     from cvxshear.response import damping_of, models_of_loop, predict
@@ -176,7 +185,7 @@ def loop(
         said["validation"] = tried.to_dict()
     files = [*pictures.of(result), *tables.of(lambda: sheets_of_closure(result))]
     if report is not None:
-        command = shlex.join(["cvxshear", *typed])
+        command = shell_line(["cvxshear", *typed])
         files.append(lambda: write_report(result, report, command, units=display, prediction=tried, heading=heading))
     beside = _damping_of(damping) if tried is None else ("", *terminal.shown(tried))
     deliver(
@@ -189,7 +198,10 @@ def loop(
             *beside,
         ],
         *files,
+        title=heading.title or experiment.name,
     )
+    if strict and not VERDICTS[result.verdict].certain:
+        raise typer.Exit(UNCERTAIN)
 
 
 def _damping_of(found: IdentifiedDamping | None) -> Iterable[RenderableType]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -15,6 +14,7 @@ from cvxshear.cli.output import FIGURES as FIGURE_ENDINGS
 from cvxshear.cli.output import BackendName, JsonOut, Quiet, ReportOut, deliver, figures_for, progress, typed
 from cvxshear.cli.records import measured, needs_mass
 from cvxshear.util.errors import InputError
+from cvxshear.util.text import shell_line
 
 if TYPE_CHECKING:
     from cvxshear.response import RecordPrediction
@@ -84,7 +84,7 @@ def predict(
     if report is not None:
         from cvxshear.report.html import write_prediction_report
 
-        pages.append(lambda: write_prediction_report(result, report, shlex.join(["cvxshear", *typed])))
+        pages.append(lambda: write_prediction_report(result, report, shell_line(["cvxshear", *typed])))
     with progress("predicting", quiet):
         source, doubts = _screened(file, backend)
         result = run(source, record, backend, damping=damping, configuration=configuration, detrend=detrend)
@@ -95,9 +95,9 @@ def predict(
 def _screened(file: str, backend: str) -> tuple[ModelSource, Sequence[Finding] | None]:
     """What the model is made of, without mistakes, and its warnings; None where `loop` looked for them before."""
     from cvxshear import backends, close_loop
+    from cvxshear.measurement.declaration import NUMBERS
     from cvxshear.response import models_of_loop
     from cvxshear.screening import refuse_mistakes
-    from cvxshear.util.findings import NUMBERS
 
     if Path(file).suffix.lower() == ".json":
         return file, None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -26,11 +25,12 @@ from cvxshear.cli.output import (
 from cvxshear.cli.pictures import LIST, FiguresOut, Pictures
 from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
 from cvxshear.util.errors import CvxshearError, InputError
+from cvxshear.util.text import shell_line
 from cvxshear.util.writing import check_output
 
 if TYPE_CHECKING:
     from cvxshear import Experiment
-    from cvxshear.campaign import IdentifiedRecord
+    from cvxshear.files.modes import IdentifiedRecord
     from cvxshear.util.parallel import Progress
     from cvxshear.util.typing import Json
 
@@ -66,7 +66,7 @@ def modes(
 
     Example: cvxshear modes bare.toml loaded.toml -o test.toml
     """
-    from cvxshear.campaign import identify_modes_many, write_merged
+    from cvxshear.files.modes import identify_modes_many, write_merged
     from cvxshear.files.uff import write_uff
     from cvxshear.modal import ModalResult
     from cvxshear.report import terminal
@@ -99,7 +99,7 @@ def modes(
         if uff is not None:
             files.append(lambda: write_uff(uff, results[0]))
         if report is not None:
-            command, failed = shlex.join(["cvxshear", *typed]), [str(error) for error in errors]
+            command, failed = shell_line(["cvxshear", *typed]), [str(error) for error in errors]
             files.append(lambda: write_modal_report(results, report, command, failed))
         deliver(
             _said(sources, found), out, lambda: terminal.poles(results) if pick == LIST else tables_of(tests), *files
@@ -121,7 +121,7 @@ def measured(
         Where no mode was found in a record.
     """
     from cvxshear import Experiment, load
-    from cvxshear.campaign import identify_modes_many, merged
+    from cvxshear.files.modes import identify_modes_many, merged
     from cvxshear.files.toml import is_built_in, is_record_file
 
     files = list(names) if len(names) == 1 and is_built_in(names[0]) else _files(names)
@@ -141,7 +141,7 @@ def measured(
 
 def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
     """The modes of each record."""
-    from cvxshear.campaign.merge import UNKNOWN_SCALE, cables_of
+    from cvxshear.files.modes import UNKNOWN_SCALE, cables_of
     from cvxshear.report import terminal
 
     for test in tests:
@@ -155,7 +155,7 @@ def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
 
 def needs_mass(tests: Sequence[IdentifiedRecord]) -> bool:
     """Whether a total mass of 1 kg stands for one that nobody gave."""
-    from cvxshear.campaign.merge import scale_unknown
+    from cvxshear.files.modes import scale_unknown
 
     return bool(tests) and scale_unknown(tests)
 
@@ -169,7 +169,7 @@ def records_in_json(tests: Sequence[IdentifiedRecord]) -> Json:
 
 def _files(names: Sequence[str], written: str | None = None) -> list[str]:
     """The record files of names and patterns; what a pattern matches is not to be written over either."""
-    from cvxshear.campaign import record_files
+    from cvxshear.files.modes import record_files
 
     files, left_out = record_files(names)
     for path in left_out:

@@ -12,7 +12,7 @@ from cvxshear.data import Model
 from cvxshear.fit.gauss_newton import Ending
 from cvxshear.fit.quality import Quality
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.util.dataframe import data_frame
+from cvxshear.util.plain import as_json, data_frame
 from cvxshear.util.showing import Shown
 from cvxshear.util.typing import Bools, Floats, Json
 
@@ -22,9 +22,8 @@ if TYPE_CHECKING:
 
 def plain(values: Floats | None) -> list[object] | None:
     """An array as lists, None in place of nan, as JSON has it."""
-    if values is None:
-        return None
-    return [plain(item) if isinstance(item, np.ndarray) else None if np.isnan(item) else float(item) for item in values]
+    found: list[object] | None = as_json(values)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,5 +254,5 @@ class Identification(Shown):
             result["undetermined"] = [list(names) for names in self.undetermined]
             result["at_bounds"] = [name for part in self.parts for name in part.frame.at_bounds]
         else:
-            result["configurations"] = [part.to_dict() for part in self.parts]
+            result["configurations"] = [part.to_dict() for part in self.parts] if single is None else [single]
         return result

@@ -18,7 +18,7 @@ from cvxshear.loop.posterior import Rival
 from cvxshear.loop.residual import by_floor, by_part
 from cvxshear.loop.verdicts import VERDICTS
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.util.dataframe import data_frame
+from cvxshear.util.plain import data_frame
 from cvxshear.util.showing import Shown
 from cvxshear.util.typing import Json
 

@@ -10,13 +10,48 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.priors import Prior
-from cvxshear.util import checks, findings
+from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Json
 
 UNSAID = (("stories", 0), ("accept", ()), ("total_mass_placeholder", False))
 """Keys of a frame, with the values that stand for "not given"."""
+
+MISTAKES = {
+    "sensor_sign": "one sensor's sign is turned round in every mode",
+    "swapped_sensors": "two sensors stand in each other's place",
+    "floors_from_top": "the floors are listed from the top",
+    "transposed": "mode_shapes has a row a floor in place of a row a mode",
+    "mode_order": "the shapes stand in another order than the frequencies",
+    "missing_mode": "a mode was not measured and `modes` does not say which",
+    "mode_number": "one of the numbers in `modes` is wrong",
+    "entry_sign": "one entry of one shape has the wrong sign",
+    "sensor_floors": "one sensor, or all, are listed one floor too low or too high",
+    "sensor_unit": "one sensor's entries are in another unit",
+    "drifts": "mode_shapes are drifts of the stories in place of displacements of the floors",
+    "frequency_unit": "one configuration's frequencies are in another unit than those of the others",
+    "signs": "a shape has signs that no mode of that number has, and no single change mends it",
+}
+"""What is refused unless it is accepted."""
+
+NUMBERS = ("missing_mode", "mode_number")
+"""Mistakes in which modes of the frame the measured ones are."""
+
+DOUBTS = {
+    "angular_frequency": "frequencies look like rad/s in place of Hz",
+    "heights": "story heights look like mm or cm in place of m",
+    "masses": "masses look like g or t in place of kg",
+    "elevations": "story heights are added up: elevations of the floors",
+    "time_unit": "frequencies are lower than those of any frame: times in ms, or frequencies in kHz",
+    "deviations": "standard deviations are finer than any instrument measures, or look like percent",
+    "repeated": "configurations repeat each other to the last digit",
+    "gravity": "gravity is not that of the Earth in m/s2",
+    "total_mass": "the total mass contradicts what the added masses did to the frequencies",
+}
+"""What is warned of."""
+
+NAMES = (*MISTAKES, *DOUBTS)
 
 DAMPING_KINDS = ("modal", "story", "rayleigh")
 
@@ -44,7 +79,7 @@ class Frame:
     reference : str, optional
         The state that is the frame itself: no change and no undeclared mass sits in it.
     accept : sequence of str, optional
-        Findings of `check` that are known and right, by their names in `cvxshear.util.findings.NAMES`.
+        Findings of `check` that are known and right, by their names in `cvxshear.measurement.declaration.NAMES`.
 
     Raises
     ------
@@ -94,7 +129,7 @@ class Frame:
     def _checked_accept(accept: object) -> tuple[str, ...]:
         if not isinstance(accept, list | tuple):
             raise InputError(f"frame: accept must be a list of names, not {checks.shown(accept)}")
-        return tuple(checks.choice(name, findings.NAMES, "frame: accept") for name in accept)
+        return tuple(checks.choice(name, NAMES, "frame: accept") for name in accept)
 
     def _checked_heights(self, heights: object) -> Floats:
         """One height a story; a single number, for all stories, stays one until their number is known."""

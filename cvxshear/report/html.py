@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from cvxshear.backends import Comparison
-from cvxshear.files.reading import read_bytes
+from cvxshear.files.inputs import read_bytes
 from cvxshear.loop import Closure
 from cvxshear.measurement.declaration import Heading
 from cvxshear.measurement.experiment import Experiment

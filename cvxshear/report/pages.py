@@ -13,7 +13,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from cvxshear.util.text import printable
+from cvxshear.util.text import json_text, printable
 from cvxshear.version import __version__
 
 PACKAGES = (
@@ -98,7 +98,7 @@ def drawings(*results: Any) -> dict[str, Drawing]:
 
 def readable_json(value: object) -> str:
     """JSON that a person can read."""
-    return json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False)
+    return json_text(value, indent=1)
 
 
 def versions() -> Iterator[tuple[str, str]]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from cvxshear.backends import Backend
 from cvxshear.files.modes import modes_from_file
-from cvxshear.files.motion import read_motion
+from cvxshear.files.record_file import read_motion
 from cvxshear.files.toml import is_record_file, load, read_text
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import Closure, close_loop

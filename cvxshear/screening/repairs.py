@@ -29,7 +29,7 @@ class Repair:
     Parameters
     ----------
     name : str
-        Of the mistake that it mends, a key of `cvxshear.util.findings.MISTAKES`.
+        Of the mistake that it mends, a key of `cvxshear.measurement.declaration.MISTAKES`.
     found, change : str
         What the mistake would be, and what to change: parts of sentences.
     reading : Reading

@@ -19,6 +19,7 @@ from typing import Protocol
 
 import numpy as np
 
+from cvxshear.measurement.declaration import NUMBERS
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import Reading
 from cvxshear.measurement.sign_rule import violations
@@ -37,7 +38,6 @@ from cvxshear.screening.shear_fit import (
     starts,
 )
 from cvxshear.util.errors import InputError
-from cvxshear.util.findings import NUMBERS
 from cvxshear.util.showing import Shown
 from cvxshear.util.typing import Floats, Json
 

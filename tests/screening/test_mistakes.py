@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from cvxshear import Experiment, InputError, load
+from cvxshear.measurement.declaration import MISTAKES as NAMES
+from cvxshear.measurement.declaration import NAMES as ALL_NAMES
 from cvxshear.screening import refuse_mistakes, screen
-from cvxshear.util.findings import MISTAKES as NAMES
-from cvxshear.util.findings import NAMES as ALL_NAMES
 from tests.calibration import EFFECTS
 from tests.fe.experiments import simulated
 from tests.frames import EXAMPLES, configuration, experiment

@@ -317,7 +317,8 @@ def encoded(figure: Figure, kind: str, *, transparent: bool = False) -> bytes:
     with house_settings():
         FigureCanvasAgg(figure)
         figure.savefig(out, format=kind, dpi=RESOLUTION, metadata=no_date, transparent=transparent)
-    return out.getvalue()
+    # matplotlib puts every text into a comment beside its outlines, where a name would stand as it is.
+    return re.sub(rb"<!--.*?-->", b"", out.getvalue(), flags=re.DOTALL) if kind == "svg" else out.getvalue()
 
 
 def inline_svg(figure: Figure, name: str) -> str:
@@ -333,7 +334,6 @@ def inline_svg(figure: Figure, name: str) -> str:
     text = encoded(figure, "svg", transparent=True).decode("utf-8")
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
     text = re.sub(r'\bid="', f'id="{name}-', text)
     text = re.sub(r'href="#', f'href="#{name}-', text)
     text = text.replace("url(#", f"url(#{name}-")

@@ -6,14 +6,14 @@ import os
 from pathlib import Path
 
 import numpy as np
+import tomli_w
 
-from cvxshear.files.mode_tables import READERS
+from cvxshear.files.formats import read_modes_of
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
+from cvxshear.util.text import escaped, printable
 from cvxshear.util.typing import Floats
-
-ENDINGS = {".csv": "csv", ".txt": "csv", ".xlsx": "xlsx", ".uff": "uff", ".unv": "uff", ".u55": "uff"}
 
 MASS, STIFFNESS, FORCE = 10.0, 10e3, 100.0
 """Of the floors (kg) and stories (N/m) of the frame that stands for the user's, and a pull at its top (N)."""
@@ -129,7 +129,7 @@ def template_from(modes: str | Path, folder: str | Path = ".") -> str:
     Parameters
     ----------
     modes : str or Path
-        Ending in .csv, .txt, .xlsx, .uff, .unv or .u55.
+        Of one of the formats in `files.formats.FORMATS` that hold modes.
     folder : str or Path, optional
         Where the measurement file will stand; it names the other from there.
 
@@ -143,18 +143,29 @@ def template_from(modes: str | Path, folder: str | Path = ".") -> str:
     InputError
         Where the file cannot be read.
     """
-    key = ENDINGS.get(Path(modes).suffix.lower())
-    if key is None:
-        raise InputError(f"{modes!s}: modes are read from files that end in {', '.join(ENDINGS)}")
-    found = READERS[key](modes)
-    name = os.path.relpath(modes, folder)
-    quoted = name.replace("\\", "/").replace('"', '\\"')
-    total = CARRIED if found.get("mass_normalized") else TO_FILL_IN.replace("{file}", Path(modes).name)
-    text = _filled(f'{key} = "{quoted}"  # frequencies and mode shapes', max(found["measured_floors"]), total)
+    key, found = read_modes_of(modes)
+    named = toml_line(key, os.path.relpath(modes, folder))
+    total = CARRIED if found.get("mass_normalized") else TO_FILL_IN.replace("{file}", printable(Path(modes).name))
+    text = _filled(f"{named}  # frequencies and mode shapes", max(found["measured_floors"]), total)
     for given in ("frequency_std", "mode_shape_std"):
         # What the table says itself need not be said here.
         text = text.replace(f"\n{given} =", f"\n# {given} =") if given in found else text
     return text
+
+
+def toml_line(key: str, name: str) -> str:
+    """A line of TOML that names a file, from the folder that the line stands in.
+
+    Raises
+    ------
+    InputError
+        Where the name has bytes that are no text, which TOML cannot hold.
+    """
+    try:
+        name.encode("utf-8")
+    except UnicodeEncodeError:
+        raise InputError(f"{name}: a name that is no UTF-8 text cannot stand in TOML; rename the file") from None
+    return escaped(tomli_w.dumps({key: name.replace(os.sep, "/")})).rstrip("\n")
 
 
 def _filled(modes: str, stories: int, total: str) -> str:

@@ -2,12 +2,32 @@
 
 from __future__ import annotations
 
+import logging
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 from cvxshear.util.errors import InputError
+from cvxshear.util.text import printable
+
+logger = logging.getLogger(__name__)
 
 MEGABYTE = 1_000_000
+
+_kept: ContextVar[dict[str, bytes] | None] = ContextVar("kept", default=None)
+"""What pipes and devices gave, by their names, while one command runs."""
+
+
+@contextmanager
+def streams_read_once() -> Iterator[None]:
+    """Keep what a pipe gives while this lasts: who looks at it a second time sees the same, and does not wait."""
+    token = _kept.set({})
+    try:
+        yield
+    finally:
+        _kept.reset(token)
 
 
 def read_bytes(path: Path, largest: float, remedy: str, *, absent: str = "", named: bool = False) -> bytes:
@@ -36,6 +56,9 @@ def read_bytes(path: Path, largest: float, remedy: str, *, absent: str = "", nam
             raise InputError(f"{where} is a folder; name a file in it")
         if named and path.exists() and not path.is_file():
             raise InputError(f"{where} is a device or a pipe; save what it gives in a file")
+        kept = None if path.is_file() else _kept.get()
+        if kept is not None and where in kept:
+            return kept[where]
         with path.open("rb") as file:
             content = file.read(int(largest) + 1)
     except FileNotFoundError:
@@ -48,6 +71,9 @@ def read_bytes(path: Path, largest: float, remedy: str, *, absent: str = "", nam
         raise InputError(f"{str(path)!r} cannot be the name of a file: {error}") from None
     if len(content) > largest:
         raise InputError(f"{where} has more than {largest / MEGABYTE:g} MB; {remedy}")
+    if kept is not None:
+        kept[where] = content
+    logger.info("read %s, %d bytes", printable(where), len(content))
     return content
 
 
