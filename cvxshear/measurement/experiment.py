@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from cvxshear.measurement.configuration import Configuration
-from cvxshear.measurement.declaration import DAMPING_KINDS, Damping, Frame
+from cvxshear.measurement.declaration import DAMPING_KINDS, Damping, Frame, Limits
 from cvxshear.measurement.expected_effect import ExpectedEffect
 from cvxshear.measurement.static_test import StaticTest
 from cvxshear.priors import Prior, check_quantity
@@ -23,8 +23,8 @@ from cvxshear.util.showing import Shown
 from cvxshear.util.typing import Json
 
 __all__ = [
-    "DAMPING_KINDS", "MOST_STORIES", "Configuration", "Damping", "ExpectedEffect", "Experiment", "Frame", "Prior",
-    "StaticTest", "Tested",
+    "DAMPING_KINDS", "MOST_STORIES", "Configuration", "Damping", "ExpectedEffect", "Experiment", "Frame", "Limits",
+    "Prior", "StaticTest", "Tested",
 ]  # fmt: skip
 
 Tested = Configuration | StaticTest
@@ -50,6 +50,8 @@ class Experiment(Shown):
     expected : sequence of ExpectedEffect, optional
         What is known beforehand of effects that the shear model lacks.
     damping : Damping, optional
+    limits : Limits, optional
+        Drift ratios whose passing a reconstruction judges.
 
     Raises
     ------
@@ -64,6 +66,7 @@ class Experiment(Shown):
     static: tuple[StaticTest, ...] = ()
     expected: tuple[ExpectedEffect, ...] = ()
     damping: Damping = field(default_factory=Damping)
+    limits: Limits | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -185,7 +188,7 @@ class Experiment(Shown):
         """
         frame_keys = {item.name: "[frame]" for item in dataclasses.fields(Frame)}
         tested_keys = {item.name: "[[configuration]]" for item in dataclasses.fields(Configuration)}
-        tables = ["frame", "configuration", "prior", "static", "effect", "damping"]
+        tables = ["frame", "configuration", "prior", "static", "effect", "damping", "limits"]
         table = checks.keys(declared, tables, [], "the measurement file", elsewhere={**tested_keys, **frame_keys})
         if table.get("configuration") is None:
             raise InputError("at least one [[configuration]] is needed: none was found")
@@ -207,13 +210,16 @@ class Experiment(Shown):
             for place, item in enumerate(_tables(table.get("effect"), "effect"), 1)
         )
         damping = Damping() if table.get("damping") is None else Damping.from_dict(table["damping"])
-        return Experiment(frame, configurations, tuple(priors), name, static, expected, damping)
+        limits = None if table.get("limits") is None else Limits.from_dict(table["limits"])
+        return Experiment(frame, configurations, tuple(priors), name, static, expected, damping, limits)
 
     def to_dict(self) -> Json:
         """The dict of the measurement file's shape that declares this experiment."""
         result: Json = {"frame": self.frame.to_dict()}
         if self.damping.kind != Damping().kind:
             result["damping"] = {"kind": self.damping.kind}
+        if self.limits is not None:
+            result["limits"] = self.limits.to_dict()
         if self.priors or self.damping.priors:
             result["prior"] = [prior.to_dict() for prior in (*self.priors, *self.damping.priors)]
         if self.expected:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import signal
 
 from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.modal.record import Record, TimeRecord
@@ -29,7 +28,7 @@ class Drive:
     floor : int, optional
         Where the force acts; 0 for a base acceleration.
     responses : array_like, shape (samples, floors), optional
-        Total accelerations of the floors that `Motion.floors` names, m/s2.
+        Total accelerations of the floors that `Motion.floors` names, m/s2; nan where a piece is missing.
     name : str, optional
     """
 
@@ -45,9 +44,9 @@ class Drive:
         object.__setattr__(self, "excitation", excitation)
         if self.responses is not None:
             responses = np.array(self.responses, dtype=np.float64)
-            if responses.ndim != 2 or len(responses) != len(excitation) or not np.isfinite(responses).all():
+            if responses.ndim != 2 or len(responses) != len(excitation) or np.isinf(responses).any():
                 raise InputError(
-                    f"{self.name}: responses must be a finite table of {len(excitation)} samples by floors, one row a "
+                    f"{self.name}: responses must be a table of {len(excitation)} samples by floors, one row a "
                     f"sample of the excitation, not of shape {responses.shape}"
                 )
             object.__setattr__(self, "responses", checks.frozen(responses))
@@ -74,6 +73,8 @@ class Motion:
     added_mass : array_like, shape (N,), optional
         kg on each floor while this was recorded; None where nothing says so.
     name : str, optional
+    state : str, optional
+        The state of the frame while this was recorded; None where nothing says so.
 
     Raises
     ------
@@ -87,6 +88,7 @@ class Motion:
     floors: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     added_mass: Floats | None = None
     name: str = "record"
+    state: str | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -117,15 +119,15 @@ class Motion:
         drives = tuple(
             dataclasses.replace(
                 drive,
-                excitation=signal.detrend(drive.excitation) if self.input == "base" else drive.excitation,
-                responses=None if drive.responses is None else signal.detrend(drive.responses, axis=0),
+                excitation=drive.excitation - trend(drive.excitation) if self.input == "base" else drive.excitation,
+                responses=None if drive.responses is None else drive.responses - trend(drive.responses),
             )
             for drive in self.drives
         )
         return dataclasses.replace(self, drives=drives)
 
     @staticmethod
-    def of(record: Record, added_mass: Sequence[float] | None = None) -> Motion:
+    def of(record: Record, added_mass: Sequence[float] | None = None, state: str | None = None) -> Motion:
         """The motion that a record holds.
 
         Parameters
@@ -133,6 +135,7 @@ class Motion:
         record : TimeRecord
             Driven by base motion or a force. Responses other than accelerations are left out.
         added_mass : sequence of float, shape (N,), optional
+        state : str, optional
 
         Raises
         ------
@@ -158,4 +161,16 @@ class Motion:
         )
         floors = record.floors if measured else np.zeros(0, dtype=np.int64)
         added = None if added_mass is None else np.asarray(added_mass, dtype=np.float64)
-        return Motion(drives, record.sampling_rate, record.input, floors, added, record.name)
+        return Motion(drives, record.sampling_rate, record.input, floors, added, record.name, state)
+
+
+def trend(values: Floats) -> Floats:
+    """Straight line through each column by least squares, of the same shape; samples that are nan have no part in it."""
+    columns = values.reshape(len(values), -1)
+    time = np.linspace(-1.0, 1.0, len(values))
+    lines = np.zeros_like(columns)
+    for j, column in enumerate(columns.T):
+        there = np.isfinite(column)
+        if there.sum() > 1:
+            lines[:, j] = np.polyval(np.polyfit(time[there], column[there], 1), time)
+    return lines.reshape(values.shape)

@@ -8,6 +8,7 @@ from cvxshear.response.fitted import Fitted, Models
 from cvxshear.response.model import DampedModel, Response, response
 from cvxshear.response.peaks import Peaks
 from cvxshear.response.prediction import RecordPrediction, Side, predict, predict_many
+from cvxshear.response.reconstruction import Reconstruction, reconstruct
 from cvxshear.response.sources import models_of_loop
 from cvxshear.response.spectra import FloorSpectra, floor_spectra
 
@@ -22,6 +23,7 @@ __all__ = [
     "Peaks",
     "RecordComparison",
     "RecordPrediction",
+    "Reconstruction",
     "Response",
     "Side",
     "batch_peaks",
@@ -30,6 +32,7 @@ __all__ = [
     "models_of_loop",
     "predict",
     "predict_many",
+    "reconstruct",
     "response",
     "sample_peaks",
 ]

@@ -78,6 +78,42 @@ class UncertainFrame:
         """How many standard normal numbers there are."""
         return int(self.fitted.root.shape[1]) + len(self.ratios.values)
 
+    @property
+    def story_stiffness(self) -> Floats:
+        """Of this state at the fitted parameters, shape (N,), N/m."""
+        return self._state(self.configuration, self.fitted.theta).story_stiffness
+
+    def conditional_stiffness(self) -> Floats:
+        """Covariance of the logarithms of the story stiffnesses with masses and effects given, shape (N, N).
+
+        What a record tells of the frame is compared with this: masses and effects stay what they are.
+        """
+        n = self.fitted.experiment.stories
+        covariance = self.fitted.covariance
+        if covariance is None:
+            return np.zeros((n, n))
+        own, rest = slice(n, 2 * n), np.r_[0:n, 2 * n : len(self.fitted.theta)]
+        cross = covariance[own][:, rest]
+        given = covariance[own, own] - cross @ np.linalg.pinv(covariance[np.ix_(rest, rest)], rcond=1e-10) @ cross.T
+        relative = given / np.outer(self.fitted.theta[own], self.fitted.theta[own])
+        values, vectors = np.linalg.eigh(0.5 * (relative + relative.T))
+        return (vectors * np.maximum(values, 0.0)) @ vectors.T
+
+    def nuisance_root(self) -> Floats:
+        """L with L L' the covariance of masses and effects, the stiffnesses moving along as they were identified."""
+        n = self.fitted.experiment.stories
+        covariance = self.fitted.covariance
+        if covariance is None:
+            return np.zeros((len(self.fitted.theta), 0))
+        rest = np.r_[0:n, 2 * n : len(self.fitted.theta)]
+        std = np.sqrt(np.maximum(np.diag(covariance)[rest], 0.0))
+        unit = np.where(std > 0, std, 1.0)
+        values, vectors = np.linalg.eigh(covariance[np.ix_(rest, rest)] / np.outer(unit, unit))
+        kept = values > 1e-10 * max(float(values[-1]), 1e-300)
+        scaled = vectors[:, kept] / np.sqrt(values[kept])
+        root: Floats = (covariance[:, rest] / unit) @ scaled
+        return root
+
     def at(self, xi: Floats, near: Damped | None = None) -> Damped:
         """The damped model at one value of xi.
 
