@@ -16,6 +16,7 @@ expected curvature (Fisher scoring), so that a step stays one least-squares prog
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -54,6 +55,11 @@ starts and where their priors are centred."""
 
 NOISE_STD = 1.0
 """Standard deviation of the logarithm of each noise level: a factor of seven to either side is within two."""
+
+MOST_NUISANCES = 12
+LEAST_EFFECT = 1e-4
+"""Combinations of uncertain masses and effects that are fitted along at most, and the least relative change of a mode
+that makes one worth it: those left out move no peak by a hundredth of a percent, or are the weakest of many."""
 
 FURTHEST = np.log(10.0)
 """Bound on the logarithm of factors on stiffnesses and damping: a story ten times softer or stiffer is another frame."""
@@ -95,7 +101,7 @@ BEAM = 6
 
 @dataclass(frozen=True, eq=False)
 class Varied:
-    """A damped frame with factors on its story stiffnesses and on its damping.
+    """A damped frame with factors on its story stiffnesses and damping, and with masses and effects that may be off.
 
     Parameters
     ----------
@@ -106,12 +112,18 @@ class Varied:
         Damping ratios of the modes, of modal damping.
     own_std : ndarray, shape (D,)
         Of the logarithm of each damping factor, by itself.
+    dM, dK : ndarray, shape (W, N, N)
+        Change of the matrices along each direction of the uncertainty of masses and effects, one standard deviation.
+    dgain : ndarray, shape (W, N)
     """
 
     centre: Damped
     story_stiffness: Floats
     ratios: Floats
     own_std: Floats
+    dM: Floats
+    dK: Floats
+    dgain: Floats
 
     @staticmethod
     def of(frame: UncertainFrame) -> Varied:
@@ -121,21 +133,53 @@ class Varied:
             own = frame.ratios.std
         else:
             own = np.full(2 if centre.rayleigh is not None else len(centre.model.M), OTHER_DAMPING_STD)
-        return Varied(centre, frame.story_stiffness, frame.ratios.values, own)
+        base = frame.undamped(frame.fitted.theta)
+        directions = frame.nuisance_root()
+        moved = [frame.undamped(frame.fitted.theta + column) for column in directions.T]
+        shape = (len(moved), *base.M.shape)
+        dM, dK, dgain = (
+            np.array([getattr(each, name) - getattr(base, name) for each in moved]).reshape(shape[: 1 + at.ndim])
+            for name, at in (("M", base.M), ("K", base.K), ("gain", base.gain))
+        )
+        whole = Varied(centre, frame.story_stiffness, frame.ratios.values, own, dM, dK, dgain)
+        return whole._reduced()
 
-    def model(self, stiffness: Floats, damping: Floats) -> DampedModel:
-        """The frame of given logarithms of the factors."""
+    def _reduced(self) -> Varied:
+        """With the combinations of the directions that change modes at all, the strongest first."""
+        if not len(self.dM):
+            return self
         old = self.centre.model
-        K = old.K + stiffness_matrix(self.story_stiffness * np.expm1(stiffness))
+
+        def described(M: Floats, K: Floats) -> Floats:
+            found = modes(M, K)
+            # What base motion makes each floor do in each mode, which has neither scale nor sign.
+            moved = found.shapes * (found.shapes @ M.sum(axis=1))[:, None]
+            return np.concatenate([np.log(found.frequencies), moved.ravel()])
+
+        centre = described(old.M, old.K)
+        slopes = [(described(old.M + 0.01 * M, old.K + 0.01 * K) - centre) / 0.01 for M, K in zip(self.dM, self.dK)]
+        effect = np.concatenate([np.array(slopes).T, self.dgain.T])
+        _, sizes, turns = np.linalg.svd(effect, full_matrices=False)
+        turns = turns[: MOST_NUISANCES][sizes[:MOST_NUISANCES] > LEAST_EFFECT]
+        turned = (np.tensordot(turns, each, axes=1) for each in (self.dM, self.dK, self.dgain))
+        return Varied(self.centre, self.story_stiffness, self.ratios, self.own_std, *turned)
+
+    def model(self, stiffness: Floats, damping: Floats, nuisance: Floats) -> DampedModel:
+        """The frame of given logarithms of the factors, and masses and effects so many standard deviations off."""
+        old = self.centre.model
+        M = old.M + np.tensordot(nuisance, self.dM, axes=1)
+        K = old.K + np.tensordot(nuisance, self.dK, axes=1)
+        K = K + stiffness_matrix(self.story_stiffness * np.expm1(stiffness))
         scale = np.exp(damping)
         if self.centre.dashpots is not None:
             C = stiffness_matrix(self.centre.dashpots.values * scale)
         elif self.centre.rayleigh is not None:
             a, b = self.centre.rayleigh * scale
-            C = a * old.M + b * K
+            C = a * M + b * K
         else:
-            C = modal_matrix(old.M, modes(old.M, K), self.ratios * scale)
-        return DampedModel(old.M, C, K, old.gain, old.heights, old.mass_known)
+            C = modal_matrix(M, modes(M, K), self.ratios * scale)
+        gain = old.gain + nuisance @ self.dgain
+        return DampedModel(M, C, K, gain, old.heights, old.mass_known)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,8 +219,9 @@ class Likelihood:
 class PredictionErrors:
     """Innovations of candidates for the frame in a record.
 
-    Unknowns, all logarithms: N factors on story stiffnesses, D on damping, m sensor noises, the missed story forces,
-    and the base acceleration where nobody measured it.
+    Unknowns: logarithms of N factors on story stiffnesses and of D on damping, W directions of masses and effects in
+    standard deviations, and the logarithms of m sensor noises, of the missed story forces, and of the base acceleration
+    where nobody measured it.
 
     Parameters
     ----------
@@ -190,9 +235,9 @@ class PredictionErrors:
     def __init__(self, varied: Varied, setting: Setting, stretches: Sequence[Stretch], noise: Noise) -> None:
         self.varied, self.setting, self.stretches, self.noise = varied, setting, stretches, noise
         self.stories, self.dampers = len(varied.story_stiffness), len(varied.own_std)
-        self.frame = slice(0, self.stories + self.dampers)
+        self.frame = slice(0, self.stories + self.dampers + len(varied.dM))
         extra = 0 if setting.base_measured else 1
-        self.size = self.stories + self.dampers + len(setting.floors) + 1 + extra
+        self.size = self.frame.stop + len(setting.floors) + 1 + extra
 
     @property
     def samples(self) -> int:
@@ -201,7 +246,7 @@ class PredictionErrors:
 
     def model(self, p: Floats) -> DampedModel:
         """The frame at a point."""
-        return self.varied.model(p[: self.stories], p[self.stories : self.frame.stop])
+        return self.varied.model(*np.split(p[self.frame], [self.stories, self.stories + self.dampers]))
 
     def noise_at(self, p: Floats) -> Noise:
         """The noise at a point."""
@@ -327,6 +372,8 @@ class Prior:
     probability : float
         That one story changed.
     own_damping : ndarray, shape (D,)
+    nuisances : int
+        W.
     others : int
         Number of noise levels.
     """
@@ -335,27 +382,29 @@ class Prior:
     change_std: float
     probability: float
     own_damping: Floats
+    nuisances: int
     others: int
 
     @staticmethod
-    def of(frame: UncertainFrame, own_damping: Floats, others: int) -> Prior:
+    def of(frame: UncertainFrame, errors: PredictionErrors) -> Prior:
         """What was identified, and what is expected of a story that changed."""
         change = _expected_change(frame.fitted.experiment)
         stories = frame.fitted.experiment.stories
         size = float(change.sizes(None)[0])  # type: ignore[arg-type]  # this effect's size needs no scale of the frame
         return Prior(
-            frame.conditional_stiffness(), size, 1.0 - (1.0 - change.probability) ** (1.0 / stories), own_damping, others
-        )
+            frame.conditional_stiffness(), size, 1.0 - (1.0 - change.probability) ** (1.0 / stories),
+            errors.varied.own_std, len(errors.varied.dM), errors.size - errors.frame.stop,
+        )  # fmt: skip
 
     def covariance(self, changed: Sequence[int]) -> Floats:
         """With given stories (from 0) changed."""
         N, D = len(self.identified), len(self.own_damping)
-        result = np.zeros((N + D + self.others,) * 2)
+        result = np.eye(N + D + self.nuisances + self.others)
         stories = self.identified + AMPLITUDE_STD**2 + SCATTER_STD**2 * np.eye(N)
         stories[list(changed), list(changed)] += self.change_std**2
         result[:N, :N] = stories
         result[N : N + D, N : N + D] = DAMPING_STD**2 + np.diag(self.own_damping**2)
-        at = np.arange(N + D, len(result))
+        at = np.arange(len(result) - self.others, len(result))
         result[at, at] = NOISE_STD**2
         return result
 
@@ -492,10 +541,7 @@ def refitted(frame: FittedFrame, errors: PredictionErrors, start: Floats, backen
     steps : int
         At most.
     """
-    prior = Prior(
-        frame.prior.identified, frame.prior.change_std, frame.prior.probability, frame.prior.own_damping,
-        errors.size - errors.frame.stop,
-    )  # fmt: skip
+    prior = dataclasses.replace(frame.prior, others=errors.size - errors.frame.stop)
     root = prior.root(frame.sets[0].stories)
     if not steps:
         return FittedFrame(errors, prior, start, identified_only(prior), frame.sets, 1.0, True)

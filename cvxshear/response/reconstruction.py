@@ -444,10 +444,10 @@ class _Reconstructing:
 
     def _fitted(self) -> tuple[FittedFrame, list[Smoothed]]:
         """The frame and its motion: gaps and spikes are filled in by the identified frame, then by the fitted one."""
-        prior = Prior.of(self.frame, self.varied.own_std, len(self.setting.floors) + (2 - self.setting.base_measured))
-        p, fitted = None, None
+        fitted: FittedFrame | None = None
         smoothed: list[Smoothed] = []
         errors = self._errors(None)
+        prior = Prior.of(self.frame, errors)
         p = np.zeros(errors.size)
         whole = not any(np.isnan(run.measured).any() for run in self.recording.runs)
         for turn in range(2):
@@ -540,21 +540,15 @@ class _Reconstructing:
         frame = fitted.errors.frame
         values, vectors = np.linalg.eigh(fitted.covariance[frame, frame])
         own = vectors * np.sqrt(np.maximum(values, 0.0))
-        nuisance = self.frame.nuisance_root()
-        count = own.shape[1] + nuisance.shape[1]
         noise = fitted.errors.noise_at(fitted.p)
         run = max(fitted.errors.stretches, key=lambda each: float(np.mean(each.y**2)))
         part = strongest(run.y, PROBED)
         excitation, y, start = run.excitation[part], run.y[part], np.zeros(len(run.start))
 
         def model_at(weights: Floats) -> DampedModel:
-            p = fitted.p[frame] + own @ weights[: own.shape[1]]
-            varied = self.varied
-            if np.any(weights[own.shape[1] :]):
-                theta = self.frame.fitted.theta + nuisance @ weights[own.shape[1] :]
-                varied = dataclasses.replace(varied, centre=self.frame.damped(theta, self.frame.ratios, varied.centre))
-            stories = len(varied.story_stiffness)
-            return varied.model(p[:stories], p[stories:])
+            p = fitted.p.copy()
+            p[frame] += own @ weights
+            return fitted.errors.model(p)
 
         def outputs(model: DampedModel) -> Floats:
             moved = dynamics(model, noise, self.setting)
@@ -564,11 +558,11 @@ class _Reconstructing:
         centre = outputs(fitted.model)
         scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
         # A tenth of a standard deviation: the directions are needed to first order only.
-        slopes = [((outputs(model_at(0.1 * row)) - centre) / scale).ravel() / 0.1 for row in np.eye(count)]
+        slopes = [((outputs(model_at(0.1 * row)) - centre) / scale).ravel() / 0.1 for row in np.eye(len(own))]
         strength, turned = np.linalg.eigh(np.array([[a @ b for b in slopes] for a in slopes]))
         order = np.argsort(-strength)
         carried = np.cumsum(np.maximum(strength[order], 0.0))
-        if not count or carried[-1] <= 0:
+        if carried[-1] <= 0:
             return []
         enough = int(np.searchsorted(carried, CARRIED * carried[-1])) + 1
         return [

@@ -83,6 +83,12 @@ class UncertainFrame:
         """Of this state at the fitted parameters, shape (N,), N/m."""
         return self._state(self.configuration, self.fitted.theta).story_stiffness
 
+    def undamped(self, theta: Floats) -> DampedModel:
+        """The matrices of this state at given parameters, without damping."""
+        state = self._state(self.configuration, theta)
+        M, K = state.system.M, state.system.K
+        return DampedModel(M, np.zeros_like(M), K, state.gain, self.fitted.experiment.frame.story_heights)
+
     def conditional_stiffness(self) -> Floats:
         """Covariance of the logarithms of the story stiffnesses with masses and effects given, shape (N, N).
 
