@@ -12,6 +12,7 @@ from cvxshear.cli import backends, check, frames, new, records, studies
 from cvxshear.cli import plan as planning
 from cvxshear.cli.output import typed
 from cvxshear.cli.predict import predict
+from cvxshear.cli.reconstruct import reconstruct
 from cvxshear.cli.streams import OutputError, sound_streams
 from cvxshear.util.errors import CvxshearError, LostProcessError, NoSolutionError
 
@@ -27,6 +28,7 @@ for command in (
     frames.identify,
     frames.loop,
     predict,
+    reconstruct,
     records.modes,
     new.new,
     check.check,

@@ -12,7 +12,17 @@ import typer
 
 from cvxshear.cli.checked import claim, input_files
 from cvxshear.cli.output import FIGURES as FIGURE_ENDINGS
-from cvxshear.cli.output import BackendName, JsonOut, Quiet, ReportOut, deliver, figures_for, progress, typed
+from cvxshear.cli.output import (
+    BackendName,
+    JsonOut,
+    Quiet,
+    ReportOut,
+    deliver,
+    figures_for,
+    names,
+    progress,
+    typed,
+)
 from cvxshear.cli.records import measured, needs_mass
 from cvxshear.util.errors import InputError
 
@@ -55,6 +65,9 @@ def predict(
     configuration: Annotated[
         str | None, typer.Option(help="Which tested state; the one with the record's added mass where not given.")
     ] = None,
+    assume: Annotated[
+        str | None, typer.Option(help="Effects that are in the model from the start.", metavar="NAME,...")
+    ] = None,
     detrend: Annotated[
         bool, typer.Option(help="Take the straight line through each recorded acceleration off.")
     ] = True,
@@ -94,13 +107,13 @@ def predict(
 
         pages.append(lambda: write_prediction_report(result, report, shlex.join(["cvxshear", *typed])))
     with progress("predicting", quiet):
-        source, doubts = _screened(file, backend)
+        source, doubts = screened(file, backend, names(assume) or ())
         result = run(source, record, backend, damping=damping, configuration=configuration, detrend=detrend)
     said = {**result.to_dict(), **in_json(doubts)}
     deliver(said, out, lambda: [*terminal.doubts(doubts or ()), *terminal.shown(result)], *files.of(result), *pages)
 
 
-def _screened(file: str, backend: str) -> tuple[ModelSource, Sequence[Finding] | None]:
+def screened(file: str, backend: str, assume: Sequence[str] = ()) -> tuple[ModelSource, Sequence[Finding] | None]:
     """What the model is made of, without mistakes, and its warnings; None where `loop` looked for them before."""
     from cvxshear import backends, close_loop
     from cvxshear.response import models_of_loop
@@ -108,12 +121,14 @@ def _screened(file: str, backend: str) -> tuple[ModelSource, Sequence[Finding] |
     from cvxshear.util.findings import NUMBERS
 
     if Path(file).suffix.lower() == ".json":
+        if assume:
+            raise InputError(f"{file} holds a model that the loop ended with; --assume belongs to 'cvxshear loop'")
         return file, None
     experiment, found = measured([file])
     doubts = refuse_mistakes(experiment, NUMBERS if found else ())
-    if not found:
+    if not found and not assume:
         return experiment, doubts
-    closure = close_loop(experiment, backend=backends.get(backend))
+    closure = close_loop(experiment, assume=assume, backend=backends.get(backend))
     return models_of_loop(closure, mass_known=not needs_mass(found)), doubts
 
 

@@ -165,7 +165,7 @@ class Motion:
 
 
 def trend(values: Floats) -> Floats:
-    """Straight line through each column by least squares, of the same shape; samples that are nan have no part in it."""
+    """Straight line through each column by least squares, of the same shape; nan has no part in it."""
     columns = values.reshape(len(values), -1)
     time = np.linspace(-1.0, 1.0, len(values))
     lines = np.zeros_like(columns)

@@ -17,7 +17,11 @@ try:
     from cvxshear.report import figures
     from cvxshear.report.drawings import drawings
     from cvxshear.report.pages import environment
-    from cvxshear.report.response_html import prediction_contents, write_prediction_report
+    from cvxshear.report.response_html import (
+        prediction_contents,
+        write_prediction_report,
+        write_reconstruction_report,
+    )
 except ImportError as error:
     raise CvxshearError(
         f"the report needs {error.name}, which is not installed: pip install jinja2 matplotlib"
@@ -26,7 +30,7 @@ except ImportError as error:
 from cvxshear.report.contents import contents
 from cvxshear.response import RecordPrediction
 
-__all__ = ["render", "write_prediction_report", "write_report"]
+__all__ = ["render", "write_prediction_report", "write_reconstruction_report", "write_report"]
 
 
 def write_report(

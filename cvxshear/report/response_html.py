@@ -1,4 +1,4 @@
-"""A predicted response as a page of its own, or as a part of the report of the loop that made the model."""
+"""A predicted or reconstructed response as a page of its own; a prediction also as a part of the loop's report."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cvxshear.report.contents import readable_json, versions
 from cvxshear.report.describe import describe
 from cvxshear.report.drawings import drawings
 from cvxshear.report.pages import environment
-from cvxshear.response import RecordPrediction
+from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.util.typing import Json
 from cvxshear.util.writing import write_file
 
@@ -73,7 +73,55 @@ def render_prediction(result: RecordPrediction, command: str) -> str:
     command : str
     """
     page = environment().get_template("prediction_report.html")
-    return page.render(**prediction_contents(result), command=command, versions=list(versions()))
+    return page.render(
+        **prediction_contents(result), heading="Predicted response", command=command, versions=list(versions())
+    )
+
+
+RECONSTRUCTED = {
+    "drifts": (
+        "The frame with the peak drift of each story; the numbers are in the table below.",
+        "Left: the frame, each story coloured by its peak drift, with its standard deviation; * marks a story that "
+        "changed, triangles the floors with sensors. Right: the same with bars that hold 95\N{NO-BREAK SPACE}%, the "
+        "prediction that looks at no sensor, and the limits.",
+    ),
+    "drift_histories": (
+        "Drifts of the stories over time.",
+        "Drifts around the strongest motion, with the band that holds 95\N{NO-BREAK SPACE}%.",
+    ),
+}
+"""As `CAPTIONS`, of a reconstruction."""
+
+
+def write_reconstruction_report(result: Reconstruction, path: str | Path, command: str) -> None:
+    """Write the report of a reconstruction, one HTML file that refers to nothing outside itself.
+
+    Parameters
+    ----------
+    result : Reconstruction
+    path : str or Path
+        Written in one piece; whatever was there before is replaced.
+    command : str
+        What makes this report again, as it was typed.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
+    """
+    page = environment().get_template("prediction_report.html")
+    drawn = {"drifts": figures.story_drifts(result), "drift_histories": figures.reconstructed_histories(result)}
+    text = page.render(
+        heading="Reconstructed response",
+        prediction=describe(result),
+        prediction_json=readable_json(result.to_dict()),
+        captions=RECONSTRUCTED,
+        figures_of={"motion": ("drifts",), "frame": ("drift_histories",)},
+        figure=drawings(drawn),
+        command=command,
+        versions=list(versions()),
+    )
+    write_file(path, text)
 
 
 def prediction_contents(result: RecordPrediction) -> Json:

@@ -1,4 +1,8 @@
-"""A predicted response beside what was measured."""
+"""A predicted response beside what was measured: errors in time, and of the transfer functions around each mode.
+
+H1 = S_yf / S_ff by averaged periodograms. Measured and predicted responses go through the same estimate, so that
+leakage and resolution are the same in both and cancel from what is compared.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +10,149 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import signal
 
 from cvxshear.fit.results import plain
 from cvxshear.modal.motion import Motion
-from cvxshear.response.model import DampedModel, Response
-from cvxshear.response.transfer import Transfer, errors, peak, power_at, segment, transfer
-from cvxshear.util.typing import Floats, Ints, Json
+from cvxshear.response.model import Complexes, DampedModel, Response
+from cvxshear.util.typing import Bools, Floats, Ints, Json
+
+SEGMENTS = 4
+"""Pieces, half overlapping, that the shortest run is cut into at least: fewer show no coherence."""
+
+LINES = 8
+"""Lines that the half-power bandwidth of a mode is resolved by, where the record is long enough."""
+
+AROUND = 0.1
+"""Of a natural frequency: how far to either side its neighbourhood reaches, unless the next mode is nearer."""
+
+COHERENT = 0.6
+"""Mean coherence from which on the excitation is what a floor answers to."""
+
+
+@dataclass(frozen=True, eq=False)
+class Transfer:
+    """Transfer functions.
+
+    Parameters
+    ----------
+    frequencies : ndarray, shape (lines,)
+        Hz.
+    functions : ndarray of complex, shape (lines, n)
+        (m/s2)/(m/s2) or (m/s2)/N, a column a floor.
+    coherence : ndarray, shape (lines, n)
+    """
+
+    frequencies: Floats
+    functions: Complexes
+    coherence: Floats
+
+
+def segment(samples: int, rate: float, frequency: float, ratio: float) -> int:
+    """Length of the pieces, samples: long enough for a mode's resonance, short enough for several.
+
+    Parameters
+    ----------
+    samples : int
+        Of the shortest run.
+    rate : float
+        Hz.
+    frequency, ratio : float
+        Hz and fraction of critical, of the mode with the narrowest resonance.
+    """
+    wanted = LINES * rate / max(2 * ratio * frequency, 1e-12)
+    return int(max(16, min(wanted, 2 * samples // (SEGMENTS + 1))))
+
+
+def transfer(excitations: Sequence[Floats], responses: Sequence[Floats], rate: float, length: int) -> Transfer:
+    """The transfer functions over all runs together.
+
+    Parameters
+    ----------
+    excitations : sequence of ndarray, shape (samples,)
+    responses : sequence of ndarray, shape (samples, n)
+    rate : float
+        Hz.
+    length : int
+        Samples of each piece.
+    """
+    cross: Complexes | float = 0.0
+    force: Floats | float = 0.0
+    power: Floats | float = 0.0
+    frequencies = np.zeros(0)
+    for f, y in zip(excitations, responses, strict=True):
+        frequencies, own = signal.welch(f, rate, nperseg=length)
+        weight = len(f)
+        force = force + weight * own
+        power = power + weight * signal.welch(y, rate, nperseg=length, axis=0)[1]
+        cross = cross + weight * signal.csd(f[:, None], y, rate, nperseg=length, axis=0)[1]
+    # Lines that nothing drives have no transfer function; 0 / 0 stands for it.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        functions = np.asarray(cross) / np.asarray(force)[:, None]
+        coherence = np.abs(cross) ** 2 / (np.asarray(force)[:, None] * np.asarray(power))
+    return Transfer(frequencies, functions, np.nan_to_num(coherence))
+
+
+def around(frequencies: Floats, natural: Floats, mode: int) -> Bools:
+    """The lines near one natural frequency and nearer to it than to any other, shape (lines,)."""
+    own = natural[mode]
+    near: Bools = np.abs(frequencies - own) <= AROUND * own
+    others = np.delete(natural, mode)
+    if others.size:
+        near &= np.abs(frequencies - own) < np.min(np.abs(frequencies[:, None] - others), axis=1)
+    return near
+
+
+def errors(measured: Transfer, predicted: Transfer, natural: Floats) -> Floats:
+    """Error of the predicted size around each mode, root mean square over that of the measured one.
+
+    Parameters
+    ----------
+    measured, predicted : Transfer
+        On the same lines.
+    natural : ndarray, shape (N,)
+        Hz.
+
+    Returns
+    -------
+    ndarray, shape (n, N)
+        A row a floor; nan around modes that the excitation does not reach.
+    """
+    result = np.full((measured.functions.shape[1], len(natural)), np.nan)
+    for mode in range(len(natural)):
+        near = around(measured.frequencies, natural, mode)
+        if not near.any():
+            continue
+        seen, made = np.abs(measured.functions[near]), np.abs(predicted.functions[near])
+        reached = measured.coherence[near].mean(axis=0) >= COHERENT
+        error = np.sqrt(np.sum((made - seen) ** 2, axis=0) / np.sum(seen**2, axis=0))
+        result[reached, mode] = error[reached]
+    return result
+
+
+def power_at(of: Transfer, natural: Floats, mode: int, frequency: float) -> float:
+    """Squared size of the transfer functions of all floors together at a frequency, over the largest near a mode."""
+    power = np.sum(np.abs(of.functions) ** 2, axis=1)
+    largest = power[around(of.frequencies, natural, mode)].max()
+    return float(np.interp(frequency, of.frequencies, power) / largest)
+
+
+def peak(of: Transfer, natural: Floats, mode: int) -> float | None:
+    """Where the transfer functions of all floors together peak near a mode, Hz; None where they do not.
+
+    The top of the parabola through the largest line and its neighbours, of the logarithm.
+    """
+    near = np.flatnonzero(around(of.frequencies, natural, mode))
+    if len(near) < 3 or of.coherence[near].mean() < COHERENT:
+        return None
+    size = np.log(np.maximum(np.sum(np.abs(of.functions) ** 2, axis=1), 1e-300))
+    top = int(near[np.argmax(size[near])])
+    if top in (near[0], near[-1]):
+        return None
+    left, here, right = size[top - 1 : top + 2]
+    shift = 0.5 * (left - right) / (left - 2 * here + right)
+    return float(of.frequencies[top] + shift * (of.frequencies[1] - of.frequencies[0]))
+
 
 FALLEN = 0.8
 """Of a peak's power, below which a transfer function has fallen at another's peak. The top of a damped resonance is

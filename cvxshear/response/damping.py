@@ -11,10 +11,9 @@ from cvxshear.backends import Backend
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.results import plain
 from cvxshear.measurement.experiment import Experiment
+from cvxshear.response.dashpots import known
 from cvxshear.response.fitted import Fitted
-from cvxshear.response.propagation import propagated
-from cvxshear.response.ratios import known
-from cvxshear.response.uncertain import Damped, UncertainFrame
+from cvxshear.response.uncertain import Damped, UncertainFrame, propagated
 from cvxshear.util import checks
 from cvxshear.util.showing import Shown
 from cvxshear.util.typing import Floats, Json

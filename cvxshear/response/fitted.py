@@ -21,6 +21,10 @@ NEGLIGIBLE = 1e-12
 """Eigenvalue of a correlation matrix, relative to the largest, that is rounding."""
 
 
+IMPROBABLE = 0.01
+"""Probability of a residual as large below which the modes speak against the model."""
+
+
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """A fitted model.
@@ -37,6 +41,8 @@ class Fitted:
         For each direction that the data leave open, the parameters that take part.
     mass_known : bool, optional
         Whether the masses have a scale; not where a total of 1 stands for one that nobody gave.
+    misfit : float, optional
+        Chi-square a degree of freedom where the modes speak against the model; 1 where they do not.
     """
 
     experiment: Experiment
@@ -45,6 +51,7 @@ class Fitted:
     covariance: Floats | None
     undetermined: tuple[tuple[str, ...], ...] = ()
     mass_known: bool = True
+    misfit: float = 1.0
 
     @staticmethod
     def of(estimate: Estimate, *, mass_known: bool = True) -> Fitted:
@@ -56,6 +63,7 @@ class Fitted:
             estimate.uncertainty.covariance(),
             estimate.uncertainty.null_directions,
             mass_known,
+            _misfit(estimate),
         )
 
     @staticmethod
@@ -97,6 +105,7 @@ class Fitted:
             "theta": self.theta.tolist(),
             "covariance": None if self.covariance is None else self.covariance.tolist(),
             "undetermined": [list(names) for names in self.undetermined],
+            "misfit": self.misfit,
         }
 
     @staticmethod
@@ -109,7 +118,7 @@ class Fitted:
             Naming what is missing or of the wrong size.
         """
         keys = ["effects", "theta", "covariance", "undetermined"]
-        table = checks.keys(declared, keys, keys, where)
+        table = checks.keys(declared, [*keys, "misfit"], keys, where)
         effects = tuple(_placed(item, f"{where}: effects") for item in table["effects"])
         size = 2 * experiment.stories + sum(len(placed.effect.parameters) for placed in effects)
         theta = checks.vector(table["theta"], f"{where}: theta", length=size)
@@ -119,7 +128,16 @@ class Fitted:
             if covariance.shape != (size, size):
                 raise InputError(f"{where}: covariance must have {size} rows of {size} numbers, one a parameter")
         undetermined = tuple(tuple(str(name) for name in names) for names in table["undetermined"])
-        return Fitted(experiment, effects, theta, covariance, undetermined, mass_known)
+        return Fitted(
+            experiment, effects, theta, covariance, undetermined, mass_known, float(table.get("misfit", 1.0))
+        )  # fmt: skip
+
+
+def _misfit(estimate: Estimate) -> float:
+    """Chi-square a degree of freedom where it is improbable, else 1."""
+    if estimate.p_value is None or estimate.p_value > IMPROBABLE or not estimate.dof:
+        return 1.0
+    return max(1.0, estimate.chi2 / estimate.dof)
 
 
 def _placed(item: object, where: str) -> Placed:

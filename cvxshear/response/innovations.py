@@ -36,8 +36,8 @@ from cvxshear.response.uncertain import Damped, UncertainFrame, modal_matrix
 from cvxshear.util.typing import Floats, Ints
 
 AMPLITUDE_STD = 0.15
-"""Relative standard deviation of one factor on all story stiffnesses: instrumented buildings soften by some 5 to 30 % in
-strong shaking and mostly recover (Todorovska and Trifunac 2007; Clinton and others 2006), bench frames by some percent."""
+"""Relative standard deviation of one factor on all story stiffnesses: instrumented buildings soften by some 5 to 30 %
+in strong shaking and mostly recover (Clinton, Bradford, Heaton and Favela 2006), bench frames by some percent."""
 
 SCATTER_STD = 0.01
 """Relative standard deviation by which unchanged stories soften differently: a tenth of what the whole frame does."""
@@ -62,7 +62,7 @@ LEAST_EFFECT = 1e-4
 that makes one worth it: those left out move no peak by a hundredth of a percent, or are the weakest of many."""
 
 FURTHEST = np.log(10.0)
-"""Bound on the logarithm of factors on stiffnesses and damping: a story ten times softer or stiffer is another frame."""
+"""Bound on the logarithm of factors on stiffness and damping: a story ten times softer is another frame."""
 
 FURTHEST_NOISE = np.log(30.0)
 """Bound on the logarithm of a noise level around its start: no sensor in a building is good to less than 0.1 % of its
@@ -81,7 +81,7 @@ MOST_ROUNDS = 3
 """Times that the stories left free are decided anew; the second decision mostly is the first."""
 
 DAMPED = (0.0, 1e-2, 1.0, 1e2, 1e4)
-"""Weights, relative to the sensitivity to each parameter, of rows that hold a step back, tried until one step improves."""
+"""Weights of rows that hold a step back, relative to the sensitivity to each parameter, tried until one improves."""
 
 MOST_SAMPLES = 10_000
 """Samples that the frame is fitted to: the strongest stretch of that length. More would sharpen a linear frame by the
@@ -157,10 +157,13 @@ class Varied:
             return np.concatenate([np.log(found.frequencies), moved.ravel()])
 
         centre = described(old.M, old.K)
-        slopes = [(described(old.M + 0.01 * M, old.K + 0.01 * K) - centre) / 0.01 for M, K in zip(self.dM, self.dK)]
+        slopes = [
+            (described(old.M + 0.01 * M, old.K + 0.01 * K) - centre) / 0.01
+            for M, K in zip(self.dM, self.dK, strict=True)
+        ]
         effect = np.concatenate([np.array(slopes).T, self.dgain.T])
         _, sizes, turns = np.linalg.svd(effect, full_matrices=False)
-        turns = turns[: MOST_NUISANCES][sizes[:MOST_NUISANCES] > LEAST_EFFECT]
+        turns = turns[:MOST_NUISANCES][sizes[:MOST_NUISANCES] > LEAST_EFFECT]
         turned = (np.tensordot(turns, each, axes=1) for each in (self.dM, self.dK, self.dgain))
         return Varied(self.centre, self.story_stiffness, self.ratios, self.own_std, *turned)
 
@@ -277,7 +280,9 @@ class PredictionErrors:
         whitening = np.linalg.inv(np.linalg.cholesky(here.S))
         slopes = [self._slope(here, p, int(j)) for j in which]
         m = len(whitening)
-        residuals, derivatives, mean = [], [], np.zeros((m, m))
+        residuals: list[Floats] = []
+        derivatives: list[Floats] = []
+        mean = np.zeros((m, m))
         for run in self.stretches:
             x, e = here.predicted(run.excitation, run.y, run.start)
             seen = run.y - np.outer(run.excitation, here.model.direct)
@@ -300,7 +305,8 @@ class PredictionErrors:
         own = root * (np.eye(m) - mean / count).ravel()
         turns = np.array([(whitening @ slope.S @ whitening.T).ravel() for slope in slopes]).T * root
         # J'r of these rows is half the gradient of T log det S + sum e' S^-1 e by S.
-        whole = np.linalg.qr(np.column_stack([np.concatenate([R, turns]), np.concatenate([r, own])]), mode="r")
+        stacked = np.column_stack([np.concatenate([R, turns]), np.concatenate([r, own])])
+        whole = np.asarray(np.linalg.qr(stacked, mode="r"), dtype=np.float64)
         U, c = whole[:-1, :-1], whole[:-1, -1]
         return Likelihood(U, c, 1.0 if free is not None else self._inflation(residuals, derivatives))
 
@@ -410,7 +416,8 @@ class Prior:
 
     def root(self, changed: Sequence[int]) -> Floats:
         """Cholesky factor of the covariance."""
-        return np.linalg.cholesky(self.covariance(changed))
+        root: Floats = np.linalg.cholesky(self.covariance(changed))
+        return root
 
 
 def _expected_change(experiment: Experiment) -> StoryChange:
@@ -505,7 +512,9 @@ def fit_frame(
         noise = np.arange(errors.frame.stop, errors.size)
         p, _, converged = _descended(errors, prior.root(()), p, backend, MOST_STEPS, noise)
         kept = ChangedStories((), 1.0, p, prior.covariance(()))
-        return FittedFrame(errors, prior, p, identified_only(prior), (kept,), 1.0, converged)
+        known = errors.setting.base_measured
+        covariance = identified_only(prior) if known else prior.covariance(())
+        return FittedFrame(errors, prior, p, covariance, (kept,), 1.0, converged)
     for _ in range(MOST_ROUNDS):
         p, at, converged = _descended(errors, prior.root(stories), p, backend, MOST_STEPS)
         sets = changed_stories(at, prior, p)
@@ -584,7 +593,7 @@ def _descended(
 
 
 def _posterior(at: Likelihood, root: Floats, p: Floats) -> tuple[Floats, Floats, float]:
-    """Mean, covariance and log evidence (but for a constant) of the linearised posterior, scores' scatter allowed for."""
+    """Mean, covariance and log evidence (but for a constant) of the linearised posterior, inflation allowed for."""
     U, c = at.U / np.sqrt(at.inflation), at.c / np.sqrt(at.inflation)
     # p = root w with w standard normal.
     rows = U @ root
@@ -616,7 +625,7 @@ def changed_stories(at: Likelihood, prior: Prior, p: Floats) -> tuple[ChangedSto
         mean, covariance, evidence = _posterior(at, prior.root(stories), p)
         return evidence + odds * len(stories), mean, covariance
 
-    found = {(): judged(())}
+    found: dict[tuple[int, ...], tuple[float, Floats, Floats]] = {(): judged(())}
     level: list[tuple[int, ...]] = [()]
     for _ in range(min(MOST_CHANGES, N)):
         grown = {

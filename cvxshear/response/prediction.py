@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
@@ -16,15 +16,15 @@ from cvxshear.response.compare import RecordComparison, compared
 from cvxshear.response.damping import IdentifiedDamping, described, parts_of
 from cvxshear.response.fitted import Fitted, Models
 from cvxshear.response.model import Response, response
-from cvxshear.response.peaks import Peaks, largest
-from cvxshear.response.propagation import propagated
+from cvxshear.response.peaks import FloorSpectra, Peaks, floor_spectra, histories, largest, spectrum_lines
 from cvxshear.response.sources import ModelSource, MotionSource, models_of, motion_of, state_of
-from cvxshear.response.spectra import FloorSpectra, floor_spectra, spectrum_lines
-from cvxshear.response.uncertain import Damped, UncertainFrame
+from cvxshear.response.uncertain import Damped, UncertainFrame, propagated
 from cvxshear.util.errors import InputError
-from cvxshear.util.parallel import Progress, each
 from cvxshear.util.showing import Shown
 from cvxshear.util.typing import Floats, Json
+
+BANDS = ("floor_acceleration", "story_drift", "story_drift_ratio")
+"""Quantities whose deviations are given over time: what is compared with a record, and what owners ask for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +66,8 @@ class RecordPrediction(Shown):
         Of `after`.
     damping : IdentifiedDamping
         Of `after`.
-    acceleration_std : tuple of ndarray, shape (samples, N)
-        Standard deviations of the accelerations of `after`, one a run; nan where nothing tells the noise.
+    std : tuple of dict of str to ndarray
+        Standard deviations over time of `after`, one a run, by the names in `BANDS`; nan where nothing tells the noise.
     remarks : tuple of str
         What was assumed, and what speaks against the model.
     """
@@ -79,7 +79,7 @@ class RecordPrediction(Shown):
     after: Side
     peaks: Peaks
     damping: IdentifiedDamping
-    acceleration_std: tuple[Floats, ...]
+    std: tuple[dict[str, Floats], ...]
     remarks: tuple[str, ...]
 
     @property
@@ -174,58 +174,21 @@ def predict(
     return _predicted(models, UncertainFrame.of(models.after, state, damping, solver), motion, before)
 
 
-def predict_many(
-    source: ModelSource,
-    records: Sequence[MotionSource],
-    backend: str | Backend = "auto",
-    *,
-    jobs: int = 1,
-    progress: Progress | None = None,
-    damping: str | None = None,
-    configuration: str | None = None,
-    detrend: bool = True,
-) -> list[RecordPrediction]:
-    """Predict how one frame answers to many records; its models are fitted once.
-
-    Parameters
-    ----------
-    source, backend, damping, configuration, detrend
-        As for `predict`.
-    records : sequence
-        Each as for `predict`.
-    jobs : int, optional
-        Processes; -1 takes every core, or every worker of a Dask cluster (see `cvxshear.util.parallel`).
-    progress : callable, optional
-        Called with the number of records done and to do.
-
-    Raises
-    ------
-    InputError, NoSolutionError
-        As `predict` does.
-    """
-    models = models_of(source, backends.get(backend))
-    one = partial(
-        predict, models, backend=backend, damping=damping, configuration=configuration, detrend=detrend
-    )  # fmt: skip
-    return each(one, records, jobs=jobs, progress=progress)
-
-
 def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Side | None) -> RecordPrediction:
     """The prediction of the final model, with everything's standard deviations from one propagation."""
 
     def everything(damped: Damped) -> Floats:
         responses = _responses(damped, motion)
-        return np.concatenate(
-            [parts_of(damped), *largest(responses).values(), *(item.acceleration.ravel() for item in responses)]
-        )
+        bands = (item for moved in responses for item in _bands(moved).values())
+        return np.concatenate([parts_of(damped), *largest(responses).values(), *bands])
 
     centre, std = propagated(frame, everything)
     after = _side(models.after, centre, motion)
     values = largest(after.responses)
     sizes = [len(parts_of(centre)), *(len(item) for item in values.values())]
-    sizes += [item.acceleration.size for item in after.responses]
+    sizes += [item.size for moved in after.responses for item in _bands(moved).values()]
     of_damping, *rest = np.split(std, np.cumsum(sizes)[:-1])
-    bands = zip(after.responses, rest[len(values) :], strict=True)
+    bands = iter(rest[len(values) :])
     damping = described(frame, centre, of_damping)
     return RecordPrediction(
         motion=motion,
@@ -235,9 +198,17 @@ def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Si
         after=after,
         peaks=Peaks(values, dict(zip(values, rest, strict=False))),
         damping=damping,
-        acceleration_std=tuple(band.reshape(item.acceleration.shape) for item, band in bands),
+        std=tuple(
+            {name: next(bands).reshape(moved.acceleration.shape) for name in _bands(moved)} for moved in after.responses
+        ),
         remarks=(*damping.remarks, *_remarks(after, motion)),
     )
+
+
+def _bands(moved: Response) -> dict[str, Floats]:
+    """The quantities of `BANDS` that apply, flat."""
+    found = histories(moved)
+    return {name: values.ravel() for name in BANDS if (values := found[name]) is not None}
 
 
 def _responses(damped: Damped, motion: Motion) -> list[Response]:

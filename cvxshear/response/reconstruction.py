@@ -35,11 +35,10 @@ from cvxshear.response.innovations import (
     strongest,
 )
 from cvxshear.response.model import DampedModel, Response, response
-from cvxshear.response.peaks import Peaks, histories
+from cvxshear.response.peaks import FloorSpectra, Peaks, floor_spectra, histories, spectrum_lines
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
 from cvxshear.response.smoother import Observed, Smoothed, Steady, smooth
 from cvxshear.response.sources import ModelSource, models_of, state_of, state_remarks
-from cvxshear.response.spectra import FloorSpectra, floor_spectra, spectrum_lines
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import percent, ranged
@@ -63,8 +62,9 @@ CHECK_STEPS = 4
 CHECK_DIRECTIONS = 4
 """Directions propagated to a floor whose sensor was left out."""
 
-WIDER = 1.5
-"""Ratio of a left-out sensor's error to its stated deviation that is said; twenty effective samples scatter by 1.3."""
+WIDER = 1.3
+"""Ratio of the left-out sensors' errors to their stated deviations, by which all bands are then widened, that is said:
+twenty effective samples scatter by as much."""
 
 COLOURED = 0.3
 """Correlation of an innovation with an earlier one from which on it is said that the model misses something there."""
@@ -204,6 +204,11 @@ class Reconstruction(Shown):
     remarks: tuple[str, ...]
 
     @property
+    def widening(self) -> float:
+        """Factor on all bands by which left-out sensors missed more than stated; at least 1."""
+        return _widening(self.checks)
+
+    @property
     def changed(self) -> tuple[int, ...]:
         """Stories (from 1) that changed by themselves with a probability of at least `NAMED`."""
         return tuple(int(j) + 1 for j in np.flatnonzero(self.frame.story_probability >= NAMED))
@@ -236,6 +241,7 @@ class Reconstruction(Shown):
             "effects": [placed.to_dict() for placed in self.fitted.effects],
             "measured_floors": self.recording.floors.tolist(),
             "checks": [dataclasses.asdict(each) for each in self.checks],
+            "widening": self.widening,
             "whiteness": [dataclasses.asdict(each) for each in self.whiteness],
             "frame": {
                 "story_factor": plain(frame.factors),
@@ -346,7 +352,9 @@ class _Reconstructing:
         self, frame: UncertainFrame, recording: Recording, backend: Backend,
         progress: Callable[[int, int], None] | None, *, free: bool,
     ) -> None:  # fmt: skip
-        self.frame, self.recording, self.backend, self.free = frame, recording, backend, free
+        self.frame, self.recording, self.backend = frame, recording, backend
+        # Without the base motion a softer first story and another base motion are one and the same.
+        self.free = free and recording.input != "none"
         self.varied = Varied.of(frame)
         self._progress, self._done = progress, 0
         self._parts = 5 + len(recording.floors)
@@ -379,7 +387,9 @@ class _Reconstructing:
         """Of each story, from the first mode scaled to the sensors: what a wrong frame predicts might be any size."""
         first = model.modes.shapes[0]
         seen = np.abs(first[self.recording.floors - 1] * model.gain[self.recording.floors - 1])
-        amplitude = float(np.linalg.norm(self.recording.rms()) / np.linalg.norm(seen)) / float(model.modes.eigenvalues[0])
+        amplitude = float(np.linalg.norm(self.recording.rms()) / np.linalg.norm(seen)) / float(
+            model.modes.eigenvalues[0]
+        )
         drift: Floats = np.abs(np.diff(first, prepend=0.0)) * amplitude
         if self.predicted is None:
             return drift
@@ -393,22 +403,20 @@ class _Reconstructing:
         self._advance()
         model = fitted.model
         directions = self._directions(fitted, DIRECTIONS)
-        runs = [
-            self._run(fitted, model, directions, place, found) for place, found in enumerate(smoothed)
-        ]
-        self._advance()
-        peaks = _peaks(runs)
-        experiment = self.frame.fitted.experiment
         channels = range(len(self.recording.floors)) if leave_out and len(self.recording.floors) > 1 else ()
         checks = tuple(self._check(fitted, channel, smoothed) for channel in channels)
+        wider = _widening(checks)
+        runs = [self._run(fitted, model, directions, place, found, wider) for place, found in enumerate(smoothed)]
+        self._advance()
+        peaks = _peaks([(run.response, run.std) for run in runs])
+        experiment = self.frame.fitted.experiment
         passed = None
         if experiment.limits is not None and "story_drift_ratio" in peaks.values:
             ratio, std = peaks.values["story_drift_ratio"], np.maximum(peaks.std["story_drift_ratio"], 1e-300)
-            passed = stats.norm.sf(experiment.limits.story_drift[:, None], ratio, std)
+            passed = np.asarray(stats.norm.sf(experiment.limits.story_drift[:, None], ratio, std), dtype=np.float64)
         predicted = None
         if self.predicted is not None:
-            values = _peaks([ReconstructedRun("", item, {}, None, None, np.zeros(0), np.zeros(0)) for item in self.predicted])
-            predicted = values
+            predicted = _peaks([(item, {}) for item in self.predicted])
         return Reconstruction(
             self.recording, self.frame.configuration, self.backend.name, self.frame.fitted, self.frame.kind, fitted,
             model, tuple(runs), peaks, predicted, checks, self._whiteness(smoothed), experiment.limits, passed, (),
@@ -491,8 +499,9 @@ class _Reconstructing:
         return result
 
     def _run(
-        self, fitted: FittedFrame, model: DampedModel, directions: list[_Direction], place: int, found: Smoothed
-    ) -> ReconstructedRun:
+        self, fitted: FittedFrame, model: DampedModel, directions: list[_Direction], place: int, found: Smoothed,
+        wider: float,
+    ) -> ReconstructedRun:  # fmt: skip
         """One run's motion and its deviations."""
         n = len(model.M)
         recorded = self.recording.runs[place]
@@ -502,10 +511,11 @@ class _Reconstructing:
         noise = fitted.errors.noise_at(fitted.p)
         for direction in directions:
             variance += self._moved_by(direction, noise, recorded.driven, found.completed, found.states[0]) ** 2
-        std = np.sqrt(variance)
-        acceleration, displacement, drift, force = (moved[:, k * n : (k + 1) * n] for k in range(4))
+        std: Floats = wider * np.sqrt(variance)
+        acceleration, displacement, _, force = (moved[:, k * n : (k + 1) * n] for k in range(4))
         motion = Response(
-            self.recording.step * np.arange(len(moved)), acceleration, displacement, force, model.heights, model.mass_known
+            self.recording.step * np.arange(len(moved)), acceleration, displacement, force, model.heights,
+            model.mass_known,
         )  # fmt: skip
         stds = dict(
             zip(
@@ -523,9 +533,7 @@ class _Reconstructing:
             recorded.name, motion, stds, base, None if base is None else std[:, -1], recorded.measured, recorded.driven
         )
 
-    def _moved_by(
-        self, direction: _Direction, noise: Noise, excitation: Floats, y: Floats, start: Floats
-    ) -> Floats:
+    def _moved_by(self, direction: _Direction, noise: Noise, excitation: Floats, y: Floats, start: Floats) -> Floats:
         """Half the difference of all outputs between plus and minus one standard deviation along a direction."""
         sides = []
         for model in (direction.plus, direction.minus):
@@ -565,9 +573,7 @@ class _Reconstructing:
         if carried[-1] <= 0:
             return []
         enough = int(np.searchsorted(carried, CARRIED * carried[-1])) + 1
-        return [
-            _Direction(model_at(turned[:, k]), model_at(-turned[:, k])) for k in order[: min(enough, most)]
-        ]
+        return [_Direction(model_at(turned[:, k]), model_at(-turned[:, k])) for k in order[: min(enough, most)]]
 
     def _check(self, fitted: FittedFrame, channel: int, smoothed: list[Smoothed]) -> SensorCheck:
         """One sensor from the others: the frame fitted and the motion smoothed without it."""
@@ -606,7 +612,9 @@ class _Reconstructing:
             stated.append(variance[there])
             measured.append(run.measured[there, channel])
             if self.predicted is not None:
-                predicted.append((gain * self.predicted[number].acceleration[:, place] - run.measured[:, channel])[there])
+                predicted.append(
+                    (gain * self.predicted[number].acceleration[:, place] - run.measured[:, channel])[there]
+                )
         errors_all, variances = np.concatenate(error), np.concatenate(stated)
         return SensorCheck(
             place + 1, _rms(errors_all), float(np.sqrt(np.mean(variances))), _rms(np.concatenate(measured)),
@@ -653,23 +661,32 @@ def _clean(smoothed: list[Smoothed]) -> bool:
     return all(bool(np.all(each.weights == 1.0)) for each in smoothed)
 
 
+def _widening(checks: tuple[SensorCheck, ...]) -> float:
+    """Factor on all bands: by how much sensors that were left out missed more than stated; at least 1."""
+    if not checks:
+        return 1.0
+    return max(1.0, float(np.sqrt(np.mean([(each.error / each.stated) ** 2 for each in checks]))))
+
+
 def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _peaks(runs: list[ReconstructedRun]) -> Peaks:
+def _peaks(runs: list[tuple[Response, dict[str, Floats]]]) -> Peaks:
     """Largest sizes over all runs, with the deviation of the sample at which each stands."""
     values: dict[str, Floats] = {}
     stds: dict[str, Floats] = {}
-    for run in runs:
-        for name, history in histories(run.response).items():
+    for moved, deviations in runs:
+        for name, history in histories(moved).items():
             if history is None:
                 continue
             columns = history.reshape(len(history), -1)
             at = np.argmax(np.abs(columns), axis=0)
             take = np.arange(columns.shape[1])
             peak = np.abs(columns[at, take])
-            std = run.std[name].reshape(columns.shape)[at, take] if name in run.std else np.full(len(peak), np.nan)
+            std = np.full(len(peak), np.nan)
+            if name in deviations:
+                std = deviations[name].reshape(columns.shape)[at, take]
             if name in values:
                 larger = peak > values[name]
                 peak, std = np.where(larger, peak, values[name]), np.where(larger, std, stds[name])
@@ -689,26 +706,31 @@ def _remarks(found: Reconstruction, line: float) -> list[str]:
             "--no-detrend leaves it in"
         )
     if found.fitted.covariance is None:
-        said.append("the measurement tells no noise: the identified stiffnesses are taken as exact but for their changes")
+        said.append(
+            "the measurement tells no noise: the identified stiffnesses are taken as exact"
+        )
+    if found.recording.input == "none":
+        said.append(
+            "nobody measured the base motion: it is estimated with the rest, the frame is taken as identified, and "
+            "whether a story changed is not asked, since another base motion would look the same"
+        )
     if not found.fitted.mass_known:
         said.append("the masses have no scale (give total_mass): forces and moments are left out")
     if found.limits is not None and found.passed is None:
         said.append("drift ratios need story_heights in [frame]: the limits cannot be judged")
     if not found.frame.converged:
         said.append("the fit of the frame did not settle; its deviations may be too small")
-    off = [each for each in found.checks if each.error > WIDER * each.stated]
-    if off:
-        floors = ranged([each.floor for each in off])
-        worst = max(each.error / each.stated for each in off)
+    wider = _widening(found.checks)
+    if wider > WIDER:
         said.append(
-            f"left out, the sensor{'s' if len(off) > 1 else ''} on floor {floors} missed by up to {worst:.1f} times the "
-            "stated deviation: the bands of floors without sensors are as much too narrow"
+            f"sensors that were left out missed by {wider:.1f} times their stated deviation: the model lacks "
+            "something, and all bands are as much wider for it"
         )
     coloured = [each for each in found.whiteness if abs(each.correlation) > COLOURED]
     if coloured:
         said.append(
-            f"the innovations of floor {ranged([each.floor for each in coloured])} are not white: the model misses a part "
-            "of the motion there, and the deviations of the frame were widened for it "
+            f"the innovations of floor {ranged([each.floor for each in coloured])} are not white: the model misses a "
+            "part of the motion there, and the deviations of the frame were widened for it "
             f"(by {np.sqrt(found.frame.inflation):.1f})"
         )
     return said

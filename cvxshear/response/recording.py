@@ -152,11 +152,14 @@ class Recording:
             there = np.isfinite(run.measured)
             total = np.sum(np.nan_to_num(run.measured / self.rms()) ** 2, axis=1)
             # Averaged separately, so that a gap in every channel takes its strength from around it.
-            power, count = (ndimage.uniform_filter1d(each.astype(np.float64), width, mode="nearest")
-                            for each in (total, there.sum(axis=1)))
+            power, count = (
+                ndimage.uniform_filter1d(each.astype(np.float64), width, mode="nearest")
+                for each in (total, there.sum(axis=1))
+            )
             powers.append(power / np.maximum(count, 1e-3))
         mean = float(np.mean(np.concatenate(powers)))
-        return [2.0 ** np.round(np.log2(np.maximum(np.sqrt(power / mean), QUIETEST))) for power in powers]
+        strengths = [np.maximum(np.sqrt(power / mean), QUIETEST) for power in powers]
+        return [np.exp2(np.round(np.log2(each))).astype(np.float64) for each in strengths]
 
 
 def recording_of(source: RecordingSource) -> Recording:
@@ -190,7 +193,9 @@ def _of_motion(motion: Motion) -> Recording:
     runs = []
     for drive in motion.drives:
         if drive.responses is None:
-            raise InputError(f"{motion.name}: no floor's acceleration was recorded; a reconstruction needs one at least")
+            raise InputError(
+                f"{motion.name}: no floor's acceleration was recorded; a reconstruction needs one at least"
+            )
         runs.append(RecordedRun(drive.responses, drive.excitation, drive.name))
     places = {drive.floor for drive in motion.drives}
     if len(places) > 1:
@@ -215,7 +220,9 @@ def _of_file(path: Path) -> Recording:
         kind = checks.choice(declared.get("input", "none"), INPUTS, "record: input")
         channels = channels_of(table["channel"], declared, path, lines)
         driver = driver_of(channels, kind)
-        floors = sorted((item for item in channels if item is not driver and item.responds), key=lambda item: item.floor)
+        floors = sorted(
+            (item for item in channels if item is not driver and item.responds), key=lambda item: item.floor
+        )
         for item in floors:
             _refuse_other_quantity(item.quantity, f'channel "{item.column}"')
         runs, rates, places = [], [], set()

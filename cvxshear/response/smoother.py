@@ -2,7 +2,7 @@
 
 Over the states x_0, x_1, ... of `Dynamics`, the motion minimizes
 
-    |P0^(-1/2) (x_0 - start)|^2 + sum |Q^(-1/2) (x_(t+1) - A x_t - B p_t)|^2 + sum of w_tj (y_tj - H_j x_t - D_j p_t)^2 / R_j,
+    |P0^(-1/2) x_0|^2 + sum |Q^(-1/2) (x_(t+1) - A x_t - B p_t)|^2 + sum w_tj (y_tj - H_j x_t - D_j p_t)^2 / R_j,
 
 whose normal matrix is block tridiagonal. `smooth` eliminates the blocks forward (the Kalman filter) and back (the
 smoother of Bryson and Frazier 1963, which needs no inverse of a covariance); `motion_program` writes the same program
@@ -16,6 +16,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy import linalg
@@ -146,7 +147,7 @@ def _stretches(weights: Floats, envelope: Floats) -> Iterator[tuple[int, int]]:
     keys = np.column_stack([weights, envelope])
     changes = np.flatnonzero(np.any(keys[1:] != keys[:-1], axis=1)) + 1
     edges = [0, *changes.tolist(), len(keys)]
-    yield from zip(edges[:-1], edges[1:], strict=True)
+    yield from pairwise(edges)
 
 
 def _gains(model: Dynamics, run: Observed, weights: Floats) -> tuple[list[_Gain], Ints]:
@@ -184,13 +185,11 @@ def _gains(model: Dynamics, run: Observed, weights: Floats) -> tuple[list[_Gain]
 def _constant(which: Ints) -> Iterator[tuple[int, int, int]]:
     """Beginning, end and gain of each stretch of constant gain."""
     edges = [0, *(np.flatnonzero(np.diff(which)) + 1).tolist(), len(which)]
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges):
         yield first, last, int(which[first])
 
 
-def _sweeps(
-    model: Dynamics, run: Observed, gains: list[_Gain], which: Ints, weights: Floats
-) -> tuple[Floats, Floats]:
+def _sweeps(model: Dynamics, run: Observed, gains: list[_Gain], which: Ints, weights: Floats) -> tuple[Floats, Floats]:
     """Smoothed states and innovations in standard deviations: forward, then back."""
     y = np.nan_to_num(run.measured) - np.outer(run.excitation, model.direct)
     y = np.where(weights > 0, y, 0.0)
@@ -289,7 +288,8 @@ class Steady:
         PH = P @ model.H.T
         S = model.H @ PH + np.diag(model.R)
         K = np.linalg.solve(S, (model.A @ PH).T).T
-        return Steady(model, P, S, K, model.A - K @ model.H)
+        F: Floats = model.A - K @ model.H
+        return Steady(model, P, np.asarray(S), np.asarray(K, dtype=np.float64), F)
 
     def predicted(self, excitation: Floats, y: Floats, start: Floats) -> tuple[Floats, Floats]:
         """States predicted from the past, shape (samples, n), and innovations, (samples, m)."""

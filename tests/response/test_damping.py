@@ -10,10 +10,8 @@ from cvxshear import backends
 from cvxshear.fit.efficient import efficient
 from cvxshear.model.shear import modes
 from cvxshear.response import Fitted, damping_of
-from cvxshear.response.dashpots import story_dashpots
-from cvxshear.response.propagation import propagated, sampled
-from cvxshear.response.ratios import Ratios
-from cvxshear.response.uncertain import UncertainFrame
+from cvxshear.response.dashpots import Ratios, story_dashpots
+from cvxshear.response.uncertain import UncertainFrame, propagated, sampled
 from cvxshear.util.errors import InputError, UnsuitableError
 from tests.frames import modes_of
 from tests.response.common import damped_frame, declared, matrices, pole_ratios

@@ -15,11 +15,9 @@ from cvxshear.effects import Placed
 from cvxshear.files.uff import read_uff
 from cvxshear.modal.motion import Drive, Motion
 from cvxshear.paper.three_story import ThreeStory
-from cvxshear.report.handover import write_model
-from cvxshear.report.series import write_series
+from cvxshear.report.handover import matrices, write_model
+from cvxshear.report.series import series, write_series
 from cvxshear.response import Fitted, Models, predict
-from cvxshear.response.handover import matrices
-from cvxshear.response.series import series
 from cvxshear.util.errors import InputError, UnsuitableError
 from tests.frames import modes_of
 from tests.response.common import shaking

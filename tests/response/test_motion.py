@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from cvxshear.report.handover import state_space
 from cvxshear.response import DampedModel, Drive, Motion, floor_spectra, response
-from cvxshear.response.handover import state_space
-from cvxshear.response.hold import SMALL, hold
+from cvxshear.response.model import SMALL, hold
 from cvxshear.util.errors import InputError
 from tests.response.common import damped_frame, integrated, matrices, shaking
 

@@ -12,12 +12,12 @@ from cvxshear.effects import Placed
 from cvxshear.fit.efficient import efficient
 from cvxshear.modal import Channel, Run, TimeRecord
 from cvxshear.modal.motion import Drive, Motion
+from cvxshear.report.series import series
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
-from cvxshear.response.series import series
-from cvxshear.response.transfer import peak
+from cvxshear.response.compare import peak
 from cvxshear.util.errors import InputError
+from tests.benchmarks.response_coverage import coverage, linear_over_sampled
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
-from tests.response_study import coverage, linear_over_sampled
 
 RATE = 100.0
 
@@ -73,7 +73,7 @@ def test_deviations_of_peaks_are_those_of_samples():
 
 @pytest.mark.parametrize(("stories", "kind", "trials"), [(3, "modal", 40), (3, "story", 40), (8, "story", 20)])
 def test_intervals_hold_the_truth_as_often_as_they_say(stories, kind, trials):
-    """A seeded part of `python -m tests.response_study`: trials of 7 or 17 peaks that go together."""
+    """A seeded part of `python -m tests.benchmarks.response_coverage`: trials of 7 or 17 peaks that go together."""
     share, deviations = coverage(stories, kind, trials)
     assert 0.88 <= share <= 0.99
     assert abs(deviations.mean()) < 0.4

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from tests.benchmarks.response_amplitude import crossed, decay, off
+from tests.benchmarks.response_records import predicted
 from tests.modal.shared import needs_mini_table
-from tests.response_amplitude import crossed, decay, off
-from tests.response_records import predicted
 
 
 @needs_mini_table

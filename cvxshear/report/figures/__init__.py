@@ -14,7 +14,14 @@ from cvxshear.report.figures.output import save
 from cvxshear.report.figures.plan import plan
 from cvxshear.report.figures.ranking import ranking
 from cvxshear.report.figures.residual import residual
-from cvxshear.report.figures.response import floor_spectra, response_histories, response_peaks, transfer_functions
+from cvxshear.report.figures.response import (
+    floor_spectra,
+    reconstructed_histories,
+    response_histories,
+    response_peaks,
+    story_drifts,
+    transfer_functions,
+)
 from cvxshear.report.figures.shapes import shapes
 from cvxshear.report.figures.stabilization import stabilization
 
@@ -32,11 +39,13 @@ __all__ = [
     "noise_variation",
     "plan",
     "ranking",
+    "reconstructed_histories",
     "residual",
     "response_histories",
     "response_peaks",
     "save",
     "shapes",
     "stabilization",
+    "story_drifts",
     "transfer_functions",
 ]

@@ -1,4 +1,4 @@
-"""Prediction of measured records: `python -m tests.response_records` prints the table of docs/measured/.
+"""Prediction of measured records: `python -m tests.benchmarks.response_records` prints the table of docs/measured/.
 
 Modes from one record of the mini shake table, their cause, and the response to both records by the shear model and with
 joint rotation. The records are looked for in the folder that the environment variable CVXSHEAR_SHARED names.
