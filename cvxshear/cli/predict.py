@@ -24,7 +24,7 @@ from cvxshear.cli.output import (
     typed,
 )
 from cvxshear.cli.records import measured, needs_mass
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, NoScaleError
 
 if TYPE_CHECKING:
     from cvxshear.response import RecordPrediction
@@ -117,6 +117,7 @@ def screened(file: str, backend: str, assume: Sequence[str] = ()) -> tuple[Model
     """What the model is made of, without mistakes, and its warnings; None where `loop` looked for them before."""
     from cvxshear import backends, close_loop
     from cvxshear.response import models_of_loop
+    from cvxshear.response.sources import load_unscaled
     from cvxshear.screening import refuse_mistakes
     from cvxshear.util.findings import NUMBERS
 
@@ -124,12 +125,18 @@ def screened(file: str, backend: str, assume: Sequence[str] = ()) -> tuple[Model
         if assume:
             raise InputError(f"{file} holds a model that the loop ended with; --assume belongs to 'cvxshear loop'")
         return file, None
-    experiment, found = measured([file])
+    mass_known = True
+    try:
+        experiment, found = measured([file])
+    except NoScaleError:
+        # Only forces need the scale of the masses, and the result leaves those out.
+        experiment, mass_known = load_unscaled(file)
+        found = []
     doubts = refuse_mistakes(experiment, NUMBERS if found else ())
-    if not found and not assume:
+    if not found and not assume and mass_known:
         return experiment, doubts
     closure = close_loop(experiment, assume=assume, backend=backends.get(backend))
-    return models_of_loop(closure, mass_known=not needs_mass(found)), doubts
+    return models_of_loop(closure, mass_known=mass_known and not needs_mass(found)), doubts
 
 
 class Files:

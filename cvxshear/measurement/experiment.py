@@ -18,7 +18,7 @@ from cvxshear.measurement.static_test import StaticTest
 from cvxshear.priors import Prior, check_quantity
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, NoScaleError
 from cvxshear.util.showing import Shown
 from cvxshear.util.typing import Json
 
@@ -161,7 +161,7 @@ class Experiment(Shown):
 
     def _check_scale(self) -> None:
         if self.frame.known_total is None and not self.scale_known_otherwise:
-            raise InputError(
+            raise NoScaleError(
                 "nothing tells how heavy the frame is: give frame: total_mass or floor_masses, two configurations with "
                 "different added_mass, mass_normalized shapes, a static test, or a prior that fixes the scale (value, "
                 "or nominal without free_scale)"

@@ -12,7 +12,7 @@ from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.modal.record import Record, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Floats, Ints
+from cvxshear.util.typing import Bools, Floats, Ints
 
 DRIVEN = ("base", "force")
 
@@ -164,13 +164,20 @@ class Motion:
         return Motion(drives, record.sampling_rate, record.input, floors, added, record.name, state)
 
 
-def trend(values: Floats) -> Floats:
-    """Straight line through each column by least squares, of the same shape; nan has no part in it."""
+def trend(values: Floats, there: Bools | None = None) -> Floats:
+    """Straight line through each column by least squares, of the same shape.
+
+    Parameters
+    ----------
+    values : ndarray, shape (samples,) or (samples, columns)
+    there : ndarray of bool, shape (samples,), optional
+        The samples that count; those that are not nan where not given.
+    """
     columns = values.reshape(len(values), -1)
     time = np.linspace(-1.0, 1.0, len(values))
     lines = np.zeros_like(columns)
     for j, column in enumerate(columns.T):
-        there = np.isfinite(column)
-        if there.sum() > 1:
-            lines[:, j] = np.polyval(np.polyfit(time[there], column[there], 1), time)
+        own = np.isfinite(column) if there is None else there
+        if own.sum() > 1:
+            lines[:, j] = np.polyval(np.polyfit(time[own], column[own], 1), time)
     return lines.reshape(values.shape)

@@ -30,6 +30,10 @@ ASSUMED_STD = 0.5
 """Relative, of the damping ratio of a mode that was not measured."""
 
 
+HIGH = 0.2
+"""Damping ratio from which on it is asked whether percent were meant: frames with dampers have less."""
+
+
 @dataclass(frozen=True, eq=False)
 class Ratios:
     """Damping ratios of the N modes of a frame.
@@ -59,6 +63,12 @@ class Ratios:
                 f"no damping ratio was measured of mode{'s' if (~self.measured).sum() > 1 else ''} {names}: the mean "
                 f"of the others is taken, {100 * self.values[~self.measured][0]:.2g} % of critical within "
                 f"{100 * ASSUMED_STD:g} %"
+            )
+        if np.any(self.values[self.measured] >= HIGH):
+            largest = float(self.values[self.measured].max())
+            said.append(
+                f"a damping ratio of {largest:g} is {100 * largest:g} % of critical: are the ratios in percent? "
+                "damping_ratios are fractions of critical"
             )
         if self.tested.damping_ratio_std is None:
             said.append(
@@ -94,12 +104,14 @@ def damping_ratios(experiment: Experiment, configuration: Configuration) -> Rati
         )
     tested = next((each for each in sources if each.name == configuration.name), sources[0])
     assert tested.damping_ratios is not None
+    there = np.isfinite(tested.damping_ratios)
+    modes = tested.modes[there] - 1
     seen = np.zeros(experiment.stories, dtype=bool)
-    seen[tested.modes - 1] = True
-    values = np.full(experiment.stories, float(np.mean(tested.damping_ratios)))
-    values[tested.modes - 1] = tested.damping_ratios
+    seen[modes] = True
+    values = np.full(experiment.stories, float(np.mean(tested.damping_ratios[there])))
+    values[modes] = tested.damping_ratios[there]
     std = np.full(experiment.stories, ASSUMED_STD)
-    std[tested.modes - 1] = DEFAULT_STD if tested.damping_ratio_std is None else tested.damping_ratio_std
+    std[modes] = DEFAULT_STD if tested.damping_ratio_std is None else tested.damping_ratio_std[there]
     return Ratios(values, std, seen, tested)
 
 

@@ -43,6 +43,8 @@ class Fitted:
         Whether the masses have a scale; not where a total of 1 stands for one that nobody gave.
     misfit : float, optional
         Chi-square a degree of freedom where the modes speak against the model; 1 where they do not.
+    lacking : float, optional
+        Largest error of a mode shape, of its largest entry, where the modes speak against the model; else 0.
     """
 
     experiment: Experiment
@@ -52,6 +54,7 @@ class Fitted:
     undetermined: tuple[tuple[str, ...], ...] = ()
     mass_known: bool = True
     misfit: float = 1.0
+    lacking: float = 0.0
 
     @staticmethod
     def of(estimate: Estimate, *, mass_known: bool = True) -> Fitted:
@@ -63,7 +66,7 @@ class Fitted:
             estimate.uncertainty.covariance(),
             estimate.uncertainty.null_directions,
             mass_known,
-            _misfit(estimate),
+            *_misfit(estimate),
         )
 
     @staticmethod
@@ -106,6 +109,7 @@ class Fitted:
             "covariance": None if self.covariance is None else self.covariance.tolist(),
             "undetermined": [list(names) for names in self.undetermined],
             "misfit": self.misfit,
+            "lacking": self.lacking,
         }
 
     @staticmethod
@@ -118,7 +122,7 @@ class Fitted:
             Naming what is missing or of the wrong size.
         """
         keys = ["effects", "theta", "covariance", "undetermined"]
-        table = checks.keys(declared, [*keys, "misfit"], keys, where)
+        table = checks.keys(declared, [*keys, "misfit", "lacking"], keys, where)
         effects = tuple(_placed(item, f"{where}: effects") for item in table["effects"])
         size = 2 * experiment.stories + sum(len(placed.effect.parameters) for placed in effects)
         theta = checks.vector(table["theta"], f"{where}: theta", length=size)
@@ -129,15 +133,16 @@ class Fitted:
                 raise InputError(f"{where}: covariance must have {size} rows of {size} numbers, one a parameter")
         undetermined = tuple(tuple(str(name) for name in names) for names in table["undetermined"])
         return Fitted(
-            experiment, effects, theta, covariance, undetermined, mass_known, float(table.get("misfit", 1.0))
+            experiment, effects, theta, covariance, undetermined, mass_known, float(table.get("misfit", 1.0)),
+            float(table.get("lacking", 0.0)),
         )  # fmt: skip
 
 
-def _misfit(estimate: Estimate) -> float:
-    """Chi-square a degree of freedom where it is improbable, else 1."""
+def _misfit(estimate: Estimate) -> tuple[float, float]:
+    """Chi-square a degree of freedom and largest error of a shape where that is improbable, else 1 and 0."""
     if estimate.p_value is None or estimate.p_value > IMPROBABLE or not estimate.dof:
-        return 1.0
-    return max(1.0, estimate.chi2 / estimate.dof)
+        return 1.0, 0.0
+    return max(1.0, estimate.chi2 / estimate.dof), float(estimate.quality.max_shape_error or 0.0)
 
 
 def _placed(item: object, where: str) -> Placed:

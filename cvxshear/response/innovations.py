@@ -65,8 +65,11 @@ FURTHEST = np.log(10.0)
 """Bound on the logarithm of factors on stiffness and damping: a story ten times softer is another frame."""
 
 FURTHEST_NOISE = np.log(30.0)
-"""Bound on the logarithm of a noise level around its start: no sensor in a building is good to less than 0.1 % of its
-motion, and no model of one."""
+"""Bound on the logarithm of a sensor's noise around its start: none is good to 0.1 % of a building's motion."""
+
+FURTHEST_FORCE = np.log(5.0)
+"""The same of the missed story forces: 0.4 % to 10 % of the rms story force. No frame is linear to less, and a model
+that misses more has no business in a reconstruction."""
 
 DIFFERENCE = 1e-5
 """Step of the logarithms by which small matrices are differentiated: rounding and curvature both leave 1e-5 of it."""
@@ -233,14 +236,25 @@ class PredictionErrors:
     stretches : sequence of Stretch
     noise : Noise
         Where the noise levels start.
+    lacking : float, optional
+        Relative error of the model's mode shapes where the modes speak against it: the story forces that it misses are
+        taken as at least as large.
     """
 
-    def __init__(self, varied: Varied, setting: Setting, stretches: Sequence[Stretch], noise: Noise) -> None:
+    def __init__(
+        self, varied: Varied, setting: Setting, stretches: Sequence[Stretch], noise: Noise, lacking: float = 0.0
+    ) -> None:
         self.varied, self.setting, self.stretches, self.noise = varied, setting, stretches, noise
         self.stories, self.dampers = len(varied.story_stiffness), len(varied.own_std)
         self.frame = slice(0, self.stories + self.dampers + len(varied.dM))
         extra = 0 if setting.base_measured else 1
         self.size = self.frame.stop + len(setting.floors) + 1 + extra
+        self.upper = np.full(self.size, FURTHEST_NOISE)
+        self.upper[self.frame] = FURTHEST
+        force = self.frame.stop + len(setting.floors)
+        self.upper[force] = FURTHEST_FORCE
+        self.lower = -self.upper
+        self.lower[force] = min(max(self.lower[force], np.log(max(lacking, 1e-6) / noise.force)), FURTHEST_FORCE)
 
     @property
     def samples(self) -> int:
@@ -416,7 +430,7 @@ class Prior:
 
     def root(self, changed: Sequence[int]) -> Floats:
         """Cholesky factor of the covariance."""
-        root: Floats = np.linalg.cholesky(self.covariance(changed))
+        root: Floats = np.asarray(np.linalg.cholesky(self.covariance(changed)), dtype=np.float64)
         return root
 
 
@@ -566,8 +580,7 @@ def _descended(
     """Gauss-Newton from p over the free unknowns, on the posterior whose prior has this Cholesky factor."""
     white = np.linalg.inv(root)
     which = np.arange(errors.size) if free is None else free
-    bound = np.full(errors.size, FURTHEST_NOISE)
-    bound[errors.frame] = FURTHEST
+    p = np.clip(p, errors.lower, errors.upper)
     value = errors.objective(p) + float(np.sum((white @ p) ** 2))
     at = errors.linearised(p, free)
     for _ in range(steps):
@@ -576,7 +589,7 @@ def _descended(
         for weight in DAMPED:
             rows = np.concatenate([at.U, white[:, which], weight * np.diag(sensitivity)])
             side = np.concatenate([-at.c, -white @ p, np.zeros(len(which))])
-            program = LeastSquares(rows, side, lower=(-bound - p)[which], upper=(bound - p)[which])
+            program = LeastSquares(rows, side, lower=(errors.lower - p)[which], upper=(errors.upper - p)[which])
             trial = p.copy()
             trial[which] += backend.solve(program).x
             found = errors.objective(trial) + float(np.sum((white @ trial) ** 2))

@@ -448,7 +448,7 @@ class _Reconstructing:
             if smoothed is not None:
                 start = smoothed[place].states[part.start]
             stretches.append(Stretch(run.driven[part], y[part], start))
-        return PredictionErrors(self.varied, self.setting, stretches, self.noise)
+        return PredictionErrors(self.varied, self.setting, stretches, self.noise, self.frame.fitted.lacking)
 
     def _fitted(self) -> tuple[FittedFrame, list[Smoothed]]:
         """The frame and its motion: gaps and spikes are filled in by the identified frame, then by the fitted one."""
@@ -513,8 +513,9 @@ class _Reconstructing:
             variance += self._moved_by(direction, noise, recorded.driven, found.completed, found.states[0]) ** 2
         std: Floats = wider * np.sqrt(variance)
         acceleration, displacement, _, force = (moved[:, k * n : (k + 1) * n] for k in range(4))
+        time = self.recording.step * np.arange(len(moved), dtype=np.float64)
         motion = Response(
-            self.recording.step * np.arange(len(moved)), acceleration, displacement, force, model.heights,
+            time, acceleration, displacement, force, model.heights,
             model.mass_known,
         )  # fmt: skip
         stds = dict(
@@ -583,7 +584,7 @@ class _Reconstructing:
         stretches = [
             dataclasses.replace(each, y=np.delete(each.y, channel, axis=1)) for each in fitted.errors.stretches
         ]
-        errors = PredictionErrors(self.varied, setting, stretches, noise)
+        errors = PredictionErrors(self.varied, setting, stretches, noise, self.frame.fitted.lacking)
         start = np.delete(fitted.p, fitted.errors.frame.stop + channel)
         again = refitted(fitted, errors, start, self.backend, CHECK_STEPS if self.free else 0)
         other = _Reconstructing.__new__(_Reconstructing)
@@ -718,6 +719,12 @@ def _remarks(found: Reconstruction, line: float) -> list[str]:
         said.append("the masses have no scale (give total_mass): forces and moments are left out")
     if found.limits is not None and found.passed is None:
         said.append("drift ratios need story_heights in [frame]: the limits cannot be judged")
+    if found.fitted.lacking:
+        said.append(
+            f"the modes speak against the identified model (chi-square {found.fitted.misfit:.1f} a degree of freedom, "
+            f"shapes off by up to {percent(found.fitted.lacking, 1)}): the bands were widened for it; look for what it "
+            "lacks with cvxshear loop"
+        )
     if not found.frame.converged:
         said.append("the fit of the frame did not settle; its deviations may be too small")
     wider = _widening(found.checks)

@@ -125,11 +125,15 @@ class Recording:
         """Without the straight line through each acceleration, and its largest size over the channel's rms."""
         largest, runs = 0.0, []
         for run in self.runs:
-            line = trend(run.measured)
+            # Over the same samples for all: lines through different parts of one motion would contradict each other.
+            there = np.asarray(np.isfinite(run.measured).all(axis=1))
+            if there.sum() <= len(there) // 2:
+                there = np.ones_like(there)
+            line = np.column_stack([trend(column, there & np.isfinite(column)) for column in run.measured.T])
             largest = max(largest, float(np.max(np.abs(line) / self.rms())))
             excitation = run.excitation
             if excitation is not None and self.input == "base":
-                excitation = excitation - trend(excitation)
+                excitation = excitation - trend(excitation, there)
             runs.append(dataclasses.replace(run, measured=run.measured - line, excitation=excitation))
         return dataclasses.replace(self, runs=tuple(runs)), largest
 

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from cvxshear.backends import Backend
+from cvxshear.files.mode_tables import with_modes_read
 from cvxshear.files.modes import modes_from_file
 from cvxshear.files.motion import read_motion
-from cvxshear.files.toml import is_record_file, load, read_text
+from cvxshear.files.toml import is_record_file, load, parse, read_text
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import Closure, close_loop
 from cvxshear.measurement.experiment import Configuration, Experiment
@@ -21,7 +22,7 @@ from cvxshear.modal.record import FrfRecord, TimeRecord
 from cvxshear.response.fitted import Fitted, Models
 from cvxshear.response.recording import Recording
 from cvxshear.util.checks import choice, shown
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, NoScaleError
 from cvxshear.util.typing import Floats
 
 ModelSource = str | Path | Experiment | Closure | Estimate | Models
@@ -66,11 +67,34 @@ def _of_file(source: str | Path, backend: Backend) -> Models:
     if Path(source).suffix.lower() == ".json":
         return _of_json(Path(source))
     if not is_record_file(source):
-        return models_of_loop(close_loop(load(source), backend=backend))
+        experiment, mass_known = load_unscaled(source)
+        return models_of_loop(close_loop(experiment, backend=backend), mass_known=mass_known)
     found, declared = modes_from_file(source)
     experiment = Experiment.from_dict(declared, name=Path(source).stem)
     mass_known = not any(finding.kind == "scale" for finding in found.findings)
     return models_of_loop(close_loop(experiment, backend=backend), mass_known=mass_known)
+
+
+def load_unscaled(path: str | Path) -> tuple[Experiment, bool]:
+    """Read a measurement file that need not tell how heavy the frame is.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    experiment : Experiment
+        Of a total mass of 1 kg where nothing tells it.
+    mass_known : bool
+    """
+    try:
+        return load(path), True
+    except NoScaleError:
+        path = Path(path)
+        declared = dict(with_modes_read(parse(read_text(path), path), path.parent))
+        declared["frame"] = {**(declared.get("frame") or {}), "total_mass": 1.0}
+        return Experiment.from_dict(declared, name=path.stem), False
 
 
 def models_of_loop(closure: Closure, *, mass_known: bool = True) -> Models:

@@ -60,8 +60,9 @@ def test_series_are_the_same_in_every_file(three, kind, tmp_path):
         again = {name: values[:, 0] for name, values in io.loadmat(path).items() if not name.startswith("__")}
     else:
         read, notes = read_uff(path)
-        assert [note["quantity"] for note in notes.values()] == [12] * 3 + [8] * 3 + [13] * 3
-        names = ["time", *(f"{word}_{i}" for word in ("acceleration", "displacement", "shear") for i in (1, 2, 3))]
+        assert [note["quantity"] for note in notes.values()] == [12] + [12] * 3 + [8] * 6 + [13] * 3
+        words = ("acceleration", "displacement", "drift", "shear")
+        names = ["time", "excitation", *(f"{word}_{i}" for word in words for i in (1, 2, 3))]
         again = dict(zip(names, read.values.T, strict=True))
     assert set(again) == (set(columns) if kind != "uff" else set(names))
     for name, values in again.items():

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from cvxshear.report.describe.dispatch import describe
 from cvxshear.report.describe.vocabulary import Block, Document, Section, Sentence, Table, plain_rows
 from cvxshear.response import IdentifiedDamping
@@ -23,11 +25,12 @@ def damping_section(of: IdentifiedDamping) -> Section:
 
 
 def _parts(of: IdentifiedDamping) -> Iterator[Block]:
+    measured = np.full(len(of.ratios), np.nan) if of.measured is None else of.measured
     ratios = plain_rows(
-        (str(mode), with_std(float(ratio), float(std), factor=0.01))
-        for mode, (ratio, std) in enumerate(zip(of.ratios, of.ratios_std, strict=True), 1)
+        (str(mode), with_std(float(ratio), float(std), factor=0.01), significant(100 * float(seen), 3))
+        for mode, (ratio, std, seen) in enumerate(zip(of.ratios, of.ratios_std, measured, strict=True), 1)
     )
-    yield Table("damping-ratios", f"damping ({of.kind})", ("mode", "ratio, %"), ratios)
+    yield Table("damping-ratios", f"damping ({of.kind})", ("mode", "ratio, %", "measured, %"), ratios)
     if of.story_dashpot is not None and of.story_dashpot_std is not None:
         dashpots = plain_rows(
             (str(story), with_std(float(dashpot), float(std)))

@@ -201,7 +201,8 @@ def _frame_parts(of: Reconstruction) -> Iterator[Sentence | Table]:
     rows = plain_rows(
         (
             str(mode + 1), significant(float(before.modes.frequencies[mode])),
-            significant(float(of.model.modes.frequencies[mode])), percent(float(before.ratios[mode]), 2), percent(float(of.model.ratios[mode]), 2),
+            significant(float(of.model.modes.frequencies[mode])),
+            percent(float(before.ratios[mode]), 2), percent(float(of.model.ratios[mode]), 2),
         )
         for mode in range(min(len(of.model.M), SHOWN_MODES))
     )  # fmt: skip
