@@ -44,7 +44,7 @@ name = "bare"
 frequency_std = 0.002  # relative: how much repeated tests scatter
 mode_shape_std = 0.01  # of an entry, relative to the largest of its mode
 # mode_shape_noise = "multiplicative"  # mode_shape_std is relative to the entry itself
-# damping_ratios = 0.01  # fraction of critical, one number or one a mode: for 'cvxshear predict', not fitted
+# damping_ratios = 0.01  # fraction of critical, one number or one a mode (nan: unknown): for 'predict', not fitted
 # damping_ratio_std = 0.2  # relative
 """
 
@@ -96,6 +96,10 @@ TAIL = """
 
 # [damping]  # how damping is modelled where a response is predicted
 # kind = "modal"  # or "story", "rayleigh"
+
+# [limits]  # whether 'cvxshear reconstruct' finds them passed, story by story
+# story_drift = [0.005, 0.01]  # drift over story height, ascending
+# names = ["repair", "inspection"]  # what each means
 """
 
 

@@ -210,8 +210,12 @@ class Reconstruction(Shown):
 
     @property
     def changed(self) -> tuple[int, ...]:
-        """Stories (from 1) that changed by themselves with a probability of at least `NAMED`."""
-        return tuple(int(j) + 1 for j in np.flatnonzero(self.frame.story_probability >= NAMED))
+        """Stories (from 1) that changed by themselves with a probability of at least `NAMED`.
+
+        Where the modes speak against the model, only those that changed by more than twice what it lacks.
+        """
+        large = np.abs(self.frame.factors - 1.0) > 2.0 * self.fitted.lacking
+        return tuple(int(j) + 1 for j in np.flatnonzero((self.frame.story_probability >= NAMED) & large))
 
     @cached_property
     def spectra(self) -> FloorSpectra:
