@@ -227,6 +227,8 @@ def _of_file(path: Path) -> Recording:
         floors = sorted(
             (item for item in channels if item is not driver and item.responds), key=lambda item: item.floor
         )
+        if not floors:
+            raise InputError("no floor's acceleration was recorded; a reconstruction needs one at least")
         for item in floors:
             _refuse_other_quantity(item.quantity, f'channel "{item.column}"')
         runs, rates, places = [], [], set()

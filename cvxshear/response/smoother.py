@@ -38,8 +38,9 @@ SETTLED = 1e-9
 """Relative change of a covariance over one sample at which it is taken as constant. What is still to come is this over
 the decay a sample, which is at least 1e-3 for a sampled vibration: the motion is then exact to about 1e-6."""
 
-MOST_TRANSIENT = 1500
-"""Samples after a change of the weights over which covariances are computed one by one at most."""
+MOST_TRANSIENT = 300
+"""Samples after a change of the weights over which covariances are computed one by one; where they are still changing
+after so many, their limit is taken, so that long records need neither the time nor the memory."""
 
 LONG = 4 * 64
 """Samples of constant gain from which on matrix products over blocks are faster than a loop."""
@@ -103,14 +104,20 @@ class Smoothed:
 
 @dataclass(frozen=True, eq=False)
 class _Gain:
-    """One sample's matrices of the filter: F = A - A P H' S^-1 H."""
+    """One sample's matrices of the filter."""
 
+    A: Floats
     P: Floats
     H: Floats
     inverse_S: Floats
     K: Floats
-    F: Floats
     innovation_std: Floats
+
+    @property
+    def F(self) -> Floats:
+        """A - K H; not stored, since there may be thousands."""
+        result: Floats = self.A - self.K @ self.H
+        return result
 
 
 def smooth(model: Dynamics, run: Observed, rows: Floats, *, robust: bool = True) -> Smoothed:
@@ -168,15 +175,18 @@ def _gains(model: Dynamics, run: Observed, weights: Floats) -> tuple[list[_Gain]
             inverse = np.linalg.inv(S)
             K = A @ PH @ inverse
             F = A - K @ H
-            gains.append(_Gain(P, H, inverse, K, F, np.sqrt(np.diag(S))))
+            gains.append(_Gain(A, P, H, inverse, K, np.sqrt(np.diag(S))))
             which[t] = len(gains) - 1
             following = F @ P @ A.T + Q
             following = 0.5 * (following + following.T)
             was, now = np.diag(P), np.diag(following)
-            settled = np.all(np.abs(now - was) <= SETTLED * now) or t - first >= MOST_TRANSIENT
+            settled = bool(np.all(np.abs(now - was) <= SETTLED * now))
             P = following
             t += 1
-            if settled:
+            if not settled and t - first == MOST_TRANSIENT and last - t > MOST_TRANSIENT:
+                # What is left of the change is slow and small; the filter has its limit from here on.
+                P = settled_covariance(dataclasses.replace(model, H=H, R=noise, Q=Q))
+            elif settled:
                 which[t:last] = len(gains) - 1
                 t = last
     return gains, which
@@ -200,14 +210,15 @@ def _sweeps(model: Dynamics, run: Observed, gains: list[_Gain], which: Ints, wei
     x = np.zeros(n)
     for first, last, at in stretches:
         gain = gains[at]
+        F = gain.F
         inputs = driven[first:last] + y[first:last] @ gain.K.T
         if last - first >= LONG:
-            predicted[first:last] = recursion(gain.F, inputs, x)
-            x = gain.F @ predicted[last - 1] + inputs[-1]
+            predicted[first:last] = recursion(F, inputs, x)
+            x = F @ predicted[last - 1] + inputs[-1]
         else:
             for t in range(first, last):
                 predicted[t] = x
-                x = gain.F @ x + inputs[t - first]
+                x = F @ x + inputs[t - first]
     innovations = np.empty_like(y)
     pulled = np.empty((samples, n))
     for first, last, at in stretches:
@@ -219,7 +230,8 @@ def _sweeps(model: Dynamics, run: Observed, gains: list[_Gain], which: Ints, wei
     multipliers = np.empty((samples, n))
     r = np.zeros(n)
     for first, last, at in reversed(stretches):
-        back = gains[at].F.T
+        F = gains[at].F
+        back = F.T
         if last - first >= LONG:
             swept = recursion(back, pulled[first:last][::-1], r)[::-1]
             # swept holds what follows each sample; its own pull is still to be added.
@@ -242,19 +254,20 @@ def _deviations(rows: Floats, gains: list[_Gain], which: Ints) -> Floats:
     result = np.empty((len(which), len(rows)))
     for first, last, at in reversed(list(_constant(which))):
         gain = gains[at]
+        F = gain.F
         own = gain.H.T @ gain.inverse_S @ gain.H
         spread = rows @ gain.P
         plain = np.sum(spread * rows, axis=1)
         scale = np.sqrt(np.maximum(np.diag(gain.P), 1e-300))
         t = last - 1
         while t >= first:
-            following = own + gain.F.T @ N @ gain.F
+            following = own + F.T @ N @ F
             change = np.max(np.abs(np.diag(following) - np.diag(N)) * scale**2)
             N = 0.5 * (following + following.T)
             variance = plain - np.sum((spread @ N) * spread, axis=1)
             result[t] = np.sqrt(np.maximum(variance, 0.0))
             t -= 1
-            if change <= SETTLED or last - t > MOST_TRANSIENT:
+            if change <= SETTLED or last - 1 - t > 4 * MOST_TRANSIENT:
                 result[first : t + 1] = result[t + 1]
                 t = first - 1
     return result
