@@ -21,7 +21,7 @@ from cvxshear.util.typing import Bools, Floats, Ints, Json
 SEGMENTS = 4
 """Pieces, half overlapping, that the shortest run is cut into at least: fewer show no coherence."""
 
-LINES = 8
+BANDWIDTH_LINES = 8
 """Lines that the half-power bandwidth of a mode is resolved by, where the record is long enough."""
 
 AROUND = 0.1
@@ -61,7 +61,7 @@ def segment(samples: int, rate: float, frequency: float, ratio: float) -> int:
     frequency, ratio : float
         Hz and fraction of critical, of the mode with the narrowest resonance.
     """
-    wanted = LINES * rate / max(2 * ratio * frequency, 1e-12)
+    wanted = BANDWIDTH_LINES * rate / max(2 * ratio * frequency, 1e-12)
     return int(max(16, min(wanted, 2 * samples // (SEGMENTS + 1))))
 
 
@@ -305,7 +305,7 @@ def _around_modes(
     """Errors around each mode; by one piece a run where averaged pieces have too few lines around one."""
     result = errors(*averaged, natural)
     lines = np.array([around(averaged[0].frequencies, natural, mode).sum() for mode in range(len(natural))])
-    few = np.flatnonzero(lines < FEWEST_LINES)
+    few = np.flatnonzero(lines < FEWEST_AVERAGED)
     if not few.size:
         return result
     # A single piece has no coherence to judge by: what the frame answers at a resonance stands above its noise there.
@@ -345,7 +345,7 @@ def contradiction(measured: Sequence[Floats], predicted: Sequence[Floats], floor
     ratios = size_y / size_p
     factor = float(np.exp(np.mean(np.log(ratios))))
     spread = float(np.max(np.abs(np.log(ratios / factor))))
-    for known, unit in FACTORS:
+    for known, unit in UNIT_FACTORS:
         if abs(np.log(factor / known)) < SAME_FACTOR and spread < SAME_FACTOR:
             said.append(
                 f"every floor was measured {factor:.3g} times as large as predicted, which is near {known:g}: {unit}"
@@ -374,7 +374,7 @@ def contradiction(measured: Sequence[Floats], predicted: Sequence[Floats], floor
     return "; ".join(said)
 
 
-FACTORS = (
+UNIT_FACTORS = (
     (9.80665, "is the base motion in g, or were the floors converted twice?"),
     (1 / 9.80665, "are the floors in g, or was the base motion converted twice?"),
     (1000.0, "are the floors in mm/s2?"),
@@ -386,7 +386,7 @@ FACTORS = (
 """Ratios of units of acceleration that are mixed up, and what each would mean."""
 
 SAME_FACTOR = 0.25
-"""Difference of logarithms up to which a ratio counts as one of `FACTORS`: a prediction's own rms is rarely off by
+"""Difference of logarithms up to which a ratio counts as one of `UNIT_FACTORS`: a prediction's own rms is rarely off by
 more, and no two of them are as near."""
 
 LIKE = 0.5
@@ -395,5 +395,5 @@ LIKE = 0.5
 EXCHANGED = 0.1
 """Gain in squared correlation that an exchange of two channels must bring: neighbouring floors move nearly alike."""
 
-FEWEST_LINES = 5
+FEWEST_AVERAGED = 5
 """Lines of the averaged spectra around a mode below which they say nothing of its height."""

@@ -11,7 +11,7 @@ from cvxshear.backends import Backend
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.results import plain
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.response.dashpots import FAR, LEAST_RATIO, known
+from cvxshear.response.dashpots import LEAST_RATIO, MISSED, known
 from cvxshear.response.fitted import Fitted
 from cvxshear.response.uncertain import Damped, UncertainFrame, propagated
 from cvxshear.util import checks
@@ -105,7 +105,7 @@ def described(frame: UncertainFrame, damped: Damped, std: Floats) -> IdentifiedD
 def _missed(frame: UncertainFrame, damped: Damped, measured: Floats) -> list[str]:
     """The measured ratios that this kind of damping does not have, and which kind would."""
     std = frame.ratios.std * np.maximum(frame.ratios.values, LEAST_RATIO)
-    far = np.flatnonzero(np.abs(damped.model.ratios - np.nan_to_num(measured)) > FAR * std)
+    far = np.flatnonzero(np.abs(damped.model.ratios - np.nan_to_num(measured)) > MISSED * std)
     modes = [int(mode) + 1 for mode in far if np.isfinite(measured[mode])]
     if not modes:
         return []

@@ -124,23 +124,23 @@ only what neither the ratios nor the priors do."""
 LEAST_RATIO = 1e-3
 """A ratio measured as smaller is no better known than one of this size."""
 
-MOST_ROUNDS = 100
-SHORTEST = 1e-3
+DASHPOT_ROUNDS = 100
+SHORTEST_CUT = 1e-3
 """Share of a step below which it is not cut any more."""
 
-UNCHANGED = 1e-9
+SETTLED_DASHPOTS = 1e-9
 """Relative change of the dashpots at which they have settled."""
 
-FLAT = 1e-5
+RATIOS_MET = 1e-5
 """Relative change of the sum of squares at which the ratios are met as well as they can be."""
 
-OPEN = 1e-6
+LEFT_OPEN = 1e-6
 """A combination of dashpots that changes the data by less, each in units of its own effect, is left open by them."""
 
-TAKES_PART = 0.1
+NAMED_SHARE = 0.1
 """Share of the largest entry from which on a story is named as part of a combination."""
 
-FAR = 2.0
+MISSED = 2.0
 """Standard deviations by which a ratio counts as missed."""
 
 ZERO = 1e-9
@@ -214,17 +214,17 @@ def story_dashpots(
     fit = _Fit(of, stiffness, ratios, priors)
     c = np.zeros(n) if start is None else start
     program = fit.program(c)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(DASHPOT_ROUNDS):
         step = backend.solve(constrained(program, where, c)).x
-        if np.max(np.abs(step)) <= UNCHANGED * np.max(np.abs(c + step), initial=1e-300):
+        if np.max(np.abs(step)) <= SETTLED_DASHPOTS * np.max(np.abs(c + step), initial=1e-300):
             return fit.found(c + step, program)
         before = _size(program)
         # The first answer is that of real modes, wherever it lies; from there on the ratios come ever nearer.
         c, program = fit.moved(c, step, before if np.any(c) else np.inf)
-        if before - _size(program) <= FLAT * before:
+        if before - _size(program) <= RATIOS_MET * before:
             return fit.found(c, program)
     raise NoSolutionError(
-        backend.name, f"the story dashpots did not settle in {MOST_ROUNDS} rounds; use modal damping in their place"
+        backend.name, f"the story dashpots did not settle in {DASHPOT_ROUNDS} rounds; use modal damping in their place"
     )
 
 
@@ -268,7 +268,7 @@ class _Fit:
             Where a measured mode would not swing any more after the first step.
         """
         part = 1.0
-        while part > SHORTEST:
+        while part > SHORTEST_CUT:
             try:
                 program = self.program(c + part * step)
             except UnsuitableError:
@@ -285,7 +285,7 @@ class _Fit:
         measured, assumed = len(self.seen), len(self.statement)
         exact = [prior.constraints(len(c)).A for prior in self.priors]
         rows = [program.R[:measured], program.R[measured + assumed :], *(A for A in exact if A is not None)]
-        far = np.abs(program.s[:measured]) > FAR
+        far = np.abs(program.s[:measured]) > MISSED
         c = np.where(c > ZERO * c.max(), c, 0.0)
         return Dashpots(c, *_left_open(np.concatenate(rows)), tuple((self.seen[far] + 1).tolist()))
 
@@ -331,13 +331,13 @@ def _left_open(data: Floats) -> tuple[tuple[str, ...], Bools]:
     length = np.linalg.norm(data, axis=0)
     unit = 1.0 / np.where(length > 0, length, 1.0)
     _, values, right = np.linalg.svd(data * unit, full_matrices=True)
-    rank = int(np.sum(values > OPEN * values[0]))
+    rank = int(np.sum(values > LEFT_OPEN * values[0]))
     null = right[rank:]
     part = np.linalg.norm(null, axis=0) if len(null) else np.zeros(data.shape[1])
     words = []
     for direction in np.abs(null):
         order = np.argsort(-direction, kind="stable")
-        names = [str(k + 1) for k in order if direction[k] > TAKES_PART * direction[order[0]]]
+        names = [str(k + 1) for k in order if direction[k] > NAMED_SHARE * direction[order[0]]]
         words.append(f"the dashpots of stories {', '.join(names)}" if len(names) > 1 else f"the dashpot of {names[0]}")
     return tuple(words), part < 1e-4
 

@@ -17,7 +17,7 @@ from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Json
 
-NEGLIGIBLE = 1e-12
+NO_VARIANCE = 1e-12
 """Eigenvalue of a correlation matrix, relative to the largest, that is rounding."""
 
 
@@ -97,7 +97,7 @@ class Fitted:
         std = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         unit = np.where(std > 0, std, 1.0)
         values, vectors = np.linalg.eigh(self.covariance / np.outer(unit, unit))
-        kept = values > NEGLIGIBLE * max(float(values[-1]), NEGLIGIBLE)
+        kept = values > NO_VARIANCE * max(float(values[-1]), NO_VARIANCE)
         root: Floats = unit[:, None] * vectors[:, kept] * np.sqrt(values[kept])
         return root
 

@@ -74,23 +74,23 @@ that misses more has no business in a reconstruction."""
 DIFFERENCE = 1e-5
 """Step of the logarithms by which small matrices are differentiated: rounding and curvature both leave 1e-5 of it."""
 
-MOST_STEPS = 12
+MOST_FIT_STEPS = 12
 """Gauss-Newton steps at most; a fit that starts near takes four to six."""
 
-FLAT = 0.1
+LEAST_GAIN = 0.1
 """Decrease of -2 log likelihood that ends the fit: a third of a standard deviation of one parameter."""
 
-MOST_ROUNDS = 3
+MOST_DECISIONS = 3
 """Times that the stories left free are decided anew; the second decision mostly is the first."""
 
 DAMPED = (0.0, 1e-2, 1.0, 1e2, 1e4)
 """Weights of rows that hold a step back, relative to the sensitivity to each parameter, tried until one improves."""
 
-MOST_SAMPLES = 10_000
+FITTED_SAMPLES = 10_000
 """Samples that the frame is fitted to: the strongest stretch of that length. More would sharpen a linear frame by the
 root of their number, which model error does not allow, and cost in proportion."""
 
-PERIODS = 4.0
+SCORE_PERIODS = 4.0
 """Fundamental periods over which scores are summed before their scatter is taken: errors of a wrong model hang together
 for about as long."""
 
@@ -98,7 +98,7 @@ LEAST_WEIGHT = 1e-3
 """Probability of a set of changed stories below which it is left out of the average."""
 
 MOST_CHANGES = 3
-BEAM = 6
+KEPT_SETS = 6
 """Changed stories in a set at most, and sets of each size that the next size grows from."""
 
 
@@ -327,7 +327,7 @@ class PredictionErrors:
     def _inflation(self, residuals: Sequence[Floats], derivatives: Sequence[Floats]) -> float:
         """How much more the summed scores of the frame's parameters scatter than of white innovations."""
         frequency = float(self.varied.centre.model.modes.frequencies[0])
-        length = max(1, round(PERIODS / (frequency * self.setting.step)))
+        length = max(1, round(SCORE_PERIODS / (frequency * self.setting.step)))
         rows = self.frame.stop
         spread, curvature = np.zeros((rows, rows)), np.zeros((rows, rows))
         for white, J in zip(residuals, derivatives, strict=True):
@@ -524,13 +524,13 @@ def fit_frame(
     stories: tuple[int, ...] = ()
     if not free:
         noise = np.arange(errors.frame.stop, errors.size)
-        p, _, converged = _descended(errors, prior.root(()), p, backend, MOST_STEPS, noise)
+        p, _, converged = _descended(errors, prior.root(()), p, backend, MOST_FIT_STEPS, noise)
         kept = ChangedStories((), 1.0, p, prior.covariance(()))
         known = errors.setting.base_measured
         covariance = identified_only(prior) if known else prior.covariance(())
         return FittedFrame(errors, prior, p, covariance, (kept,), 1.0, converged)
-    for _ in range(MOST_ROUNDS):
-        p, at, converged = _descended(errors, prior.root(stories), p, backend, MOST_STEPS)
+    for _ in range(MOST_DECISIONS):
+        p, at, converged = _descended(errors, prior.root(stories), p, backend, MOST_FIT_STEPS)
         sets = changed_stories(at, prior, p)
         if sets[0].stories == stories:
             break
@@ -600,7 +600,7 @@ def _descended(
             return p, at, True
         gain, (p, value) = value - taken[1], taken
         at = errors.linearised(p, free)
-        if gain < FLAT:
+        if gain < LEAST_GAIN:
             return p, at, True
     return p, at, False
 
@@ -645,7 +645,7 @@ def changed_stories(at: Likelihood, prior: Prior, p: Floats) -> tuple[ChangedSto
             tuple(sorted({*base, story})) for base, story in itertools.product(level, range(N)) if story not in base
         }
         found |= {stories: judged(stories) for stories in grown}
-        level = sorted(grown, key=lambda stories: -found[stories][0])[:BEAM]
+        level = sorted(grown, key=lambda stories: -found[stories][0])[:KEPT_SETS]
     order = sorted(found, key=lambda stories: -found[stories][0])
     scores = np.array([found[stories][0] for stories in order])
     weights = np.exp(scores - scores[0])
@@ -657,7 +657,7 @@ def changed_stories(at: Likelihood, prior: Prior, p: Floats) -> tuple[ChangedSto
     )
 
 
-def strongest(y: Floats, most: int = MOST_SAMPLES) -> slice:
+def strongest(y: Floats, most: int = FITTED_SAMPLES) -> slice:
     """The stretch of at most so many samples that holds the most of a record's motion.
 
     Parameters

@@ -11,7 +11,7 @@ from cvxshear.fit.results import plain
 from cvxshear.response.model import Response, held
 from cvxshear.util.typing import Floats, Json
 
-QUANTITIES = {
+RESPONSES = {
     "floor_acceleration": "m/s2",
     "floor_displacement": "m",
     "story_drift": "m",
@@ -54,7 +54,7 @@ class Peaks:
     Parameters
     ----------
     values, std : dict of str to ndarray
-        By the names of `QUANTITIES`, those that apply; shape (N,) or (1,); nan where a deviation is not known.
+        By the names of `RESPONSES`, those that apply; shape (N,) or (1,); nan where a deviation is not known.
     """
 
     values: dict[str, Floats]
@@ -63,7 +63,7 @@ class Peaks:
     def to_dict(self) -> Json:
         """Each quantity and its `_std`; null where it does not apply."""
         result: Json = {}
-        for name in QUANTITIES:
+        for name in RESPONSES:
             single = name in ("base_shear", "overturning_moment")
             result[name] = _plain(self.values.get(name), single=single)
             result[f"{name}_std"] = _plain(self.std.get(name), single=single)
@@ -77,7 +77,7 @@ def _plain(values: Floats | None, *, single: bool) -> object:
     return listed[0] if single else listed
 
 
-LINES = 60
+SPECTRUM_LINES = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +109,7 @@ class FloorSpectra:
 
 def spectrum_lines(first: float, last: float, rate: float) -> Floats:
     """Frequencies for a spectrum, Hz: from a fifth of the frame's first to three times its last, as the rate allows."""
-    return np.geomspace(first / 5, max(min(3 * last, rate / 4), first), LINES)
+    return np.geomspace(first / 5, max(min(3 * last, rate / 4), first), SPECTRUM_LINES)
 
 
 def floor_spectra(acceleration: Floats, step: float, frequencies: Floats, damping: float = 0.05) -> FloorSpectra:

@@ -45,21 +45,21 @@ from cvxshear.util.quantities import percent, ranged
 from cvxshear.util.showing import Shown
 from cvxshear.util.typing import Floats, Json
 
-NAMED = 0.95
+NAMED_CHANGE = 0.95
 """Probability from which on a story is named as changed: the loop's own level for what it adds."""
 
-PROBED = 1500
+PROBED_SAMPLES = 1500
 """Samples of the strongest motion on which the directions of the frame's uncertainty are compared."""
 
-DIRECTIONS = 8
-CARRIED = 0.995
+MOST_DIRECTIONS = 8
+CARRIED_SHARE = 0.995
 """Directions of the frame's uncertainty that are propagated at most, and the share of the variance that they carry
 together at least where fewer do."""
 
 CHECK_STEPS = 4
 """Gauss-Newton steps of the frame without one sensor: it starts from the fit to all."""
 
-CHECK_DIRECTIONS = 4
+CHECKED_DIRECTIONS = 4
 """Directions propagated to a floor whose sensor was left out."""
 
 WIDER = 1.3
@@ -210,12 +210,12 @@ class Reconstruction(Shown):
 
     @property
     def changed(self) -> tuple[int, ...]:
-        """Stories (from 1) that changed by themselves with a probability of at least `NAMED`.
+        """Stories (from 1) that changed by themselves with a probability of at least `NAMED_CHANGE`.
 
         Where the modes speak against the model, only those that changed by more than twice what it lacks.
         """
         large = np.abs(self.frame.factors - 1.0) > 2.0 * self.fitted.lacking
-        return tuple(int(j) + 1 for j in np.flatnonzero((self.frame.story_probability >= NAMED) & large))
+        return tuple(int(j) + 1 for j in np.flatnonzero((self.frame.story_probability >= NAMED_CHANGE) & large))
 
     @cached_property
     def spectra(self) -> FloorSpectra:
@@ -406,7 +406,7 @@ class _Reconstructing:
         fitted, smoothed = self._fitted()
         self._advance()
         model = fitted.model
-        directions = self._directions(fitted, DIRECTIONS)
+        directions = self._directions(fitted, MOST_DIRECTIONS)
         channels = range(len(self.recording.floors)) if leave_out and len(self.recording.floors) > 1 else ()
         checks = tuple(self._check(fitted, channel, smoothed) for channel in channels)
         wider = _widening(checks)
@@ -555,7 +555,7 @@ class _Reconstructing:
         own = vectors * np.sqrt(np.maximum(values, 0.0))
         noise = fitted.errors.noise_at(fitted.p)
         run = max(fitted.errors.stretches, key=lambda each: float(np.mean(each.y**2)))
-        part = strongest(run.y, PROBED)
+        part = strongest(run.y, PROBED_SAMPLES)
         excitation, y, start = run.excitation[part], run.y[part], np.zeros(len(run.start))
 
         def model_at(weights: Floats) -> DampedModel:
@@ -577,7 +577,7 @@ class _Reconstructing:
         carried = np.cumsum(np.maximum(strength[order], 0.0))
         if carried[-1] <= 0:
             return []
-        enough = int(np.searchsorted(carried, CARRIED * carried[-1])) + 1
+        enough = int(np.searchsorted(carried, CARRIED_SHARE * carried[-1])) + 1
         return [_Direction(model_at(turned[:, k]), model_at(-turned[:, k])) for k in order[: min(enough, most)]]
 
     def _check(self, fitted: FittedFrame, channel: int, smoothed: list[Smoothed]) -> SensorCheck:
@@ -595,7 +595,7 @@ class _Reconstructing:
         other.__dict__ |= self.__dict__ | {
             "setting": setting, "recording": self.recording.without(channel), "noise": noise
         }  # fmt: skip
-        directions = other._directions(again, CHECK_DIRECTIONS)
+        directions = other._directions(again, CHECKED_DIRECTIONS)
         model = errors.dynamics(again.p)
         place = int(self.recording.floors[channel]) - 1
         gain = float(self.varied.centre.model.gain[place])

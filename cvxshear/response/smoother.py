@@ -28,7 +28,7 @@ from cvxshear.util.typing import Bools, Floats, Ints
 SPIKE = 5.0
 """Standard deviations of a residual beyond which a sample counts as a spike: of Gaussian noise, one in two million."""
 
-ROUNDS = 12
+MOST_REWEIGHTINGS = 12
 """Most rounds of reweighting; each needs one sweep, and a weight that still moves then is of a sample at the limit."""
 
 SAME_WEIGHT = 0.02
@@ -114,7 +114,7 @@ class _Gain:
     innovation_std: Floats
 
     @property
-    def F(self) -> Floats:
+    def transition(self) -> Floats:
         """A - K H; not stored, since there may be thousands."""
         result: Floats = self.A - self.K @ self.H
         return result
@@ -134,7 +134,7 @@ def smooth(model: Dynamics, run: Observed, rows: Floats, *, robust: bool = True)
     """
     weights = run.present.astype(np.float64)
     sigma = np.sqrt(model.R)
-    for _ in range(ROUNDS if robust else 1):
+    for _ in range(MOST_REWEIGHTINGS if robust else 1):
         gains, which = _gains(model, run, weights)
         states, innovations = _sweeps(model, run, gains, which, weights)
         residual = run.measured - states @ model.H.T - np.outer(run.excitation, model.direct)
@@ -210,7 +210,7 @@ def _sweeps(model: Dynamics, run: Observed, gains: list[_Gain], which: Ints, wei
     x = np.zeros(n)
     for first, last, at in stretches:
         gain = gains[at]
-        F = gain.F
+        F = gain.transition
         inputs = driven[first:last] + y[first:last] @ gain.K.T
         if last - first >= LONG:
             predicted[first:last] = recursion(F, inputs, x)
@@ -230,7 +230,7 @@ def _sweeps(model: Dynamics, run: Observed, gains: list[_Gain], which: Ints, wei
     multipliers = np.empty((samples, n))
     r = np.zeros(n)
     for first, last, at in reversed(stretches):
-        F = gains[at].F
+        F = gains[at].transition
         back = F.T
         if last - first >= LONG:
             swept = recursion(back, pulled[first:last][::-1], r)[::-1]
@@ -254,7 +254,7 @@ def _deviations(rows: Floats, gains: list[_Gain], which: Ints) -> Floats:
     result = np.empty((len(which), len(rows)))
     for first, last, at in reversed(list(_constant(which))):
         gain = gains[at]
-        F = gain.F
+        F = gain.transition
         own = gain.H.T @ gain.inverse_S @ gain.H
         spread = rows @ gain.P
         plain = np.sum(spread * rows, axis=1)

@@ -180,7 +180,7 @@ def modal_matrix(M: Floats, of: Modes, ratios: Floats) -> Floats:
     return (turned * (2 * ratios * np.sqrt(of.eigenvalues))) @ turned.T
 
 
-FARTHEST = 0.5
+FARTHEST_SECANT = 0.5
 """Largest relative change of a mass or stiffness on the way; a direction that would change one by more is gone along
 as far as that."""
 
@@ -238,5 +238,5 @@ def _lengths(frame: UncertainFrame) -> Floats:
     fitted = frame.fitted
     n = 2 * fitted.experiment.stories
     share = np.max(np.abs(fitted.root[:n]) / fitted.theta[:n, None], axis=0, initial=0.0)
-    steps = np.minimum(1.0, FARTHEST / np.maximum(share, FARTHEST))
+    steps = np.minimum(1.0, FARTHEST_SECANT / np.maximum(share, FARTHEST_SECANT))
     return np.concatenate([steps, np.ones(frame.size - len(steps))])
