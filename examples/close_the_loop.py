@@ -1,4 +1,4 @@
-"""Find what the shear model lacks in the paper's own experiment."""
+"""Find the physical effect that the shear model misses in the paper's own experiment."""
 
 import cvxshear
 
@@ -7,7 +7,7 @@ closure = cvxshear.close_loop(cvxshear.load("paper"))
 before, after = closure.before.estimate.quality, closure.after.estimate.quality
 print(f"verdict: {closure.verdict}")
 for found in closure.effects:
-    print(f"the shear model lacks {found.placed.label}: {found.parameters}")
+    print(f"{found.placed.label}: {found.parameters}")
 errors = [100 * quality.max_frequency_error for quality in (before, after)]
 print(f"largest frequency error: {errors[0]:.2f} % before, {errors[1]:.2f} % after")
 print(

@@ -2,7 +2,7 @@
 
 import cvxshear
 from cvxshear.modal import identify_modes
-from cvxshear.modal.simulate import PAPER_FRAME, hammer_record
+from cvxshear.records.simulate import PAPER_FRAME, hammer_record
 
 # Fifteen blows of 60 s each on a frame of 10, 7.5, 5 kg; every sensor has 1 % of noise.
 result = identify_modes(hammer_record(PAPER_FRAME, seed=0, noise=0.01))

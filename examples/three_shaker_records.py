@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cvxshear.modal.simulate import KnownFrame, shaker_record
+from cvxshear.records.simulate import KnownFrame, shaker_record
 
 MASSES = np.array([10.0, 7.5, 5.0])
 STIFFNESSES = np.array([36e3, 24e3, 12e3])

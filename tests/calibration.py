@@ -121,7 +121,7 @@ def _renoised(declared, truth, noise, rng):
 
 
 def place(item):
-    return item["name"], item["floor"], item["story"], item["configuration"]
+    return item["name"], item["floor"], item["to"], item["story"], item["configuration"]
 
 
 def outcome(trial):

@@ -8,10 +8,13 @@ import numpy as np
 
 MISTAKES = (
     "missing_mode", "transposed", "swapped_sensors", "sensor_sign", "entry_sign", "floors_from_top", "mode_order",
-    "mode_number",
+    "mode_number", "sensor_floors", "sensor_unit", "drifts", "frequency_unit",
 )  # fmt: skip
 
-SENSOR_MISTAKES = ("swapped_sensors", "sensor_sign", "floors_from_top")
+WHOLE = ("transposed", "mode_number", "sensor_floors", "drifts")
+"""Mistakes that need a file of all modes at all floors to be made in."""
+
+SENSOR_MISTAKES = ("swapped_sensors", "sensor_sign", "floors_from_top", "sensor_floors", "sensor_unit", "drifts")
 """Made once in the laboratory, so in every configuration; the others in one configuration of the file."""
 
 LEAST_ENTRY = 0.06
@@ -124,6 +127,38 @@ def mode_number(tables, rng, stories):
     return f"modes = {[int(number) for number in numbers]}"
 
 
+def sensor_floors(tables, rng, stories):
+    """Sensors from the second floor up, listed from the first."""
+    for table in tables:
+        table["mode_shapes"] = [row[1:] for row in table["mode_shapes"]]
+        table["measured_floors"] = list(range(1, stories))
+    return f"list them at floors 2{', 3' if stories > 2 else ''}"
+
+
+def sensor_unit(tables, rng, stories):
+    """One sensor in mm, or in g, and the others in m, or in m/s2."""
+    column = int(rng.integers(len(tables[0]["measured_floors"])))
+    factor = float(rng.choice([1000.0, 1 / 9.80665]))
+    for table in tables:
+        for row in table["mode_shapes"]:
+            row[column] *= factor
+    return f"floor {tables[0]['measured_floors'][column]}'s entry in every mode by {1 / factor:.4g}"
+
+
+def drifts(tables, rng, stories):
+    for table in tables:
+        table["mode_shapes"] = [np.diff(row, prepend=0.0).tolist() for row in table["mode_shapes"]]
+    return "add the entries of each mode up"
+
+
+def frequency_unit(tables, rng, stories):
+    """In rad/s, in cycles a minute or in mHz."""
+    (table,) = tables
+    factor = float(rng.choice([2 * np.pi, 60.0, 1000.0]))
+    table["frequencies"] = [factor * value for value in table["frequencies"]]
+    return "in Hz"
+
+
 MAKE = {
     "missing_mode": missing_mode,
     "transposed": transposed,
@@ -133,4 +168,8 @@ MAKE = {
     "floors_from_top": floors_from_top,
     "mode_order": mode_order,
     "mode_number": mode_number,
+    "sensor_floors": sensor_floors,
+    "sensor_unit": sensor_unit,
+    "drifts": drifts,
+    "frequency_unit": frequency_unit,
 }

@@ -1,5 +1,6 @@
 """The command line as a user meets it: output, JSON, exit status, and nothing half-written."""
 
+import hashlib
 import json
 import subprocess
 import sys
@@ -75,7 +76,7 @@ def test_json_into_a_file_comes_with_the_tables(run, tmp_path):
 def test_the_loop_tells_its_story(run):
     _, out, _ = run("loop", "paper")
     for said in (
-        "the shear model lacks the weight",
+        "the weight that the columns carry",
         "99.9 % probable",
         "before",
         "after",
@@ -193,3 +194,41 @@ def test_piped_output_has_no_escape_codes():
     )
     assert "\x1b" not in found.stdout
     assert found.stderr == ""
+
+
+def test_json_says_where_it_comes_from(run, tmp_path, monkeypatch):
+    """Version, date, title and the SHA-256 of every file read, by the tool of the system."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    path = tmp_path / "a.toml"
+    path.write_bytes((EXAMPLES / "three_story.toml").read_bytes())
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    for command in (["identify"], ["check"], ["backends", "--only", "kkt"], ["plan"]):
+        status, out, _ = run(command[0], path, *command[1:], "--json", "-")
+        assert status == 0
+        said = json.loads(out)["about"]
+        assert (said["cvxshear"], said["date"]) == (__version__, "2023-11-14T22:13:20+00:00")
+        assert said["sha256"] == digest
+        assert said["files"] == [{"name": str(path), "sha256": digest}]
+        assert said["title"] in ("a", None)
+
+
+@pytest.mark.parametrize(("data", "status"), [("three_story.toml", 0), ("paper.toml", None)])
+def test_strict(data, status, run):
+    """Status 3 for a verdict that is not one to rely on, and for no other."""
+    options = ["loop", EXAMPLES / data, "--effects", "ground_spring", "--json", "-"]
+    usual, out, _ = run(*options)
+    found, again, _ = run(*options, "--strict")
+    assert usual == 0
+    assert json.loads(again)["verdict"] == json.loads(out)["verdict"]
+    assert found == (0 if json.loads(out)["verdict"] in ("adequate", "explained") else 3)
+    assert status is None or found == status
+
+
+def test_verbose_and_quiet(run, tmp_path):
+    found = subprocess.run(
+        [sys.executable, "-m", "cvxshear", "-v", "identify", str(EXAMPLES / "three_story.toml"), "--json", "-"],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert "cvxshear.files.inputs: read " in found.stderr
+    json.loads(found.stdout)
+    assert "give --quiet or --verbose, not both" in run("-q", "-v", "identify", "paper")[2]

@@ -12,8 +12,8 @@ import qpsolvers
 
 import cvxshear
 from cvxshear import InputError, NoSolutionError, backends
-from cvxshear.backends import Backend, BenchmarkProgram, cvxpy_backend, settings
-from cvxshear.backends.comparison import condition_number
+from cvxshear.backends import Backend, BenchmarkProgram, cvxpy_backend, solvers
+from cvxshear.backends.benchmark import condition_number
 from cvxshear.backends.export import export
 from cvxshear.backends.qpsolvers_backend import Qpsolvers
 from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS, Solver
@@ -104,7 +104,7 @@ def test_the_singular_program_has_its_bounds_for_an_answer_and_no_closed_form(pr
         assert row.relative_time is None
 
 
-@pytest.mark.parametrize("name", [*settings.TOLERANCES, "cvxpy-clarabel", "cvxpy-osqp", "cvxpy-scs"])
+@pytest.mark.parametrize("name", [*solvers.TOLERANCES, "cvxpy-clarabel", "cvxpy-osqp", "cvxpy-scs"])
 def test_a_tolerance_reaches_the_solver_and_leaves_the_backend_as_it_was(name, programs):
     backend = backends.get(name)
     before = backend.tolerance
@@ -147,14 +147,14 @@ def hard():
 
 @pytest.mark.parametrize("name", ["clarabel", "highs", "osqp", "scs"])
 def test_a_solver_stops_at_its_time_limit_and_says_so(name):
-    options = {**settings.accurate(name), settings.TIME_LIMITS[name]: 1e-6}
+    options = {**solvers.accurate(name), solvers.TIME_LIMITS[name]: 1e-6}
     with pytest.raises(NoSolutionError, match=rf"backend {name}: stopped at its time limit of 1e-06 s \(its status: "):
         Qpsolvers(name, options).solve(hard())
 
 
 @pytest.mark.parametrize("name", ["CLARABEL", "OSQP", "SCS"])
 def test_a_solver_of_cvxpy_stops_at_its_time_limit_and_says_so(name):
-    options = {**cvxpy_backend.ACCURATE[name], settings.TIME_LIMITS[name.lower()]: 1e-6}
+    options = {**cvxpy_backend.CVXPY_OPTIONS[name], solvers.TIME_LIMITS[name.lower()]: 1e-6}
     with pytest.raises(NoSolutionError, match=r"stopped at its time limit of 1e-06 s \(its status: "):
         cvxpy_backend.Cvxpy(name, options).solve(hard())
 
@@ -162,12 +162,12 @@ def test_a_solver_of_cvxpy_stops_at_its_time_limit_and_says_so(name):
 @pytest.mark.parametrize(("name", "option"), [("piqp", "max_iter"), ("proxqp", "max_iter")])
 def test_a_solver_without_a_time_limit_stops_at_its_iterations(name, option):
     with pytest.raises(NoSolutionError, match=f"backend {name}: no solution found .*max"):
-        Qpsolvers(name, {**settings.accurate(name), option: 1}).solve(hard())
+        Qpsolvers(name, {**solvers.accurate(name), option: 1}).solve(hard())
 
 
 @pytest.mark.parametrize("name", backends.available())
 def test_every_solver_that_can_run_away_has_a_limit(name):
-    told = settings.accurate(name.removeprefix("cvxpy-"))
+    told = solvers.accurate(name.removeprefix("cvxpy-"))
     limits = {"time_limit", "time_limit_secs", "max_iter"} & set(told)
     assert bool(limits) == (name not in {"kkt", "quadprog"})
 

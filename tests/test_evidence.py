@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 from scipy import integrate, special, stats
 
-from cvxshear import Experiment, backends
+from cvxshear import Experiment, backends, close_loop
 from cvxshear.effects import Place, Placed, Scale, named
 from cvxshear.fit.efficient import fitted
 from cvxshear.fit.expectation import MASS_WIDTH, STIFFNESS_WIDTH, Expectation
-from cvxshear.fit.misfit import Misfit
-from cvxshear.fit.noise import WIDTH
+from cvxshear.fit.misfit import WIDTH, Misfit
 from cvxshear.loop.evidence import log_evidence, log_interval, log_normal_between
-from tests.frames import chain, experiment
+from tests.frames import chain, configuration, experiment
 
 MASS, STIFFNESS = np.array([11.0, 9.0]), np.array([24e3, 20e3])
 HEIGHTS = np.array([0.4, 0.4])
@@ -225,3 +224,21 @@ def test_the_normal_between_two_points_keeps_its_digits_in_either_tail(a, b):
         far = 0.0 if np.isinf(low) else special.erfcx(-low / np.sqrt(2)) / 2 * np.exp((high**2 - low**2) / 2)
         expected = -(high**2) / 2 + np.log(near - far)
     assert log_normal_between(a, b) == pytest.approx(expected, rel=1e-10)
+
+
+def test_a_frame_a_thousand_times_as_heavy_and_stiff_has_the_same_odds():
+    """Its modes are the same, and stories that must not stiffen upwards are pressed on that as much in other units."""
+    mass, stiffness = np.array([10.0, 8.0, 6.0]), np.array([9e3, 9.3e3, 5e3])
+    rng = np.random.default_rng(5)
+    added = (np.zeros(3), np.array([0.0, 4.0, 0.0]))
+    tables = [configuration(mass, stiffness, each, rng=rng, shape_noise=0.01, frequency_noise=0.001) for each in added]
+    prior = [{"kind": "monotone", "quantity": "story_stiffness", "direction": "decreasing"}]
+    found = []
+    for factor in (1.0, 1000.0):
+        tests = [{**table, "added_mass": (factor * each).tolist()} for table, each in zip(tables, added, strict=True)]
+        declared = experiment(factor * mass, factor * stiffness, *tests, prior=prior)
+        loop = close_loop(Experiment.from_dict(declared), effects=["ground_spring", "sensor_gain"])
+        assert loop.estimate.uncertainty.active
+        found.append({tuple(placed.label for placed in each.effects): each.probability for each in loop.models})
+    assert len(found[0]) > 2
+    assert found[1] == pytest.approx(found[0], rel=1e-5)

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from cvxshear.modal.simulate import PAPER_FRAME
+from cvxshear.records.simulate import PAPER_FRAME
 from tests.frames import EXAMPLES
 
 SHOWN = {

@@ -17,7 +17,7 @@ from scipy import io
 from cvxshear.files import toml
 from cvxshear.files.csv import read_csv
 from cvxshear.files.mat import read_mat
-from cvxshear.files.record import read_record
+from cvxshear.files.record_file import read_record
 from cvxshear.files.toml import files_of, load
 from cvxshear.files.uff import read_uff
 from cvxshear.util.errors import InputError
@@ -246,7 +246,7 @@ def test_a_cell_that_is_no_measurement(cell, tmp_path):
 def test_a_quote_that_never_ends(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text('a,b\n1,"2\n' + "1,2\n" * 100)
-    with pytest.raises(InputError, match="line 2 is no line of a table: unexpected end of data"):
+    with pytest.raises(InputError, match="line 2 is no line of a table: its quotation marks"):
         read_csv(path)
 
 

@@ -15,9 +15,9 @@ ROOMS = (
     # Programs, what solves them, and the methods that are made of them.
     ("programs",), ("backends",), ("fit",), ("methods",), ("loop",),
     # Records and files, one and many: both end in an experiment.
-    ("modal",), ("files",), ("campaign",), ("screening",),
-    # What is made of many identifications, and of an identified frame.
-    ("studies",), ("response",), ("planning",),
+    ("records",), ("modal",), ("files",), ("screening",),
+    # What is made of an identified frame.
+    ("response",), ("planning",),
     # The published numbers, how results are shown, the public face, the command line.
     ("paper",), ("report",), ("__init__",), ("cli",), ("__main__",),
 )  # fmt: skip

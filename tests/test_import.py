@@ -86,5 +86,5 @@ def test_importing_cvxshear_changes_no_numpy_setting():
 
 
 def test_the_benchmarks_import():
-    for part in ("starting", "large", "many", "peers", "solvers"):
+    for part in ("starting", "scaling", "many", "peers", "solvers", "planning"):
         assert callable(import_module(f"tests.benchmarks.{part}").main)

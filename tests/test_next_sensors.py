@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cvxshear import Experiment, close_loop
-from cvxshear.report.describe import closure as described
+from cvxshear.report.describe import closed_loop as described
 from cvxshear.util.quantities import Units
 from tests.fe.experiments import simulated
 

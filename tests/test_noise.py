@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import simpson
 
 from cvxshear import Experiment, backends, close_loop, identify
-from cvxshear.data import NOISES, Noise
+from cvxshear.data import Noise
 from cvxshear.fit.efficient import efficient
 from cvxshear.fit.misfit import Misfit
-from cvxshear.fit.noise import _Marginal
+from cvxshear.fit.noise import _Marginal, estimated_noise
 from cvxshear.priors import Value
 from tests.frames import configuration, experiment
 
@@ -37,7 +38,7 @@ def marginal_of(of, noise=None):
     estimate = efficient(of, backends.get("auto"))
     misfit = estimate.misfit if noise is None else estimate.misfit.replaced(noise=noise)
     at = misfit.evaluate(estimate.theta)
-    return _Marginal(misfit, at, estimate.uncertainty.root_of(at.triangle[0]), tuple(misfit.open_noises))
+    return _Marginal(misfit, at, estimate.uncertainty.root_of(at.triangle[0]))
 
 
 @pytest.mark.parametrize("u", [[0.0, 0.0], [1.1, -0.4], [-0.8, 0.9]])
@@ -59,13 +60,13 @@ def test_the_marginal_is_the_gaussian_integral_that_it_stands_for():
     at = estimate.misfit.evaluate(estimate.theta)
     free = estimate.uncertainty.root_of(at.triangle[0])
     kinds = tuple(estimate.misfit.open_noises)
-    marginal = _Marginal(estimate.misfit, at, free, kinds)
+    marginal = _Marginal(estimate.misfit, at, free)
     counts = [estimate.misfit.open_noises[kind] for kind in kinds]
 
     def direct(u):
         weight = np.ones(len(at.r))
         for kind, change in zip(kinds, u - marginal.here, strict=True):
-            weight[at.noises == NOISES.index(kind)] = np.exp(-change)
+            weight[at.unknown == kinds.index(kind)] = np.exp(-change)
         J, r = weight[:, None] * (at.J @ free), weight * at.r
         x = np.linalg.lstsq(J, -r, rcond=None)[0]
         return (
@@ -130,7 +131,7 @@ def test_the_rows_of_a_prior_and_of_declared_data_carry_no_factor():
     of = of.with_priors([Value("story_stiffness", at=2, value=36e6, std=0.05)])
     theta = np.concatenate([1.01 * MASS, 0.97 * STIFFNESS])
     plain, tenfold = (Misfit(of, noise=Noise(factors)).evaluate(theta) for factors in ((), (("frequency", 10.0),)))
-    open_rows = plain.noises == NOISES.index("frequency")
+    open_rows = plain.unknown == 0
     assert open_rows.sum() == 18
     np.testing.assert_allclose(tenfold.r[open_rows], plain.r[open_rows] / 10, rtol=1e-12)
     np.testing.assert_array_equal(tenfold.r[~open_rows], plain.r[~open_rows])
@@ -171,3 +172,41 @@ def test_a_mode_that_cannot_be_ends_in_numbers():
     assert closure.verdict == "unexplained"
     factors = [closure.noise.to_dict()[kind]["factor"] for kind in ("frequency", "mode_shape")]
     assert np.all(np.isfinite(factors))
+
+
+def test_the_gain_of_two_unknown_noises_is_their_integral_on_a_grid():
+    """Of exp(-|W(u)(J x + r)|^2 / 2) and the priors of both logarithms over x and u, by full matrices."""
+    rng = np.random.default_rng(8)
+    tables = [
+        configuration([10.0, 8.0, 6.0], [9e3, 7e3, 5e3], added, rng=rng, shape_noise=0.02, frequency_noise=0.003)
+        for added in (None, [0.0, 4.0, 0.0])
+    ]
+    for table in tables:
+        del table["frequency_std"], table["mode_shape_std"]
+    of = Experiment.from_dict(experiment([10.0, 8.0, 6.0], [9e3, 7e3, 5e3], *tables))
+    estimate = efficient(of, backends.get("auto"))
+    misfit, theta = estimate.misfit, estimate.theta
+    at = misfit.evaluate(theta)
+    free = estimate.uncertainty.root_of(at.triangle[0])
+    found = estimated_noise(misfit, at, free)
+    here = np.log([misfit.noise.of(kind) for kind in ("frequency", "mode_shape")])
+    # Rows of the frequencies are those that change when their noise is doubled: six, beside 2 x 3 x (3 - 1) ratios.
+    doubled = Noise((("frequency", 2 * np.exp(here[0])), ("mode_shape", np.exp(here[1]))))
+    moved = np.linalg.norm(misfit.replaced(noise=doubled).evaluate(theta).J, axis=1)
+    is_frequency = moved < 0.75 * np.linalg.norm(at.J, axis=1)
+    assert is_frequency.sum() == 6
+    counts = np.array([6, 12])
+
+    def value(u):
+        weight = np.where(is_frequency, *np.exp(here - u))
+        J, r = weight[:, None] * (at.J @ free), weight * at.r
+        x = np.linalg.lstsq(J, -r, rcond=None)[0]
+        volume = np.linalg.slogdet(J.T @ J)[1]
+        return -np.sum((J @ x + r) ** 2) / 2 - volume / 2 - counts @ u - u @ u / (2 * 0.7**2)
+
+    grid = [np.linspace(here[i] - 3.5, here[i] + 3.5, 141) for i in range(2)]
+    density = np.array([[value(np.array([a, b])) for b in grid[1]] for a in grid[0]])
+    top = density.max()
+    integral = top + np.log(simpson(simpson(np.exp(density - top), grid[1]), grid[0]))
+    expected = integral + np.sum(at.r**2) / 2 - 2 * np.log(0.7 * np.sqrt(2 * np.pi))
+    assert found.gain == pytest.approx(expected, abs=0.01)

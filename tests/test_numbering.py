@@ -14,9 +14,9 @@ from cvxshear.files.measurement import write_measurement
 from cvxshear.fit.efficient import efficient
 from cvxshear.loop.numbering import named_numberings, overlooked_in_all, overlooked_in_one
 from cvxshear.modal import identify_modes
-from cvxshear.modal.overlooked import A_MODE, left_out, overlooked_modes
+from cvxshear.modal.diagnostics import A_MODE, left_out, overlooked_modes
 from cvxshear.modal.picking import PoleCandidate
-from cvxshear.modal.simulate import KnownFrame, shaker_record
+from cvxshear.records.simulate import KnownFrame, shaker_record
 from cvxshear.util.errors import InputError
 from tests.fe.experiments import simulated
 

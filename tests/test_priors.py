@@ -9,8 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from cvxshear.measurement.experiment import Experiment, Frame
 from cvxshear.priors import Bounds, Constraints, Monotone, Nominal, Prior, Ratio, Value
-from cvxshear.programs.feasibility import NamedConstraints, feasible, refuse_contradictions
-from cvxshear.programs.rows import statements
+from cvxshear.programs.statements import NamedConstraints, feasible, refuse_contradictions, statements
 from cvxshear.util.errors import InfeasibleError, InputError
 
 AT = np.array([10.0, 7.5, 5.0])
@@ -488,3 +487,30 @@ def test_a_statement_about_something_else(constraints, message):
     with pytest.raises(InputError) as caught:
         refuse_contradictions([NamedConstraints("prior: mine", constraints)], 2)
     assert str(caught.value) == f"prior: mine: {message}"
+
+
+@pytest.mark.parametrize(
+    ("prior", "expected"),
+    [
+        (Value("floor_mass", 2, 13.0, 0.1), [np.nan, 13.0, np.nan]),
+        (Nominal("floor_mass", [1.0, 2.0, 3.0], free_scale=True), [1.0, 2.0, 3.0]),
+        (Ratio("floor_mass", 1, 2, 2.0), None),
+        (Bounds("floor_mass", lower=1.0), None),
+    ],
+)
+def test_what_a_prior_suggests(prior, expected):
+    suggested = prior.suggested(3)
+    assert suggested is expected or np.array_equal(suggested, expected, equal_nan=True)
+
+
+@pytest.mark.parametrize("prior", [Value("floor_mass", 2, 13.0, 0.1), Nominal("floor_mass", [13.0] * 3, 0.1)])
+def test_a_statement_made_again_scatters_as_it_says(prior):
+    rng = np.random.default_rng(0)
+    values = np.array([np.nanmean(prior.redrawn(rng).suggested(3)[1:2]) for _ in range(4000)])
+    assert values.mean() == pytest.approx(13.0, rel=0.01)
+    assert values.std() == pytest.approx(1.3, rel=0.05)
+
+
+def test_an_exact_statement_is_made_again_as_it_is():
+    for prior in (Value("floor_mass", 2, 13.0), Ratio("floor_mass", 1, 2, 2.0, 0.1)):
+        assert prior.redrawn(np.random.default_rng(0)) is prior

@@ -7,7 +7,7 @@ from cvxshear import backends
 from cvxshear.model.shear import stiffness_matrix
 from cvxshear.programs import LeastSquares, mass_correction, one_shot_masses, story_stiffnesses
 from cvxshear.programs.least_squares import remaining
-from cvxshear.programs.mass import normalized
+from cvxshear.programs.orthogonality import normalized
 from tests.frames import chain, modes_of
 
 MASS = np.array([10.0, 7.5, 5.0])
@@ -101,3 +101,13 @@ def test_a_remainder_of_rounding_alone_is_zero():
 
 def test_transformation_gives_the_stiffness_matrix_of_the_chain():
     np.testing.assert_allclose(stiffness_matrix(STIFFNESS), chain(MASS, STIFFNESS)[1], rtol=1e-15)
+
+
+@pytest.mark.parametrize("rows", [True, False])
+def test_stiffnesses_as_changes_from_a_start_are_the_stiffnesses_themselves(rows):
+    phi, start = normalized(noisy_shapes(), MASS), np.array([1500.0, 1300.0, 700.0])
+    eigenvalues = (2 * np.pi * modes_of(MASS, STIFFNESS)[0]) ** 2
+    kkt = backends.get("kkt")
+    whole = kkt.solve(story_stiffnesses(phi, eigenvalues, rows=rows)).x
+    change = kkt.solve(story_stiffnesses(phi, eigenvalues, rows=rows, at=start)).x
+    np.testing.assert_allclose(start + change, whole, rtol=1e-9)

@@ -9,18 +9,18 @@ import cvxshear
 from cvxshear import backends
 from cvxshear.effects import Gravity, Placed
 from cvxshear.fit.efficient import efficient
-from cvxshear.fit.separation import disagreement, imagined, told
+from cvxshear.fit.separation import disagreement, imagined, separation
 from tests.frames import configuration, experiment, modes_of
 
 MASS, STIFFNESS = [10.0, 10.0, 9.0, 8.0], [24e3, 20e3, 16e3, 10e3]
 
 
 @pytest.mark.parametrize("columns", [3, 40])
-def test_what_is_told_is_the_formula(columns):
+def test_the_separation_is_the_formula(columns):
     rng = np.random.default_rng(columns)
     d, S = rng.standard_normal((12, 2)), 5 * rng.standard_normal((12, columns))
     slow = d.T @ np.linalg.inv(np.eye(12) + S @ S.T) @ d
-    np.testing.assert_allclose(told(d, S), slow, rtol=1e-8)
+    np.testing.assert_allclose(separation(d, S), slow, rtol=1e-8)
 
 
 def fits(**keys):

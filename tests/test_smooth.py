@@ -7,9 +7,7 @@ from cvxshear import Experiment, NoSolutionError, backends, identify
 from cvxshear.fit.domain import domain_of
 from cvxshear.fit.gauss_newton import gauss_newton
 from cvxshear.fit.misfit import Misfit
-from cvxshear.fit.smooth import smooth_start
-from cvxshear.fit.start import starts, uniform
-from cvxshear.fit.starting import FAR_OFF
+from cvxshear.fit.start import FAR_OFF, smooth_start, starts, uniform
 from tests.frames import configuration, experiment
 
 

@@ -5,8 +5,12 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import signal
 import subprocess
 import sys
+import threading
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -99,8 +103,9 @@ def shell(command: str) -> tuple[int, str, str]:
 
 FULL = "cvxshear: standard output cannot be written: No space left on device\n"
 STREAMS = {
-    "closed": (">&-", 0, ""),
-    "both closed": (">&- 2>&-", 0, ""),
+    "closed": (">&-", 1, "cvxshear: standard output cannot be written: it is closed\n"),
+    "closed, JSON": ("--json - >&-", 1, "cvxshear: standard output cannot be written: it is closed\n"),
+    "both closed": (">&- 2>&-", 1, ""),
     "closed at the other end": ("| exec true", 1, ""),
     "full": ("> /dev/full", 1, FULL),
     "full, JSON": ("--json - > /dev/full", 1, FULL),
@@ -115,6 +120,39 @@ def test_a_standard_output_that_takes_nothing(kind):
     # Whether a reader that ends at once has ended in time is chance.
     assert found[0] == status or (kind == "closed at the other end" and found[0] == 0)
     assert found[2] == complaint
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+@pytest.mark.parametrize("options", ["--help", "--version", "loop --help", "new"])
+def test_help_that_cannot_be_printed(options):
+    line = f"{sys.executable} -m cvxshear {options} > /dev/full"
+    found = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)
+    assert (found.returncode, found.stderr) == (1, FULL)
+
+
+PIPED = [["identify"], ["loop", "--effects", "ground_spring"], ["check"], ["plan"], ["backends", "--only", "kkt"]]
+
+
+@pytest.mark.parametrize("command", PIPED, ids=lambda each: each[0])
+@pytest.mark.parametrize("named", [False, True])
+def test_a_pipe_is_read_once(command, named, tmp_path):
+    """A named pipe that is opened again would wait for ever, and standard input has nothing more to give."""
+    text = files.measurement()
+    path = "/dev/stdin"
+    if named:
+        path = str(tmp_path / "pipe.toml")
+        os.mkfifo(path)
+        threading.Thread(target=Path(path).write_bytes, args=[text], daemon=True).start()
+    found = subprocess.run(
+        [*COMMAND, command[0], path, *command[1:], "--json", "-"],
+        input=None if named else text, capture_output=True, check=True, timeout=120,
+    )  # fmt: skip
+    (tmp_path / "plain.toml").write_bytes(text)
+    plain = subprocess.run(
+        [*COMMAND, command[0], str(tmp_path / "plain.toml"), *command[1:], "--json", "-"],
+        capture_output=True, check=True,
+    )  # fmt: skip
+    assert json.loads(found.stdout).keys() == json.loads(plain.stdout).keys()
 
 
 def test_the_file_is_written_where_standard_output_takes_nothing(tmp_path):
@@ -180,3 +218,38 @@ def test_nothing_is_said_of_a_reader_that_has_gone():
     with contextlib.closing(running.stderr):
         assert running.stderr.read() == ""
     assert running.wait() == 1
+
+
+def alive(group: int) -> list[str]:
+    """The processes of a group, zombies left out."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            # After the name, which stands in parentheses: state, parent, group.
+            state, _, of_group = path.read_text().rpartition(")")[2].split()[:3]
+            if int(of_group) == group and state != "Z":
+                found.append((path.parent / "cmdline").read_text().replace("\0", " "))
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc here")
+@pytest.mark.parametrize("ending", ["SIGKILL", "SIGTERM", "SIGINT"])
+def test_nothing_outlives_its_parent(ending):
+    """Two processes work for a third one that is ended, by Ctrl-C as a terminal sends it: to all of them."""
+    line = [sys.executable, "-m", "cvxshear", "study", "noise", "--jobs", "2", "--samples", "100000", "--methods"]
+    found = subprocess.Popen(
+        [*line, "efficient"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    until = time.monotonic() + 60
+    while len(alive(found.pid)) < 3 and time.monotonic() < until:
+        time.sleep(0.05)
+    assert len(alive(found.pid)) >= 3
+    number = getattr(signal, ending)
+    (os.killpg if ending == "SIGINT" else os.kill)(found.pid, number)
+    out, err = found.communicate(timeout=60)
+    if ending == "SIGINT":
+        assert (found.returncode, out, err) == (130, "", "")
+    until = time.monotonic() + 2
+    while alive(found.pid) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert alive(found.pid) == []

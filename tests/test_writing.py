@@ -254,7 +254,7 @@ def test_no_other_module_writes():
             if name in {"write_text", "write_bytes"}:
                 found.add((path.relative_to(PACKAGE).as_posix(), name))
     # A standard stream that was closed is given the null device.
-    assert found == {("util/writing.py", "fdopen"), ("util/writing.py", "replace"), ("cli/streams.py", "open")}
+    assert found == {("util/writing.py", "fdopen"), ("util/writing.py", "replace"), ("cli/output.py", "open")}
 
 
 KILLED = """

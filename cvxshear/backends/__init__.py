@@ -1,11 +1,10 @@
 """Backends: interchangeable solvers of the least-squares programs, each solution certified here."""
 
 from cvxshear.backends.base import Backend
+from cvxshear.backends.benchmark import BackendResult, BenchmarkProgram, Comparison, ProgramKind, compare
 from cvxshear.backends.canonical import Answer, Canonical
-from cvxshear.backends.certificate import Certificate
-from cvxshear.backends.comparison import BackendResult, BenchmarkProgram, Comparison, ProgramKind, compare
-from cvxshear.backends.registry import ListedBackend, available, get, listed, register
-from cvxshear.backends.solution import Solution
+from cvxshear.backends.certificate import Certificate, Solution
+from cvxshear.backends.installed import ListedBackend, available, get, listed, register
 
 __all__ = [
     "Answer",

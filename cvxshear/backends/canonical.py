@@ -20,21 +20,27 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 from scipy.linalg import lapack
 
-from cvxshear.backends.independence import independent_rows
-from cvxshear.backends.solution import Solution
+from cvxshear.backends.certificate import Solution
 from cvxshear.programs import LeastSquares
 from cvxshear.util.errors import InfeasibleError, InputError
 from cvxshear.util.typing import Bools, Floats
 
-SINGULAR = 1e-12
-"""Reciprocal condition number of the scaled rows below which they are taken not to determine the unknowns."""
+DEPENDENT = 1e-12
+"""Length that is left of a row of unit length beside the span of other rows, below which it follows from them."""
 
-TOUCHING = 1e-9
-ROUNDING = 1e-13
-"""Violation of an inequality that still counts as none: relative to its right side, and in scaled units. Where the
-rows are badly conditioned a right side of order one in its own units is a small number in scaled ones."""
+SINGULAR_ROWS = 1e-12
+"""Reciprocal condition number of the scaled rows below which they are taken not to determine the unknowns: a few
+thousand roundings, from where whitening would hand rounding to the solver."""
+
+TOUCHED = 1e-9
+"""Violation of an inequality that still counts as none, relative to its right side: what solvers leave at best."""
+
+ZERO_VIOLATION = 1e-13
+"""The same in scaled units, for right sides near zero: rounding. Where the rows are badly conditioned a right side of
+order one in its own units is a small number in scaled ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +97,26 @@ class Canonical:
     _independent: Bools
     start: Answer | None = None
 
+    def nearest(self) -> tuple[Floats, Floats]:
+        """The nearest point to q under the equalities alone, where the program is not singular, and the multipliers.
+
+        With E' = B T, q - z = B T'^-1 (E q - e) = E' y.
+
+        Returns
+        -------
+        z : ndarray, shape (n,)
+        y : ndarray, shape (a,)
+        """
+        if not len(self.E):
+            return self.q.copy(), np.zeros(0)
+        B, T = np.linalg.qr(self.E.T)
+        along, _ = lapack.dtrtrs(T, self.E @ self.q - self.e, trans=1)
+        multipliers, _ = lapack.dtrtrs(T, along)
+        return self.q - B @ along, multipliers
+
     def violated(self, z: Floats) -> Bools:
         """Which inequalities a point violates by more than rounding, shape (g,)."""
-        excess: Bools = self.F @ z - self.f > np.clip(TOUCHING * np.abs(self.f), ROUNDING, TOUCHING)
+        excess: Bools = self.F @ z - self.f > np.clip(TOUCHED * np.abs(self.f), ZERO_VIOLATION, TOUCHED)
         return excess
 
     def keeping(self, inequalities: Bools) -> Canonical:
@@ -135,7 +158,8 @@ class Canonical:
         """The scaled unknowns of x."""
         # Rows of one length: they differ by as many orders as the units of the unknowns do.
         lengths = np.linalg.norm(self._inverse, axis=1)
-        return np.asarray(np.linalg.solve(self._inverse / lengths[:, None], x / lengths) / self._tau, dtype=float)
+        # The inverse of a triangle is one, and so is a diagonal.
+        return np.asarray(lapack.dtrtrs(self._inverse / lengths[:, None], x / lengths)[0] / self._tau)
 
     def to_x(self, z: Floats) -> Floats:
         """The unknowns in their own units."""
@@ -184,13 +208,15 @@ def _whitening(R: Floats, s: Floats, A: Floats, b: Floats) -> tuple[Floats, Floa
     np.multiply(R, D, out=stacked[: len(R), :n])
     np.multiply(sigma[:, None], scaled_A, out=stacked[len(R) :, :n])
     stacked[: len(R), n], stacked[len(R) :, n] = s, sigma * b
-    triangle = np.asarray(np.linalg.qr(stacked, mode="r"))[:n]
+    # What stands below the diagonal are reflections, which LAPACK's triangular solvers pass over.
+    triangle = lapack.dgeqrf(stacked, lwork=64 * (n + 1))[0][:n]
     U, q = triangle[:, :n], triangle[:, n]
-    if len(U) == n and _reciprocal_condition(U) > SINGULAR:
-        inverse, _ = lapack.dtrtri(U)
+    if len(U) == n and _reciprocal_condition(U) > SINGULAR_ROWS:
+        # From U'X' = I, so that X U is the identity to its last digits, row by row: x = X z is what is needed.
+        inverse = lapack.dtrtrs(U, np.eye(n), trans=1)[0].T
         return D[:, None] * inverse, np.eye(n), q.copy(), False
     square = np.zeros((n, n))
-    square[: len(U)] = U
+    square[: len(U)] = np.triu(U)
     padded = np.zeros(n)
     padded[: len(U)] = q
     return np.diag(D), square, padded, True
@@ -235,4 +261,25 @@ def _consistent_rows(A: Floats, b: Floats) -> Bools:
     error = np.abs(rows @ point - side)
     if np.any(error > 1e-9 * max(1e-300, float(np.abs(side).max()))):
         raise InfeasibleError("the equalities contradict each other")
+    return keep
+
+
+def independent_rows(rows: Floats) -> Bools:
+    """Which rows to keep, the others being combinations of them.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (a, n)
+        Of unit length, or of zeros.
+
+    Returns
+    -------
+    ndarray of bool, shape (a,)
+    """
+    keep = np.ones(len(rows), dtype=bool)
+    if not len(rows) or (len(rows) == 1 and np.any(rows)):
+        return keep
+    triangle, order = linalg.qr(rows.T, mode="r", pivoting=True)
+    diagonal = np.abs(np.diag(triangle))
+    keep[order[int(np.sum(diagonal > DEPENDENT * max(diagonal[0], 1e-300))) :]] = False
     return keep

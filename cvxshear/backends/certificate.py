@@ -6,6 +6,7 @@ shows. Each residual is a difference of terms and is compared to their sizes, wh
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,16 +16,12 @@ from cvxshear.programs import LeastSquares
 from cvxshear.util.typing import Floats
 
 NEAR_ZERO = 1e-3
-"""Part of what an unknown could be, were the whole answer its own, that is added to its size: a bound at zero is kept
-to an accuracy relative to something."""
+"""Fraction of the solution's norm, in units of each column, that is added to an unknown's size: a bound at zero is
+met to an accuracy relative to something. A thousandth lets small unknowns keep three digits fewer than large ones."""
 
 NEAR_NOTHING = 1e-7
-"""Part of what the right side could make of an unknown that is added too: a step of an iteration that has converged is
-nothing but rounding, a violation of it as well."""
-
-
-FARTHEST = 1e3
-"""Times what an equality makes of an unknown that its size is at most, however little the objective sees of it."""
+"""Fraction of the right side, in units of each column, that is added too: a step of an iteration that has converged is
+nothing but rounding, and a violation of such a step is none. Well above the rounding of ill-conditioned rows."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +37,8 @@ class Certificate:
     duality_gap : float
         Primal less dual objective.
     error_bound : float or None
-        Largest error of an unknown, relative to its size. None where the data and the active constraints leave a
-        direction open, along which x could lie anywhere.
+        Largest error of an unknown, relative to its size; None before it is computed. `Solution.errors` has the
+        bounds of all unknowns in their own units.
 
     Notes
     -----
@@ -50,23 +47,17 @@ class Certificate:
 
     .. math:: X_j = |x_j| + (10^{-3} \sqrt{\textstyle\sum_k |R_k|^2 x_k^2} + 10^{-7} |s|) / |R_j|,
 
-    its second term no more than a thousand times the largest of :math:`|b| / |a_j|` over the equalities that it is in,
-    and what is set in relation is
+    its second term no more than the largest of :math:`|b| / |a_j|` over the equalities that it is in, and what is set
+    in relation is
 
     * a violation of :math:`a'x \le b` to :math:`|b| + \sum_j |a_j| X_j`;
-    * entry j of the gradient to :math:`|R_j| r + \sum_i |A_{ij} y_i| + \sum_i |G_{ij} w_i|` with
-      :math:`r = \sum_k |R_k x_k| + |s|`, the sizes of what the residual Rx - s is made of;
-    * the gap to :math:`r^2 / 2 + \sum_i |y_i b_i| + \sum_i |w_i h_i|`;
+    * entry j of the gradient to :math:`\sum_i |R_{ij}| r_i + \sum_i |A_{ij} y_i| + \sum_i |G_{ij} w_i|` with
+      :math:`r_i = \sum_k |R_{ik} x_k| + |s_i|`, the sizes of what the residual Rx - s is made of;
+    * the gap to :math:`r^2 / 2 + \sum_i |y_i b_i| + \sum_i |w_i h_i|` with :math:`r = \sum_k |R_k x_k| + |s|`;
     * the error of unknown j to :math:`X_j`.
 
-    The error is the distance to the minimizer on the active constraints, of which it was checked that no other
-    inequality is violated there and no multiplier has the wrong sign, and to first order the rounding in that
-    minimizer itself,
-
-    .. math:: 4 \sqrt n \, \varepsilon \, |e_j' Z (RZ)^+| \, (r + |(RZ)^+| \, |Rx - s|),
-
-    with the columns of Z a basis of the null space of the active constraints: the smaller the smallest singular value
-    of RZ, the greater.
+    The bound on the error is that of `cvxshear.backends.minimizer`: the distance to the minimizer on the active
+    constraints, and the rounding of that minimizer itself.
     """
 
     primal_residual: float
@@ -88,6 +79,40 @@ class Certificate:
             "duality_gap": self.duality_gap,
             "error_bound": bound if bound is not None and np.isfinite(bound) else None,
         }
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The solution of a program, with its certificate.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+    equality_multipliers : ndarray, shape (a,)
+        y of the Lagrangian |W (R x - s)|^2 / 2 + y' (A x - b) + w' (G x - h).
+    inequality_multipliers : ndarray
+        w >= 0, one for each row of `LeastSquares.inequalities`.
+    errors : ndarray, shape (n,)
+        Bound on the error of each unknown, in its unit: x lies within them of the exact minimizer.
+    certificate : Certificate
+    backend : str
+    status : str
+        The backend's own word for how it ended.
+    iterations : int or None
+        None where the backend does not tell.
+    seconds : float
+        Wall time, the scaling and the certificate included.
+    """
+
+    x: Floats
+    equality_multipliers: Floats
+    inequality_multipliers: Floats
+    errors: Floats
+    certificate: Certificate
+    backend: str
+    status: str
+    iterations: int | None
+    seconds: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,14 +148,32 @@ class Assembled:
         Equalities A x = b and inequalities G x <= h.
     lengths : ndarray, shape (n,)
         Of the columns of R; one where a column is zero.
+    names : tuple of str
+        What each unknown is called in messages.
     """
 
     def __init__(self, program: LeastSquares) -> None:
         self.R, self.s = program.weighted
         self.A, self.b = program.equalities
         self.G, self.h = program.inequalities
+        self.names = program.names or tuple(f"unknown {j}" for j in range(1, program.unknowns + 1))
         lengths = np.sqrt(np.einsum("ij,ij->j", self.R, self.R))
         self.lengths: Floats = np.where(lengths > 0, lengths, 1.0)
+
+    @cached_property
+    def scaled_rows(self) -> Floats:
+        """R with columns of unit length."""
+        return np.asarray(self.R / self.lengths)
+
+    @cached_property
+    def absolute_rows(self) -> Floats:
+        """Absolute values of the same."""
+        return np.abs(self.scaled_rows)
+
+    @cached_property
+    def side_length(self) -> float:
+        """|s|."""
+        return length(self.s)
 
     @cached_property
     def inequality_lengths(self) -> Floats:
@@ -138,7 +181,7 @@ class Assembled:
         return self.row_lengths(self.G)
 
     def row_lengths(self, rows: Floats) -> Floats:
-        """The same of any rows."""
+        """Lengths of any rows once the columns of R have unit length; one where a row is zero."""
         scaled = rows / self.lengths
         lengths = np.sqrt(np.einsum("ij,ij->i", scaled, scaled))
         return np.asarray(np.where(lengths > 0, lengths, 1.0))
@@ -150,8 +193,8 @@ class Assembled:
 
     def size(self, x: Floats) -> Floats:
         """Size of each unknown, see `Certificate`."""
-        reach = NEAR_ZERO * np.linalg.norm(self.lengths * x) + NEAR_NOTHING * np.linalg.norm(self.s)
-        return np.asarray(np.abs(x) + np.minimum(reach / self.lengths, FARTHEST * self.constrained_sizes))
+        reach = NEAR_ZERO * length(self.lengths * x) + NEAR_NOTHING * self.side_length
+        return np.asarray(np.abs(x) + np.minimum(reach / self.lengths, self.constrained_sizes))
 
     @cached_property
     def constrained_sizes(self) -> Floats:
@@ -164,47 +207,55 @@ class Assembled:
 
     def magnitude(self, x: Floats) -> float:
         """The sizes of what is added up to R x - s: the columns times the unknowns, and s."""
-        return float(self.lengths @ np.abs(x) + np.linalg.norm(self.s))
+        return float(self.lengths @ np.abs(x)) + self.side_length
 
     def distance(self, x: Floats, other: Floats) -> float:
         """How far apart two points are for the rows, relative to what these are made of."""
         return largest_relative(
-            np.array(np.linalg.norm(self.R @ (x - other))),
-            np.array(np.linalg.norm(self.R @ other) + np.linalg.norm(self.s)),
+            np.array(length(self.R @ (x - other))), np.array(length(self.R @ other) + self.side_length)
         )
 
 
-def certify(of: Assembled, point: Point) -> Certificate:
+def certify(program: Assembled, point: Point) -> Certificate:
     """The residuals of a program's optimality conditions at a point; no bound on its error yet.
 
     Parameters
     ----------
-    of : Assembled
+    program : Assembled
     point : Point
     """
     x, y, w = point.x, point.y, point.w
-    absolute_A, absolute_G = of.absolute
-    size, magnitude = of.size(x), of.magnitude(x)
-    equality, slack = of.A @ x - of.b, of.h - of.G @ x
-    gradient = of.R.T @ (of.R @ x - of.s) + of.A.T @ y + of.G.T @ w
-    gradient_size = of.lengths * magnitude + absolute_A.T @ np.abs(y) + absolute_G.T @ np.abs(w)
+    absolute_A, absolute_G = program.absolute
+    size, magnitude = program.size(x), program.magnitude(x)
+    equality, slack = program.A @ x - program.b, program.h - program.G @ x
+    gradient = program.R.T @ (program.R @ x - program.s) + program.A.T @ y + program.G.T @ w
+    terms = program.absolute_rows @ np.abs(program.lengths * x) + np.abs(program.s)
+    gradient_size = program.lengths * (program.absolute_rows.T @ terms)
+    gradient_size += absolute_A.T @ np.abs(y) + absolute_G.T @ np.abs(w)
     wrong_sign = np.max(absolute_G * np.maximum(-w, 0.0)[:, None], axis=0, initial=0.0)
     # At a point where the Lagrangian's gradient vanishes the dual objective is the Lagrangian itself, so the
     # gap is what the constraints contribute to it.
     gap = abs(float(w @ slack) - float(y @ equality))
     return Certificate(
         primal_residual=max(
-            largest_relative(np.abs(equality), np.abs(of.b) + absolute_A @ size),
-            largest_relative(np.maximum(-slack, 0.0), np.abs(of.h) + absolute_G @ size),
+            largest_relative(np.abs(equality), np.abs(program.b) + absolute_A @ size),
+            largest_relative(np.maximum(-slack, 0.0), np.abs(program.h) + absolute_G @ size),
         ),
         dual_residual=largest_relative(np.maximum(np.abs(gradient), wrong_sign), gradient_size),
         duality_gap=largest_relative(
-            np.array(gap), 0.5 * magnitude**2 + np.abs(y) @ np.abs(of.b) + np.abs(w) @ np.abs(of.h)
+            np.array(gap), 0.5 * magnitude**2 + np.abs(y) @ np.abs(program.b) + np.abs(w) @ np.abs(program.h)
         ),
     )
 
 
 def largest_relative(difference: Floats, size: Floats) -> float:
     """The largest difference relative to the size of its terms; nothing is no difference of nothing."""
+    if not difference.size:
+        return 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
-        return float(np.max(np.where(difference == 0, 0.0, difference / size), initial=0.0))
+        return float(np.max(np.where(difference == 0, 0.0, difference / size)))
+
+
+def length(vector: Floats) -> float:
+    """The Euclidean length of a vector; numpy's `norm` takes several times as long on short ones."""
+    return math.sqrt(float(vector @ vector))

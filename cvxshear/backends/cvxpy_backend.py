@@ -1,27 +1,50 @@
-"""cvxpy as a backend: one parametrised problem a shape, compiled once and re-solved."""
+"""cvxpy as a backend: one parametrised problem a shape, compiled once and solved again with other numbers."""
 
 from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import cvxpy as cp
 import numpy as np
 
-from cvxshear.backends import settings
+from cvxshear.backends import solvers
 from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
-from cvxshear.backends.compiled import Compiled, Parametrised
 from cvxshear.util.errors import NoSolutionError
+from cvxshear.util.typing import Floats
 
-ACCURATE: dict[str, dict[str, Any]] = {
-    "CLARABEL": settings.accurate("clarabel"),
+CVXPY_OPTIONS: dict[str, dict[str, Any]] = {
+    "CLARABEL": solvers.accurate("clarabel"),
     # Polishing, on by default in cvxpy, has nothing left to do at this accuracy, and prints that it has not.
-    "OSQP": {**settings.accurate("osqp"), "polishing": False},
-    "SCS": settings.accurate("scs"),
+    "OSQP": {**solvers.accurate("osqp"), "polishing": False},
+    "SCS": solvers.accurate("scs"),
 }
-"""The options of `settings`, by cvxpy's names of the solvers."""
+"""The options of `solvers`, by cvxpy's names of the solvers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Parametrised:
+    """A problem of one shape, its numbers parameters.
+
+    Parameters
+    ----------
+    problem : cvxpy.Problem
+        By cvxpy's rules for parametrised problems (DPP): compiled at the first solve, later ones put numbers in.
+    z : cvxpy.Variable
+    parameters : dict
+        By name.
+    constraints : dict
+        By name, those whose multipliers are asked for.
+    """
+
+    problem: cp.Problem
+    z: cp.Variable
+    parameters: Mapping[str, cp.Parameter]
+    constraints: Mapping[str, cp.Constraint]
 
 
 class Cvxpy(Backend):
@@ -32,27 +55,29 @@ class Cvxpy(Backend):
     solver : str
         As cvxpy calls it.
     options : dict, optional
-        The solver's own, in place of `ACCURATE`.
+        The solver's own, in place of `CVXPY_OPTIONS`.
 
     Notes
     -----
     A shape is compiled once, its numbers left open as parameters by cvxpy's rules for such programs (DPP), and solved
-    again with new numbers (`compiled`). The number of inequalities is rounded up to a power of two, with rows that
-    say 0 z <= 1, so that few shapes occur, and there is always a constraint, without which SCS refuses.
+    again with new numbers. The number of inequalities is rounded up to a power of two, with rows that say 0 z <= 1, so
+    that few shapes occur, and there is always a constraint, without which SCS refuses.
     """
+
+    time_limit = None
 
     def __init__(self, solver: str, options: dict[str, Any] | None = None) -> None:
         self.name = f"cvxpy-{solver.lower()}"
         self._solver = solver
-        self._options = ACCURATE.get(solver, {}) if options is None else options
-        self._compiled: dict[tuple[int, int, int, bool], Compiled] = {}
+        self._options = CVXPY_OPTIONS.get(solver, {}) if options is None else options
+        self._compiled: dict[tuple[int, int, int, bool], Parametrised] = {}
 
     @property
     def tolerance(self) -> float | None:
-        return settings.loosest(self._solver.lower(), self._options)
+        return solvers.loosest(self._solver.lower(), self._options)
 
     def with_tolerance(self, tolerance: float) -> Cvxpy:
-        return type(self)(self._solver, settings.with_tolerance(self._solver.lower(), self._options, tolerance))
+        return type(self)(self._solver, solvers.with_tolerance(self._solver.lower(), self._options, tolerance))
 
     def __reduce__(self) -> tuple[type[Cvxpy], tuple[str, dict[str, Any]]]:
         """To another process without what was compiled."""
@@ -63,7 +88,8 @@ class Cvxpy(Backend):
         padding = _padding(len(problem.e), inequalities)
         shape = (len(problem.q), len(problem.e), inequalities + padding, problem.singular)
         if shape not in self._compiled:
-            self._compiled[shape] = Compiled(_parametrised(*shape), self._solver, self._options)
+            self._compiled[shape] = _parametrised(*shape)
+        compiled = self._compiled[shape]
         numbers = {
             "q": problem.q,
             "C": problem.C,
@@ -72,20 +98,30 @@ class Cvxpy(Backend):
             "F": np.concatenate([problem.F, np.zeros((padding, len(problem.q)))]),
             "f": np.concatenate([problem.f, np.ones(padding)]),
         }
+        for name, parameter in compiled.parameters.items():
+            parameter.value = numbers[name]
         began = time.perf_counter()
         try:
             with warnings.catch_warnings():
                 # "Solution may be inaccurate" is also the status, which is looked at below.
                 warnings.simplefilter("ignore")
-                found = self._compiled[shape].solve(numbers, warm=problem.start is not None)
+                compiled.problem.solve(  # type: ignore[no-untyped-call]  # cvxpy's has no annotations
+                    solver=self._solver, enforce_dpp=True, warm_start=problem.start is not None, **self._options
+                )
         except cp.SolverError as error:
             raise NoSolutionError(self.name, str(error)) from error
-        if found.status != cp.OPTIMAL:
+        status, z = str(compiled.problem.status), compiled.z.value
+        if status != cp.OPTIMAL or z is None:
             seconds = time.perf_counter() - began
-            reason = settings.why_not(self._solver.lower(), self._options, found.status, seconds)
-            raise NoSolutionError(self.name, reason)
-        y, w = (found.duals.get(name, np.zeros(0)) for name in ("E", "F"))
-        return Answer(found.z, y, w[:inequalities], found.status, found.iterations)
+            raise NoSolutionError(self.name, solvers.why_not(self._solver.lower(), self._options, status, seconds))
+        y, w = (_multipliers(compiled.constraints.get(name)) for name in ("E", "F"))
+        return Answer(np.asarray(z), y, w[:inequalities], status, compiled.problem.solver_stats.num_iters)
+
+
+def _multipliers(constraint: cp.Constraint | None) -> Floats:
+    """The multipliers of a constraint, none where there is no constraint or the solver gives none."""
+    value = None if constraint is None else constraint.dual_value
+    return np.zeros(0) if value is None else np.atleast_1d(np.asarray(value, dtype=float))
 
 
 def _padding(equalities: int, inequalities: int) -> int:

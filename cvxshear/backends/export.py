@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cvxshear.backends.benchmark import BenchmarkProgram
 from cvxshear.backends.canonical import canonical
-from cvxshear.backends.comparison import BenchmarkProgram
 from cvxshear.programs import LeastSquares
 from cvxshear.util.errors import InputError
 from cvxshear.util.writing import write_file
@@ -114,10 +114,10 @@ def _written(programs: Sequence[BenchmarkProgram], folder: Path) -> list[Path]:
     return [*written, benchmark / TEST_SET]
 
 
-def _own(of: BenchmarkProgram) -> bytes:
+def _own(item: BenchmarkProgram) -> bytes:
     """The arrays by the names of `LeastSquares`."""
     out = BytesIO()
-    np.savez(out, origin=of.origin, **_arrays(of.program))
+    np.savez(out, origin=item.origin, **_arrays(item.program))
     return out.getvalue()
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cvxshear.backends import settings
+from cvxshear.backends import solvers
 from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
 from cvxshear.util.errors import NoSolutionError
@@ -30,21 +30,23 @@ class Qpsolvers(Backend):
     name : str
         As qpsolvers calls it.
     options : dict, optional
-        The solver's own, in place of those of `settings`.
+        The solver's own, in place of those of `solvers`.
     """
+
+    time_limit = None
 
     def __init__(self, name: str, options: dict[str, Any] | None = None) -> None:
         self.name = name
-        self.options = settings.accurate(name) if options is None else options
+        self.options = solvers.accurate(name) if options is None else options
         self._scale = MAGNIFIED.get(name, 1.0)
 
     @property
     def tolerance(self) -> float | None:
-        return settings.loosest(self.name, self.options)
+        return solvers.loosest(self.name, self.options)
 
     def with_tolerance(self, tolerance: float) -> Qpsolvers:
         other = copy.copy(self)
-        other.options = settings.with_tolerance(self.name, self.options, tolerance)
+        other.options = solvers.with_tolerance(self.name, self.options, tolerance)
         return other
 
     def answer(self, problem: Canonical) -> Answer:
@@ -67,7 +69,7 @@ class Qpsolvers(Backend):
         status = _status(found)
         if not found.found or found.x is None:
             seconds = time.perf_counter() - began
-            raise NoSolutionError(self.name, settings.why_not(self.name, self.options, status, seconds))
+            raise NoSolutionError(self.name, solvers.why_not(self.name, self.options, status, seconds))
         y = np.zeros(len(problem.e)) if found.y is None or not len(problem.e) else np.asarray(found.y)
         w = np.zeros(len(problem.f)) if found.z is None or not len(problem.f) else np.asarray(found.z)
         return Answer(np.asarray(found.x) / scale, y / scale, w / scale, status, _iterations(found.extras))

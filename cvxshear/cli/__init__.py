@@ -8,17 +8,25 @@ from typing import Annotated, Any
 
 import typer
 
-from cvxshear.cli import backends, check, frames, new, records, studies
+from cvxshear.cli import backends, before, frames, records, studies
 from cvxshear.cli import plan as planning
-from cvxshear.cli.output import typed
+from cvxshear.cli.checked import used
+from cvxshear.cli.output import OutputError, lost, silence, sound_streams, typed
 from cvxshear.cli.predict import predict
 from cvxshear.cli.reconstruct import reconstruct
-from cvxshear.cli.streams import OutputError, sound_streams
-from cvxshear.util.errors import CvxshearError, LostProcessError, NoSolutionError
+from cvxshear.files.inputs import streams_read_once
+from cvxshear.util.errors import CvxshearError, InputError, LostProcessError, NoSolutionError
+
+STATUSES = (
+    "Exit status: 0 done, whatever the verdict; 1 no solution was found, or standard output could not be written; "
+    "2 wrong input, or 'check' found a mistake; 3 'loop --strict' and a verdict other than adequate or explained; "
+    "130 interrupted."
+)
 
 app = typer.Typer(
     name="cvxshear",
     help="Floor masses and story stiffnesses of shear-type frames from measured modes, and what the shear model lacks.",
+    epilog=STATUSES,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -30,8 +38,8 @@ for command in (
     predict,
     reconstruct,
     records.modes,
-    new.new,
-    check.check,
+    before.new,
+    before.check,
     backends.backends,
     planning.plan,
     studies.reproduce,
@@ -54,17 +62,33 @@ def _options(
     version: Annotated[
         bool, typer.Option("--version", help="Print the version.", callback=_show_version, is_eager=True)
     ] = False,
+    verbose: Annotated[
+        int, typer.Option("--verbose", "-v", count=True, help="Log what is done to standard error; twice: in detail.")
+    ] = 0,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, and no log but of errors.")] = False,
 ) -> None:
-    pass
+    if quiet and verbose:
+        raise InputError("give --quiet or --verbose, not both")
+    silence(quiet)
+    if verbose:
+        import logging
+
+        level = logging.DEBUG if verbose > 1 else logging.INFO
+        logging.basicConfig(stream=sys.stderr, level=level, format="%(name)s: %(message)s", force=True)
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; 0 done, 1 no solution, 2 bad input, and no traceback for either."""
     status: Any = 0
+    used.clear()
     typed[:] = sys.argv[1:] if arguments is None else arguments
     try:
-        with sound_streams():
-            status = app(args=arguments, standalone_mode=False)
+        with sound_streams(), streams_read_once():
+            try:
+                status = app(args=arguments, standalone_mode=False)
+            except OSError as error:
+                # Files that cannot be read or written have raised InputError: this was the help, or the version.
+                raise lost(error) from error
     except (NoSolutionError, LostProcessError) as error:
         _complain(error)
         status = 1

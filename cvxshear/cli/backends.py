@@ -58,7 +58,7 @@ def backends(
         result = compare_backends(experiment, names(only), repeats=repeat, tolerance=tolerance)
     if drawing is not None:
         drawing.save(drawing.backend_differences(result), figure)
-    deliver(result.to_dict(), out, lambda: terminal.shown(result))
+    deliver(result.to_dict(), out, lambda: terminal.shown(result), title=experiment.report.title or experiment.name)
 
 
 def _list(out: str | None) -> None:

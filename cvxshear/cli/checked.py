@@ -15,6 +15,9 @@ OTHERS_ENDINGS = (".toml", ".csv", ".xlsx", ".mat", ".uff", ".html", ".htm", ".s
 """What a file of JSON must not be called, lest a slip of the keyboard replace something else."""
 
 
+used: list[str] = []
+"""The files that the running command reads, as they were named; what it writes says which they were."""
+
 WRITTEN, READ = f"{__name__}.written", f"{__name__}.read"
 """Under which a command's context notes its files; options are checked in the order in which they were typed."""
 
@@ -74,6 +77,7 @@ def input_files(context: typer.Context, files: Any) -> Any:
     from cvxshear.files.toml import files_of
 
     for file in [files] if isinstance(files, str) else files:
+        used.append(file)
         # What a pipe holds can be read once; a file that is not there is for the command to complain of.
         context.meta[READ] = (*context.meta.get(READ, ()), *(files_of(file) if Path(file).is_file() else ()))
     _refuse_overlap(context.meta.get(WRITTEN, ()), context.meta.get(READ, ()))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import shlex
+import dataclasses
 from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,14 +10,20 @@ import typer
 
 from cvxshear.cli.checked import input_files
 from cvxshear.cli.output import (
+    AuthorOption,
     BackendName,
+    ClientOption,
+    DateOption,
     File,
     Files,
     JsonOut,
+    PhotographOption,
     Quiet,
     ReportOut,
+    TitleOption,
     UnitsOption,
     deliver,
+    heading_of,
     names,
     numbers,
     progress,
@@ -27,6 +33,7 @@ from cvxshear.cli.pictures import FiguresOut, Pictures
 from cvxshear.cli.records import measured, needs_mass, records_in_json, tables_of
 from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
 from cvxshear.util.errors import UnsuitableError
+from cvxshear.util.text import shell_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -34,6 +41,10 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from cvxshear.response import IdentifiedDamping
+
+
+UNCERTAIN = 3
+"""Status of `loop --strict` where the verdict is not one to rely on."""
 
 
 def identify(
@@ -63,15 +74,15 @@ def identify(
     Example: cvxshear identify paper --method two-stage
     """
     # The solvers load slowly, and help needs none of them.
+    from cvxshear import Identification, load
     from cvxshear import identify as run
-    from cvxshear import load
     from cvxshear.report import terminal
     from cvxshear.report.sheets import sheets_of_identification
     from cvxshear.response import Fitted, damping_of
     from cvxshear.screening import refuse_mistakes
     from cvxshear.util.quantities import Units
 
-    pictures, tables, display = Pictures(figure, "identification"), Spreadsheets(csv, xlsx), Units.parse(units)
+    pictures, tables, display = Pictures(figure, Identification), Spreadsheets(csv, xlsx), Units.parse(units)
     experiment, start = load(file), numbers(initial_mass, "--initial-mass")
     doubts = refuse_mistakes(experiment)
     named = method or ("efficient" if start is None else "two-stage")
@@ -99,6 +110,7 @@ def identify(
             *_damping_of(damping),
         ],
         *files,
+        title=experiment.report.title or experiment.name,
     )
 
 
@@ -113,12 +125,20 @@ def loop(
     backend: BackendName = "auto",
     jobs: Annotated[int, typer.Option(help="Processes that fit candidates; -1 takes every core.")] = 1,
     report: ReportOut = None,
+    title: TitleOption = None,
+    client: ClientOption = None,
+    author: AuthorOption = None,
+    date: DateOption = None,
+    photograph: PhotographOption = None,
     validate: Annotated[
         str | None,
         typer.Option(
             help="A record file: predict it by the models before and after.", metavar="RECORD", callback=input_files
         ),
     ] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Status 3 where the verdict is ambiguous, located or unexplained.")
+    ] = False,
     units: UnitsOption = None,
     figure: FiguresOut = None,
     csv: CsvOut = None,
@@ -130,18 +150,23 @@ def loop(
 
     Example: cvxshear loop paper
     """
-    from cvxshear import close_loop
+    from cvxshear import Closure, close_loop
+    from cvxshear.loop.verdicts import VERDICTS
     from cvxshear.report import terminal
     from cvxshear.report.sheets import sheets_of_closure
     from cvxshear.response import damping_of, models_of_loop, predict
     from cvxshear.screening import refuse_mistakes
     from cvxshear.util.quantities import Units
 
-    pictures, tables, display = Pictures(figure, "closure"), Spreadsheets(csv, xlsx), Units.parse(units)
+    pictures, tables, display = Pictures(figure, Closure), Spreadsheets(csv, xlsx), Units.parse(units)
     if report is not None:
-        from cvxshear.report.html import write_report
+        from cvxshear.report.html import photograph_of, write_report
+    said_of_it = heading_of(report, title=title, client=client, author=author, date=date, photograph=photograph)
     with progress("closing the loop", quiet) as advance:
         experiment, found = measured(sources, jobs=jobs, progress=advance)
+        heading = dataclasses.replace(experiment.report, **said_of_it)
+        if report is not None:
+            photograph_of(heading)
         # A record has no numbers to put right, and who names others asks for it: they are weighed with the effects.
         weighed = [each.name for each in experiment.configurations if found or each.other_modes]
         doubts = refuse_mistakes(experiment, weighed)
@@ -160,8 +185,8 @@ def loop(
         said["validation"] = tried.to_dict()
     files = [*pictures.of(result), *tables.of(lambda: sheets_of_closure(result))]
     if report is not None:
-        command = shlex.join(["cvxshear", *typed])
-        files.append(lambda: write_report(result, report, command, units=display, prediction=tried))
+        command = shell_line(["cvxshear", *typed])
+        files.append(lambda: write_report(result, report, command, units=display, prediction=tried, heading=heading))
     beside = _damping_of(damping) if tried is None else ("", *terminal.shown(tried))
     deliver(
         said,
@@ -173,7 +198,10 @@ def loop(
             *beside,
         ],
         *files,
+        title=heading.title or experiment.name,
     )
+    if strict and not VERDICTS[result.verdict].certain:
+        raise typer.Exit(UNCERTAIN)
 
 
 def _damping_of(found: IdentifiedDamping | None) -> Iterable[RenderableType]:

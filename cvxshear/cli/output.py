@@ -1,22 +1,28 @@
-"""What the commands share: their common options, and how results leave them."""
+"""What the commands share: their common options, and how results leave them, wherever standard output leads to."""
 
 from __future__ import annotations
 
-import json
+import codecs
+import errno
+import hashlib
+import io
+import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from functools import partial
+from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cvxshear.cli.checked import input_files, output_file
-from cvxshear.cli.streams import printing, takes_unicode
+from cvxshear.cli.checked import input_files, output_file, used
 from cvxshear.util.errors import InputError
-from cvxshear.util.text import printable
+from cvxshear.util.text import json_text, printable
 from cvxshear.util.writing import write_file
+from cvxshear.version import __version__
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -61,6 +67,13 @@ BoxesOut = Annotated[str | None, writes("--boxes", what="Draw box plots (Fig. 5)
 ReportOut = Annotated[
     str | None,
     writes("--report", what="Write a report, one HTML file.", metavar="OUT.html", endings=(".html", ".htm")),
+]
+TitleOption = Annotated[str | None, typer.Option("--title", help="Title of the report.")]
+ClientOption = Annotated[str | None, typer.Option("--client", help="For whom the report is.")]
+AuthorOption = Annotated[str | None, typer.Option("--author", help="Who answers for the report.")]
+DateOption = Annotated[str | None, typer.Option("--date", help="Date of the report.")]
+PhotographOption = Annotated[
+    str | None, typer.Option("--photograph", help="A PNG or JPEG that the report shows.", callback=input_files)
 ]
 MeasurementOut = Annotated[
     str | None,
@@ -117,6 +130,7 @@ def deliver(
     out: str | None,
     tables: Callable[[], Iterable[RenderableType]],
     *files: Callable[[], None],
+    title: str | None = None,
 ) -> None:
     """Write what was asked for and print the result, the one even where the other fails.
 
@@ -129,6 +143,8 @@ def deliver(
         What people are shown.
     *files : callable
         Each writes one more file.
+    title : str, optional
+        Of the test, for the JSON.
 
     Raises
     ------
@@ -136,8 +152,10 @@ def deliver(
         Where a file could not be written, after the result was printed.
     """
     writers = list(files)
+    if out is not None:
+        result = {**result, "about": about(used, title)}
     if out is not None and out != "-":
-        writers.append(partial(write_file, out, to_json(result) + "\n"))
+        writers.append(partial(write_file, out, json_text(result) + "\n"))
     failures = []
     for write in writers:
         try:
@@ -146,16 +164,62 @@ def deliver(
             failures.append(str(error))
     if out == "-":
         with printing():
-            sys.stdout.write(to_json(result, ascii_only=not takes_unicode()) + "\n")
+            sys.stdout.write(json_text(result, ascii_only=not takes_unicode()) + "\n")
     else:
         show(tables())
     if failures:
         raise InputError("; ".join(failures))
 
 
-def to_json(result: Json, *, ascii_only: bool = False) -> str:
-    """The result as JSON; nan cannot stand in JSON and has no place in a result."""
-    return json.dumps(result, indent=2, allow_nan=False, ensure_ascii=ascii_only)
+def about(files: Sequence[str], title: str | None) -> Json:
+    """What a result says of its origin: version, date, title of the test, and the files read with their SHA-256.
+
+    Parameters
+    ----------
+    files : sequence of str
+        As they were named; a built-in example among them by its text.
+    title : str or None
+    """
+    read = [{"name": file, "sha256": _digest(file)} for file in dict.fromkeys(files)]
+    # Who builds reproducibly says what the time is (reproducible-builds.org).
+    stamp = os.environ.get("SOURCE_DATE_EPOCH", "")
+    now = datetime.fromtimestamp(int(stamp), UTC) if stamp.isdigit() else datetime.now(UTC)
+    return {
+        "cvxshear": __version__,
+        "date": now.isoformat(timespec="seconds"),
+        "title": title,
+        "sha256": read[0]["sha256"] if read else None,
+        "files": read,
+    }
+
+
+def _digest(file: str) -> str | None:
+    """SHA-256 of a file's bytes; None where they cannot be read any more, or are a pattern of several."""
+    from cvxshear.files.columns import LIMIT
+    from cvxshear.files.inputs import read_bytes
+    from cvxshear.files.toml import built_in_text, is_built_in
+
+    try:
+        content = built_in_text(file).encode() if is_built_in(file) else read_bytes(Path(file), LIMIT, "")
+    except InputError:
+        return None
+    return hashlib.sha256(content).hexdigest()
+
+
+def heading_of(report: str | None, **parts: str | None) -> dict[str, str]:
+    """What the command line says for the head of a report.
+
+    Raises
+    ------
+    InputError
+        Where no report is asked for, or a text is empty.
+    """
+    from cvxshear.util import checks
+
+    given = {key: checks.text(value, f"--{key}") for key, value in parts.items() if value is not None}
+    if given and report is None:
+        raise InputError(f"--{next(iter(given))} belongs to a report: add --report OUT.html")
+    return given
 
 
 def figures_for(*paths: str | None) -> ModuleType | None:
@@ -165,7 +229,7 @@ def figures_for(*paths: str | None) -> ModuleType | None:
         return None
     try:
         from cvxshear.report import figures
-        from cvxshear.report.figures.output import kind_of
+        from cvxshear.report.figures.style import kind_of
     except ImportError as error:
         raise InputError(f"--figure needs {error.name}: pip install matplotlib") from error
     for path in asked:
@@ -173,10 +237,18 @@ def figures_for(*paths: str | None) -> ModuleType | None:
     return figures
 
 
+_silent: list[bool] = [False]
+
+
+def silence(asked: bool) -> None:
+    """Show no progress from now on, where `cvxshear --quiet` asks for that before the command."""
+    _silent[0] = asked
+
+
 @contextmanager
 def progress(title: str, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
     """A bar on standard error, only where that is a terminal and nobody asked for quiet."""
-    if quiet or not sys.stderr.isatty():
+    if quiet or _silent[0] or not sys.stderr.isatty():
         yield None
         return
     from rich.console import Console
@@ -200,3 +272,72 @@ def numbers(text: str | None, option: str) -> list[float] | None:
         return [float(part) for part in text.split(",")]
     except ValueError:
         raise InputError(f"{option} must be numbers with commas between, such as 9.5,7.5,5.5, not {text!r}") from None
+
+
+SPELLED = "cvxshear.spelled"
+SPELLINGS = {"±": "+-", "–": "-", "−": "-", "·": "*", "°": " deg", "²": "2", "χ": "chi", "≤": "<=", "≥": ">="}
+"""For a terminal that lacks them."""
+
+
+class OutputError(Exception):
+    """Standard output took no more."""
+
+
+def takes_unicode() -> bool:
+    """Whether standard output has every letter."""
+    return (sys.stdout.encoding or "").lower().replace("-", "").startswith("utf")
+
+
+@contextmanager
+def sound_streams() -> Iterator[None]:
+    """Standard output and error as any terminal takes them: escapes for what it has no letter for.
+
+    In place of one that is closed stands the null device, lest a file opened later take its number: standard output
+    as a device that cannot be written, since a result would be lost; standard error as one that takes all.
+    """
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            null = os.open(os.devnull, os.O_RDONLY if name == "stdout" else os.O_WRONLY)
+            setattr(sys, name, open(null, "w", encoding="utf-8", closefd=False))  # noqa: SIM115 - open to the end
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors=SPELLED)
+    yield
+    with printing():
+        pass
+
+
+@contextmanager
+def printing() -> Iterator[None]:
+    """What is printed inside, down to the last letter.
+
+    Raises
+    ------
+    OutputError
+        Where standard output does not take it.
+    """
+    try:
+        yield
+        sys.stdout.flush()
+    except OSError as error:
+        raise lost(error) from error
+
+
+def lost(error: OSError) -> OutputError:
+    """What to raise where standard output does not take what was printed; it takes all that comes after."""
+    # Python flushes once more at its end, and would complain there.
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return OutputError("it is closed" if error.errno == errno.EBADF else error.strerror)
+
+
+def _spelled(error: UnicodeError) -> tuple[str, int]:
+    """What stands for a character that a terminal's encoding does not have."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    missing = error.object[error.start : error.end]
+    spelled = [SPELLINGS.get(each) or each.encode("ascii", "backslashreplace").decode("ascii") for each in missing]
+    return "".join(spelled), error.end
+
+
+codecs.register_error(SPELLED, _spelled)

@@ -49,7 +49,7 @@ def plan(
     excitation: Annotated[str | None, typer.Option(help="ambient, shaker or hammer; with --duration.")] = None,
     damping: Annotated[float | None, typer.Option(help="Fraction of critical; with --duration.")] = None,
     sensor_noise: Annotated[
-        float | None, typer.Option(help="TestNoise of a channel over its standard deviation; with --duration.")
+        float | None, typer.Option(help="Noise of a channel over its standard deviation; with --duration.")
     ] = None,
     goal: Annotated[
         str,
@@ -64,6 +64,12 @@ def plan(
     ] = None,
     solver: Annotated[str, typer.Option(help="clarabel or scs.")] = "clarabel",
     fresh: Annotated[bool, typer.Option("--fresh", help="Count nothing that FILE measured as known.")] = False,
+    loop: Annotated[
+        bool, typer.Option("--loop", help="Plan for the frame with the effects that the loop finds in FILE.")
+    ] = False,
+    state: Annotated[
+        str | None, typer.Option(help="State of the frame in FILE that is to be tested; its first where not given.")
+    ] = None,
     output: Annotated[
         str | None,
         writes("--output", "-o", what="Write a measurement file to fill in.", metavar="TOML", endings=(".toml",)),
@@ -99,6 +105,8 @@ def plan(
             goal=goal,
             criterion=criterion,
             fresh=fresh,
+            loop=loop,
+            state=state,
             solver=solver,
         )
     files: list[Callable[[], None]] = []

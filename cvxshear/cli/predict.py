@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -25,19 +24,12 @@ from cvxshear.cli.output import (
 )
 from cvxshear.cli.records import measured, needs_mass
 from cvxshear.util.errors import InputError, NoScaleError
+from cvxshear.util.text import shell_line
 
 if TYPE_CHECKING:
     from cvxshear.response import RecordPrediction
     from cvxshear.response.sources import ModelSource
     from cvxshear.screening import Finding
-
-FIGURES = {
-    "history": "response_histories",
-    "peaks": "response_peaks",
-    "transfer": "transfer_functions",
-    "spectra": "floor_spectra",
-}
-"""Functions of `report.figures` by the words of --figure."""
 
 
 def predict(
@@ -83,7 +75,7 @@ def predict(
     figure: Annotated[
         list[str] | None,
         typer.Option(
-            help=f"Draw {', '.join(FIGURES)} into a file: KIND:OUT.svg, .png or .pdf; may be repeated.",
+            help="Draw history, peaks, transfer or spectra into a file: KIND:OUT.svg, .png or .pdf; may be repeated.",
             metavar="KIND:OUT",
         ),
     ] = None,
@@ -105,7 +97,7 @@ def predict(
     if report is not None:
         from cvxshear.report.html import write_prediction_report
 
-        pages.append(lambda: write_prediction_report(result, report, shlex.join(["cvxshear", *typed])))
+        pages.append(lambda: write_prediction_report(result, report, shell_line(["cvxshear", *typed])))
     with progress("predicting", quiet):
         source, doubts = screened(file, backend, names(assume) or ())
         result = run(source, record, backend, damping=damping, configuration=configuration, detrend=detrend)
@@ -116,10 +108,10 @@ def predict(
 def screened(file: str, backend: str, assume: Sequence[str] = ()) -> tuple[ModelSource, Sequence[Finding] | None]:
     """What the model is made of, without mistakes, and its warnings; None where `loop` looked for them before."""
     from cvxshear import backends, close_loop
+    from cvxshear.measurement.declaration import NUMBERS
     from cvxshear.response import models_of_loop
     from cvxshear.response.sources import load_unscaled
     from cvxshear.screening import refuse_mistakes
-    from cvxshear.util.findings import NUMBERS
 
     if Path(file).suffix.lower() == ".json":
         if assume:
@@ -156,7 +148,7 @@ class Files:
 
     def __init__(self, series: str | None, models: list[str], figures: list[str]) -> None:
         from cvxshear.report.handover import model_kind
-        from cvxshear.report.series import series_kind
+        from cvxshear.report.series_files import series_kind
 
         self.series, self.models = series, models
         self.figures = [_figure(each) for each in figures]
@@ -169,7 +161,7 @@ class Files:
     def claim(self, context: typer.Context) -> None:
         """Refuse, before the run, what could not be written, or would be written over what is read."""
         from cvxshear.report import handover
-        from cvxshear.report import series as tables
+        from cvxshear.report import series_files as tables
 
         if self.series is not None:
             claim(context, "--out", self.series, [f".{kind}" for kind in tables.WRITERS])
@@ -181,7 +173,7 @@ class Files:
     def of(self, result: RecordPrediction) -> list[Callable[[], None]]:
         """What writes each of them."""
         from cvxshear.report.handover import write_model
-        from cvxshear.report.series import write_series
+        from cvxshear.report.series_files import write_series
 
         writers = [] if self.series is None else [partial(write_series, self.series, result)]
         writers += [partial(write_model, each, result) for each in self.models]
@@ -189,12 +181,19 @@ class Files:
 
     def _draw(self, kind: str, path: str, result: RecordPrediction) -> None:
         if self.drawing is not None:
-            self.drawing.save(getattr(self.drawing, FIGURES[kind])(result), path)
+            self.drawing.save(self.drawing.drawn_figure(kind, result), path)
 
 
 def _figure(text: str) -> tuple[str, str]:
     """Kind and file of a figure."""
     kind, mark, path = text.partition(":")
-    if not mark or kind not in FIGURES or not path:
-        raise InputError(f"--figure must be KIND:OUT, such as peaks:peaks.svg, KIND one of {', '.join(FIGURES)}")
+    if not mark or not path:
+        raise InputError("--figure must be KIND:OUT, such as peaks:peaks.svg")
+    figures_for(path)
+    from cvxshear.report.figures import figures_of
+    from cvxshear.response import RecordPrediction
+
+    known = figures_of(RecordPrediction)
+    if kind not in known:
+        raise InputError(f"--figure must be KIND:OUT, such as peaks:peaks.svg, KIND one of {', '.join(known)}")
     return kind, path

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable
 from functools import partial
 from typing import Annotated
@@ -13,6 +12,7 @@ from cvxshear.cli.checked import claim, input_files
 from cvxshear.cli.output import BackendName, JsonOut, Quiet, ReportOut, deliver, names, progress, typed
 from cvxshear.cli.predict import screened
 from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
+from cvxshear.util.text import shell_line
 
 
 def reconstruct(
@@ -63,7 +63,7 @@ def reconstruct(
     Example: cvxshear reconstruct frame.toml --record earthquake.toml --report drifts.html
     """
     from cvxshear.report import terminal
-    from cvxshear.report.series import WRITERS, series_kind, write_series
+    from cvxshear.report.series_files import WRITERS, series_kind, write_series
     from cvxshear.report.sheets import sheets_of_response
     from cvxshear.response import reconstruct as run
     from cvxshear.screening import in_json
@@ -76,7 +76,7 @@ def reconstruct(
     if report is not None:
         from cvxshear.report.html import write_reconstruction_report
 
-        pages.append(lambda: write_reconstruction_report(result, report, shlex.join(["cvxshear", *typed])))
+        pages.append(lambda: write_reconstruction_report(result, report, shell_line(["cvxshear", *typed])))
     with progress("reconstructing", quiet) as advance:
         source, doubts = screened(file, backend, names(assume) or ())
         result = run(

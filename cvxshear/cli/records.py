@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -23,14 +22,15 @@ from cvxshear.cli.output import (
     progress,
     typed,
 )
-from cvxshear.cli.pictures import FiguresOut, Pictures
+from cvxshear.cli.pictures import LIST, FiguresOut, Pictures
 from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
 from cvxshear.util.errors import CvxshearError, InputError
+from cvxshear.util.text import shell_line
 from cvxshear.util.writing import check_output
 
 if TYPE_CHECKING:
     from cvxshear import Experiment
-    from cvxshear.campaign import IdentifiedRecord
+    from cvxshear.files.modes import IdentifiedRecord
     from cvxshear.util.parallel import Progress
     from cvxshear.util.typing import Json
 
@@ -45,7 +45,10 @@ def modes(
     count: Annotated[int | None, typer.Option(help="How many modes; as many as stories where not given.")] = None,
     pick: Annotated[
         str | None,
-        typer.Option(help="Take the stable poles nearest to these frequencies, Hz.", metavar="3.68,11.1,..."),
+        typer.Option(
+            help="Take the stable poles nearest to these frequencies, Hz; 'list' prints the poles.",
+            metavar="3.68,11.1,...",
+        ),
     ] = None,
     correct_clocks: Annotated[bool, typer.Option(help="Take clock offsets between the channels out.")] = False,
     accept_swapped: Annotated[bool, typer.Option(help="Go on where two channels look swapped.")] = False,
@@ -63,12 +66,14 @@ def modes(
 
     Example: cvxshear modes bare.toml loaded.toml -o test.toml
     """
-    from cvxshear.campaign import identify_modes_many, write_merged
+    from cvxshear.files.modes import identify_modes_many, write_merged
     from cvxshear.files.uff import write_uff
+    from cvxshear.modal import ModalResult
+    from cvxshear.report import terminal
     from cvxshear.report.sheets import sheets_of_modes
 
     sources = _files(records, output)
-    pictures, tables = Pictures(figure, "records"), Spreadsheets(csv, xlsx)
+    pictures, tables = Pictures(figure, ModalResult), Spreadsheets(csv, xlsx)
     if report is not None:
         from cvxshear.report.modal_html import write_modal_report
     options = {
@@ -77,7 +82,7 @@ def modes(
         "count": count,
         "correct_clocks": correct_clocks,
         "accept_swapped": accept_swapped,
-        "pick": numbers(pick, "--pick"),
+        "pick": None if pick == LIST else numbers(pick, "--pick"),
     }
     if uff is not None and len(sources) > 1:
         raise InputError("--uff holds the modes of one record; identify the records one by one for it")
@@ -94,9 +99,11 @@ def modes(
         if uff is not None:
             files.append(lambda: write_uff(uff, results[0]))
         if report is not None:
-            command, failed = shlex.join(["cvxshear", *typed]), [str(error) for error in errors]
+            command, failed = shell_line(["cvxshear", *typed]), [str(error) for error in errors]
             files.append(lambda: write_modal_report(results, report, command, failed))
-        deliver(_said(sources, found), out, lambda: tables_of(tests), *files)
+        deliver(
+            _said(sources, found), out, lambda: terminal.poles(results) if pick == LIST else tables_of(tests), *files
+        )
     if errors:
         raise typer.Exit(2 if any(isinstance(error, InputError) for error in errors) else 1)
 
@@ -114,7 +121,7 @@ def measured(
         Where no mode was found in a record.
     """
     from cvxshear import Experiment, load
-    from cvxshear.campaign import identify_modes_many, merged
+    from cvxshear.files.modes import identify_modes_many, merged
     from cvxshear.files.toml import is_built_in, is_record_file
 
     files = list(names) if len(names) == 1 and is_built_in(names[0]) else _files(names)
@@ -134,19 +141,21 @@ def measured(
 
 def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
     """The modes of each record."""
-    from cvxshear.campaign.merge import UNKNOWN_SCALE
+    from cvxshear.files.modes import UNKNOWN_SCALE, cables_of
     from cvxshear.report import terminal
 
     for test in tests:
         yield from terminal.shown(test.modes)
         yield ""
+    for finding in cables_of(tests):
+        yield f"{finding.kind}: {finding.message}"
     if needs_mass(tests):
         yield f"scale: {UNKNOWN_SCALE}"
 
 
 def needs_mass(tests: Sequence[IdentifiedRecord]) -> bool:
     """Whether a total mass of 1 kg stands for one that nobody gave."""
-    from cvxshear.campaign.merge import scale_unknown
+    from cvxshear.files.modes import scale_unknown
 
     return bool(tests) and scale_unknown(tests)
 
@@ -160,7 +169,7 @@ def records_in_json(tests: Sequence[IdentifiedRecord]) -> Json:
 
 def _files(names: Sequence[str], written: str | None = None) -> list[str]:
     """The record files of names and patterns; what a pattern matches is not to be written over either."""
-    from cvxshear.campaign import record_files
+    from cvxshear.files.modes import record_files
 
     files, left_out = record_files(names)
     for path in left_out:

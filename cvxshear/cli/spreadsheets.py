@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from cvxshear.cli.output import writes
 
 if TYPE_CHECKING:
-    from cvxshear.report.sheets import Sheet
+    from cvxshear.files.spreadsheets import Sheet
 
 CsvOut = Annotated[str | None, writes("--csv", what="Write the result's main table here.", endings=(".csv",))]
 XlsxOut = Annotated[
@@ -34,7 +34,7 @@ class Spreadsheets:
     def __init__(self, csv: str | None, xlsx: str | None) -> None:
         self._csv, self._xlsx = csv, xlsx
         if xlsx is not None:
-            from cvxshear.report.sheets import load_openpyxl
+            from cvxshear.files.spreadsheets import load_openpyxl
 
             load_openpyxl()
 
@@ -48,6 +48,6 @@ class Spreadsheets:
 
     @staticmethod
     def _write(path: str, sheets: Callable[[], Sequence[Sheet]], *, workbook: bool) -> None:
-        from cvxshear.report.sheets import write_csv, write_xlsx
+        from cvxshear.files.spreadsheets import write_csv, write_xlsx
 
         (write_xlsx if workbook else write_csv)(path, sheets())

@@ -26,13 +26,13 @@ def reproduce(
     Example: cvxshear reproduce
     """
     from cvxshear.paper import reproduce as run
-    from cvxshear.paper.terminal import render
+    from cvxshear.report import terminal
 
     drawing = figures_for(figure)
     with progress("reproducing the paper", quiet):
         result = run(backend, samples=tuple(sorted({100, samples})), seed=seed)
     files = [] if drawing is None else [lambda: drawing.save(_mass_iteration(drawing), figure)]
-    deliver(result.to_dict(), out, lambda: [render(result)], *files)
+    deliver(result.to_dict(), out, lambda: terminal.shown(result), *files)
 
 
 def _mass_iteration(drawing: ModuleType) -> Any:
@@ -41,9 +41,9 @@ def _mass_iteration(drawing: ModuleType) -> Any:
     from cvxshear.paper import tables
     from cvxshear.paper.three_story import ThreeStory
 
-    of = ThreeStory("auto")
-    found = [run(of.experiment, "two-stage", initial_mass=start) for start in tables.INITIAL_MASS.values()]
-    return drawing.convergence(*found, true_mass=of.truth.floor_mass)
+    frame = ThreeStory("auto")
+    found = [run(frame.experiment, "two-stage", initial_mass=start) for start in tables.INITIAL_MASS.values()]
+    return drawing.convergence(*found, true_mass=frame.truth.floor_mass)
 
 
 def noise(
@@ -60,8 +60,8 @@ def noise(
 
     Example: cvxshear study noise --samples 200
     """
-    from cvxshear.studies import noise_study, paper_setups, six_story_study
-    from cvxshear.studies.noise_table import render
+    from cvxshear.paper import noise_study, paper_setups, six_story_study
+    from cvxshear.report import terminal
 
     drawing = figures_for(figure, boxes)
     with progress("three stories", quiet) as advance:
@@ -74,4 +74,4 @@ def noise(
     if drawing is not None and boxes is not None:
         files.append(lambda: drawing.save(drawing.noise_boxes(three), boxes))
     said = {"three_story": three.to_dict(), "six_story": six.to_dict()}
-    deliver(said, out, lambda: [render(three), render(six)], *files)
+    deliver(said, out, lambda: [*terminal.shown(three), *terminal.shown(six)], *files)

@@ -69,7 +69,7 @@ class Model:
     def paired(self) -> Ints:
         """Which mode of the model each measured one is, zero-based, shape (m,)."""
         assert isinstance(self.state.tested, Configuration)
-        return paired(self.state.tested, self.modes, self.state.gain)
+        return paired(self.state.tested, self.modes, self.state.observation, self.state.system.M)
 
     @cached_property
     def mode_derivatives(self) -> tuple[Floats, Floats]:
@@ -128,9 +128,29 @@ class Datum(ABC):
     def count(self) -> int:
         """Number of data: entries, less what each of them leaves free."""
 
+    @property
+    def floors(self) -> Ints:
+        """The floor that each residual was measured at, shape (d,); 0 where it is of no floor in particular."""
+        return np.zeros(self.count, dtype=np.int64)
+
+    @property
+    def known(self) -> Bools:
+        """Which residuals were measured, shape (d,)."""
+        return np.ones(len(self.floors), dtype=bool)
+
+    @property
+    def entries(self) -> int:
+        """Number of residuals that were measured."""
+        return int(np.sum(self.known))
+
     @abstractmethod
     def residual(self, model: Model) -> Residual:
         """Model less measurement, in the declared or the default standard deviations."""
+
+    def widened_residual(self, model: Model, factor: Floats) -> Residual:
+        """`residual` with each standard deviation times a factor, shape (d,)."""
+        found = self.residual(model)
+        return Residual(found.r / factor, found.J / factor[:, None] if model.derivatives else found.J)
 
     def errors(self, model: Model) -> Mapping[str, Floats]:
         """Errors that an engineer reads, by the words of `Quality`; none by default."""
@@ -158,11 +178,11 @@ class Deviation:
     Parameters
     ----------
     noise : str
-        One of `NOISES`.
+        One of `NOISES`, or "prior" for a declared statement.
     configuration : str
-        Where it was measured.
+        Where it was measured; empty for a statement.
     place : str
-        Which part, such as "mode 1" or "floor 2".
+        Which part, such as "mode 1" or "floor 2"; the statement in words.
     error : float or None
         Relative.
     deviations : float
@@ -180,6 +200,8 @@ class Deviation:
     @property
     def label(self) -> str:
         """Such as 'the frequency of mode 1 of "bare"'."""
+        if not self.configuration:
+            return f'the statement "{self.place}"'
         return f'the {self.noise.replace("_", " ")} of {self.place} of "{self.configuration}"'
 
     def to_dict(self) -> Json:

@@ -10,11 +10,17 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from cvxshear.measurement.experiment import Configuration
-from cvxshear.model.shear import Modes
+from cvxshear.model.observation import Observation
+from cvxshear.model.shear import Modes, attached_share, frame_modes
 from cvxshear.util.typing import Floats, Ints
 
 PAIRED = 0.5
 """Modal assurance criterion below which a measured mode is looked for among the other modes of the model."""
+
+
+SHARED = 0.1
+"""Part of an attached mass's kinetic energy from which on a mode is one that it shares with the frame: a mode with less
+looks like the frame's own, with more than the rest of it like the mass's."""
 
 
 def mac(a: Floats, b: Floats) -> float:
@@ -41,7 +47,31 @@ def scaled(measured: Floats, modelled: Floats, weights: Floats) -> tuple[Floats,
     return np.sum(weighted * weights * measured, axis=1) / safe, weighted / np.sqrt(safe)[:, None]
 
 
-def paired(configuration: Configuration, found: Modes, gain: Floats) -> Ints:
+def numbered(configuration: Configuration, found: Modes, M: Floats) -> Ints:
+    """The modes of the model that a configuration's mode numbers mean, zero-based, shape (m,).
+
+    Numbers count the modes of the frame, without the own mode of a mass that is attached to a floor. Where that mass
+    shares its energy among several modes, as one that is tuned to a mode does, each of them may be the one that was
+    not measured; the numbers are then those that fit the measured frequencies best.
+    """
+    floors = len(configuration.added_mass)
+    declared = configuration.modes - 1
+    if len(M) == floors:
+        return declared
+    if len(M) == floors + 1:
+        share = attached_share(found, M, floors)
+        every = np.arange(floors + 1)
+        unseen = set(np.flatnonzero(share >= SHARED).tolist())
+        if share.max() <= 1.0 - SHARED:
+            unseen.add(floors)
+        log_found, measured = np.log(found.frequencies), np.log(configuration.frequencies)
+        candidates = [np.delete(every, mode)[declared] for mode in sorted(unseen)]
+        return min(candidates, key=lambda each: float(np.sum((log_found[each] - measured) ** 2)))
+    result: Ints = frame_modes(found, M, floors)[declared]
+    return result
+
+
+def paired(configuration: Configuration, found: Modes, observation: Observation, M: Floats) -> Ints:
     """Which mode of the model each measured one is, zero-based.
 
     The declared numbers hold unless a shape speaks against them; modes that changed places are then paired
@@ -51,15 +81,16 @@ def paired(configuration: Configuration, found: Modes, gain: Floats) -> Ints:
     ----------
     configuration : Configuration
     found : Modes
-    gain : ndarray, shape (N,)
-        What the sensors make of a floor's motion.
+    observation : Observation
+        What the sensors show of the modes.
+    M : ndarray, shape (n, n)
     """
-    declared = configuration.modes - 1
+    declared = numbered(configuration, found, M)
     floors = configuration.measured_floors - 1
     if len(declared) < 2 or len(floors) < 2 or not configuration.measured.any():
         return declared
     weights, shapes = configuration.entry_weights, configuration.known_shapes
-    psi = found.shapes[np.ix_(declared, floors)] * gain[floors]
+    psi = observation.shown(found.shapes[declared], floors)
     modelled, measured = weights * psi, weights * shapes
     own = np.sum(modelled * measured, axis=1) ** 2
     if np.all(own >= PAIRED * np.sum(modelled**2, axis=1) * np.sum(measured**2, axis=1)):

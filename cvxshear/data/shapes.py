@@ -10,7 +10,7 @@ import numpy as np
 from cvxshear.data.base import Datum, Deviation, Model, Residual
 from cvxshear.data.pairing import mac, scaled
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.util.typing import Bools, Floats
+from cvxshear.util.typing import Bools, Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +56,16 @@ class Shapes(Datum):
         entries = np.sum(self.tested.measured[self.kept], axis=1)
         return int(np.sum(np.maximum(entries - (0 if self.tested.mass_normalized else 1), 0)))
 
-    def _laid_on(self, model: Model) -> tuple[Floats, Floats, Floats, Floats | None]:
+    def _laid_on(
+        self, model: Model, factor: Floats | None = None
+    ) -> tuple[Floats, Floats, Floats, Floats | None]:
         """Weights, the modelled shapes as the sensors would show them, their scales, and u where the scale is free."""
         configuration = self.tested
         floors = configuration.measured_floors - 1
         weights = configuration.entry_weights[self.kept]
-        psi = model.modes.shapes[np.ix_(model.paired[self.kept], floors)] * model.state.gain[floors]
+        if factor is not None:
+            weights = weights / factor.reshape(weights.shape)
+        psi = model.state.observation.shown(model.modes.shapes[model.paired[self.kept]], floors)
         scale, unit = scaled(configuration.known_shapes[self.kept], psi, weights)
         if configuration.mass_normalized:
             return weights, psi, np.where(scale < 0, -1.0, 1.0), None
@@ -72,21 +76,34 @@ class Shapes(Datum):
         _, psi, scale, _ = self._laid_on(model)
         return scale[:, None] * psi
 
+    @property
+    def floors(self) -> Ints:
+        """That of each entry, mode by mode."""
+        return np.tile(self.tested.measured_floors, int(self.kept.sum()))
+
+    @property
+    def known(self) -> Bools:
+        """Entries that are not nan, mode by mode."""
+        return self.tested.measured[self.kept].ravel()
+
     def residual(self, model: Model) -> Residual:
         """Differences of entries over their standard deviations; zero where nothing was measured."""
-        weights, psi, scale, unit = self._laid_on(model)
+        return self.widened_residual(model, np.ones(len(self.floors)))
+
+    def widened_residual(self, model: Model, factor: Floats) -> Residual:
+        """The same, the scale of each shape following the entries that have become less certain."""
+        weights, psi, scale, unit = self._laid_on(model, factor)
         r = (weights * (scale[:, None] * psi - self.tested.known_shapes[self.kept])).ravel()
         if not model.derivatives:
             return Residual(r, np.zeros((0, 0)))
         floors = self.tested.measured_floors - 1
-        gain, d_gain = model.state.gain[floors], model.state.d_gain[model.by][:, floors]
-        dpsi = model.mode_derivatives[1][:, self.kept][:, :, floors] * gain
-        if np.any(d_gain):
-            dpsi = dpsi + psi / gain * d_gain[:, None, :]
+        shapes = model.modes.shapes[model.paired[self.kept]]
+        slopes = model.mode_derivatives[1][:, self.kept]
+        dpsi = model.state.observation.shown_slopes(shapes, slopes, model.by, floors)
         J = weights * scale[:, None] * dpsi
         if unit is not None:
             J = J - unit * np.sum(unit * J, axis=2, keepdims=True)
-        return Residual(r, J.reshape(len(J), -1).T)
+        return Residual(r, J.reshape(len(J), r.size).T)
 
     def errors(self, model: Model) -> Mapping[str, Floats]:
         """MAC of each shape known at two floors, and the largest difference of an entry of each."""

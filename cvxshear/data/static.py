@@ -10,7 +10,7 @@ from scipy import linalg
 
 from cvxshear.data.base import Datum, Deviation, Model, Residual
 from cvxshear.measurement.experiment import Experiment, StaticTest
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,22 +45,28 @@ class Static(Datum):
         """One a measured displacement."""
         return int(np.sum(self.tested.measured))
 
+    @property
+    def floors(self) -> Ints:
+        """Those with a measured displacement."""
+        return np.flatnonzero(self.tested.measured) + 1
+
     def residual(self, model: Model) -> Residual:
         """Differences of displacements over their standard deviations, measured floors only."""
         test, known = self.tested, self.tested.measured
         system = model.wanted
         weights = 1.0 / test.entry_std[known]
-        u: Floats = linalg.solve(system.K, test.force, assume_a="sym")
-        r = weights * (u - test.displacement)[known]
+        u = _moved(system.K, test.force)
+        n = len(test.force)
+        r = weights * (u[:n] - test.displacement)[known]
         if not model.derivatives:
             return Residual(r, np.zeros((0, 0)))
         slopes: Floats = -linalg.solve(system.K, system.stiffness_slopes(u).T, assume_a="sym")
-        return Residual(r, weights[:, None] * slopes[known])
+        return Residual(r, weights[:, None] * slopes[:n][known])
 
     def errors(self, model: Model) -> Mapping[str, Floats]:
         """model / measured - 1, relative to the largest measured displacement."""
         test, known = self.tested, self.tested.measured
-        u: Floats = linalg.solve(model.state.system.K, test.force, assume_a="sym")
+        u = _moved(model.state.system.K, test.force)[: len(test.force)]
         return {"displacement_error": (u - test.displacement)[known] / np.max(np.abs(test.displacement[known]))}
 
     def describe(self, model: Model) -> list[Deviation]:
@@ -76,3 +82,10 @@ class Static(Datum):
         """The displacement at each floor."""
         floors = np.flatnonzero(self.tested.measured) + 1
         return {int(floor): np.array([z]) for floor, z in zip(floors, self.residual(model).r, strict=True)}
+
+
+def _moved(K: Floats, force: Floats) -> Floats:
+    """Displacements of all motions under forces on the floors, which come first, m."""
+    load = np.concatenate([force, np.zeros(len(K) - len(force))])
+    u: Floats = linalg.solve(K, load, assume_a="sym")
+    return u

@@ -38,6 +38,10 @@ class AddedMass(Effect):
         dM[own, at, at] += 1.0
         return state.with_mass(M, dM)
 
+    def dual(self, place: Place, stories: int) -> tuple[str, Place]:
+        assert place.floor is not None
+        return "story_change", Place(story=stories + 1 - place.floor, state=place.state)
+
     def sizes(self, of: Scale) -> Floats:
         return np.array([0.15 * of.floor_mass])
 
@@ -50,5 +54,5 @@ class AddedMass(Effect):
 
     def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
         size = with_std(abs(values[0]), std[0], units[0])
-        where = f'on floor {place.floor} of "{place.state}"'
-        return f"an undeclared mass of {size} {where}" if values[0] > 0 else f"{size} missing {where}"
+        word = "more" if values[0] > 0 else "less"
+        return f"floor {place.floor} carries {size} {word}{place.in_state} than declared"

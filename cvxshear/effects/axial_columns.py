@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from cvxshear.effects.base import Effect, Parameter, Place
-from cvxshear.effects.flexibility import add_flexibility
 from cvxshear.effects.state import Scale, State
 from cvxshear.util.quantities import per_force
 from cvxshear.util.typing import Floats
@@ -38,7 +37,7 @@ class AxialColumns(Effect):
     uses_heights = True
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        return add_flexibility(state, values[0], chord_drift(state.heights), own)
+        return state.with_flexibility(values[0], chord_drift(state.heights), own)
 
     def sizes(self, of: Scale) -> Floats:
         return np.array([0.15 * of.sway / chord_drift(of.heights)[-1, -1]])
@@ -46,8 +45,8 @@ class AxialColumns(Effect):
     def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
         share = values[0] * chord_drift(of.heights)[-1, -1] / of.sway
         return (
-            f"columns that stretch and shorten (1/EI = {per_force(values[0], std[0], units[0])}, "
-            f"{100 * share:.2g} % of the sway of the top)"
+            f"the columns stretch and shorten, which adds {100 * share:.2g} % to the sway of the top under a force "
+            f"there (1/EI = {per_force(values[0], std[0], units[0])})"
         )
 
 

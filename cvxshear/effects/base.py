@@ -16,7 +16,7 @@ from cvxshear.priors import Constraints
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import with_std
-from cvxshear.util.typing import Floats, Json
+from cvxshear.util.typing import Bools, Floats, Ints, Json
 
 
 @dataclass(frozen=True)
@@ -54,27 +54,51 @@ class Place:
     Parameters
     ----------
     floor, story : int or None
-        1 the lowest.
+        1 the lowest; floor 0 is the ground.
     state : str or None
         Of the frame.
+    to : int or None
+        The higher floor, where the effect joins two of them; `floor` is then the lower one.
+    prior : str or None
+        The declared statement that the effect is about, in words (`Experiment.soft_statements`). Its parameters are
+        then what each residual of that statement is off by, in standard deviations.
     """
 
     floor: int | None = None
     story: int | None = None
     state: str | None = None
+    to: int | None = None
+    prior: str | None = None
 
     def to_dict(self) -> Json:
         """Its parts; the state goes by the key `configuration`."""
-        return {"floor": self.floor, "story": self.story, "configuration": self.state}
+        parts = {"floor": self.floor, "to": self.to, "story": self.story, "configuration": self.state}
+        return {**parts, "prior": self.prior}
 
     def describe(self) -> str:
         """In words, such as "floor 3 of test 2"; empty where it sits nowhere in particular."""
-        parts = [
-            f"{word} {number}" for word, number in (("floor", self.floor), ("story", self.story)) if number is not None
-        ]
+        parts = []
+        if self.to is not None:
+            parts.append(f"floors {self.floor} and {self.to}")
+        elif self.floor is not None:
+            parts.append(f"floor {self.floor}" if self.floor else "the base")
+        if self.story is not None:
+            parts.append(f"story {self.story}")
         if self.state is not None:
             parts.append(f'"{self.state}"')
+        if self.prior is not None:
+            parts.append(f'the statement "{self.prior}"')
         return " of ".join(parts)
+
+    @property
+    def in_state(self) -> str:
+        """Such as ' in "after"'; empty where it sits in every state."""
+        return "" if self.state is None else f' in "{self.state}"'
+
+    def label(self, subject: str) -> str:
+        """What sits here with its place, such as "ground spring at floor 3" or "spring between floors 2 and 6"."""
+        where = self.describe()
+        return f"{subject} {'at' if self.to is None else 'between'} {where}" if where else subject
 
 
 class Effect(ABC):
@@ -94,9 +118,12 @@ class Effect(ABC):
         Where the formula comes from.
     stage : str
         One of `STAGES`: what it acts on.
+    kind : str
+        "cause", or "open" for a class that says "something else, whatever it is" of one statement of the shear model.
     parameters : tuple of Parameter
+        An effect whose number of parameters depends on the experiment sets them in `bound`.
     sits_at : tuple of str
-        Of "floor", "story", "state": what its place names.
+        Of "floor", "to", "story", "state": what its place names.
     needs : tuple of str
         Of "heights", "several states".
     lowest_floor : int
@@ -105,8 +132,24 @@ class Effect(ABC):
         That a tested frame has it somewhere, before anything is measured.
     size : float or None
         Expected size of the first parameter, in its unit, in place of that of `sizes`.
+    tail : float
+        Degrees of freedom of Student's t, the prior of each parameter about its null value: the fewer, the more
+        probable are sizes far beyond the expected one; infinite for a normal prior.
+    common_size : bool
+        Whether the parameters have one common size that is unknown itself. Their prior is then normal, its standard
+        deviation `sizes` times a factor whose logarithm has the standard deviation `size_width` about zero.
+    size_width : float
+    rescales : bool
+        Whether it leaves open how accurate some data are (`rescaled`); such an effect has no parameters of its
+        own, and the factor on their standard deviations is its common size.
+    granted : str
+        What a verdict takes for granted as long as this effect is not in it, where no datum tells: a clause such as
+        "that the floors of {state} weigh what they did". Empty where there is nothing to say.
     releases : tuple of str
         Of "total_mass": declarations that do not hold as they stand where it is in the model.
+    adds_motion : bool
+        Whether the frame has one motion more with it. What it does is then not told by derivatives at its null value,
+        and a fit begins at its start values.
     uses_heights : bool
         Whether it takes undeclared story heights as equal.
     """
@@ -116,13 +159,20 @@ class Effect(ABC):
     formula: ClassVar[str]
     source: ClassVar[str]
     stage: ClassVar[str]
-    parameters: ClassVar[tuple[Parameter, ...]]
-    sits_at: ClassVar[tuple[str, ...]] = ()
+    kind: ClassVar[str] = "cause"
+    parameters: tuple[Parameter, ...]
+    sits_at: tuple[str, ...] = ()
     needs: ClassVar[tuple[str, ...]] = ()
     lowest_floor: ClassVar[int] = 1
     probability: float = 0.1
     size: float | None = None
+    tail: ClassVar[float] = 4.0
+    common_size: ClassVar[bool] = False
+    size_width: ClassVar[float] = 1.0
+    rescales: ClassVar[bool] = False
+    granted: ClassVar[str] = ""
     releases: ClassVar[tuple[str, ...]] = ()
+    adds_motion: ClassVar[bool] = False
     uses_heights: ClassVar[bool] = False
 
     @abstractmethod
@@ -144,6 +194,47 @@ class Effect(ABC):
             With matrices and derivatives changed; those by other parameters too, where they change.
         """
 
+    def bound(self, experiment: Experiment) -> Effect:
+        """The effect as it is in this experiment: itself, or a copy whose `parameters` or `sits_at` depend on it."""
+        return self
+
+    def bound_at(self, experiment: Experiment, place: Place) -> Effect:
+        """The effect as it is at one place: itself, or a copy whose `parameters` depend on the place."""
+        return self
+
+    def rescaled(self, tested: Tested, noise: str, floors: Ints, place: Place) -> Bools:
+        """Which residuals of a kind of datum have a standard deviation that is left open; none by default.
+
+        Parameters
+        ----------
+        tested : Configuration or StaticTest
+        noise : str
+            Kind of noise.
+        floors : ndarray of int, shape (d,)
+            That each residual was measured at.
+        place : Place
+
+        Returns
+        -------
+        ndarray of bool, shape (d,)
+        """
+        return np.zeros(len(floors), dtype=bool)
+
+    def dual(self, place: Place, stories: int) -> tuple[str, Place] | None:
+        """Name and place of the effect that has the same frequencies in the dual chain; None where there is none.
+
+        A chain of N stories k_i and floors m_i has, without added mass, the eigenvalues of the chain with stories
+        1 / m_(N+1-i) and floors 1 / k_(N+1-i): T D_k T' D_m^-1 and D_m^-1 T D_k T' have the same ones, and reversing
+        the order of the floors turns T into T'. So frequencies alone cannot tell a softer story from a heavier floor.
+
+        Parameters
+        ----------
+        place : Place
+        stories : int
+            Number N of stories.
+        """
+        return None
+
     def sizes(self, of: Scale) -> Floats:
         """The size that practice meets, shape (p,): standard deviations of the parameters about their null values.
 
@@ -151,10 +242,17 @@ class Effect(ABC):
         """
         return np.full(len(self.parameters), np.inf)
 
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Points that fits of the parameters start at, where one does not lead everywhere."""
+        return (tuple(item.start for item in self.parameters),)
+
     def expected_sizes(self, of: Scale) -> Floats:
-        """`sizes`, the first of them `size` where that is given."""
+        """`sizes`, the first of them `size` where that is given; all of them where they have one common size."""
         usual = self.sizes(of)
-        return usual if self.size is None else np.concatenate([[self.size], usual[1:]])
+        if self.size is None:
+            return usual
+        return np.full(len(usual), self.size) if self.common_size else np.concatenate([[self.size], usual[1:]])
 
     def limits(self, experiment: Experiment, place: Place) -> Constraints:
         """What is physically possible beyond the parameters' own bounds, as rows on masses, stiffnesses, parameters.
@@ -172,7 +270,7 @@ class Effect(ABC):
         return ""
 
     def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
-        """Effect, place and size in words, as the subject of a sentence.
+        """Effect, place and size in words: a clause that can stand as a sentence of its own.
 
         Parameters
         ----------
@@ -184,12 +282,11 @@ class Effect(ABC):
         units : sequence of str
             Of the parameters.
         """
-        where = place.describe()
         sizes = ", ".join(
             f"{item.name} = {with_std(float(value), float(error), unit)}"
             for item, value, error, unit in zip(self.parameters, values, std, units, strict=True)
         )
-        return f"{self.label}{f' at {where}' if where else ''} ({sizes})"
+        return f"{place.label(self.label)} is there ({sizes})"
 
     def known_anyway(self, experiment: Experiment, floor_mass: Floats, story_stiffness: Floats) -> str:
         """A sentence on what is known of the effect even where the data do not show it; empty by default."""
@@ -214,7 +311,7 @@ class Effect(ABC):
     def places(self, experiment: Experiment) -> list[Place]:
         """Everywhere the effect can sit in this experiment."""
         stories = range(1, experiment.stories + 1)
-        floors = [floor for floor in stories if floor >= self.lowest_floor] if "floor" in self.sits_at else [None]
+        floors = list(range(self.lowest_floor, experiment.stories + 1)) if "floor" in self.sits_at else [None]
         levels = list(stories) if "story" in self.sits_at else [None]
         states = list(experiment.changed_states) if "state" in self.sits_at else [None]
         return [Place(floor, story, state) for floor in floors for story in levels for state in states]
@@ -244,8 +341,7 @@ class Placed:
     @property
     def label(self) -> str:
         """Such as "ground spring at floor 4"."""
-        where = self.place.describe()
-        return f"{self.effect.label} at {where}" if where else self.effect.label
+        return self.place.label(self.effect.label)
 
     def to_dict(self) -> Json:
         """Name and place."""
@@ -259,3 +355,8 @@ class Placed:
         """Of its parameters; lengths count in stories where heights are not declared."""
         metric = experiment.frame.story_heights is not None
         return tuple(item.unit if metric else item.unit_in_stories or item.unit for item in self.effect.parameters)
+
+
+def in_percent(value: float, std: float) -> str:
+    """The size of a ratio and its standard deviation, without the sign, such as "15.1 ± 0.4 %"."""
+    return with_std(100 * abs(float(value)), 100 * float(std), "%")

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from cvxshear.effects.base import Effect, Parameter, Place
-from cvxshear.effects.flexibility import add_flexibility
 from cvxshear.effects.state import Scale, State
 from cvxshear.util.quantities import per_force
 from cvxshear.util.typing import Floats
@@ -36,7 +35,7 @@ class BaseRocking(Effect):
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         z = state.elevations
-        return add_flexibility(state, values[0], np.outer(z, z), own)
+        return state.with_flexibility(values[0], np.outer(z, z), own)
 
     def sizes(self, of: Scale) -> Floats:
         return np.array([0.15 * of.sway / of.elevations[-1] ** 2])
@@ -44,6 +43,6 @@ class BaseRocking(Effect):
     def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
         share = values[0] * of.elevations[-1] ** 2 / of.sway
         return (
-            f"a base that turns (1/k_theta = {per_force(values[0], std[0], units[0])}, "
-            f"{100 * share:.2g} % of the sway of the top)"
+            f"the base turns, which adds {100 * share:.2g} % to the sway of the top under a force there "
+            f"(1/k_theta = {per_force(values[0], std[0], units[0])})"
         )

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from cvxshear.effects.base import Placed
-from cvxshear.effects.state import STAGES, State
+from cvxshear.effects.state import OF_THE_FRAME, STAGES, State
 from cvxshear.measurement.experiment import Experiment, Tested
-from cvxshear.model.shear import ShearSystem, System, mass_matrix, shear_system, stiffness_matrix
+from cvxshear.model.observation import FloorObservation
+from cvxshear.model.shear import ShearSystem, System, mass_matrix, shear_system, stiffness_matrix, transformation
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.typing import Floats
 
@@ -25,7 +27,7 @@ def compose(
     *,
     derivatives: bool = True,
 ) -> State:
-    """Matrices and sensor gains of one tested state, with derivatives by every parameter.
+    """Matrices and observation of one tested state, with derivatives by every parameter.
 
     Parameters
     ----------
@@ -41,22 +43,38 @@ def compose(
     -------
     State
     """
-    if not derivatives and not effects:
-        return _plain(experiment, tested, theta)
     n, size = experiment.stories, len(theta)
     mass, stiffness = theta[:n], theta[n : 2 * n]
     acting = [(placed, own) for placed, own in slices(effects, 2 * n) if placed.acts_on(tested)]
+    if not derivatives and not effects:
+        size = 0
+        none = np.zeros((0, n, n))
+        system = System(mass_matrix(mass + tested.added_mass), stiffness_matrix(stiffness), none, none)
+    else:
+        system = _system(mass + tested.added_mass, stiffness, size, dense=bool(acting))
+    by_stiffness = np.eye(size, n, -n)
     state = State(
         experiment=experiment,
         tested=tested,
-        frame_stiffness=stiffness,
+        floor_mass=mass,
         story_stiffness=stiffness,
-        d_story_stiffness=np.concatenate([np.zeros((n, n)), np.eye(n), np.zeros((size - 2 * n, n))]),
-        system=_system(mass + tested.added_mass, stiffness, size, dense=bool(acting)),
-        gain=np.ones(n),
-        d_gain=np.zeros((size, n)),
+        d_story_stiffness=by_stiffness,
+        brace_stiffness=np.zeros(n),
+        d_brace_stiffness=np.zeros((size, n)),
+        column_stiffness=stiffness,
+        d_column_stiffness=by_stiffness,
+        joint_flexibility=np.zeros(n + 1),
+        d_joint_flexibility=np.zeros((size, n + 1)),
+        system=system,
+        observation=FloorObservation(n),
     )
-    for placed, own in sorted(acting, key=lambda item: STAGES.index(item[0].effect.stage)):
+    in_order = sorted(acting, key=lambda item: STAGES.index(item[0].effect.stage))
+    frame = [item for item in in_order if item[0].effect.stage in OF_THE_FRAME]
+    for placed, own in frame:
+        state = placed.effect.apply(state, placed.place, theta[own], own)
+    if frame:
+        state = _assembled(state)
+    for placed, own in in_order[len(frame) :]:
         state = placed.effect.apply(state, placed.place, theta[own], own)
     return state
 
@@ -83,21 +101,53 @@ def _system(mass: Floats, stiffness: Floats, size: int, *, dense: bool) -> Syste
     return System(plain.M, plain.K, np.concatenate([plain.dM, extra]), np.concatenate([plain.dK, extra]))
 
 
-def _plain(experiment: Experiment, tested: Tested, theta: Floats) -> State:
-    """The shear frame of a tested state with derivatives of no rows: 2 N^3 numbers less."""
-    n = experiment.stories
-    mass, stiffness = theta[:n], theta[n : 2 * n]
-    none = np.zeros((0, n, n))
-    return State(
-        experiment=experiment,
-        tested=tested,
-        frame_stiffness=stiffness,
-        story_stiffness=stiffness,
-        d_story_stiffness=np.zeros((0, n)),
-        system=System(mass_matrix(mass + tested.added_mass), stiffness_matrix(stiffness), none, none),
-        gain=np.ones(n),
-        d_gain=np.zeros((0, n)),
-    )
+def _assembled(state: State) -> State:
+    """The state with the stiffness matrix of its stories, braces and joints.
+
+    A story whose columns have the stiffness k = 12 E I / h^3 and the height h, with sway u and joint rotation theta at
+    either end, has the stiffness of the Bernoulli beam, k [1, h/2; h^2/3, h^2/6 coupling] (Przemieniecki, Theory of
+    Matrix Structural Analysis). Joints whose flexibility is s resist a turn with 1 / s. The rotations are condensed
+    out (Guyan 1965): K = K_uu - K_ut S (1 + K_tt S)^-1 K_ut', which stays finite for joints that cannot turn.
+    """
+    T = transformation(len(state.story_stiffness))
+    if not (state.joint_flexibility.any() or state.d_joint_flexibility.any()):
+        return state.with_stiffness(
+            stiffness_matrix(state.story_stiffness), (T * state.d_story_stiffness[:, None, :]) @ T.T
+        )
+    k, S = state.story_stiffness - state.brace_stiffness, state.joint_flexibility
+    uu, ut, tt = _stories(tuple(state.heights.tolist()))
+    Kuu, Kut, Ktt = (np.tensordot(k, unit, 1) for unit in (uu, ut, tt))
+    turned = np.linalg.solve(np.eye(len(S)) + Ktt * S, Kut.T)
+    down = -S[:, None] * turned
+    # Condensation is a congruence with [1; down], so a derivative of the full matrix passes through it.
+    bent = ut @ down
+    each = uu + bent + bent.transpose(0, 2, 1) + down.T @ tt @ down
+    dK = np.tensordot(state.d_story_stiffness - state.d_brace_stiffness, each, 1)
+    if state.d_brace_stiffness.any():
+        dK += (T * state.d_brace_stiffness[:, None, :]) @ T.T
+    dK -= np.tensordot(state.d_joint_flexibility, turned[:, :, None] * turned[:, None, :], 1)
+    K = Kuu + Kut @ down
+    return state.with_stiffness(0.5 * (K + K.T) + stiffness_matrix(state.brace_stiffness), dK)
+
+
+@lru_cache(maxsize=16)
+def _stories(heights: tuple[float, ...]) -> tuple[Floats, Floats, Floats]:
+    """The blocks (u, u), (u, theta) and (theta, theta) of every story of unit stiffness, stacked over the stories.
+
+    theta > 0 turns the joint so that the column leans towards +u: the drift is resisted by
+    u_i - u_(i-1) - h (theta_i + theta_(i-1)) / 2. The first joint is the base, which does not sway.
+    """
+    n, h = len(heights), np.array(heights)
+    story = np.arange(n)
+    sway, joints, tt = np.zeros((n, n + 1)), np.zeros((n, n + 1)), np.zeros((n, n + 1, n + 1))
+    sway[story, story + 1] = 1.0
+    sway[story, story] = -1.0
+    joints[story, story + 1] = joints[story, story] = 1.0
+    tt[story, story, story] = tt[story, story + 1, story + 1] = h**2 / 3
+    tt[story, story, story + 1] = tt[story, story + 1, story] = h**2 / 6
+    sway = sway[:, 1:]
+    ut = -0.5 * h[:, None, None] * sway[:, :, None] * joints[:, None, :]
+    return sway[:, :, None] * sway[:, None, :], ut, tt
 
 
 def slices(effects: Sequence[Placed], first: int) -> list[tuple[Placed, slice]]:

@@ -51,7 +51,10 @@ class Gravity(Effect):
         return state.with_stiffness(system.K - gamma * unit, dK)
 
     def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
-        return f"the weight that the columns carry (gravity, gamma = {with_std(values[0], std[0])})"
+        return (
+            f"the weight above takes {with_std(values[0], std[0])} times P/h from every story's stiffness (gravity; "
+            "1 for columns that stay straight, 1.2 for columns clamped at both ends)"
+        )
 
     def known_anyway(self, experiment: Experiment, floor_mass: Floats, story_stiffness: Floats) -> str:
         """How much of a story's stiffness the weight above takes, where heights are declared."""

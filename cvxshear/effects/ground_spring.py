@@ -44,4 +44,4 @@ class GroundSpring(Effect):
 
     def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
         factor, unit = scaled([float(values[0])], units[0])
-        return f"something that holds floor {place.floor} with {with_std(values[0], std[0], unit, factor)}"
+        return f"a spring of {with_std(values[0], std[0], unit, factor)} ties floor {place.floor} to the ground"

@@ -53,7 +53,8 @@ class MassCoupling(Effect):
         return Constraints(G=held, h=np.zeros(n))
 
     def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
-        return f"columns of {with_std(values[0], std[0], units[0])} a story whose mass moves with both floors"
+        size = with_std(values[0], std[0], units[0])
+        return f"the columns of a story weigh {size}, and their mass moves with both floors that they join"
 
 
 def _ends(stories: int) -> Floats:

@@ -8,13 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.measurement.experiment import Experiment, Tested
+from cvxshear.model.observation import Observation
 from cvxshear.model.shear import System
+from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
-STAGES = ("story", "elastic", "flexibility", "spring", "mass", "gravity", "inertia", "shape")
-"""The order in which effects act on a tested state, whatever the order they were named in: story stiffnesses,
-the elastic frame made of them, what adds flexibility, what adds springs, masses, the weight of those masses, how
-masses are coupled, and what the sensors make of the shapes."""
+STAGES = (
+    "bracing", "story", "joint", "flexibility", "spring", "mass", "gravity", "inertia", "attachment", "shape",
+)  # fmt: skip
+"""The order in which effects act on a tested state, whatever the order they were named in: which part of the stories
+is braces, the story stiffnesses, the joints between columns and beams, what adds flexibility to the frame made of
+them, what adds springs, masses, the weight of those masses, how masses are coupled, what swings on the floors, and what
+the sensors make of the shapes."""
+
+OF_THE_FRAME = STAGES[:3]
+"""Stages whose effects change what the elastic frame is made of; its stiffness matrix is assembled after them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,26 +68,36 @@ class State:
     ----------
     experiment : Experiment
     tested : Tested
-    frame_stiffness : ndarray, shape (N,)
-        Story stiffnesses of the frame itself, N/m.
-    story_stiffness : ndarray, shape (N,)
-        Those of this state, N/m.
-    d_story_stiffness : ndarray, shape (P, N)
+    floor_mass : ndarray, shape (N,)
+        Of the frame itself, without added mass, kg.
+    story_stiffness, d_story_stiffness : ndarray, shapes (N,) and (P, N)
+        Of this state, braces included, N/m.
+    brace_stiffness, d_brace_stiffness : ndarray, shapes (N,) and (P, N)
+        The braces' part of them: they shear, and turn no joint.
+    column_stiffness, d_column_stiffness : ndarray, shapes (N,) and (P, N)
+        Of the stories' columns before single stories changed, N/m: what the stiffness of beams and joints is
+        measured by.
+    joint_flexibility, d_joint_flexibility : ndarray, shapes (N + 1,) and (P, N + 1)
+        Turn of each floor's joints under a unit moment, rad/(N m), the base first; zero where they cannot turn.
     system : System
         Matrices and their derivatives, those of the effects' own parameters included (P rows).
-    gain : ndarray, shape (N,)
-        What the measured shape has at each floor in place of 1.
-    d_gain : ndarray, shape (P, N)
+    observation : Observation
+        What the sensors show of the frame's motions.
     """
 
     experiment: Experiment
     tested: Tested
-    frame_stiffness: Floats
+    floor_mass: Floats
     story_stiffness: Floats
     d_story_stiffness: Floats
+    brace_stiffness: Floats
+    d_brace_stiffness: Floats
+    column_stiffness: Floats
+    d_column_stiffness: Floats
+    joint_flexibility: Floats
+    d_joint_flexibility: Floats
     system: System
-    gain: Floats
-    d_gain: Floats
+    observation: Observation
 
     def with_stiffness(self, K: Floats, dK: Floats) -> State:
         """The same state with another stiffness matrix and its derivatives."""
@@ -88,6 +106,46 @@ class State:
     def with_mass(self, M: Floats, dM: Floats) -> State:
         """The same state with another mass matrix and its derivatives."""
         return dataclasses.replace(self, system=dataclasses.replace(self.system, M=M, dM=dM))
+
+    def with_flexibility(self, p: float, D: Floats, own: slice) -> State:
+        """The same state with p D added to its flexibility.
+
+        With A = (1 + p K D)^-1 the new stiffness is A K, without inverting K; and since the flexibility F = K^-1
+        changes by -F dK F, the new stiffness changes by A dK A' - (A K) D (A K) dp.
+
+        Parameters
+        ----------
+        p : float
+            The effect's parameter.
+        D : ndarray, shape (N, N)
+            Flexibility for p = 1, m/N; it depends on no parameter of the fit.
+        own : slice
+
+        Raises
+        ------
+        NoModesError
+            Where the stiffness is singular with it.
+        """
+        system = self.system
+        try:
+            A = np.linalg.inv(np.eye(len(D)) + p * (system.K @ D))
+        except np.linalg.LinAlgError:
+            raise NoModesError("the stiffness matrix is singular with the flexibility that is added to it") from None
+        K = A @ system.K
+        K = 0.5 * (K + K.T)
+        dK = A @ system.dK @ A.T
+        dK[own] -= K @ D @ K
+        return self.with_stiffness(K, dK)
+
+    def usual_flexibility(self) -> tuple[float, Floats]:
+        """Unit of joint flexibilities, 1 / mean(k h^2) of the columns, rad/(N m), and its derivatives, shape (P,)."""
+        unit = 1.0 / float(np.mean(self.column_stiffness * self.heights**2))
+        return unit, -(unit**2) * np.mean(self.d_column_stiffness * self.heights**2, axis=1)
+
+    @property
+    def gain(self) -> Floats:
+        """What the sensor on each floor shows of that floor's motion in place of 1, shape (N,)."""
+        return self.observation.gain
 
     @property
     def heights(self) -> Floats:

@@ -7,15 +7,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cvxshear.effects.base import Effect, Parameter, Place
+from cvxshear.effects.base import Effect, Parameter, Place, in_percent
 from cvxshear.effects.state import Scale, State
-from cvxshear.model.shear import stiffness_matrix, transformation
-from cvxshear.util.quantities import with_std
 from cvxshear.util.typing import Floats
 
 
 class StoryChange(Effect):
     """k_i (1 + change) in one state.
+
+    Where a part of the story's stiffness is braces they change first: a loss takes from them until they are gone, a
+    gain goes to them until they are twice what they were, and the columns have the rest. The number stays the share of
+    the whole story's stiffness.
 
     Expected size 25 %: what damage, a loosened joint or a repair does to a story is seen from some percent up, and a
     story that has lost more than half is no story of this frame any more.
@@ -32,19 +34,48 @@ class StoryChange(Effect):
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         assert place.story is not None
-        at = place.story - 1
-        k, dk = state.story_stiffness.copy(), state.d_story_stiffness.copy()
-        dk[:, at] *= 1.0 + values[0]
-        dk[own, at] += k[at]
-        k[at] *= 1.0 + values[0]
-        T = transformation(len(k))
-        changed = dataclasses.replace(state, story_stiffness=k, d_story_stiffness=dk)
-        return changed.with_stiffness(stiffness_matrix(k), (T * dk[:, None, :]) @ T.T)
+        return with_changed_story(state, place.story - 1, values[0], own.start)
+
+    def dual(self, place: Place, stories: int) -> tuple[str, Place]:
+        assert place.story is not None
+        return "added_mass", Place(floor=stories + 1 - place.story, state=place.state)
 
     def sizes(self, of: Scale) -> Floats:
         return np.array([0.25])
 
     def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
-        word = "gain" if values[0] > 0 else "loss"
-        size = with_std(100 * abs(values[0]), 100 * std[0], "%")
-        return f'a {word} of {size} of the stiffness of story {place.story} in "{place.state}"'
+        size = in_percent(values[0], std[0])
+        if values[0] > 0:
+            return f"story {place.story} is {size} stiffer{place.in_state}"
+        return f"story {place.story} lost {size} of its stiffness{place.in_state}"
+
+
+def with_changed_story(state: State, at: int, change: float, parameter: int) -> State:
+    """The state with one story's stiffness times 1 + change, its braces changed first.
+
+    Parameters
+    ----------
+    state : State
+    at : int
+        The story, counted from 0.
+    change : float
+    parameter : int
+        Row of the derivatives that is by the change.
+    """
+    k, dk = state.story_stiffness.copy(), state.d_story_stiffness.copy()
+    brace, d_brace = state.brace_stiffness.copy(), state.d_brace_stiffness.copy()
+    gained, d_gained = change * k[at], change * dk[:, at]
+    d_gained[parameter] += k[at]
+    if abs(gained) > brace[at]:
+        # The braces are gone, or twice what they were; the columns have the rest.
+        factor = 1.0 + np.sign(gained)
+        brace[at] *= factor
+        d_brace[:, at] *= factor
+    else:
+        brace[at] += gained
+        d_brace[:, at] += d_gained
+    k[at] += gained
+    dk[:, at] += d_gained
+    return dataclasses.replace(
+        state, story_stiffness=k, d_story_stiffness=dk, brace_stiffness=brace, d_brace_stiffness=d_brace
+    )

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cvxshear.effects.base import Effect, Parameter, Place
+from cvxshear.effects.base import Effect, Parameter, Place, in_percent
 from cvxshear.effects.state import Scale, State
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.priors import Constraints
-from cvxshear.util.quantities import with_std
 from cvxshear.util.typing import Floats
 
 
@@ -55,5 +54,5 @@ class TotalMass(Effect):
         return ""
 
     def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
-        word = "more" if values[0] > 0 else "less"
-        return f"a total mass {with_std(100 * abs(values[0]), 100 * std[0], '%')} {word} than declared"
+        word = "heavier" if values[0] > 0 else "lighter"
+        return f"the frame is {in_percent(values[0], std[0])} {word} than its declared total mass"

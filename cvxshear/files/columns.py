@@ -1,4 +1,12 @@
-"""Tables of named columns, whatever file they came from, and the checks that name a column and a line."""
+"""Tables of named columns, whatever file they came from, and the checks that name a column and a line.
+
+Also the sampling rate behind a column of time stamps that a logger has rounded.
+
+Stamps t_k that were rounded, up, down or to the nearest, to a whole multiple of q stand within a band of height q
+around a straight line t_0 + k / f. A sample that is missing moves all that follow by 1 / f and out of the band,
+but for two cases: 1 / f is small beside q, or 1 / f is a whole multiple of q, so that the stamps are exact and
+leave the band empty. The second shows by its steps, which are all alike but for those at the gaps.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +15,6 @@ from typing import NoReturn
 
 import numpy as np
 
-from cvxshear.files.stamps import rate_within_rounding, rounding_of
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import counted
@@ -23,6 +30,21 @@ UNEVEN = 0.25
 COARSE = 0.1
 """Of all steps: so many that differ from the usual one are no handful of gaps."""
 
+FINEST, COARSEST = -9, 0
+"""Powers of ten, s: what loggers round to."""
+WHOLE = 1e-4
+"""Of the rounding step: so near must all stamps be to whole multiples of it."""
+SLACK = 0.1
+"""Of the rounding step on either side, for the line's own error."""
+SHORTEST = 0.75
+"""Of the rounding step: an interval between samples that still shows when one is missing."""
+EXACT = 1.5
+"""Of the rounding step: an interval so long leaves the band where a sample is missing from exact stamps too."""
+LEAST_SHARE = 0.02
+"""Of the steps: where fewer differ from the usual one, they are gaps and not the work of rounding."""
+DIGITS = 1e-12
+"""Of the largest stamp: what the binary number itself rounds."""
+
 
 @dataclass(frozen=True, eq=False)
 class Columns:
@@ -36,12 +58,15 @@ class Columns:
     values : array, shape (rows, columns)
     lines : array of int, shape (rows,), optional
         The line of the file that each row stands on; None for a binary file.
+    units : tuple of str, optional
+        What a line of units says of each column; empty where there is none.
     """
 
     source: str
     names: tuple[str, ...]
     values: Floats
     lines: Ints | None = None
+    units: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if len(self.values) < FEWEST_ROWS:
@@ -58,6 +83,17 @@ class Columns:
             return f"{self.source}, sample {row + 1}"
         return f"{self.source}, line {int(self.lines[row])}"
 
+    def rows(self, which: slice) -> Columns:
+        """The same columns in some of their rows."""
+        lines = None if self.lines is None else self.lines[which]
+        return Columns(self.source, self.names, self.values[which], lines, self.units)
+
+    def check(self, name: str, asked: str) -> None:
+        """Raise `InputError` where there is no such column; `asked` says who asks for it."""
+        if name not in self.names:
+            shown = ", ".join(each[:60] for each in self.names[:12]) + (", ..." if len(self.names) > 12 else "")
+            raise InputError(f'{asked}: {self.source} has no column "{name[:60]}"; it has {shown}')
+
     def column(self, name: str, asked: str) -> Floats:
         """The values of a column, once they are known to be finite, shape (rows,).
 
@@ -67,9 +103,7 @@ class Columns:
         asked : str
             Who asks for it, for messages.
         """
-        if name not in self.names:
-            shown = ", ".join(each[:60] for each in self.names[:12]) + (", ..." if len(self.names) > 12 else "")
-            raise InputError(f'{asked}: {self.source} has no column "{name[:60]}"; it has {shown}')
+        self.check(name, asked)
         values = self.values[:, self.names.index(name)]
         bad = np.flatnonzero(~(np.abs(values) <= checks.LARGEST))
         if bad.size:
@@ -147,3 +181,55 @@ def _refuse_uneven(steps: Floats, step: float, odd: Ints, columns: Columns, name
         f'{columns.at(first + 1)}: channel "{name}" has a gap of {steps[first]:g} s where the step is {step:g} s '
         f"({counted(int(odd.size), 'uneven step')} in all); hand in what lies before and after as two runs"
     )
+
+
+def rounding_of(time: Floats) -> float:
+    """The coarsest power of ten, s, that all stamps are whole multiples of; 0 where they are of none.
+
+    Parameters
+    ----------
+    time : array, shape (samples,)
+        s.
+    """
+    for power in range(COARSEST, FINEST - 1, -1):
+        in_steps = time * 10.0**-power
+        error = np.abs(in_steps - np.round(in_steps)).max()
+        if error < WHOLE + DIGITS * np.abs(in_steps).max():
+            return 10.0**power
+    return 0.0
+
+
+def rate_within_rounding(time: Floats, declared: float | None = None) -> float | None:
+    """The one sampling rate that the stamps fit within their rounding, Hz; None where they fit none.
+
+    Parameters
+    ----------
+    time : array, shape (samples,)
+        s.
+    declared : float, optional
+        Hz; the rate where it is known. Without it the stamps must be fine enough to show a missing sample.
+
+    Returns
+    -------
+    float or None
+        By least squares.
+    """
+    rounding = rounding_of(time)
+    if rounding == 0.0:
+        return None
+    places = np.arange(len(time)) - (len(time) - 1) / 2
+    interval = float(places @ (time - time.mean()) / (places @ places))
+    residual = time - time.mean() - interval * places
+    if interval <= 0 or np.ptp(residual) > (1 + 2 * SLACK) * rounding:
+        return None
+    if declared is None and interval < SHORTEST * rounding:
+        return None
+    if interval < EXACT * rounding and _share_of_odd_steps(time, rounding) < LEAST_SHARE:
+        return None
+    return 1.0 / interval
+
+
+def _share_of_odd_steps(time: Floats, rounding: float) -> float:
+    steps = np.round(np.diff(time) / rounding)
+    _, counts = np.unique(steps, return_counts=True)
+    return 1.0 - float(counts.max()) / len(steps)

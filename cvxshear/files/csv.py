@@ -1,38 +1,88 @@
-"""Reader of delimited text: a header that names the columns, then numbers."""
+"""Reader of delimited text: what loggers, spreadsheets and other programs write.
+
+Before the line that names the columns there may be a preamble, after it a line of units; cells are separated by
+semicolons, tabs, commas or blanks; a decimal comma is understood where no comma separates. Stamps of date or time
+become seconds since the first.
+"""
 
 from __future__ import annotations
 
 import csv
+import gzip
 import io
 import math
+import re
+import zlib
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
 
 from cvxshear.files.columns import LIMIT, TOO_LARGE, Columns
-from cvxshear.files.reading import MEGABYTE, read_bytes
+from cvxshear.files.inputs import MEGABYTE, read_bytes
 from cvxshear.util.checks import shown
 from cvxshear.util.errors import InputError
 
-SEPARATORS = (";", "\t", ",")
+SEPARATORS = (";", "\t", ",", None)
+"""What may part cells, in the order in which they are tried; None stands for blanks."""
+
 MOST_COLUMNS = 10_000
+LONGEST_HEAD = 400
+"""Lines within which the header and the first line of numbers must stand."""
+
+UNIT = re.compile(r"[\[(]?\s*(?:[a-zA-Zµ°%]{1,4}(?:[/·^*²0-9-]{1,4}[a-zA-Z]{0,3}){0,3}|-|)\s*[\])]?")
+"""A cell of a line of units: "s", "m/s2", "[g]", "mm/s^2", "-", or nothing."""
+
+STAMP = re.compile(r"(?:\d{4}-\d\d-\d\d[T ])?\d\d:\d\d(?::\d\d(?:[.,]\d+)?)?(?:Z|[+-]\d\d:?\d\d)?")
+"""A date with a time, or a time of the day (ISO 8601)."""
+
+MIDNIGHT = "1970-01-01T"
+"""Put before a time of the day, so that it is read as one with a date."""
+
+DAY = 86_400.0
+"""s."""
+
+Line = tuple[int, str]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a text's cells are separated, and what stands before its numbers.
+
+    Parameters
+    ----------
+    separator : str or None
+        None for blanks.
+    names : tuple of str
+    line : int
+        The line of the names.
+    units : tuple of str
+        Of a line of units, one a column; empty where there is none.
+    first : int
+        The line of the first numbers; 0 where none was found.
+    """
+
+    separator: str | None
+    names: tuple[str, ...]
+    line: int
+    units: tuple[str, ...] = ()
+    first: int = 0
 
 
 def read_csv(path: str | Path, limit: float = LIMIT) -> Columns:
     """Read delimited text.
 
-    The first line that is neither empty nor a comment (#) is the header. Cells are separated by semicolons,
-    tabs, commas or blanks, whichever the header has, in that order; a decimal comma is understood where the
-    separator is not a comma.
-
     Parameters
     ----------
     path : str or Path
+        UTF-8, UTF-16 with its mark, or Latin-1; may be compressed by gzip.
     limit : float, optional
-        Bytes that the file, and the numbers in it, may have.
+        Bytes that the file, inflated, and the numbers in it, may have.
 
     Returns
     -------
@@ -43,84 +93,256 @@ def read_csv(path: str | Path, limit: float = LIMIT) -> Columns:
     ------
     InputError
         Where the file is empty, too large, has no header, or a cell is not a number, naming the column and the line.
+        What stands in the file is quoted only where it is a table of numbers.
     """
-    path = Path(path)
-    where = str(path)
-    numbered = enumerate(_text(path, limit), 1)
-    lines = ((number, line) for number, line in numbered if line.strip() and line.lstrip()[0] != "#")
-    first, header = next(lines, (0, ""))
-    if not header:
+    return columns_of(_text(Path(path), limit), str(path), limit)
+
+
+def columns_of(text: Iterable[str], where: str, limit: float) -> Columns:
+    """The columns of a text, line by line, as `read_csv` reads them.
+
+    Parameters
+    ----------
+    text : iterable of str
+    where : str
+        The file, for messages.
+    limit : float
+        Bytes that the numbers may have.
+    """
+    lines = ((number, line) for number, line in enumerate(text, 1) if line.strip())
+    head = list(islice(lines, LONGEST_HEAD))
+    layout = layout_of(head, where)
+    after = (each for each in chain(head, lines) if each[0] >= (layout.first or layout.line + 1))
+    return _columns((each for each in after if not _comment(each[1])), layout, where, limit)
+
+
+def preamble_of(path: str | Path, limit: float = LIMIT) -> str:
+    """What stands before the line of names, comments among it; as for `read_csv`."""
+    head = [(number, line) for number, line in enumerate(islice(_text(Path(path), limit), LONGEST_HEAD), 1)]
+    layout = layout_of([each for each in head if each[1].strip()], str(path))
+    return "".join(line for number, line in head if number < layout.line)
+
+
+def layout_of(head: Sequence[Line], where: str) -> Layout:
+    """How a text is laid out, from its first lines.
+
+    Parameters
+    ----------
+    head : sequence of (int, str)
+        Line numbers and lines that are not empty.
+    where : str
+        The file, for messages.
+    """
+    plain = [(number, line) for number, line in head if not _comment(line)]
+    if not plain:
         raise InputError(f"{where} is empty; a record has a header that names its columns, and a line a sample")
-    separator = next((mark for mark in SEPARATORS if mark in header), None)
-    names = tuple(cell.strip() for cell in _cells(header, separator, f"{where}, line {first}"))
+    for place, (number, line) in enumerate(head):
+        if _comment(line):
+            continue
+        # "1,2" is one number with a decimal comma, or two: what makes more columns is meant.
+        counts = {separator: _numbers_in(line, separator) for separator in SEPARATORS}
+        count = max(counts.values())
+        for separator in [each for each in SEPARATORS if count and counts[each] == count]:
+            found = _header(head[:place], separator, count)
+            if found is not None:
+                names, stands, units = found
+                _refuse_many(names, where, stands)
+                return Layout(separator, names, stands, units, number)
+    return _first_line(plain[0], where)
+
+
+def _first_line(line: Line, where: str) -> Layout:
+    """The first line as the header, where none was found by the numbers below it: what follows will say what is wrong.
+
+    Semicolons, tabs and commas inside quotation marks are part of a name.
+    """
+    number, text = line
+    bare = re.sub(r'"[^"]*"', "", text)
+    separator = next((mark for mark in SEPARATORS if mark and mark in bare), None)
+    names = tuple(cell.strip() for cell in _cells(text, separator, f"{where}, line {number}"))
     if all(_is_number(name) for name in names):
-        raise InputError(f"{where}, line {first}: the first line must name the columns, it holds numbers")
-    if len(names) > MOST_COLUMNS:
-        raise InputError(f"{where}, line {first} names {len(names)} columns; {MOST_COLUMNS} are the most that are read")
-    return _columns(lines, separator, names, where, limit)
+        raise InputError(f"{where}, line {number}: the first line must name the columns, it holds numbers")
+    _refuse_many(names, where, number)
+    return Layout(separator, names, number)
 
 
-def _columns(
-    lines: Iterator[tuple[int, str]], separator: str | None, names: tuple[str, ...], where: str, limit: float
-) -> Columns:
+def _header(
+    before: Sequence[Line], separator: str | None, count: int
+) -> tuple[tuple[str, ...], int, tuple[str, ...]] | None:
+    """Names, their line, and units, from the lines right before the first numbers; None where none fits."""
+    fitting: list[tuple[int, tuple[str, ...]]] = []
+    for number, line in reversed(before[-3:]):
+        cells = _split(line.lstrip().removeprefix("#").strip("\r\n"), separator)
+        # Whoever ends each line with a separator ends all of them so.
+        if cells is None or len(cells) != count:
+            break
+        fitting.append((number, tuple(cell.strip() for cell in cells)))
+    named = [(n, cells) for n, cells in fitting if not all(_is_number(each.replace(",", ".") or "0") for each in cells)]
+    if not named or len(named) < len(fitting[:1]):
+        return None
+    units: tuple[str, ...] = ()
+    if len(named) > 1 and all(UNIT.fullmatch(cell) for cell in named[0][1]) and any(named[0][1]):
+        units = tuple(cell.strip("[]() ") for cell in named[0][1])
+        named = named[1:]
+    return named[0][1], named[0][0], units
+
+
+def _numbers_in(line: str, separator: str | None) -> int:
+    """How many cells a line has where each is a number, a stamp or empty, and one at least is a number; else 0."""
+    cells = _split(line if separator == "," else line.replace(",", "."), separator)
+    if not cells or not all(not cell.strip() or _is_number(cell) or STAMP.fullmatch(cell.strip()) for cell in cells):
+        return 0
+    return len(cells) if any(_is_number(cell) for cell in cells) else 0
+
+
+def _columns(lines: Iterable[Line], layout: Layout, where: str, limit: float) -> Columns:
     numbers = array("q")
     values = array("d")
+    names = layout.names
+    stamps: list[int] = []
     for number, text in lines:
-        line = text if separator == "," else text.replace(",", ".")
-        cells = _cells(line, separator, f"{where}, line {number}")
+        line = text if layout.separator == "," else text.replace(",", ".")
+        cells = _cells(line, layout.separator, f"{where}, line {number}")
         if len(cells) != len(names):
+            last = f' ("{names[-1]}" is the last)' if numbers else ""
             raise InputError(
-                f"{where}, line {number} has {len(cells)} cells where the header names {len(names)} columns "
-                f'("{names[-1]}" is the last)'
+                f"{where}, line {number} has {len(cells)} cells where the header names {len(names)} columns{last}"
             )
-        values.extend(_row(cells, line, names, f"{where}, line {number}"))
+        if not numbers:
+            stamps = [place for place, cell in enumerate(cells) if STAMP.fullmatch(cell.strip())]
+        values.extend(_row(cells, line, names, f"{where}, line {number}", table=bool(numbers)))
         numbers.append(number)
         if len(values) * values.itemsize > limit:
             raise InputError(f"{where} holds more than {limit / MEGABYTE:g} MB of numbers; {TOO_LARGE}")
     if not numbers:
         raise InputError(f"{where} has a header and no samples")
     table = np.frombuffer(values, dtype=np.float64).reshape(len(numbers), len(names))
-    return Columns(where, names, table, np.frombuffer(numbers, dtype=np.int64))
+    if stamps:
+        table = table.copy()
+        # To the microsecond: seconds since 1970 have no more digits.
+        table[:, stamps] = np.round(table[:, stamps] - table[0, stamps], 6)
+        # A clock without a date begins anew at midnight.
+        table[:, stamps] += DAY * np.cumsum(np.diff(table[:, stamps], axis=0, prepend=0.0) < -DAY / 2, axis=0)
+    units = layout.units or ("",) * len(names)
+    # What stands after the last separator of every line is no column.
+    kept = [place for place, name in enumerate(names) if name or not np.isnan(table[:, place]).all()]
+    if len(kept) < len(names):
+        table, names, units = table[:, kept], *(tuple(each[place] for place in kept) for each in (names, units))
+    return Columns(where, names, table, np.frombuffer(numbers, dtype=np.int64), units if layout.units else ())
 
 
-def _row(cells: list[str], line: str, names: tuple[str, ...], where: str) -> list[float]:
+def _row(cells: list[str], line: str, names: tuple[str, ...], where: str, *, table: bool) -> list[float]:
     # Python's float takes 1_000 for a thousand.
     if "_" not in line:
         with suppress(ValueError):
             return [float(cell) for cell in cells]
-    return [_cell(cell, f'{where}: channel "{name}"') for cell, name in zip(cells, names, strict=True)]
+    return [_cell(cell, where, name, table=table) for cell, name in zip(cells, names, strict=True)]
 
 
-def _cells(line: str, separator: str | None, where: str) -> list[str]:
-    if separator is None:
-        return line.split()
-    try:
-        return next(csv.reader([line], delimiter=separator, strict=True, skipinitialspace=True))
-    except csv.Error as error:
-        raise InputError(f"{where} is no line of a table: {error}") from None
-
-
-def _text(path: Path, limit: float) -> Iterable[str]:
-    """The lines of the file."""
-    content = read_bytes(path, limit, TOO_LARGE)
-    try:
-        content.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"{path!s} is not UTF-8 text (byte {error.start}); is it a CSV file, and saved as UTF-8?"
-        ) from None
-    # A list of all lines would take several times the file's size.
-    return io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig")
-
-
-def _cell(cell: str, where: str) -> float:
+def _cell(cell: str, where: str, name: str, *, table: bool) -> float:
     cell = cell.strip()
     if not cell:
         return math.nan
     if "_" not in cell:
         with suppress(ValueError):
             return float(cell)
-    raise InputError(f"{where} holds {shown(cell)}, which is not a number")
+        if STAMP.fullmatch(cell):
+            return seconds(cell, where)
+    if not table:
+        raise InputError(f"{where}: what follows the line of names is no line of numbers; is this a table?")
+    raise InputError(f'{where}: channel "{name}" holds {shown(cell)}, which is not a number')
+
+
+def seconds(stamp: str, where: str) -> float:
+    """A stamp of date or time, in s since the start of 1970 or of the day."""
+    text = stamp.replace(",", ".")
+    try:
+        found = datetime.fromisoformat(text if "-" in text[:5] else MIDNIGHT + text)
+    except ValueError:
+        raise InputError(f"{where} holds {shown(stamp)}, which is no date or time") from None
+    start = datetime(1970, 1, 1, tzinfo=found.tzinfo)
+    return (found - start).total_seconds()
+
+
+def _cells(line: str, separator: str | None, where: str) -> list[str]:
+    found = _split(line, separator)
+    if found is None:
+        raise InputError(f"{where} is no line of a table: its quotation marks do not close around a cell")
+    return found
+
+
+def _split(line: str, separator: str | None) -> list[str] | None:
+    """The cells of a line; None where its quotation marks do not close."""
+    if separator is None:
+        return line.split()
+    if '"' not in line:
+        return line.strip("\r\n").split(separator)
+    try:
+        return next(csv.reader([line], delimiter=separator, strict=True, skipinitialspace=True), [])
+    except csv.Error:
+        return None
+
+
+def read_rows(path: str | Path, limit: float, remedy: str) -> Iterator[tuple[int, list[str]]]:
+    """Number and cells of each line of a small table, header first; cells separated as in `read_csv`.
+
+    Parameters
+    ----------
+    path : str or Path
+    limit : float
+        Bytes.
+    remedy : str
+        What to do about a larger file.
+    """
+    where = str(path)
+    text = _text(Path(path), limit, remedy)
+    lines = [(number, line) for number, line in enumerate(text, 1) if line.strip() and not _comment(line)]
+    if not lines:
+        return
+    bare = re.sub(r'"[^"]*"', "", lines[0][1])
+    separator = next((mark for mark in SEPARATORS if mark and mark in bare), ",")
+    for place, (number, line) in enumerate(lines):
+        comma = "," if separator == "," or not place else "."
+        yield number, _cells(line.replace(",", comma), separator, f"{where}, line {number}")
+
+
+def _text(path: Path, limit: float, remedy: str = TOO_LARGE) -> Iterable[str]:
+    """The lines of the file."""
+    content = read_bytes(path, limit, remedy)
+    if content.startswith(b"\x1f\x8b"):
+        content = _inflated(content, path, limit, remedy)
+    encoding = "utf-16" if content.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
+    try:
+        content.decode(encoding)
+    except UnicodeDecodeError as error:
+        # Loggers of the west write Latin-1; its control characters are in no text.
+        if encoding == "utf-16" or re.search(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f\x7f-\x9f]", content):
+            raise InputError(
+                f"{path!s} is not UTF-8 text (byte {error.start}); is it a CSV file, and saved as UTF-8?"
+            ) from None
+        encoding = "latin-1"
+    # A list of all lines would take several times the file's size.
+    return io.TextIOWrapper(io.BytesIO(content), encoding=encoding)
+
+
+def _inflated(content: bytes, path: Path, limit: float, remedy: str) -> bytes:
+    try:
+        with gzip.GzipFile(fileobj=io.BytesIO(content)) as file:
+            inflated = file.read(int(limit) + 1)
+    except (OSError, EOFError, zlib.error):
+        raise InputError(f"{path!s} is a damaged gzip file") from None
+    if len(inflated) > limit:
+        raise InputError(f"{path!s} inflates to more than {limit / MEGABYTE:g} MB; {remedy}")
+    return inflated
+
+
+def _comment(line: str) -> bool:
+    return line.lstrip()[0] == "#"
+
+
+def _refuse_many(names: Sequence[str], where: str, line: int) -> None:
+    if len(names) > MOST_COLUMNS:
+        raise InputError(f"{where}, line {line} names {len(names)} columns; {MOST_COLUMNS} are the most that are read")
 
 
 def _is_number(text: str) -> bool:
@@ -128,4 +350,4 @@ def _is_number(text: str) -> bool:
         float(text)
     except ValueError:
         return False
-    return True
+    return "_" not in text

@@ -1,16 +1,27 @@
-"""Reader of MAT files: version 5 and older by scipy, version 7.3 by h5py, each once it is known to be harmless."""
+"""Readers of files of named arrays: MAT files and those of NumPy, each once it is known to be harmless.
+
+MAT files of version 7.3 are HDF5 files. Of what HDF5 offers, MATLAB writes groups and data sets that stand in the file
+itself under one name each, plain or deflated. The rest (links by name, other files, other filters) is refused before
+anything is read.
+"""
 
 from __future__ import annotations
 
+import importlib
+import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cvxshear.files import mat5, mat73
+from cvxshear.files import mat5
 from cvxshear.files.columns import LIMIT, TOO_LARGE, Columns
-from cvxshear.files.reading import read_bytes
+from cvxshear.files.inputs import MEGABYTE, read_bytes
+from cvxshear.files.mat5 import MOST_ARRAYS, MOST_DEPTH
 from cvxshear.util.errors import InputError
 
 Array = np.ndarray[Any, Any]
@@ -44,9 +55,14 @@ def read_mat(path: str | Path, limit: float = LIMIT) -> Columns:
     content = read_bytes(path, limit, TOO_LARGE, named=True)
     if b"MATLAB 7.3" in content[:128] or content.startswith(b"\x89HDF"):
         del content
-        read = mat73.read(path, where, limit)
+        read = _read_hdf5(path, where, limit)
     else:
         read = mat5.read(content, where, limit)
+    return columns_of_arrays(read, where)
+
+
+def columns_of_arrays(read: Mapping[str, Any], where: str) -> Columns:
+    """The longest vectors, and matrices of as many rows or columns, of named arrays, as `read_mat` names them."""
     found: dict[str, Array] = {}
     for name, array in _arrays(read):
         for part, values in _real_parts(name, array):
@@ -86,3 +102,164 @@ def _split(name: str, array: Array) -> dict[str, Array]:
     suffixes = ("_re", "_im")
     stem, tail = (name[:-3], name[-3:]) if name.endswith(suffixes) else (name, "")
     return {f"{stem}[{place + 1}]{tail}": table[:, place] for place in range(table.shape[1])}
+
+
+DEFLATE, SHUFFLE, CHECKSUM = 1, 2, 3
+"""Numbers of HDF5's own filters."""
+
+MOST_INFLATION = 1032
+"""Times its size, that deflate can make of any content."""
+
+
+def _read_hdf5(path: Path, where: str, limit: float) -> Mapping[str, Any]:
+    """The numeric data sets of a file by name, those of groups in mappings of their own.
+
+    Parameters
+    ----------
+    path : Path
+    where : str
+        The file, for messages.
+    limit : float
+        Bytes of its numbers.
+    """
+    try:
+        h5py = importlib.import_module("h5py")
+    except ImportError:
+        raise InputError(f"{where} is a MAT file of version 7.3; reading it needs h5py: pip install h5py") from None
+    try:
+        with h5py.File(path, "r") as file:
+            return _Walk(h5py, limit, path.stat().st_size, limit).group(file, "", 1)
+    except InputError as error:
+        raise InputError(f"{where}{error}") from None
+    except Exception as error:
+        # h5py raises whatever HDF5 runs into.
+        raise InputError(f"{where} is not a MAT file that can be read: {str(error)[:200]}") from None
+
+
+@dataclass
+class _Walk:
+    """The way through one file.
+
+    Parameters
+    ----------
+    h5py : module
+    limit : float
+        Bytes of numbers that may be read.
+    stored : int
+        Bytes of the file.
+    left : float
+        Bytes of numbers that may still be read.
+    """
+
+    h5py: Any
+    limit: float
+    stored: int
+    left: float
+    visited: set[int] = field(default_factory=set)
+    members: int = 0
+
+    def group(self, group: Any, name: str, depth: int) -> Mapping[str, Any]:
+        if depth > MOST_DEPTH:
+            raise InputError(f" has structures more than {MOST_DEPTH} deep; save the numbers themselves")
+        address = self.h5py.h5o.get_info(group.id).addr
+        if address in self.visited:
+            raise InputError(f': "{name}" is a second name of a structure, and leads in a circle; save it anew')
+        self.visited.add(address)
+        found: dict[str, Any] = {}
+        for member in group:
+            if member.startswith("#"):
+                continue
+            self.members += 1
+            if self.members > MOST_ARRAYS:
+                raise InputError(f" has more than {MOST_ARRAYS} matrices and fields; save the numbers themselves")
+            shown = f"{name}.{member}".lstrip(".")
+            if not isinstance(group.get(member, getlink=True), self.h5py.HardLink):
+                raise InputError(f': "{shown}" is a link; only numbers that stand in the file itself are read')
+            item = group[member]
+            if isinstance(item, self.h5py.Group):
+                found[member] = self.group(item, shown, depth + 1)
+            elif isinstance(item, self.h5py.Dataset) and _numeric(item):
+                found[member] = self.numbers(item, shown)
+        return found
+
+    def numbers(self, item: Any, name: str) -> Any:
+        """A data set as an array; version 7.3 stores matrices transposed."""
+        self.left -= 8 * item.size * (1 if item.dtype.names is None else 2)
+        if self.left < 0:
+            raise InputError(f" holds more than {self.limit / MEGABYTE:g} MB of numbers; {TOO_LARGE}")
+        if item.external or item.is_virtual:
+            raise InputError(f': the numbers of "{name}" stand in another file; only this one is read')
+        if item.chunks is not None:
+            self._check_chunks(item, name)
+        values = item[()]
+        if values.dtype.names is not None:
+            values = values["real"] + 1j * values["imag"]
+        return values.T
+
+    def _check_chunks(self, item: Any, name: str) -> None:
+        """Refuse pieces that would inflate to more than they stand for."""
+        made = item.id.get_create_plist()
+        filters = [made.get_filter(place)[0] for place in range(made.get_nfilters())]
+        if not set(filters) <= {DEFLATE, SHUFFLE, CHECKSUM} or len(set(filters)) < len(filters):
+            raise InputError(f': "{name}" is compressed in a way that MATLAB does not use; save it anew')
+        size = int(np.prod(item.chunks, dtype=object)) * item.dtype.itemsize
+        if size > self.limit:
+            raise InputError(f' holds pieces of more than {self.limit / MEGABYTE:g} MB, in "{name}"; {TOO_LARGE}')
+        for place in range(item.id.get_num_chunks()):
+            piece = item.id.get_chunk_info(place)
+            if piece.size > self.stored:
+                raise InputError(f': a piece of "{name}" is larger than the file')
+            if piece.size * MOST_INFLATION > self.limit and DEFLATE in filters:
+                # A checksum of four bytes may stand behind the numbers.
+                packed = item.id.read_direct_chunk(piece.chunk_offset)[1]
+                if len(zlib.decompressobj().decompress(packed, size + 5)) > size + 4:
+                    raise InputError(f': a piece of "{name}" inflates to more than it stands for')
+
+
+def _numeric(item: Any) -> bool:
+    """Whether a data set is a vector or matrix of numbers; what MATLAB calls empty has a mark, and two numbers."""
+    kind = item.dtype
+    plain = kind.kind in "fiu" or (kind.names == ("real", "imag") and all(kind[each].kind in "fiu" for each in (0, 1)))
+    return plain and item.shape is not None and item.ndim <= 2 and item.size > 1 and "MATLAB_empty" not in item.attrs
+
+
+LONE = "column"
+"""The name of a lone array that has none: its columns are `column[1]`, `column[2]`, ..."""
+
+
+def read_npz(path: str | Path, limit: float = LIMIT) -> Columns:
+    """Read the arrays of a .npy or .npz file as columns, named as those of a MAT file.
+
+    Parameters
+    ----------
+    path : str or Path
+        An array with named fields gives a column a field.
+    limit : float, optional
+        Bytes that the file may have, as it is and once inflated.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read, is too large, or holds no numbers. Pickled objects are never read.
+    """
+    where = str(path)
+    content = BytesIO(read_bytes(Path(path), limit, TOO_LARGE))
+    try:
+        if zipfile.is_zipfile(content):
+            with zipfile.ZipFile(content) as archive:
+                inflated = sum(each.file_size for each in archive.infolist())
+            if inflated > limit:
+                raise InputError(f"{where} inflates to more than {limit / MEGABYTE:g} MB; {TOO_LARGE}")
+        content.seek(0)
+        loaded: Any = np.load(content, allow_pickle=False)
+        if isinstance(loaded, np.ndarray):
+            names = loaded.dtype.names
+            arrays = {LONE: loaded} if names is None else {name: loaded[name] for name in names}
+        else:
+            arrays = {name: loaded[name] for name in loaded.files}
+    except InputError:
+        raise
+    except Exception as error:
+        # numpy raises whatever a damaged file makes it run into.
+        raise InputError(f"{where} is not a NumPy file that can be read ({type(error).__name__})") from None
+    return columns_of_arrays(arrays, where)

@@ -22,7 +22,7 @@ import numpy as np
 from scipy import io
 
 from cvxshear.files.columns import TOO_LARGE
-from cvxshear.files.reading import MEGABYTE
+from cvxshear.files.inputs import MEGABYTE
 from cvxshear.util.errors import InputError
 
 HEADER = 128

@@ -10,18 +10,16 @@ Shapes that carry the scale say so by their unit, "floor 1, 1/sqrt(kg)".
 
 from __future__ import annotations
 
-import csv
-import importlib
-import io
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cvxshear.files.reading import read_bytes
+from cvxshear.files.csv import read_rows
+from cvxshear.files.spreadsheets import read_xlsx_rows
 from cvxshear.files.uff import read_modes
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
@@ -29,7 +27,6 @@ from cvxshear.util.errors import InputError
 LARGEST = 5_000_000
 """Bytes of a table of modes."""
 TOO_LARGE = "too many for a table of modes; is it a record?"
-SEPARATORS = (";", "\t", ",")
 COLUMNS = {
     "mode": "modes",
     "frequency": "frequencies",
@@ -65,19 +62,7 @@ def read_mode_csv(path: str | Path) -> dict[str, Any]:
     InputError
         Naming the file, the line and the column.
     """
-    path = Path(path)
-    try:
-        text = read_bytes(path, LARGEST, TOO_LARGE).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path!s} is not UTF-8 text (byte {error.start}); is it a CSV file?") from None
-    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip() and line[0] != "#"]
-    separator = next((mark for mark in SEPARATORS if lines and mark in lines[0][1]), ",")
-    cells = csv.reader(io.StringIO("\n".join(line for _, line in lines)), delimiter=separator, skipinitialspace=True)
-    comma = "," if separator == "," else "."
-    rows: Rows = [
-        (number, [cell.replace(",", comma) if place else cell for cell in row])
-        for place, ((number, _), row) in enumerate(zip(lines, cells, strict=False))
-    ]
+    rows: Rows = [(number, list(cells)) for number, cells in read_rows(path, LARGEST, TOO_LARGE)]
     return _modes_of(rows, str(path))
 
 
@@ -98,19 +83,7 @@ def read_mode_xlsx(path: str | Path) -> dict[str, Any]:
     InputError
         Naming the file, the row and the column; where openpyxl (the extra `xlsx`) is not installed.
     """
-    path = Path(path)
-    try:
-        openpyxl = importlib.import_module("openpyxl")
-    except ImportError:
-        raise InputError(f"{path!s}: workbooks need openpyxl: pip install openpyxl") from None
-    content = io.BytesIO(read_bytes(path, LARGEST, TOO_LARGE))
-    try:
-        book = openpyxl.load_workbook(content, read_only=True, data_only=True)
-        found = [list(row) for row in book.worksheets[0].iter_rows(values_only=True)]
-    except Exception as error:
-        # openpyxl raises whatever its parsing of the archive runs into.
-        raise InputError(f"{path!s} is not a workbook that can be read: {str(error)[:200]}") from None
-    rows: Rows = [(number, row) for number, row in enumerate(found, 1) if any(cell not in (None, "") for cell in row)]
+    rows: Rows = list(read_xlsx_rows(path, LARGEST, TOO_LARGE))
     return _modes_of(rows, str(path))
 
 
@@ -143,52 +116,6 @@ def read_mode_uff(path: str | Path) -> dict[str, Any]:
     if np.any(damping > 0):
         result["damping_ratios"] = np.where(damping > 0, damping, np.nan)[rising].tolist()
     return result
-
-
-READERS: dict[str, Callable[[str | Path], dict[str, Any]]] = {
-    "csv": read_mode_csv,
-    "xlsx": read_mode_xlsx,
-    "uff": read_mode_uff,
-}
-"""By the key of a configuration that names the file."""
-
-
-def with_modes_read(declared: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The tables of a measurement file, the files that its configurations name read.
-
-    Parameters
-    ----------
-    declared : dict
-    folder : Path
-        Where the files are looked for.
-
-    Returns
-    -------
-    dict
-        What a configuration says itself goes before what its file says.
-
-    Raises
-    ------
-    InputError
-        Naming the configuration, and what is wrong with its file.
-    """
-    tables = declared.get("configuration")
-    if not isinstance(tables, list):
-        return dict(declared)
-    return {**declared, "configuration": [_resolved(table, place, folder) for place, table in enumerate(tables, 1)]}
-
-
-def _resolved(table: object, place: int, folder: Path) -> object:
-    named = [key for key in READERS if isinstance(table, Mapping) and key in table]
-    if not named or not isinstance(table, Mapping):
-        return table
-    where = f"configuration {place}"
-    said = [*named, *(key for key in ("frequencies", "mode_shapes") if key in table)]
-    if len(said) > 1:
-        raise InputError(f"{where}: {' and '.join(said)} all say what the modes are; give one")
-    key = named[0]
-    file = folder / checks.text(table[key], f"{where}: {key}")
-    return {**READERS[key](file), **{name: value for name, value in table.items() if name != key}}
 
 
 def _modes_of(rows: Rows, source: str) -> dict[str, Any]:
@@ -243,8 +170,10 @@ def _columns(header: Sequence[str], source: str) -> tuple[dict[str, int], dict[i
             several[int(floor[1])] = place
             scaled |= set() if floor[2] else {floor[3] is not None}
         else:
+            # Of a file that is no such table nothing is quoted: it may have been named by mistake.
+            shown = f'column "{name[:60]}"' if keys or entries else f"column {place + 1}"
             raise InputError(
-                f'{source}: column "{name}" is not one of a table of modes: mode, frequency, frequency std, damping, '
+                f"{source}: {shown} is not one of a table of modes: mode, frequency, frequency std, damping, "
                 "floor 1, floor 1 std, floor 2, ..."
             )
         if taken:

@@ -1,38 +1,147 @@
-"""From a record file to a measurement file."""
+"""From record files to one measurement: their modes, a configuration each, and what they say of the frame."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+import glob
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from cvxshear.files.measurement import write_measurement
-from cvxshear.files.record import RecordFile, read_record
+from cvxshear.files.record_file import read_record
+from cvxshear.files.toml import files_of, is_record_file
 from cvxshear.files.uff import write_uff
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.modal.findings import Finding
+from cvxshear.modal.diagnostics import cables_changed
 from cvxshear.modal.identify import identify_modes
-from cvxshear.modal.result import ModalResult
+from cvxshear.modal.result import ModalResult, frame_in
+from cvxshear.records.record import Finding
+from cvxshear.util.checks import shown
+from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError
+from cvxshear.util.parallel import Progress, each
 from cvxshear.util.typing import Json
 from cvxshear.util.writing import check_output
 
 MEASUREMENT_ENDINGS = (".toml",)
 UNIVERSAL_ENDINGS = (".uff", ".unv", ".u55")
 
+PLACES = ("kind", "quantity", "at", "of", "to")
+"""Keys of a prior that say what it speaks of; the others are what it says."""
+
+UNKNOWN_SCALE = (
+    "nothing tells how heavy the frame is: total_mass = 1 is written in its place, and masses and stiffnesses come out "
+    "per kilogram of the frame; give [frame] total_mass in a record file"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedRecord:
+    """One record with the modes found in it, and what its file says of the frame besides.
+
+    Parameters
+    ----------
+    file : str
+        The record file.
+    modes : ModalResult
+    frame : dict
+        The table `[frame]`.
+    priors : sequence of dict
+        The tables `[[prior]]`.
+    added_mass : sequence of float, optional
+        kg on each floor during the record.
+    state : str, optional
+        The state of the frame that was tested.
+    """
+
+    file: str
+    modes: ModalResult
+    frame: Mapping[str, object]
+    priors: Sequence[Mapping[str, object]] = ()
+    added_mass: Sequence[float] | None = None
+    state: str | None = None
+
+
+def record_files(names: Iterable[str | Path]) -> tuple[list[Path], list[Path]]:
+    """The record files that names and patterns stand for.
+
+    Parameters
+    ----------
+    names : iterable of str or Path
+        Files, or patterns with `*`, `?` or `[...]`.
+
+    Returns
+    -------
+    files : list of Path
+        Each once; those of a pattern in the order of the numbers in their names.
+    left_out : list of Path
+        Files that a pattern matches and that hold no table [record].
+
+    Raises
+    ------
+    InputError
+        Where a pattern matches no record file, or a file that it matches cannot be read.
+    """
+    files: list[Path] = []
+    left_out: list[Path] = []
+    for name in names:
+        if Path(name).exists() or not glob.has_magic(str(name)):
+            found = [Path(name)]
+        else:
+            matched = [Path(path) for path in sorted(glob.glob(str(name), recursive=True), key=_by_number)]
+            found = [path for path in matched if path.is_file() and is_record_file(path)]
+            left_out += [path for path in matched if path not in found]
+            if not found:
+                raise InputError(f"{name}: no record file is called so; a record file is TOML with a table [record]")
+        files += [path for path in found if path not in files]
+    return files, left_out
+
+
+def identify_modes_many(
+    files: Iterable[str | Path],
+    *,
+    jobs: int = 1,
+    progress: Progress | None = None,
+    **options: Any,
+) -> list[IdentifiedRecord | CvxshearError]:
+    """`identify_modes` for each of many record files; where one fails, its error stands in its place.
+
+    Parameters
+    ----------
+    files : iterable of str or Path
+        Record files (TOML).
+    jobs : int, optional
+        Processes; -1 takes every core. Inside `with joblib.parallel_config(backend="dask")` they run on that
+        cluster, whose workers must see the files.
+    progress : callable, optional
+        Called with the number of records done and to do.
+    **options
+        As for `identify_modes`; `pick` takes precedence over the list in a record file.
+
+    Returns
+    -------
+    list of IdentifiedRecord or CvxshearError
+        In the order of the files; an error's message begins with its file.
+
+    Raises
+    ------
+    TypeError
+        Where an option is not one of `identify_modes`.
+    """
+    return each(partial(_tested, options=options), [str(file) for file in files], jobs=jobs, progress=progress)
+
 
 def modes_from_file(
     path: str | Path,
     *,
-    method: str | None = None,
-    estimator: str = "h1",
-    blocks: int = 20,
-    count: int | None = None,
-    rule: str = "magnitude",
-    correct_clocks: bool = False,
-    accept_swapped: bool = False,
-    pick: Sequence[float] | None = None,
     output: str | Path | None = None,
     uff: str | Path | None = None,
+    **options: Any,
 ) -> tuple[ModalResult, Json]:
     """Identify the modes of a record file and write what was asked for.
 
@@ -40,14 +149,12 @@ def modes_from_file(
     ----------
     path : str or Path
         The record file (TOML).
-    method, estimator, blocks, count, rule, correct_clocks, accept_swapped
-        As for `identify_modes`.
-    pick : sequence of float, optional
-        The same, in place of the record file's own list.
     output : str or Path, optional
         Where to write the measurement file, `.toml`.
     uff : str or Path, optional
         Where to write a universal file of the modes, `.uff`, `.unv` or `.u55`.
+    **options
+        As for `identify_modes`; `pick` takes precedence over the list in the record file.
 
     Returns
     -------
@@ -63,29 +170,22 @@ def modes_from_file(
     NoSolutionError
         Where no mode was found.
     """
-    source = read_record(path)
     for place, endings in ((output, MEASUREMENT_ENDINGS), (uff, UNIVERSAL_ENDINGS)):
         if place is not None:
-            check_output(place, endings=endings, keep=source.files)
-    result = identify_modes(
-        source.record,
-        method=method,
-        estimator=estimator,
-        blocks=blocks,
-        count=count,
-        rule=rule,
-        correct_clocks=correct_clocks,
-        accept_swapped=accept_swapped,
-        pick=source.pick if pick is None else pick,
-    )
-    result = _with_scale_finding(result, source)
-    frame, priors, added_mass, state = source.frame, source.priors, source.added_mass, source.state
-    declared = result.to_experiment(frame, priors=priors, added_mass=added_mass, state=state)
+            check_output(place, endings=endings, keep=files_of(path))
+    test = _tested(str(path), options=options)
+    if isinstance(test, CvxshearError):
+        raise test
+    if scale_unknown([test]):
+        scale = Finding("scale", UNKNOWN_SCALE, {"total_mass": 1.0})
+        modes = dataclasses.replace(test.modes, findings=(*test.modes.findings, scale))
+        test = dataclasses.replace(test, modes=modes)
+    declared = merged([test])
     if output is not None:
-        write_modes(output, result, frame, priors=priors, added_mass=added_mass, state=state)
+        write_merged(output, [test])
     if uff is not None:
-        write_uff(uff, result)
-    return result, declared
+        write_uff(uff, test.modes)
+    return test.modes, declared
 
 
 def write_modes(
@@ -111,22 +211,163 @@ def write_modes(
     InputError
         Where the modes do not make a measurement that `cvxshear.load` would take; nothing is written.
     """
-    declared = result.to_experiment(frame, priors=priors, added_mass=added_mass, state=state)
-    Experiment.from_dict(declared, name=result.name)
-    comments = [f"Modes of {result.name} by {result.method}; standard deviations: {result.uncertainty}"]
-    if result.needs_mass(frame or {}, priors) and not any(finding.kind == "scale" for finding in result.findings):
-        comments.append("scale: total_mass = 1 stands for a mass nobody gave; masses and stiffnesses are relative")
-    comments.extend(f"{finding.kind}: {finding.message}" for finding in result.findings)
+    write_merged(path, [IdentifiedRecord(result.name, result, frame or {}, priors, added_mass, state)])
+
+
+def merged(tests: Sequence[IdentifiedRecord]) -> Json:
+    """A dict of the measurement file's shape, for `Experiment.from_dict`.
+
+    Parameters
+    ----------
+    tests : sequence of IdentifiedRecord
+        Of one frame; at least one.
+
+    Returns
+    -------
+    dict
+        One configuration a record, in their order. `total_mass` is 1 kg where nothing tells how heavy the frame is.
+
+    Raises
+    ------
+    InputError
+        Where two records contradict each other, naming both files, the key and the values.
+    """
+    if not tests:
+        raise InputError("there is no record whose modes were found; a measurement needs one at least")
+    _refuse_shared_names(tests)
+    frame = frame_in(_frame(tests), {test.state or test.modes.name for test in tests})
+    priors = _priors(tests)
+    if scale_unknown(tests):
+        frame |= {"total_mass": 1.0, "total_mass_placeholder": True}
+    result: Json = {"frame": frame}
+    if priors:
+        result["prior"] = priors
+    result["configuration"] = [test.modes.configuration(added_mass=test.added_mass, state=test.state) for test in tests]
+    return result
+
+
+def write_merged(path: str | Path, tests: Sequence[IdentifiedRecord]) -> None:
+    """Write the measurement file of several records, what each got wrong as comments at its head.
+
+    Parameters
+    ----------
+    path : str or Path
+    tests : sequence of IdentifiedRecord
+
+    Raises
+    ------
+    InputError
+        Where two records contradict each other, or `cvxshear.load` would refuse the file; nothing is written then.
+    """
+    declared = merged(tests)
+    Experiment.from_dict(declared, name=Path(path).stem)
+    said = any(finding.kind == "scale" for test in tests for finding in test.modes.findings)
+    comments = [f"scale: {UNKNOWN_SCALE}"] if scale_unknown(tests) and not said else []
+    for test in tests:
+        modes = test.modes
+        comments.append(f"Modes of {modes.name} by {modes.method}; standard deviations: {modes.uncertainty}")
+        comments.extend(f"{modes.name}: {finding.kind}: {finding.message}" for finding in modes.findings)
+    comments.extend(f"{finding.kind}: {finding.message}" for finding in cables_of(tests))
     write_measurement(path, declared, comments)
 
 
-def _with_scale_finding(result: ModalResult, source: RecordFile) -> ModalResult:
-    if not result.needs_mass(source.frame, source.priors):
-        return result
-    finding = Finding(
-        "scale",
-        "nothing tells how heavy the frame is: total_mass = 1 is written in its place, and masses and stiffnesses come "
-        "out per kilogram of the frame; give [frame] total_mass in the record file",
-        {"total_mass": 1.0},
-    )
-    return dataclasses.replace(result, findings=(*result.findings, finding))
+def cables_of(tests: Sequence[IdentifiedRecord]) -> list[Finding]:
+    """What changed between each record and the first that a cable explains, before any damage is looked for."""
+    return [finding for test in tests[1:] for finding in cables_changed(tests[0].modes, test.modes)]
+
+
+def scale_unknown(tests: Sequence[IdentifiedRecord]) -> bool:
+    """Whether nothing in any record file, nor a change of added mass between them, tells how heavy the frame is."""
+    if not all(test.modes.needs_mass(test.frame, test.priors) for test in tests):
+        return False
+    stories = max(test.modes.stories for test in tests)
+    added = [np.zeros(stories) if test.added_mass is None else np.asarray(test.added_mass) for test in tests]
+    return all(np.array_equal(mass, added[0]) for mass in added)
+
+
+def _refuse_shared_names(tests: Sequence[IdentifiedRecord]) -> None:
+    seen: dict[str, str] = {}
+    for test in tests:
+        name = test.modes.name
+        if name in seen:
+            raise InputError(f'{seen[name]} and {test.file} are both named "{name}"; give each its own record: name')
+        seen[name] = test.file
+
+
+def _frame(tests: Sequence[IdentifiedRecord]) -> dict[str, Any]:
+    """The table [frame], every key that any file gives."""
+    frame: dict[str, Any] = {}
+    said: dict[str, str] = {}
+    for test in tests:
+        for key, value in {"stories": test.modes.stories, **test.frame}.items():
+            if key in frame and not _same(frame[key], value):
+                raise InputError(
+                    f"frame: {key} is {shown(frame[key])} by {said[key]}, {shown(value)} by {test.file}; {_remedy(key)}"
+                )
+            frame.setdefault(key, value)
+            said.setdefault(key, test.file)
+    return frame
+
+
+def _remedy(key: str) -> str:
+    if key == "stories":
+        return "say record: stories in each file whose top floor has no sensor"
+    return "records of one frame must agree, and one of them is enough to say it"
+
+
+def _same(one: object, other: object) -> bool:
+    """Whether two values say the same; one number for all stories equals a list of it."""
+    numbers = (int, float, list)
+    if isinstance(one, numbers) and isinstance(other, numbers):
+        try:
+            a, b = np.broadcast_arrays(np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64))
+        except (TypeError, ValueError):
+            return False
+        return bool(np.allclose(a, b, rtol=1e-9, atol=0.0))
+    return one == other
+
+
+def _priors(tests: Sequence[IdentifiedRecord]) -> list[dict[str, object]]:
+    """The tables [[prior]], each once."""
+    kept: list[tuple[dict[str, object], str]] = []
+    for test in tests:
+        for prior in test.priors:
+            if any(_same_prior(other, prior) for other, _ in kept):
+                continue
+            for other, file in kept:
+                if file != test.file and all(_same(other.get(key), prior.get(key)) for key in PLACES):
+                    raise InputError(
+                        f"prior: {shown(other)} by {file} and {shown(dict(prior))} by {test.file} speak of the same "
+                        "thing and differ; leave one out"
+                    )
+            kept.append((dict(prior), test.file))
+    return [prior for prior, _ in kept]
+
+
+def _same_prior(one: Mapping[str, object], other: Mapping[str, object]) -> bool:
+    return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
+
+
+def _by_number(path: str) -> list[tuple[int, str]]:
+    """Run 2 comes before run 10."""
+    return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", path)]
+
+
+def _tested(file: str, *, options: Mapping[str, Any]) -> IdentifiedRecord | CvxshearError:
+    try:
+        source = read_record(file)
+        picked = options.get("pick")
+        modes = identify_modes(source.record, **{**options, "pick": source.pick if picked is None else picked})
+        if source.notes:
+            modes = dataclasses.replace(modes, findings=(*source.notes, *modes.findings))
+    except CvxshearError as error:
+        return _of_file(error, file)
+    return IdentifiedRecord(file, modes, source.frame, source.priors, source.added_mass, source.state)
+
+
+def _of_file(error: CvxshearError, file: str) -> CvxshearError:
+    """The error with its file named."""
+    message = str(error)
+    if isinstance(error, NoSolutionError):
+        return NoSolutionError(error.backend, f"{file}: {error.reason}")
+    return error if message.startswith(file) else type(error)(f"{file}: {message}")

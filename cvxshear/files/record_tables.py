@@ -9,14 +9,41 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cvxshear.files.formats import refuse_data
 from cvxshear.files.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES
-from cvxshear.modal.record import QUANTITIES
+from cvxshear.records.record import QUANTITIES
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 
-CHANNEL_KEYS = ("column", "floor", "axis", "sign", "calibration", "quantity")
-RUN_KEYS = ("file", "name", "input_floor")
+CHANNEL_KEYS = ("column", "floor", "axis", "sign", "calibration", "quantity", "unit", "position", "direction")
+RUN_KEYS = ("file", "name", "input_floor", "start", "end")
+STANDARD_GRAVITY = 9.80665
+"""m/s2, by definition (CGPM 1901): what a sensor's "g" is."""
+
+UNITS = {
+    "m/s2": ("acceleration", 1.0),
+    "g": ("acceleration", STANDARD_GRAVITY),
+    "mg": ("acceleration", 1e-3 * STANDARD_GRAVITY),
+    "mm/s2": ("acceleration", 1e-3),
+    "cm/s2": ("acceleration", 1e-2),
+    "gal": ("acceleration", 1e-2),
+    "in/s2": ("acceleration", 0.0254),
+    "m/s": ("velocity", 1.0),
+    "mm/s": ("velocity", 1e-3),
+    "cm/s": ("velocity", 1e-2),
+    "in/s": ("velocity", 0.0254),
+    "m": ("displacement", 1.0),
+    "mm": ("displacement", 1e-3),
+    "cm": ("displacement", 1e-2),
+    "in": ("displacement", 0.0254),
+    "N": ("force", 1.0),
+    "kN": ("force", 1e3),
+    "lbf": ("force", 4.4482216152605),
+}
+"""Units of a channel: what is measured in it, and what it is in m/s2, m/s, m or N (definitions of the SI and of the
+international foot and pound)."""
+
 PASSED_ON = ("frame", "prior", "added_mass", "state")
 
 
@@ -30,6 +57,9 @@ class ChannelDeclaration:
     factor: float
     quantity: str
     place: str
+    unit: str | None = None
+    position: tuple[float, float] | None = None
+    direction: float | None = None
 
     @property
     def responds(self) -> bool:
@@ -39,6 +69,7 @@ class ChannelDeclaration:
 
 def tables_of(path: Path) -> tuple[Mapping[str, Any], list[int]]:
     """The tables of a record file, and the lines that its channels stand on."""
+    refuse_data(path)
     text = read_text(path)
     declared = parse(text, path)
     if "configuration" in declared and "record" not in declared:
@@ -81,19 +112,24 @@ def channels_of(tables: object, declared: Mapping[str, Any], path: Path, lines: 
         one = checks.keys(item, CHANNEL_KEYS, ["column"], where)
         column = checks.text(one["column"], f"{where}: column")
         where = f'{where} ("{column}")'
-        quantity = checks.choice(
-            one.get("quantity", declared.get("quantity", "acceleration")), ("force", *QUANTITIES), f"{where}: quantity"
-        )
+        unit = None if one.get("unit") is None else checks.choice(one["unit"], tuple(UNITS), f"{where}: unit")
+        quantity, in_si = _quantity(one.get("quantity"), unit, declared.get("quantity"), where)
         if quantity != "force" and "floor" not in one:
             raise InputError(f"{where}: the key 'floor' is missing (0 for the ground)")
         sign = one.get("sign", 1)
         if not isinstance(sign, int | float) or isinstance(sign, bool) or sign not in (1, -1):
             raise InputError(f"{where}: sign must be 1 or -1, not {checks.shown(sign)}")
-        factor = sign * checks.number(one.get("calibration", 1.0), f"{where}: calibration", above=0.0)
+        factor = sign * in_si * checks.number(one.get("calibration", 1.0), f"{where}: calibration", above=0.0)
         floor = checks.whole(one.get("floor", 0), f"{where}: floor", least=0, most=MOST_STORIES)
         axis = checks.text(one.get("axis", "x"), f"{where}: axis")
         stands = f"line {line} of {path.name}" if line else ""
-        found.append(ChannelDeclaration(column, floor, axis, factor, quantity, stands))
+        position, direction = one.get("position"), one.get("direction")
+        if position is not None:
+            x, y = checks.vector(position, f"{where}: position (m, along and across)", length=2).tolist()
+            position = (x, y)
+        if direction is not None:
+            direction = checks.number(direction, f"{where}: direction (degrees)")
+        found.append(ChannelDeclaration(column, floor, axis, factor, quantity, stands, unit, position, direction))
     _refuse_twice(found)
     axes = {item.axis for item in found if item.quantity != "force"}
     wanted = declared.get("axis")
@@ -104,20 +140,22 @@ def channels_of(tables: object, declared: Mapping[str, Any], path: Path, lines: 
     return [item for item in found if item.quantity == "force" or wanted is None or item.axis == wanted]
 
 
+def _quantity(given: object, unit: str | None, usual: object, where: str) -> tuple[str, float]:
+    """What a channel measures, and its unit in SI units: what the unit says goes before what all channels have."""
+    measured, in_si = ("acceleration", 1.0) if unit is None else UNITS[unit]
+    if given is None:
+        given = measured if unit is not None or usual is None else usual
+    quantity = checks.choice(given, ("force", *QUANTITIES), f"{where}: quantity")
+    if unit is not None and quantity != measured:
+        raise InputError(f"{where}: unit = {unit!r} is one of {measured}, not of {quantity}")
+    return quantity, in_si
+
+
 def _refuse_twice(found: list[ChannelDeclaration]) -> None:
     for place, item in enumerate(found):
         for other in found[:place]:
             if other.column == item.column:
                 raise InputError(f'{item.place}: channel "{item.column}" was declared before, in {other.place}')
-            if item.quantity != "force" and (other.floor, other.axis, other.quantity) == (
-                item.floor,
-                item.axis,
-                item.quantity,
-            ):
-                raise InputError(
-                    f'{item.place}: channel "{item.column}" is on floor {item.floor} along {item.axis}, where channel '
-                    f'"{other.column}" ({other.place}) is already; are two channels swapped or one floor mistyped?'
-                )
 
 
 def runs_of(table: Mapping[str, Any], declared: Mapping[str, Any]) -> list[Mapping[str, Any]]:
@@ -137,6 +175,11 @@ def _run(item: object, where: str) -> Mapping[str, Any]:
     run = checks.keys(item, RUN_KEYS, ["file"], where)
     checks.text(run["file"], f"{where}: file")
     checks.text(run.get("name", "run"), f"{where}: name")
+    for key in ("start", "end"):
+        if key in run:
+            checks.number(run[key], f"{where}: {key} (s since the first sample)", least=0.0)
+    if run.get("start", 0.0) >= run.get("end", float("inf")):
+        raise InputError(f"{where}: end = {run['end']:g} s must come after start = {run.get('start', 0.0):g} s")
     return run
 
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import re
 import tomllib
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from cvxshear.effects import catalogue
-from cvxshear.files.mode_tables import with_modes_read
-from cvxshear.files.reading import named_after, read_bytes
+from cvxshear.files.formats import FORMATS, format_of, naming_keys, refuse_data
+from cvxshear.files.inputs import named_after, read_bytes
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import checks
 from cvxshear.util.checks import shown
@@ -21,9 +24,6 @@ LARGEST_FILE = 5_000_000
 
 BUILT_IN = {"paper": ("paper", "paper.toml"), "los-alamos": ("builtin", "los-alamos.toml")}
 """Examples that travel with the package, and where they stand in it."""
-
-NAMING_KEYS = ("file", "csv", "xlsx", "uff")
-"""Keys of tables whose values are names of other files."""
 
 LONGEST_KEY = 16
 """Parts, with dots between; the time that reading a key takes grows with their square."""
@@ -51,13 +51,13 @@ def load(path: str | Path) -> Experiment:
         Naming the file, and the key, the value found and what would be right.
     """
     if is_built_in(path):
-        text = resources.files("cvxshear").joinpath(*BUILT_IN[str(path)]).read_text(encoding="utf-8")
-        return Experiment.from_dict(tomllib.loads(text), name=str(path))
+        return Experiment.from_dict(tomllib.loads(built_in_text(str(path))), name=str(path))
     if not isinstance(path, str | os.PathLike):
         raise InputError(
             f"load takes the name of a measurement file, not {shown(path)}; a dict goes to Experiment.from_dict"
         )
     path = Path(path)
+    refuse_data(path)
     declared = parse(read_text(path), path)
     if "record" in declared:
         raise InputError(
@@ -66,6 +66,9 @@ def load(path: str | Path) -> Experiment:
         )
     try:
         experiment = Experiment.from_dict(with_modes_read(declared, path.parent), name=named_after(path))
+        if experiment.report.photograph is not None:
+            beside = dataclasses.replace(experiment.report, photograph=str(path.parent / experiment.report.photograph))
+            experiment = dataclasses.replace(experiment, report=beside)
         for expected in experiment.expected:
             checks.choice(expected.name, [effect.name for effect in catalogue()], "effect: name")
         return experiment
@@ -76,6 +79,11 @@ def load(path: str | Path) -> Experiment:
 def is_built_in(path: object) -> bool:
     """Whether this is the name of an example that travels with the package."""
     return isinstance(path, str) and path in BUILT_IN
+
+
+def built_in_text(name: str) -> str:
+    """The text of an example that travels with the package."""
+    return resources.files("cvxshear").joinpath(*BUILT_IN[name]).read_text(encoding="utf-8")
 
 
 def read_text(path: Path) -> str:
@@ -122,6 +130,7 @@ def is_record_file(path: str | Path) -> bool:
     if is_built_in(path):
         return False
     path = Path(path)
+    refuse_data(path)
     return "record" in parse(read_text(path), path)
 
 
@@ -144,11 +153,51 @@ def files_of(path: str | Path) -> tuple[Path, ...]:
     try:
         declared = parse(read_text(path), path)
     except InputError:
-        if path.suffix.lower() != ".json":
+        # A result's JSON names no other file, nor does a file of samples, which the command will refuse.
+        if path.suffix.lower() != ".json" and format_of(path) is None:
             raise
         return (path,)
     tables: list[object] = []
     for value in declared.values():
         tables += value if isinstance(value, list) else [value]
-    named = [each.get(key) for each in tables if isinstance(each, dict) for key in NAMING_KEYS]
+    named = [each.get(key) for each in tables if isinstance(each, dict) for key in naming_keys()]
     return (path, *(path.parent / name for name in named if isinstance(name, str)))
+
+
+def with_modes_read(declared: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The tables of a measurement file, the files that its configurations name read.
+
+    Parameters
+    ----------
+    declared : dict
+    folder : Path
+        Where the files are looked for.
+
+    Returns
+    -------
+    dict
+        What a configuration says itself goes before what its file says.
+
+    Raises
+    ------
+    InputError
+        Naming the configuration, and what is wrong with its file.
+    """
+    tables = declared.get("configuration")
+    if not isinstance(tables, list):
+        return dict(declared)
+    return {**declared, "configuration": [_resolved(table, place, folder) for place, table in enumerate(tables, 1)]}
+
+
+def _resolved(table: object, place: int, folder: Path) -> object:
+    readers = {each.name: each for each in FORMATS if each.modes is not None}
+    named = [key for key in readers if isinstance(table, Mapping) and key in table]
+    if not named or not isinstance(table, Mapping):
+        return table
+    where = f"configuration {place}"
+    said = [*named, *(key for key in ("frequencies", "mode_shapes") if key in table)]
+    if len(said) > 1:
+        raise InputError(f"{where}: {' and '.join(said)} all say what the modes are; give one")
+    key = named[0]
+    file = folder / checks.text(table[key], f"{where}: {key}")
+    return {**readers[key].read_modes(file), **{name: value for name, value in table.items() if name != key}}

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cvxshear.files.columns import LIMIT, TOO_LARGE, Columns
-from cvxshear.files.reading import read_bytes
+from cvxshear.files.inputs import read_bytes
 from cvxshear.util.errors import InputError
 from cvxshear.util.text import printable
 from cvxshear.util.typing import Floats, Ints, Json
@@ -24,7 +24,7 @@ from cvxshear.util.writing import write_file
 
 if TYPE_CHECKING:
     from cvxshear.modal.result import ModalResult
-    from cvxshear.modal.runs import Complexes
+    from cvxshear.records.record import Complexes
 
 X_TRANSLATION = 1
 AXES = ("", "x", "y", "z", "rx", "ry", "rz")
@@ -81,6 +81,11 @@ def read_uff(path: str | Path, limit: float = LIMIT) -> tuple[Columns, dict[str,
         else:
             named[name] = values.astype(np.float64)
     return Columns(where, tuple(named), np.column_stack(list(named.values()))), notes
+
+
+def read_functions(path: str | Path, limit: float = LIMIT) -> Columns:
+    """The columns of `read_uff` without its notes."""
+    return read_uff(path, limit)[0]
 
 
 def write_uff(path: str | Path, result: ModalResult) -> None:
@@ -158,8 +163,9 @@ def _sets(path: Path, kind: int, limit: float) -> list[Json]:
             places = [place for place, each in enumerate(file.get_set_types()) if int(each) == kind]
             found = file.read_sets(places) if places else []
     except Exception as error:
-        # pyuff raises whatever its parsing runs into.
-        raise InputError(f"{where} is not a universal file that can be read: {str(error)[:200]}") from error
+        # pyuff raises whatever its parsing runs into, and quotes the file, which may have been named by mistake.
+        reason = f"{type(error).__name__} in pyuff"
+        raise InputError(f"{where} is not a universal file that can be read ({reason})") from error
     sets = [found] if isinstance(found, dict) else list(found)
     if any(key not in item for item in sets for key in NEEDED[kind]):
         raise InputError(f"{where} is not a universal file that can be read: a data set {kind} lacks its numbers")

@@ -4,20 +4,49 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.effects import Placed
+from cvxshear.effects import Placed, Scale
 from cvxshear.effects.composition import slices
-from cvxshear.fit.gauss_newton import Domain, embedded
+from cvxshear.effects.state import heights_of
 from cvxshear.measurement.experiment import Experiment, Frame
 from cvxshear.priors import Constraints
-from cvxshear.programs.feasibility import NamedConstraints, refuse_contradictions
-from cvxshear.programs.rows import statements
-from cvxshear.util.typing import Floats
+from cvxshear.programs.statements import NamedConstraints, refuse_contradictions, statements
+from cvxshear.util.typing import Floats, Ints
 
-SMALLEST = 1e-3
-"""Of the median at the start: a smaller mass or stiffness does not count as positive."""
+SMALLEST_VALUE = 1e-3
+"""Part of the mean declared floor mass, else of the median at the start: a smaller mass or stiffness does not count as
+positive."""
+
+
+FARTHEST = 1e5
+"""Times its start that a mass or a stiffness becomes at most: what the data leave so open is as good as infinite, and
+further on rounding would lose what is declared of the others."""
+
+
+@dataclass(frozen=True, eq=False)
+class Domain:
+    """Where the parameters of a fit may lie.
+
+    Parameters
+    ----------
+    statements : sequence of NamedConstraints
+        Exact statements about theta.
+    scale : ndarray, shape (P,)
+        Size of each parameter, to which a change is compared: its start or, where that is larger, the size expected of
+        an effect.
+    interval_std : ndarray, shape (P,)
+        Standard deviation that a parameter's interval of physical values stands for; infinite where it has none.
+    farthest : ndarray, shape (P,), optional
+        Largest value of each parameter that a step is allowed to reach; no limit where not given.
+    """
+
+    statements: Sequence[NamedConstraints]
+    scale: Floats
+    interval_std: Floats
+    farthest: Floats | None = None
 
 
 def spread(
@@ -47,7 +76,9 @@ def refuse_contradicting(experiment: Experiment) -> None:
 def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) -> Domain:
     """The domain of the parameters of a fit with these effects."""
     n, size = experiment.stories, len(theta)
-    mass, stiffness = SMALLEST * np.median(theta[:n]), SMALLEST * np.median(theta[n : 2 * n])
+    known = experiment.frame.known_total
+    mass = SMALLEST_VALUE * (np.median(theta[:n]) if known is None else known / n)
+    stiffness = SMALLEST_VALUE * np.median(theta[n : 2 * n])
     frame = _exact(experiment.frame, effects)
     parts = spread(
         statements(experiment.priors, "floor_mass", n, frame, least=mass),
@@ -55,7 +86,8 @@ def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) 
         n,
         size,
     )
-    interval_std = np.full(size, np.inf)
+    interval_std, scale = np.full(size, np.inf), np.abs(theta)
+    typical = Scale(float(np.median(theta[:n])), float(np.median(theta[n : 2 * n])), heights_of(experiment))
     for placed, own in slices(effects, 2 * n):
         parameters = placed.effect.parameters
         if placed.fixed:
@@ -66,16 +98,41 @@ def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) 
             lower=np.array([item.lower for item in parameters]), upper=np.array([item.upper for item in parameters])
         )
         interval_std[own] = [(item.upper - item.lower) / np.sqrt(12) for item in parameters]
+        expected = placed.effect.expected_sizes(typical)
+        scale[own] = np.maximum(np.abs(theta[own]), np.where(np.isfinite(expected), expected, 0.0))
         parts.append(NamedConstraints(f"bounds of {placed.label}", embedded(bounds, own, size)))
         limits = placed.effect.limits(experiment, placed.place)
         columns = np.concatenate([np.arange(2 * n), np.arange(own.start, own.stop)])
         parts.append(NamedConstraints(f"what {placed.label} can be", embedded(limits, columns, size)))
-    return Domain(parts, np.where(theta == 0, 1.0, np.abs(theta)), interval_std)
+    scale = np.where(scale == 0, 1.0, scale)
+    return Domain(parts, scale, interval_std, np.where(np.arange(size) < 2 * n, FARTHEST * scale, np.inf))
 
 
 def _exact(frame: Frame, effects: Sequence[Placed]) -> Frame:
     """The frame with a total mass only where it holds exactly."""
     released = any("total_mass" in placed.effect.releases for placed in effects)
     if frame.floor_masses is None and frame.total_mass is not None and (released or frame.total_mass_std is not None):
-        return dataclasses.replace(frame, total_mass=None, total_mass_std=None)
+        return dataclasses.replace(frame, total_mass=None, total_mass_std=None, total_mass_placeholder=False)
     return frame
+
+
+def embedded(said: Constraints, at: slice | Ints, size: int) -> Constraints:
+    """Statements about some of the parameters as statements about all of them."""
+
+    def wide(rows: Floats | None) -> Floats | None:
+        if rows is None:
+            return None
+        full = np.zeros((len(rows), size))
+        full[:, at] = rows
+        return full
+
+    def padded(bound: Floats | None, fill: float) -> Floats | None:
+        if bound is None:
+            return None
+        full = np.full(size, fill)
+        full[at] = bound
+        return full
+
+    return Constraints(
+        padded(said.lower, -np.inf), padded(said.upper, np.inf), wide(said.G), said.h, wide(said.A), said.b
+    )

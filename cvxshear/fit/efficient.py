@@ -11,17 +11,17 @@ import numpy as np
 from scipy import stats
 
 from cvxshear.backends import Backend
-from cvxshear.data import NOISES
+from cvxshear.data import Noise
 from cvxshear.effects import Placed, Scale
 from cvxshear.effects.composition import slices
 from cvxshear.effects.state import heights_of
-from cvxshear.fit.domain import domain_of, refuse_contradicting
-from cvxshear.fit.gauss_newton import CONVERGED_STEP, Domain, Fit, gauss_newton
+from cvxshear.fit.domain import Domain, domain_of, refuse_contradicting
+from cvxshear.fit.gauss_newton import CONVERGED_STEP, HOPELESS, Fit, gauss_newton
 from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.fit.noise import LARGEST_NOISE, NoiseEstimate, estimated_noise
 from cvxshear.fit.quality import Quality, quality
 from cvxshear.fit.results import IdentifiedFrame, Prediction, SingleIdentification, predictions
-from cvxshear.fit.starting import nearest_first
+from cvxshear.fit.start import nearest_first
 from cvxshear.fit.uncertainty import Uncertainty, uncertainty
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.errors import CvxshearError, NoSolutionError, UnsuitableError
@@ -31,12 +31,18 @@ MEMORY = 1e9
 """Bytes that a joint fit may take. It holds the derivatives of all data by all parameters some twelve times over, and
 squares in the parameters some 25 times (measured from 100 to 600 stories)."""
 
-MOST_NOISES = 4
+MOST_NOISES = 6
+"""Times that a fit is made again with another estimate of the standard deviations that nobody declared."""
+
+LONGEST_STEP = 1.5
+"""Largest change of the logarithm of such a standard deviation between two fits: a factor of 4.5."""
+
 HELD = 1e-9
 """Relative standard deviation of what a bound holds: nothing but rounding."""
 
 SAME_NOISE = 0.05
-"""Estimates of an undeclared noise, and the relative change of its factors that counts as none."""
+"""Relative change of such a standard deviation that counts as none: the evidence, stationary there, moves by a
+hundredth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +63,7 @@ class Estimate:
 
     misfit: Misfit
     domain: Domain
-    fit: Fit
+    fit: Fit[Evaluation]
     uncertainty: Uncertainty
     noise: NoiseEstimate = field(default_factory=NoiseEstimate)
 
@@ -81,10 +87,20 @@ class Estimate:
         """Sum of squared residuals of data and priors, in units of the declared or the estimated noise."""
         return self.fit.at.chi2
 
-    @property
+    @cached_property
     def dof(self) -> int:
-        """Number of data less number of parameters that they determine."""
-        return self.misfit.count(self.theta) - self.uncertainty.free
+        """Number of data less number of parameters that they determine.
+
+        Of an effect of one common size the parameters count as far as the data determine them: p - trace(C) / s^2, C
+        their covariance and s that size (MacKay 1992).
+        """
+        free = float(self.uncertainty.free)
+        for placed in self.effects:
+            if placed.effect.common_size and placed.effect.parameters and not placed.fixed:
+                size = self.misfit.expectation.of(placed) * self.misfit.noise.of(placed.label)
+                variance = np.diag(self.uncertainty.covariance())[self.own(placed)]
+                free -= float(np.sum(np.minimum(variance / size**2, 1.0)))
+        return self.misfit.count(self.theta) - round(free)
 
     @property
     def std(self) -> Floats:
@@ -106,8 +122,10 @@ class Estimate:
             return None
         at, noise = self.fit.at, self.misfit.noise
         squares = at.r[: at.measured] ** 2
-        for kind, factor in noise.factors:
-            squares[at.noises[: at.measured] == NOISES.index(kind)] *= max(1.0, factor / LARGEST_NOISE[kind]) ** 2
+        for place, item in enumerate(self.misfit.unknown):
+            if item.key in LARGEST_NOISE:
+                own = at.unknown[: at.measured] == place
+                squares[own] *= max(1.0, noise.of(item.key) / LARGEST_NOISE[item.key]) ** 2
         return float(stats.chi2.sf(squares.sum(), self.dof))
 
     @cached_property
@@ -213,15 +231,29 @@ def fitted(
         At theta, where it was made already.
     """
     estimate = fitted_with(misfit, theta, backend, tolerance, start)
-    for _ in range(MOST_NOISES if misfit.open_noises else 0):
+    if not misfit.unknown:
+        return estimate
+    for _ in range(MOST_NOISES):
         noise = estimated_noise(estimate.misfit, estimate.fit.at, estimate.free_directions)
-        before = estimate.misfit.noise
         estimate = dataclasses.replace(estimate, noise=noise)
-        if all(abs(np.log(factor / before.of(kind))) < SAME_NOISE for kind, factor in noise.noise.factors):
-            break
-        again = fitted_with(estimate.misfit.replaced(noise=noise.noise), estimate.theta, backend, tolerance)
-        estimate = dataclasses.replace(again, noise=noise)
-    return estimate
+        before = {item.key: estimate.misfit.noise.of(item.key) for item in misfit.unknown}
+        if _same(estimate.misfit, noise):
+            return estimate
+        changes = [np.log(factor / before[key]) for key, factor in noise.noise.factors]
+        # A step beyond what the linearised model is good for leads to and fro: it is cut.
+        cut = min(1.0, LONGEST_STEP / max(map(abs, changes)))
+        factors = tuple(
+            (key, float(before[key] * np.exp(cut * change)))
+            for (key, _), change in zip(noise.noise.factors, changes, strict=True)
+        )
+        estimate = fitted_with(estimate.misfit.replaced(noise=Noise(factors)), estimate.theta, backend, tolerance)
+    noise = estimated_noise(estimate.misfit, estimate.fit.at, estimate.free_directions)
+    return dataclasses.replace(estimate, noise=dataclasses.replace(noise, settled=_same(estimate.misfit, noise)))
+
+
+def _same(misfit: Misfit, noise: NoiseEstimate) -> bool:
+    """Whether an estimate of the unknown standard deviations is that with which the fit was made."""
+    return all(abs(np.log(factor / misfit.noise.of(key))) < SAME_NOISE for key, factor in noise.noise.factors)
 
 
 def fitted_with(
@@ -244,7 +276,8 @@ def fitted_with(
         At theta, where it was made already.
     """
     domain = domain_of(misfit.experiment, misfit.effects, theta)
-    fit = gauss_newton(misfit, theta, domain, backend, tolerance, start)
+    hopeless = HOPELESS if tolerance > CONVERGED_STEP else np.inf
+    fit = gauss_newton(misfit, theta, domain, backend, tolerance, start, hopeless=hopeless)
     names = parameter_names(misfit.experiment, misfit.effects)
     return Estimate(misfit, domain, fit, uncertainty(fit.at.known_triangle, fit.theta, domain, names))
 

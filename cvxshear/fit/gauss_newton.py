@@ -8,20 +8,29 @@ one that did what the linearised model promised (Nielsen 1999).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
 from dataclasses import dataclass
+from enum import StrEnum
+from typing import Generic
 
 import numpy as np
 
 from cvxshear.backends import Backend, Solution
-from cvxshear.fit.ending import Ending
-from cvxshear.fit.misfit import Evaluation, Misfit
-from cvxshear.priors import Constraints
+from cvxshear.fit.domain import Domain
+from cvxshear.fit.optimality import (
+    DERIVATIVE_ERROR,
+    KEPT_TO,
+    E,
+    Optimality,
+    Problem,
+    Residuals,
+    best_step,
+    optimality,
+)
 from cvxshear.programs import LeastSquares
-from cvxshear.programs.feasibility import NamedConstraints
-from cvxshear.programs.rows import constrained
+from cvxshear.programs.statements import constrained
 from cvxshear.util.errors import NoModesError, NoSolutionError
-from cvxshear.util.typing import Floats, Ints
+from cvxshear.util.typing import Floats
 
 CONVERGED_STEP = 1e-6
 """Largest change of a residual, in standard deviations and relative to their root mean square where that is above
@@ -48,54 +57,67 @@ FLAT = 0.1
 FLAT_STEPS = 3
 """Decrease of chi-square, where its mean a datum is one, that this many damped steps in a row must bring to go on."""
 
+HOPELESS = 25.0
+HOPELESS_GAIN = 0.02
+"""Mean square of the residuals, five standard deviations squared, above which a rough fit of the loop's search does not
+follow a curved valley to its end: it ends once `FLAT_STEPS` steps in a row brought less than this share of the misfit.
+Such a model is out of the question wherever in the valley it ends; a hundred steps each made wrong files take a
+minute."""
 
-FARTHEST = 1e5
-"""Times its start that a mass or a stiffness becomes at most: what the data leave so open is as good as infinite, and
-further on rounding would lose what is declared of the others."""
+MOST_REFUSED = 6
+"""Step programs of one fit that the backend may leave unsolved: with as many in a row a step is damped to a thousandth,
+where every program is well conditioned. A backend that fails more often does not solve them."""
+
+STATIONARY_STEP = 1e-5
+"""Length of the best step from a stationary point a residual, in standard deviations: ten times `CONVERGED_STEP`."""
+
+
+class Ending(StrEnum):
+    """Why an iteration stopped; the value is the reason in words."""
+
+    STATIONARY = "step below tolerance"
+    NO_BETTER_STEP = "no step lowers the misfit"
+    FLAT = "misfit flat along directions that the data hardly determine"
+    CORRECTION = "correction below tolerance (Eq. 15)"
+    SOLVED = "solved"
+    STEP_LIMIT = "step limit"
+    ITERATION_LIMIT = "iteration limit"
+
+    @property
+    def converged(self) -> bool:
+        """Whether there was nothing left to gain, or hardly anything."""
+        return self not in (Ending.STEP_LIMIT, Ending.ITERATION_LIMIT)
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """Where Gauss-Newton stopped.
+class Fit(Generic[E]):
+    """The point at which Gauss-Newton stopped.
 
     Parameters
     ----------
     theta : ndarray, shape (P,)
-    at : Evaluation
+    at : Residuals
         Residuals and derivatives there.
     reason : Ending
     steps : int
-        Number of step programs solved.
+        Number of step programs handed to the backend.
+    evaluations : int
+        Number of points at which residuals and derivatives were computed.
+    optimality : Optimality or None
+        Certificate of the final point; None for a rough fit, and for one that did not converge.
     """
 
     theta: Floats
-    at: Evaluation
+    at: E
     reason: Ending
     steps: int
+    evaluations: int = 0
+    optimality: Optimality | None = None
 
     @property
     def converged(self) -> bool:
         """Whether it stopped because there was nothing left to gain, or hardly anything."""
         return self.reason.converged
-
-
-@dataclass(frozen=True, eq=False)
-class Domain:
-    """Where the parameters may lie.
-
-    Parameters
-    ----------
-    statements : sequence of NamedConstraints
-        Exact statements about theta.
-    scale : ndarray, shape (P,)
-        Size of each parameter at the start, to which a change is compared.
-    interval_std : ndarray, shape (P,)
-        Standard deviation that a parameter's interval of physical values stands for; infinite where it has none.
-    """
-
-    statements: Sequence[NamedConstraints]
-    scale: Floats
-    interval_std: Floats
 
 
 class _Damping:
@@ -128,7 +150,7 @@ class _Damping:
             self.weight = LEAST_DAMPING
 
 
-def step_program(at: Evaluation, theta: Floats, domain: Domain, damping: float = LEAST_DAMPING) -> LeastSquares:
+def step_program(at: Residuals, theta: Floats, domain: Domain, damping: float = LEAST_DAMPING) -> LeastSquares:
     """The program of one step d: minimize |J d + r|^2 + |damping D d|^2, theta + d within its domain.
 
     D is the diagonal of the lengths of J's columns.
@@ -141,26 +163,35 @@ def step_program(at: Evaluation, theta: Floats, domain: Domain, damping: float =
 
 
 def gauss_newton(
-    misfit: Misfit,
+    problem: Problem[E],
     theta: Floats,
     domain: Domain,
     backend: Backend,
     tolerance: float = CONVERGED_STEP,
-    start: Evaluation | None = None,
-) -> Fit:
+    start: E | None = None,
+    most_steps: int = MOST_STEPS,
+    hopeless: float = np.inf,
+) -> Fit[E]:
     """Minimize the sum of squared standardized residuals.
+
+    A fit to full accuracy (`tolerance` at most `CONVERGED_STEP`) is certified at its final point: see
+    `fit.optimality`.
 
     Parameters
     ----------
-    misfit : Misfit
+    problem : Problem
     theta : ndarray, shape (P,)
-        Start, at which the model has modes.
+        Start, at which the problem has residuals.
     domain : Domain
     backend : Backend
     tolerance : float, optional
         Largest change of a residual, see `CONVERGED_STEP`, of a step that counts as none.
-    start : Evaluation, optional
-        At theta, where it was made already.
+    start : Residuals, optional
+        At theta, where they were computed already.
+    most_steps : int, optional
+        Step programs at most.
+    hopeless : float, optional
+        Mean square of the residuals above which a fit ends early, see `HOPELESS`.
 
     Returns
     -------
@@ -169,65 +200,118 @@ def gauss_newton(
 
     Raises
     ------
-    NoSolutionError, UnsuitableError
-        From the backend, where it cannot solve a step.
+    NoSolutionError
+        Where the backend leaves more than `MOST_REFUSED` step programs unsolved, or the final point is not certified.
+    UnsuitableError
+        Where the backend cannot take such a program.
     """
+    fit, refused = _descended(problem, theta, domain, backend, tolerance, start, most_steps, hopeless)
+    if refused is not None and fit.reason is Ending.NO_BETTER_STEP:
+        # A step that nobody solved is no reason to believe that none is better.
+        raise refused
+    if tolerance <= CONVERGED_STEP and fit.converged:
+        fit = dataclasses.replace(fit, optimality=_certified(problem, fit, domain, backend.name))
+    return fit
+
+
+def _descended(
+    problem: Problem[E],
+    theta: Floats,
+    domain: Domain,
+    backend: Backend,
+    tolerance: float,
+    start: E | None,
+    most_steps: int,
+    hopeless: float,
+) -> tuple[Fit[E], NoSolutionError | None]:
+    """Where the steps end, and the failure of the backend since it last solved an undamped program."""
     feasible = _made_feasible(theta, domain, backend)
-    at = start if start is not None and feasible is theta else misfit.evaluate(feasible)
-    theta = feasible
-    frame = np.arange(len(theta)) < 2 * misfit.experiment.stories
-    farthest = np.where(frame, FARTHEST * domain.scale, np.inf)
-    damping, flat = _Damping(), 0
+    at = start if start is not None and feasible is theta else problem.evaluate(feasible)
+    theta, evaluations = feasible, 1
+    damping, flat, failures = _Damping(), 0, 0
+    refused: NoSolutionError | None = None
     solution: Solution | None = None
-    for step in range(1, MOST_STEPS + 1):
+    for step in range(1, most_steps + 1):
         try:
             solution = backend.solve(step_program(at, theta, domain, damping.weight), solution)
-        except NoSolutionError:
+        except NoSolutionError as error:
             # A program so badly conditioned that the solver gives up is better conditioned with more damping.
-            if damping.exhausted:
+            failures += 1
+            if damping.exhausted or failures > MOST_REFUSED:
                 raise
+            refused = error
             damping.heavier()
             continue
+        if not damping.active:
+            refused = None
         d = solution.x
         rms = np.sqrt(at.objective / max(len(at.r), 1))
         if not damping.active and np.max(np.abs(at.J @ d), initial=0.0) < tolerance * max(1.0, rms):
-            return Fit(theta, at, Ending.STATIONARY, step)
-        taken = _halved(misfit, theta, d, at, farthest, 0 if damping.active else HALVINGS)
+            return Fit(theta, at, Ending.STATIONARY, step, evaluations), refused
+        taken, trials = _halved(problem, theta, d, at, domain, 0 if damping.active else HALVINGS)
+        evaluations += trials
         if taken is None:
             if damping.exhausted:
-                return Fit(theta, at, Ending.NO_BETTER_STEP, step)
+                return Fit(theta, at, Ending.NO_BETTER_STEP, step, evaluations), refused
             damping.heavier()
             continue
         gain, before = at.objective - taken[1].objective, at
         theta, at = taken
-        if not damping.active:
-            flat = 0
-        else:
-            flat = flat + 1 if gain < FLAT * max(1.0, rms**2) else 0
-            if flat == FLAT_STEPS:
-                return Fit(theta, at, Ending.FLAT, step)
+        given_up = rms**2 > hopeless and gain < HOPELESS_GAIN * before.objective
+        flat = flat + 1 if given_up or (damping.active and gain < FLAT * max(1.0, rms**2)) else 0
+        if flat == FLAT_STEPS:
+            return Fit(theta, at, Ending.FLAT, step, evaluations), refused
+        if damping.active:
             promised = before.objective - float(np.sum((before.r + before.J @ d) ** 2))
             damping.lighter(gain / promised if promised > 0 else 0.0)
-    return Fit(theta, at, Ending.STEP_LIMIT, MOST_STEPS)
+    return Fit(theta, at, Ending.STEP_LIMIT, most_steps, evaluations), refused
+
+
+def _certified(problem: Problem[E], fit: Fit[E], domain: Domain, name: str) -> Optimality:
+    """The certificate of the final point.
+
+    Raises
+    ------
+    NoSolutionError
+        Where it is not good enough.
+    """
+    found = optimality(problem, fit.theta, fit.at, domain, LEAST_DAMPING)
+    rms = max(1.0, float(np.sqrt(fit.at.objective / max(len(fit.at.r), 1))))
+    if found.violation > KEPT_TO:
+        raise NoSolutionError(name, f"the fit breaks an exact statement by {found.violation:.1e} of its size")
+    if found.derivative_error > DERIVATIVE_ERROR:
+        raise NoSolutionError(
+            name,
+            f"derivatives of the misfit are off their difference quotients by {100 * found.derivative_error:.1g} %",
+        )
+    if found.step > STATIONARY_STEP * rms * np.sqrt(len(fit.at.r)):
+        # It may promise more than there is: along what the data hardly determine the model is not linear.
+        d, _ = best_step(fit.theta, fit.at, domain, LEAST_DAMPING)
+        trial, _ = _halved(problem, fit.theta, d, fit.at, domain, HALVINGS)
+        if trial is not None and fit.at.objective - trial[1].objective > FLAT * rms**2:
+            raise NoSolutionError(name, "the fit ended where a step of another solver lowers the misfit further")
+    return found
 
 
 def _halved(
-    misfit: Misfit, theta: Floats, d: Floats, at: Evaluation, farthest: Floats, halvings: int
-) -> tuple[Floats, Evaluation] | None:
-    """theta + d, or + d/2, d/4, ...: the first within reach that lowers the misfit, evaluated; None where none does."""
+    problem: Problem[E], theta: Floats, d: Floats, at: Residuals, domain: Domain, halvings: int
+) -> tuple[tuple[Floats, E] | None, int]:
+    """theta + d, or + d/2, ...: the first within reach that lowers the misfit, or None; and the points evaluated."""
+    evaluations = 0
     for power in range(halvings + 1):
         trial = theta + 0.5**power * d
-        if np.any(trial > farthest):
+        if domain.farthest is not None and np.any(trial > domain.farthest):
             continue
+        evaluations += 1
         try:
             # With derivatives at once: nearly always the first trial is taken, and they are needed then.
-            found = misfit.evaluate(trial)
+            found = problem.evaluate(trial)
         except NoModesError:
             # Outside the model's domain (a mass not positive, a frame that buckles): too long a step.
             continue
         if found.objective < at.objective:
-            return trial, found
-    return None
+            return (trial, found), evaluations
+    return None, evaluations
 
 
 def _made_feasible(theta: Floats, domain: Domain, backend: Backend) -> Floats:
@@ -244,26 +328,4 @@ def _kept(program: LeastSquares, scale: Floats) -> bool:
     return bool(
         np.all(h >= -ROUNDING * np.linalg.norm(G * scale, axis=1))
         and np.all(np.abs(b) <= ROUNDING * np.linalg.norm(A * scale, axis=1))
-    )
-
-
-def embedded(said: Constraints, at: slice | Ints, size: int) -> Constraints:
-    """Statements about some of the parameters as statements about all of them."""
-
-    def wide(rows: Floats | None) -> Floats | None:
-        if rows is None:
-            return None
-        full = np.zeros((len(rows), size))
-        full[:, at] = rows
-        return full
-
-    def padded(bound: Floats | None, fill: float) -> Floats | None:
-        if bound is None:
-            return None
-        full = np.full(size, fill)
-        full[at] = bound
-        return full
-
-    return Constraints(
-        padded(said.lower, -np.inf), padded(said.upper, np.inf), wide(said.G), said.h, wide(said.A), said.b
     )

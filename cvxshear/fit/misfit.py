@@ -1,7 +1,8 @@
 """Measured against modelled: standardized residuals of all data together, and their derivatives.
 
 Data of every kind, the soft priors, and what is expected of effects and of the frame, each divided by its standard
-deviation. What is left undeclared has a noise of its own, a factor on the default standard deviations of its kind.
+deviation. A standard deviation that nobody declared is a factor on a default, which is estimated with the rest: that of
+a kind of noise, and the common size of an effect of many parameters.
 """
 
 from __future__ import annotations
@@ -12,12 +13,21 @@ from functools import cached_property
 
 import numpy as np
 
-from cvxshear.data import NOISES, Datum, Model, Noise, data_of
+from cvxshear.data import NOISES, Datum, Deviation, Model, Noise, data_of
 from cvxshear.effects import Placed, compose
+from cvxshear.effects.composition import slices
 from cvxshear.fit.expectation import Expectation
 from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Bools, Floats, Ints
+
+WIDTH = 0.7
+"""Standard deviation of the logarithm of the factor on a default standard deviation of the data: two thirds of what is
+tested lie within half and twice the default, nineteen in twenty within a quarter and four times."""
+
+
+LEAST_SQUARE = 1e-2
+"""Least square of an error on top of a declared one, relative to that, from which the search for its size starts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +45,10 @@ class Evaluation:
         One a tested state.
     measured, known : int
         Rows of data and soft priors; those with what is expected of the effects.
-    noises : ndarray of int, shape (d,)
-        Place in `NOISES` of a row whose standard deviation nobody declared, -1 for the others.
+    blocks : tuple of int
+        Rows of each datum, in the order of `Misfit.data`.
+    unknown : ndarray of int, shape (d,)
+        Place in `Misfit.unknown` of a row whose standard deviation is estimated with the rest, -1 for the others.
     """
 
     r: Floats
@@ -44,7 +56,8 @@ class Evaluation:
     models: tuple[Model, ...]
     measured: int
     known: int
-    noises: Ints
+    blocks: tuple[int, ...]
+    unknown: Ints
 
     @property
     def objective(self) -> float:
@@ -72,6 +85,41 @@ class Evaluation:
         return np.asarray(np.linalg.qr(self.J[: self.known], mode="r"))
 
 
+@dataclass(frozen=True)
+class UnknownSize:
+    """A standard deviation that nobody declared: the logarithm of a factor on it is estimated with the rest.
+
+    Parameters
+    ----------
+    key : str
+        Kind of noise, or label of the effect whose parameters have this common size or whose data this noise.
+    count : float
+        Number of data, or of parameters, that have it.
+    width : float
+        Standard deviation of the logarithm of the factor before anything is measured.
+    above_one : bool
+        Whether it is sqrt(1 + s^2), with log s normal: an error that comes on top of a declared one. Else the factor
+        itself has a normal logarithm.
+    """
+
+    key: str
+    count: float
+    width: float
+    above_one: bool = False
+
+    def log_factor(self, v: float) -> tuple[float, float]:
+        """The logarithm of the factor at a value v of what is normal beforehand, and its derivative by v."""
+        if not self.above_one:
+            return v, 1.0
+        return 0.5 * float(np.logaddexp(0.0, 2.0 * v)), float(1.0 / (1.0 + np.exp(-2.0 * v)))
+
+    def coordinate(self, factor: float) -> float:
+        """The value v at which the factor is this one."""
+        if not self.above_one:
+            return float(np.log(factor))
+        return 0.5 * float(np.log(max(np.expm1(2.0 * np.log(factor)), LEAST_SQUARE)))
+
+
 class Misfit:
     """The residuals of an experiment under a model with these effects.
 
@@ -85,6 +133,9 @@ class Misfit:
         Factors on the default standard deviations of what declares none.
     expectation : Expectation, optional
         What is expected of the effects and of the frame; nothing where not given.
+    widened : float, optional
+        Factor on all standard deviations of the data, declared ones too: what a residual that nothing explains asks
+        for.
     """
 
     def __init__(
@@ -94,12 +145,14 @@ class Misfit:
         leave_out: dict[str, Bools] | None = None,
         noise: Noise | None = None,
         expectation: Expectation | None = None,
+        widened: float = 1.0,
     ) -> None:
         self.experiment = experiment
         self.effects = tuple(effects)
         self.leave_out = leave_out or {}
         self.noise = noise or Noise()
         self.expectation = expectation or Expectation()
+        self.widened = widened
         self.data = [
             datum.without(self.leave_out[datum.tested.name]) if datum.tested.name in self.leave_out else datum
             for datum in data_of(experiment)
@@ -113,6 +166,7 @@ class Misfit:
             self.leave_out,
             noise or self.noise,
             self.expectation,
+            self.widened,
         )
 
     @property
@@ -121,10 +175,56 @@ class Misfit:
         return 2 * self.experiment.stories + sum(len(placed.effect.parameters) for placed in self.effects)
 
     @cached_property
-    def open_noises(self) -> dict[str, int]:
+    def unknown(self) -> tuple[UnknownSize, ...]:
+        """Every standard deviation that is estimated with the rest: of kinds of noise, then of effects."""
+        counts = dict.fromkeys(NOISES, 0.0)
+        rescaled = {placed.label: 0.0 for placed in self.effects if placed.effect.rescales}
+        for datum, keys in zip(self.data, self._keys, strict=True):
+            # A scale that each mode leaves free takes as much from the rows of either noise.
+            share = datum.count / max(datum.entries, 1)
+            for key in set(keys) - {""}:
+                into = rescaled if key in rescaled else counts
+                into[key] += share * sum(mine == key and known for mine, known in zip(keys, datum.known, strict=True))
+        noises = [UnknownSize(key, count, WIDTH) for key, count in counts.items() if count]
+        sizes = [
+            UnknownSize(
+                placed.label,
+                rescaled.get(placed.label, len(placed.effect.parameters)),
+                placed.effect.size_width,
+                placed.effect.rescales,
+            )
+            for placed in self.effects
+            if placed.effect.common_size and not placed.fixed
+        ]
+        return (*noises, *sizes)
+
+    @property
+    def open_noises(self) -> dict[str, float]:
         """The kinds of noise that somebody left undeclared, each with its number of data."""
-        counts = {name: sum(d.count for d in self.data if d.noise == name and not d.declared) for name in NOISES}
-        return {name: count for name, count in counts.items() if count}
+        return {item.key: item.count for item in self.unknown if item.key in NOISES}
+
+    def rescaled_rows(self, at: Evaluation, placed: Placed) -> Bools:
+        """The rows of an evaluation whose standard deviation an effect leaves open, shape (d,)."""
+        found = np.zeros(len(at.r), dtype=bool)
+        found[: sum(at.blocks)] = np.concatenate([self._rescaled(datum, placed) for datum in self.data])
+        return found
+
+    def _rescaled(self, datum: Datum, placed: Placed) -> Bools:
+        """The rows of a datum whose standard deviation an effect leaves open."""
+        return placed.effect.rescaled(datum.tested, datum.noise, datum.floors, placed.place)
+
+    @cached_property
+    def _keys(self) -> list[list[str]]:
+        """What the factor on the standard deviation of each row of each datum goes by; empty where it is declared."""
+        found = []
+        for datum in self.data:
+            keys = [("" if datum.declared else datum.noise)] * len(datum.floors)
+            for placed in self.effects:
+                if placed.effect.rescales:
+                    own = self._rescaled(datum, placed)
+                    keys = [placed.label if mine else key for key, mine in zip(keys, own, strict=True)]
+            found.append(keys)
+        return found
 
     def count(self, theta: Floats) -> int:
         """Number of data, soft priors included."""
@@ -150,14 +250,18 @@ class Misfit:
         if np.any(theta[: 2 * n] <= 0):
             raise NoModesError("floor masses and story stiffnesses must be positive")
         models = {id(each): self._model(each, theta, by, derivatives) for each in self.experiment.tested}
-        parts, rows, noises = [np.zeros(0)], [], []
+        parts, rows, keys = [np.zeros(0)], [], list[str]()
         for datum in self.data:
-            found = datum.residual(models[id(datum.tested)])
-            factor = 1.0 if datum.declared else self.noise.of(datum.noise)
-            parts.append(found.r / factor)
-            rows.append(found.J / factor)
-            noises.append(np.full(len(found.r), -1 if datum.declared else NOISES.index(datum.noise)))
-        soft, expected, frame = self._soft(theta), *self.expectation.residuals(theta, self.effects)
+            own = self._keys[len(parts) - 1]
+            factor = self.widened * np.array([self.noise.of(key) for key in own])
+            found = datum.widened_residual(models[id(datum.tested)], factor)
+            parts.append(found.r)
+            rows.append(found.J)
+            keys += own
+        soft = self._soft(theta)
+        expected, expected_keys, frame = self.expectation.residuals(theta, self.effects, dict(self.noise.factors))
+        places = {"": -1, **{item.key: place for place, item in enumerate(self.unknown)}}
+        keys += [""] * len(soft[0]) + expected_keys + [""] * len(frame[0])
         r = np.concatenate([*parts, soft[0], expected[0], frame[0]])
         measured = len(r) - len(expected[0]) - len(frame[0])
         more = [part[1][:, by] for part in (soft, expected, frame)]
@@ -167,12 +271,29 @@ class Misfit:
             tuple(models.values()),
             measured,
             len(r) - len(frame[0]),
-            np.concatenate([*noises, np.full(len(r) - sum(map(len, noises)), -1)]).astype(np.int64),
+            tuple(len(part) for part in parts[1:]),
+            np.array([places[key] for key in keys], dtype=np.int64),
         )
 
     def _model(self, tested: Tested, theta: Floats, by: slice, derivatives: bool) -> Model:
         state = compose(self.experiment, tested, self.effects, theta, derivatives=derivatives)
         return Model(state, by, derivatives)
+
+    def statement_deviations(self, theta: Floats) -> list[Deviation]:
+        """How far each soft prior, and a soft total mass, lies from the model, in its own standard deviations.
+
+        What an effect says of a prior that does not hold is left out of account.
+        """
+        plain = Misfit(self.experiment)
+        residuals, at = plain._soft(theta[: 2 * self.experiment.stories])[0], 0
+        found = []
+        for words, rows in self.experiment.soft_statements:
+            own = residuals[at : at + rows]
+            at += rows
+            if rows:
+                size = float(own[0]) if rows == 1 else float(np.sqrt(np.mean(own**2)))
+                found.append(Deviation("prior", "", words, None, size, rows))
+        return found
 
     def _soft(self, theta: Floats) -> tuple[Floats, Floats]:
         """The soft priors, and a total mass declared with a standard deviation, as data."""
@@ -190,7 +311,17 @@ class Misfit:
             row[:, at] = J
             residuals.append(r)
             rows.append(row)
+        for placed, own in slices(self.effects, 2 * n):
+            if placed.place.prior is not None:
+                at_prior = 1 + self._statements.index(placed.place.prior)
+                residuals[at_prior] = residuals[at_prior] - theta[own]
+                rows[at_prior][:, own] -= np.eye(own.stop - own.start)
         return np.concatenate(residuals), np.concatenate(rows)
+
+    @cached_property
+    def _statements(self) -> list[str]:
+        """The soft total mass and the priors in words, in the order of their rows."""
+        return [words for words, _ in self.experiment.soft_statements]
 
 
 def of_kind(data: Sequence[Datum], noise: str) -> list[Datum]:

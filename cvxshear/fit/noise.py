@@ -1,13 +1,14 @@
-"""Noise that nobody declared: a factor on the default standard deviations of each kind, estimated with the rest.
+"""Standard deviations that nobody declared: a factor on a default each, estimated with the rest.
 
-The logarithm u of a factor is normal about 0 before anything is measured: instruments and methods differ by factors
-of two or four, not of a hundred. Given u the parameters are integrated out of the linearised model
-(MacKay 1992), so that data which the parameters can follow do not pass for exact ones:
+They are those of the kinds of noise, and the common size of the parameters of an effect that has many. The logarithm u
+of a factor is normal about 0 before anything is measured: instruments and methods differ by factors of two or four, not
+of a hundred. Given u the parameters are integrated out of the linearised model (MacKay 1992), so that data which the
+parameters can follow do not pass for exact ones:
 
-    log p(data, u) = -chi2(u) / 2 - sum n_g u_g - log det H(u) / 2 - sum u_g^2 / 2 w^2 + constant,
+    log p(data, u) = -chi2(u) / 2 - sum n_g u_g - log det H(u) / 2 - sum u_g^2 / 2 w_g^2 + constant,
 
-w that width, n_g the number of data of a kind, H(u) = sum exp(-2 u_g) J_g' J_g, chi2(u) the least of the linearised
-residual.
+w_g the width of that prior, n_g the number of residuals with this factor, H(u) = sum exp(-2 u_g) J_g' J_g, chi2(u) the
+least of the linearised residual, what is expected of the parameters included.
 """
 
 from __future__ import annotations
@@ -22,10 +23,6 @@ from cvxshear.data import NOISES, Noise
 from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.util.typing import Floats, Json
 
-WIDTH = 0.7
-"""Standard deviation of the logarithm of a factor: two thirds of what is tested lie within half and twice the default,
-nineteen in twenty within a quarter and four times."""
-
 LARGEST_NOISE = {"frequency": 15.0, "mode_shape": 15.0, "displacement": 15.0}
 """Factors beyond which no instrument is as bad: frequencies uncertain to 3 %, shapes and displacements to 15 %."""
 
@@ -35,8 +32,9 @@ SHARPEST = 1e-12
 STEP = 1e-3
 """Of the differences that give the curvature in u."""
 
-NODES = 7
-"""Points of the quadrature in each u: the marginal is skew where few data are left to tell the noise."""
+NODES = {1: 7, 2: 7, 3: 5, 4: 3}
+"""Points of the quadrature in each u by the number of them: the marginal is skew where few data are left to tell the
+noise. Where there are more, Laplace's approximation (one point) stands for it."""
 
 LARGEST = 20.0
 """Change of a log factor beyond which an exponential is not worth its overflow."""
@@ -49,18 +47,21 @@ class NoiseEstimate:
     Parameters
     ----------
     kinds : tuple of str
-        Of `NOISES`.
+        Of `NOISES`, then labels of effects whose common size is unknown.
     log_factors : ndarray, shape (g,)
     covariance : ndarray, shape (g, g)
         Of the logarithms.
     gain : float
-        log p(data, u) here, u integrated out, less what -objective / 2 - log det H / 2 is here.
+        log p(data, u) of the linearised fit, u integrated out, without -objective / 2 - log det H / 2 of that fit.
+    settled : bool
+        Whether the fit was made with these factors.
     """
 
     kinds: tuple[str, ...] = ()
     log_factors: Floats = field(default_factory=lambda: np.zeros(0))
     covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     gain: float = 0.0
+    settled: bool = True
 
     @property
     def noise(self) -> Noise:
@@ -69,10 +70,15 @@ class NoiseEstimate:
 
     def to_dict(self) -> Json:
         """For each kind its factor and the standard deviation of that; null where it was declared."""
-        result: Json = dict.fromkeys(NOISES)
-        for at, (kind, factor) in enumerate(self.noise.factors):
-            result[kind] = {"factor": factor, "std": factor * float(np.sqrt(self.covariance[at, at]))}
-        return result
+        return {kind: self.of(kind) for kind in NOISES}
+
+    def of(self, key: str) -> Json | None:
+        """Factor and its standard deviation of a kind of noise, or of an effect's size; None where it was declared."""
+        if key not in self.kinds:
+            return None
+        at = self.kinds.index(key)
+        factor = float(np.exp(self.log_factors[at]))
+        return {"factor": factor, "std": factor * float(np.sqrt(self.covariance[at, at]))}
 
 
 def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats) -> NoiseEstimate:
@@ -91,76 +97,94 @@ def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats) -> NoiseEstima
     -------
     NoiseEstimate
     """
-    kinds = tuple(misfit.open_noises)
-    if not kinds:
+    if not misfit.unknown:
         return NoiseEstimate()
-    marginal = _Marginal(misfit, at, free, kinds)
-    best = optimize.fmin_bfgs(marginal.loss, marginal.here, fprime=marginal.slope, disp=False)
+    marginal = _Marginal(misfit, at, free)
+    best = optimize.fmin_bfgs(marginal.loss, marginal.start, fprime=marginal.slope, disp=False)
     # Where the marginal has no maximum the search runs off.
-    u: Floats = np.clip(best, -LARGEST, LARGEST)
-    covariance: Floats = np.asarray(np.linalg.inv(_curvature(marginal, u)), dtype=np.float64)
-    return NoiseEstimate(kinds, u, covariance, _log_integral(marginal, u, covariance))
+    v: Floats = np.clip(best, -LARGEST, LARGEST)
+    covariance: Floats = np.asarray(np.linalg.inv(_curvature(marginal, v)), dtype=np.float64)
+    kinds = tuple(item.key for item in misfit.unknown)
+    u, slope = marginal.log_factors(v)
+    spread = slope[:, None] * covariance * slope
+    return NoiseEstimate(kinds, u, spread, _log_integral(marginal, v, covariance))
 
 
-def _log_integral(of: _Marginal, u: Floats, covariance: Floats) -> float:
+def _log_integral(marginal: _Marginal, u: Floats, covariance: Floats) -> float:
     """log of the integral of the marginal over u and its prior's constant, by Gauss and Hermite about its largest."""
     root = np.sqrt(2.0) * np.linalg.cholesky(covariance)
-    nodes, weights = np.polynomial.hermite.hermgauss(NODES)
+    nodes, weights = np.polynomial.hermite.hermgauss(NODES.get(len(u), 1))
     points = np.array(list(itertools.product(nodes, repeat=len(u))))
     logs = np.array([sum(each) for each in itertools.product(np.log(weights) + nodes**2, repeat=len(u))])
-    values = np.array([of.value(u + root @ point) for point in points]) + logs
+    values = np.array([marginal.value(u + root @ point) for point in points]) + logs
     log_det = float(np.linalg.slogdet(root)[1])
-    return float(special.logsumexp(values)) + log_det - len(u) * float(np.log(WIDTH * np.sqrt(2 * np.pi)))
+    return float(special.logsumexp(values)) + log_det - float(np.sum(np.log(marginal.widths * np.sqrt(2 * np.pi))))
 
 
 class _Marginal:
-    """log p(data, u) in the linearised model, relative to what it is without its terms in u at the fit's own noise."""
+    """log p(data, u) of the linearised model, without the terms -objective / 2 and -log det H / 2 of the fit."""
 
-    def __init__(self, misfit: Misfit, at: Evaluation, free: Floats, kinds: tuple[str, ...]) -> None:
-        self.here: Floats = np.log(np.array([misfit.noise.of(kind) for kind in kinds]))
-        self._counts = np.array([misfit.open_noises[kind] for kind in kinds], dtype=float)
-        rows = [at.noises == NOISES.index(kind) for kind in kinds]
+    def __init__(self, misfit: Misfit, at: Evaluation, free: Floats) -> None:
+        factors = [misfit.noise.of(item.key) for item in misfit.unknown]
+        self._unknown = misfit.unknown
+        self.here: Floats = np.log(np.array(factors))
+        self.start = np.array(
+            [item.coordinate(factor) for item, factor in zip(misfit.unknown, factors, strict=True)]
+        )
+        self.widths = np.array([item.width for item in misfit.unknown])
+        self._counts = np.array([item.count for item in misfit.unknown], dtype=float)
+        rows = [at.unknown == place for place in range(len(misfit.unknown))]
         moved = [at.J[own] @ free for own in rows]
         self._information = np.array([part.T @ part for part in moved])
         self._gradient = np.array([part.T @ at.r[own] for part, own in zip(moved, rows, strict=True)])
         self._chi2 = np.array([float(at.r[own] @ at.r[own]) for own in rows])
 
-    def negative(self, u: Floats) -> tuple[float, Floats]:
-        """Minus it, but for the objective and log det H / 2 at the fit, and its derivative by u."""
+    def log_factors(self, v: Floats) -> tuple[Floats, Floats]:
+        """u at a value of what is normal beforehand, and its derivatives, both of shape (g,)."""
+        found = [item.log_factor(float(value)) for item, value in zip(self._unknown, v, strict=True)]
+        u, slope = np.array(found).T
+        return u, slope
+
+    def negative(self, v: Floats) -> tuple[float, Floats]:
+        """Minus log p(data, u(v)), without those terms, and its derivative by v."""
+        u, slope = self.log_factors(v)
         weight = np.exp(-2.0 * np.clip(u - self.here, -LARGEST, LARGEST))
         change = weight - 1.0
         H = np.eye(self._information.shape[1]) + np.tensordot(change, self._information, 1)
         try:
             factor = linalg.cho_factor(H, check_finite=False)
         except linalg.LinAlgError:
-            return np.inf, np.zeros(len(u))
+            return np.inf, np.zeros(len(v))
         gradient = change @ self._gradient
         step = -linalg.cho_solve(factor, gradient, check_finite=False)
         log_det = 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
-        value = -0.5 * (change @ self._chi2 + gradient @ step + log_det + u @ u / WIDTH**2) - self._counts @ u
+        prior = float(np.sum((v / self.widths) ** 2))
+        value = -0.5 * (change @ self._chi2 + gradient @ step + log_det + prior) - self._counts @ u
         left = self._chi2 + 2.0 * self._gradient @ step + np.einsum("i,gij,j->g", step, self._information, step)
-        known = np.array([np.trace(linalg.cho_solve(factor, part, check_finite=False)) for part in self._information])
-        return -float(value), -(weight * (left + known) - self._counts - u / WIDTH**2)
+        inverse = linalg.cho_solve(factor, np.eye(len(H)), check_finite=False)
+        known = np.einsum("ij,gji->g", inverse, self._information)
+        return -float(value), -(slope * (weight * (left + known) - self._counts) - v / self.widths**2)
 
     def loss(self, u: Floats) -> float:
-        """Minus it."""
+        """Minus log p(data, u), without those terms."""
         return self.negative(u)[0]
 
     def slope(self, u: Floats) -> Floats:
-        """Minus its derivative."""
+        """Derivative of `loss`."""
         return self.negative(u)[1]
 
     def value(self, u: Floats) -> float:
-        """It, but for the objective and log det H / 2 at the fit."""
+        """log p(data, u), without those terms."""
         return -self.negative(u)[0]
 
 
-def _curvature(of: _Marginal, u: Floats) -> Floats:
-    """Minus the second derivatives, by differences of the first, at least those of the prior alone times a tenth.
+def _curvature(marginal: _Marginal, u: Floats) -> Floats:
+    """Minus the second derivatives of log p(data, u), by differences of the first, shape (g, g).
 
-    Nor is one direction known so much better than another that the inverse would lose its sign in rounding.
+    Each eigenvalue is at least a tenth of the prior's, and at least `SHARPEST` times the largest: the inverse exists.
     """
-    rows = [(of.negative(u + step)[1] - of.negative(u - step)[1]) / (2 * STEP) for step in STEP * np.eye(len(u))]
+    steps = STEP * np.eye(len(u))
+    rows = [(marginal.negative(u + step)[1] - marginal.negative(u - step)[1]) / (2 * STEP) for step in steps]
     values, vectors = np.linalg.eigh(0.5 * (np.array(rows) + np.array(rows).T))
-    least = max(0.1 / WIDTH**2, SHARPEST * float(values[-1]))
+    least = max(0.1 / float(np.max(marginal.widths)) ** 2, SHARPEST * float(values[-1]))
     return np.asarray((vectors * np.maximum(values, least)) @ vectors.T)

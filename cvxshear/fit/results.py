@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cvxshear.data import Model
-from cvxshear.fit.ending import Ending
+from cvxshear.fit.gauss_newton import Ending
 from cvxshear.fit.quality import Quality
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.util.dataframe import data_frame
+from cvxshear.util.plain import as_json, data_frame
 from cvxshear.util.showing import Shown
 from cvxshear.util.typing import Bools, Floats, Json
 
@@ -22,9 +22,8 @@ if TYPE_CHECKING:
 
 def plain(values: Floats | None) -> list[object] | None:
     """An array as lists, None in place of nan, as JSON has it."""
-    if values is None:
-        return None
-    return [plain(item) if isinstance(item, np.ndarray) else None if np.isnan(item) else float(item) for item in values]
+    found: list[object] | None = as_json(values)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +99,8 @@ class Prediction:
     @staticmethod
     def of(model: Model) -> Prediction:
         """The prediction of a model of a tested state."""
-        shapes = model.modes.shapes
+        # Sensors' gains are no part of the frame's motion; attached masses stand on no floor.
+        shapes = model.modes.shapes[:, : len(model.state.story_stiffness)]
         largest = shapes[np.arange(len(shapes)), np.argmax(np.abs(shapes), axis=1)]
         return Prediction(model.state.tested.name, model.modes.frequencies, shapes / largest[:, None])
 
@@ -254,5 +254,5 @@ class Identification(Shown):
             result["undetermined"] = [list(names) for names in self.undetermined]
             result["at_bounds"] = [name for part in self.parts for name in part.frame.at_bounds]
         else:
-            result["configurations"] = [part.to_dict() for part in self.parts]
+            result["configurations"] = [part.to_dict() for part in self.parts] if single is None else [single]
         return result

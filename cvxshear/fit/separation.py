@@ -1,4 +1,4 @@
-"""How far a test that was not made would set models of one frame apart.
+"""How far a test that was not made would separate models of one frame.
 
 Models differ by d in what they say of the test, in standard deviations of its noise. What each leaves uncertain moves
 its own prediction along columns S, a standard deviation each, so that d has the covariance 1 + S S', and the models lie
@@ -7,6 +7,10 @@ its own prediction along columns S, a standard deviation each, so that d has the
 
 standard deviations apart. Effects before any fit are the same with d what each of them would do to the data, and S what
 the frame's masses and stiffnesses can do.
+
+What such a test says of one effect is the linear model y = G x + e, x the effect's value, G = D^2 at x = 1 and
+var(e) = G; `log_evidence` is the probability of y with the effect over that without it. It is what the Laplace
+approximation of the loop's evidence becomes where it is exact.
 """
 
 from __future__ import annotations
@@ -15,7 +19,9 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import log_ndtr
 
+from cvxshear.data.pairing import numbered
 from cvxshear.effects import compose
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.misfit import Misfit
@@ -25,8 +31,8 @@ from cvxshear.model.shear import modes
 from cvxshear.util.typing import Bools, Floats, Ints
 
 
-def told(differences: Floats, uncertain: Floats) -> Floats:
-    """d' (1 + S S')^-1 d.
+def separation(differences: Floats, uncertain: Floats) -> Floats:
+    """Squared distances of models, d' (1 + S S')^-1 d, whose entries off the diagonal say how alike two models are.
 
     Parameters
     ----------
@@ -48,6 +54,37 @@ def told(differences: Floats, uncertain: Floats) -> Floats:
     left = np.concatenate([differences, np.zeros((q, differences.shape[1]))])
     left = left - basis @ (basis.T @ left)
     return np.asarray(left.T @ left, dtype=np.float64)
+
+
+def log_evidence(information: float, y: Floats, mean: float, std: float, side: int = 0) -> Floats:
+    """Logarithm of the evidence of an effect of one parameter over that of the model without it.
+
+    With the effect's value x normal about `mean` before the test, and data that say y of it, var(y) = G,
+
+        (1 + s^2 G)^(-1/2) exp(m^2 / (2 v) - mean^2 / (2 s^2)),  v = 1 / (G + 1 / s^2),  m = v (y + mean / s^2),
+
+    times 2 Phi(m / sqrt(v)) where physics allows values on one side of none alone.
+
+    Parameters
+    ----------
+    information : float
+        G, about the effect's value, the frame marginalised.
+    y : ndarray
+        G x + e.
+    mean, std : float
+        Of the effect's value before the test.
+    side : int, optional
+        1 or -1 where the value is on that side of zero for sure, else 0.
+
+    Returns
+    -------
+    ndarray
+        Of y's shape.
+    """
+    v = 1 / (information + 1 / std**2)
+    m = v * (y + mean / std**2)
+    found: Floats = m**2 / (2 * v) - mean**2 / (2 * std**2) - np.log1p(std**2 * information) / 2
+    return found if side == 0 else found + np.log(2) + log_ndtr(side * m / np.sqrt(v))
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +126,7 @@ class Disagreement:
                 length = float(along @ along)
                 if length > 0:
                     both[own] -= np.outer(along, along @ both[own]) / length
-        return float(np.sqrt(told(both[:, :1], both[:, 1:])[0, 0]))
+        return float(np.sqrt(separation(both[:, :1], both[:, 1:])[0, 0]))
 
 
 def disagreement(accepted: Estimate, rival: Estimate, test: Configuration, first: Configuration) -> Disagreement:
@@ -146,7 +183,8 @@ def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Co
     blank = dataclasses.replace(first, name="next test", added_mass=added_mass)
     state = compose(accepted.experiment, blank, accepted.effects, accepted.theta, derivatives=False)
     found = modes(state.system.M, state.system.K)
-    shapes = found.shapes[first.modes - 1] * state.gain
+    which = numbered(first, found, state.system.M)
+    shapes = state.observation.shown(found.shapes[which])
     measured = dataclasses.replace(
         blank, mode_shapes=np.where(first.measured, shapes[:, first.measured_floors - 1], np.nan)
     )
@@ -154,7 +192,7 @@ def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Co
     shape = 1.0 if first.mode_shape_std is not None else noise.of("mode_shape")
     return dataclasses.replace(
         blank,
-        frequencies=found.frequencies[first.modes - 1],
+        frequencies=found.frequencies[which],
         measured_floors=np.arange(1, shapes.shape[1] + 1),
         mode_shapes=shapes,
         frequency_std=frequency * first.log_frequency_std,

@@ -1,45 +1,78 @@
-"""Where the efficient estimator starts: masses and stiffnesses from the story equations, linear in both.
+"""Where the efficient estimator starts.
 
-Above story i the inertia forces of a mode are carried by that story,
+**Story equations**, linear in masses and stiffnesses. The inertia forces of a mode above story i are carried by it,
 
     k_i (phi_i - phi_(i-1)) - lambda sum over l >= i of m_l phi_l = lambda sum over l >= i of a_l phi_l,
 
 with a the added mass. Every mode of every configuration gives N such rows for the 2N unknowns. Floors
 without a sensor are filled in from the modes of the model found so far.
+
+**Smooth frames**, where no other start is near the data. A tall frame has many local minima: a high mode of the model
+with its nodes half a wave off fits worse on the way to where it fits. The lowest modes have hardly any, and they see
+masses and stiffnesses as smooth functions of the height. So the logarithms of both are polynomials in the height,
+
+    theta = theta_0 o exp(B c),        B Legendre polynomials up to a degree,
+
+fitted to the first mode, then to twice as many with a degree more, and so on up to all; every stage starts where the
+last one ended. What is not smooth is left to Gauss-Newton, which then starts in the right valley.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from scipy.linalg import block_diag
 
 from cvxshear import backends
-from cvxshear.fit.domain import spread
+from cvxshear.fit.domain import Domain, spread
+from cvxshear.fit.gauss_newton import gauss_newton
+from cvxshear.fit.misfit import Misfit
+from cvxshear.fit.optimality import PlainResiduals
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model.shear import Modes, mass_matrix, modes, stiffness_matrix, transformation
-from cvxshear.priors import Nominal
+from cvxshear.priors import Constraints
 from cvxshear.programs import LeastSquares
-from cvxshear.programs.rows import constrained, statements
-from cvxshear.util.errors import CvxshearError, InputError
+from cvxshear.programs.statements import NamedConstraints, constrained, statements
+from cvxshear.util.errors import CvxshearError, InputError, NoModesError, NoSolutionError
 from cvxshear.util.typing import Floats
 
-ROUNDS = 6
-SMALLEST = 0.05
+FILLINGS = 6
+"""Times that missing entries are filled in and the story equations solved again."""
+
+SMALLEST_START = 0.05
 """Smallest start of a mass or stiffness, as a part of their mean: a start at zero is none."""
 
 TAPERS = (0.2, 0.4, 0.6, 0.8)
 """Parts of the bottom story's stiffness by which the top story's is smaller."""
 
+FAR_OFF = 100.0
+"""Chi-square a datum beyond which a starting point is not near the data: errors of ten standard deviations."""
+
+MOST_DEGREE = 8
+"""Largest degree of the polynomials: with it a profile has a bend every few stories of a tall frame."""
+
+MOST_SMOOTH_STEPS = 20
+SMOOTH_STEP = 1e-2
+"""Steps of a stage at most, and the change of a residual that counts as none: the next stage starts from here."""
+
+COEFFICIENT_STD = 1.0 / 3.0
+"""Standard deviation of each coefficient about zero: what these data do not determine stays uniform."""
+
+LARGEST_CHANGE = 3.0
+"""Bound of |B c| in a stage, so that no trial overflows: factors from 1/20 to 20."""
+
 
 def starts(experiment: Experiment) -> list[Floats]:
     """Starting points theta, each of shape (2N,), masses and stiffnesses positive.
 
-    Design values, those of nominal priors on both, where there are any; the story equations; and frames of equal
+    Design values of both, those that priors suggest, where there are any; the story equations; and frames of equal
     masses, of uniform stiffness and of the stiffness that falls with height as the ratios of the frequencies say.
     """
     even = uniform(experiment)
     points = []
     theta = even
-    for _ in range(1 if all(each.complete for each in experiment.configurations) else ROUNDS):
+    for _ in range(1 if all(each.complete for each in experiment.configurations) else FILLINGS):
         try:
             theta = _from_story_equations(experiment, theta)
         except CvxshearError:
@@ -70,7 +103,11 @@ def _log_eigenvalue_ratios(configuration: Configuration, mass: Floats, stiffness
 
 def _nominal(experiment: Experiment) -> list[Floats]:
     """The design values of masses and stiffnesses, where both are declared, at the right mean frequency."""
-    values = {prior.quantity: prior.values for prior in experiment.priors if isinstance(prior, Nominal)}
+    values = {}
+    for prior in experiment.priors:
+        suggested = prior.suggested(experiment.stories)
+        if suggested is not None and not np.any(np.isnan(suggested)):
+            values[prior.quantity] = suggested
     if len(values) < 2:
         return []
     mass, stiffness = values["floor_mass"], values["story_stiffness"]
@@ -96,9 +133,9 @@ def uniform(experiment: Experiment, taper: float = 0.0) -> Floats:
     if frame.floor_masses is not None:
         mass = frame.floor_masses.copy()
     for prior in experiment.priors:
-        if prior.quantity == "floor_mass" and prior.fixes_scale and known is None:
-            nominal = getattr(prior, "values", None)
-            mass = np.array(nominal) if nominal is not None else np.full(n, float(getattr(prior, "value", mass[0])))
+        suggested = prior.suggested(n)
+        if prior.quantity == "floor_mass" and prior.fixes_scale and known is None and suggested is not None:
+            mass = np.where(np.isnan(suggested), np.nanmean(suggested), suggested)
     return np.concatenate([mass, shape * _frequency_factor(experiment, mass, shape)])
 
 
@@ -136,7 +173,7 @@ def _from_story_equations(experiment: Experiment, theta: Floats) -> Floats:
     m, k = x[:n], x[n:]
     if m.mean() <= 0 or k.mean() <= 0:
         raise InputError("the story equations have no solution of positive masses and stiffnesses")
-    return np.concatenate([np.maximum(m, SMALLEST * m.mean()), np.maximum(k, SMALLEST * k.mean())])
+    return np.concatenate([np.maximum(m, SMALLEST_START * m.mean()), np.maximum(k, SMALLEST_START * k.mean())])
 
 
 def filled(configuration: Configuration, j: int, model: Modes) -> Floats:
@@ -158,3 +195,141 @@ def filled(configuration: Configuration, j: int, model: Modes) -> Floats:
     phi: Floats = share @ model.shapes[near]
     phi[floors] = values
     return phi
+
+
+@dataclass(frozen=True, eq=False)
+class _SmoothFrames:
+    """The misfit of frames of smooth profiles, as a problem in their coefficients.
+
+    Parameters
+    ----------
+    misfit : Misfit
+    base : ndarray, shape (2N,)
+        theta_0.
+    mass, stiffness : ndarray, shapes (N, a) and (N, b)
+        Polynomials of the logarithms; `mass` of no columns where the masses are known.
+    total : float or None
+        What the masses add up to, kg, if known.
+    """
+
+    misfit: Misfit
+    base: Floats
+    mass: Floats
+    stiffness: Floats
+    total: float | None
+
+    def at(self, c: Floats) -> tuple[Floats, Floats]:
+        """theta, and the derivative of its logarithm by c."""
+        n = len(self.mass)
+        theta = self.base * np.exp(block_diag(self.mass, self.stiffness) @ c)
+        mass = self.mass
+        if self.total is not None and mass.shape[1]:
+            theta[:n] *= self.total / theta[:n].sum()
+            mass = mass - theta[:n] @ mass / self.total
+        return theta, block_diag(mass, self.stiffness)
+
+    def evaluate(self, c: Floats, /, *, derivatives: bool = True) -> PlainResiduals:
+        """Residuals of the frame and of the coefficients about zero."""
+        theta, slope = self.at(c)
+        found = self.misfit.evaluate(theta, derivatives=derivatives)
+        r = np.concatenate([found.r, c / COEFFICIENT_STD])
+        J = np.concatenate([(found.J * theta) @ slope, np.eye(len(c)) / COEFFICIENT_STD])
+        return PlainResiduals(r, J if derivatives else np.zeros((0, len(c))))
+
+    def best(self) -> Floats:
+        """The frame of the smallest misfit, shape (2N,)."""
+        profiles = block_diag(self.mass, self.stiffness)
+        size = profiles.shape[1]
+        within = Constraints(G=np.concatenate([profiles, -profiles]), h=np.full(2 * len(profiles), LARGEST_CHANGE))
+        domain = Domain(
+            (NamedConstraints("smooth profiles", within),), np.full(size, COEFFICIENT_STD), np.full(size, np.inf)
+        )
+        fit = gauss_newton(
+            self, np.zeros(size), domain, backends.get("auto"), SMOOTH_STEP, most_steps=MOST_SMOOTH_STEPS
+        )
+        return self.at(fit.theta)[0]
+
+
+def smooth_start(experiment: Experiment, base: Floats) -> Floats:
+    """The smooth frame that suits all modes, reached from the lowest.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    base : ndarray, shape (2N,)
+        Masses and stiffnesses of a frame of about the right first frequency.
+
+    Returns
+    -------
+    ndarray, shape (2N,)
+    """
+    modes = max(int(each.modes.max()) for each in experiment.configurations)
+    theta, count, degree = base, 0, 0
+    while count < modes:
+        count, degree = min(max(1, 2 * count), modes), min(degree + 1, MOST_DEGREE)
+        above = {each.name: each.modes > count for each in experiment.configurations}
+        theta = _smooth_frames(Misfit(experiment, (), above), theta, degree).best()
+    return theta
+
+
+def _smooth_frames(misfit: Misfit, base: Floats, degree: int) -> _SmoothFrames:
+    """Profiles about a frame: that of the masses without a constant where their total is known."""
+    n, frame = misfit.experiment.stories, misfit.experiment.frame
+    polynomials = np.asarray(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), degree), dtype=float)
+    # A known total takes the constant of the masses, known masses all of their profile.
+    first = degree + 1 if frame.floor_masses is not None else int(frame.known_total is not None)
+    return _SmoothFrames(misfit, base, polynomials[:, first:], polynomials, frame.known_total)
+
+
+def nearest_start(misfit: Misfit) -> Floats:
+    """The starting point nearest to the data, the effects' parameters where they start.
+
+    Parameters
+    ----------
+    misfit : Misfit
+
+    Returns
+    -------
+    ndarray, shape (P,)
+
+    Raises
+    ------
+    NoModesError
+        Where no starting point has modes.
+    """
+    own = np.array([value for placed in misfit.effects for value in placed.start])
+    for start in nearest_first(misfit, own):
+        return np.concatenate([start, own])
+    raise NoModesError("no starting point has modes")
+
+
+def nearest_first(misfit: Misfit, own: Floats) -> list[Floats]:
+    """The starting points with modes, the nearest to the data first; before them a smooth frame where none is near.
+
+    Parameters
+    ----------
+    misfit : Misfit
+    own : ndarray, shape (p,)
+        Starting values of the effects' parameters.
+
+    Returns
+    -------
+    list of ndarray, shape (2N,)
+    """
+
+    def chi2(start: Floats) -> float:
+        try:
+            return misfit.evaluate(np.concatenate([start, own]), derivatives=False).chi2
+        except NoModesError:
+            return float("inf")
+
+    measured = [(chi2(start), start) for start in starts(misfit.experiment)]
+    usable = sorted((item for item in measured if np.isfinite(item[0])), key=lambda item: item[0])
+    ordered = [start for _, start in usable]
+    if usable and usable[0][0] <= FAR_OFF * misfit.count(np.concatenate([ordered[0], own])):
+        return ordered
+    try:
+        smooth = smooth_start(misfit.experiment, uniform(misfit.experiment))
+    except NoSolutionError:
+        return ordered
+    return [smooth, *ordered] if np.isfinite(chi2(smooth)) else ordered

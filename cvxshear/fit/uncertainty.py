@@ -18,9 +18,9 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg
 
-from cvxshear.fit.gauss_newton import Domain
+from cvxshear.fit.domain import Domain
 from cvxshear.programs import LeastSquares
-from cvxshear.programs.rows import constrained
+from cvxshear.programs.statements import constrained
 from cvxshear.util.typing import Bools, Floats
 
 NULL = 1e-6

@@ -1,6 +1,7 @@
 """Closing the loop between measurement and model."""
 
 from cvxshear.loop.close import close_loop
-from cvxshear.loop.results import VERDICTS, Closure
+from cvxshear.loop.results import Closure
+from cvxshear.loop.verdicts import VERDICTS
 
 __all__ = ["VERDICTS", "Closure", "close_loop"]

@@ -2,30 +2,42 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
 from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.effects import Effect, Placed, Scale
 from cvxshear.effects.state import heights_of
-from cvxshear.fit.efficient import efficient
+from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.expectation import Expectation
 from cvxshear.fit.gauss_newton import CONVERGED_STEP
 from cvxshear.fit.misfit import Misfit
-from cvxshear.fit.starting import nearest_start
+from cvxshear.fit.start import nearest_start
 from cvxshear.loop.conclusion import conclude
-from cvxshear.loop.fitter import ROUGH, Fitter, with_stand_in
+from cvxshear.loop.duals import dual_frame, dual_set, frequencies_alone
+from cvxshear.loop.fitter import ROUGH, Fitter
 from cvxshear.loop.hypotheses import Hypothesis, assumed, chosen, hypotheses
+from cvxshear.loop.model_class import RESIDUAL_LEVEL, ModelClass
 from cvxshear.loop.numbering import Numbering
 from cvxshear.loop.otherwise import searches
 from cvxshear.loop.results import Closure
-from cvxshear.loop.search import Search
+from cvxshear.loop.search import REACH, Search
+from cvxshear.loop.verdicts import VERDICTS
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.priors import Prior
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import CvxshearError, InputError, UnsuitableError
 from cvxshear.util.typing import Floats
+
+MOST_WIDENINGS = 3
+"""Times that the noise is widened where nothing explains a residual: under wider noise other sets are best."""
+
+SAME_FRAME = 1e-3
+"""Relative difference of masses and stiffnesses below which two fits are one optimum."""
 
 
 def close_loop(
@@ -62,33 +74,139 @@ def close_loop(
     InputError
         Where an effect is not known, cannot be assumed for this experiment, or does not say how large it may be.
     NoSolutionError
-        Where the shear model itself could not be fitted.
+        Where the shear model itself could not be fitted by this backend.
     """
-    experiment = experiment.with_priors(tuple(priors))
+    experiment, repeated = without_repeated(experiment.with_priors(tuple(priors)))
     wanted = chosen(effects)
     solver = backends.get(backend)
     there = _declared(experiment, solver, assumed(experiment, assume))
     looked_for = hypotheses(experiment, wanted, there)
-    start, _ = with_stand_in(solver, lambda by: efficient(experiment, by, there))
+    start = _first(experiment, solver, there)
+    loop = _Loop(solver, there, looked_for, _expectation(experiment, start.theta, looked_for), start, jobs)
+    found = searches(experiment, loop.begun, loop.dual)
+    result = conclude(found, looked_for, wanted, repeated=repeated)
+    for _ in range(MOST_WIDENINGS):
+        if not VERDICTS[result.verdict].provisional or not (excess := _excess(loop, result)):
+            break
+        # Evidence under noise that the residual refutes is none: the sets are judged again under as much as it takes.
+        loop = dataclasses.replace(loop, widened=loop.widened * excess)
+        again = searches(experiment, loop.begun, loop.dual)
+        result = conclude(found, looked_for, wanted, repeated=repeated, widened=again)
+    return result
 
-    def begun(numbering: Numbering) -> Search:
-        known, theta = numbering.experiment, start.theta
+
+def without_repeated(experiment: Experiment) -> tuple[Experiment, tuple[tuple[str, str], ...]]:
+    """The experiment with each test once, and the names of the copies, each with that of the test it repeats.
+
+    Measured values that agree to the last digit are one measurement: counted twice they would seem twice as sure.
+    """
+    first: dict[bytes, str] = {}
+    repeated = []
+    for each in experiment.configurations:
+        values = np.concatenate([each.added_mass, each.frequencies, each.mode_shapes.ravel()])
+        same = first.setdefault(values.tobytes(), each.name)
+        if same != each.name:
+            repeated.append((each.name, same))
+    copies = {name for name, _ in repeated}
+    if not copies:
+        return experiment, ()
+    once = tuple(each for each in experiment.configurations if each.name not in copies)
+    states = {each.state for each in once} | {each.state for each in experiment.static}
+    expected = tuple(each for each in experiment.expected if each.state is None or each.state in states)
+    return dataclasses.replace(experiment, configurations=once, expected=expected), tuple(repeated)
+
+
+def _excess(loop: _Loop, result: Closure) -> float | None:
+    """By how much the noise must be widened for the residual to be probable; None where it is."""
+    judged = result.judged
+    chi2 = judged.fit.at.chi2
+    if judged.dof <= 0 or stats.chi2.sf(chi2, judged.dof) >= RESIDUAL_LEVEL:
+        return None
+    return float(np.sqrt(chi2 / judged.dof))
+
+
+@dataclass(frozen=True)
+class _Loop:
+    """What all searches of one loop share."""
+
+    backend: Backend
+    there: tuple[Placed, ...]
+    looked_for: Sequence[Hypothesis]
+    expectation: Expectation
+    start: Estimate
+    jobs: int
+    widened: float = 1.0
+
+    def begun(self, numbering: Numbering) -> Search:
+        """A search under one numbering of the modes, its shear model fitted."""
+        theta = self.start.theta
         if numbering.changes:
-            theta = nearest_start(Misfit(known, there))
-        # What is typical of the frame goes by its own fit: that of a wrong numbering may be anything.
-        expectation = _expectation(known, theta, looked_for)
-        fitter = Fitter(numbering, solver, looked_for, there, expectation, jobs=jobs)
-        misfit = Misfit(known, there, None, start.misfit.noise, expectation)
-        return Search(fitter, fitter.fit(misfit, theta, ROUGH if numbering.changes else CONVERGED_STEP))
+            theta = nearest_start(Misfit(numbering.experiment, self.there))
+        return self._search(numbering, theta, ROUGH if numbering.changes else CONVERGED_STEP)
 
-    return conclude(searches(experiment, begun), looked_for, wanted)
+    def _search(self, numbering: Numbering, theta: Floats, tolerance: float) -> Search:
+        fitter = Fitter(numbering, self.backend, self.looked_for, self.there, self.expectation, jobs=self.jobs)
+        noise = self.start.misfit.noise
+        misfit = Misfit(numbering.experiment, self.there, None, noise, self.expectation, self.widened)
+        return Search(fitter, fitter.fit(misfit, theta, tolerance))
+
+    def dual(self, search: Search) -> Search | None:
+        """The search that starts at the dual of another's shear model, and visits the duals of its best sets.
+
+        None where no frame has the same frequencies, or the dual start leads to the same frame; the duals are visited
+        by the search itself then.
+        """
+        numbering = search.fitter.numbering
+        if not frequencies_alone(numbering.experiment) or search.base.estimate is None:
+            return None
+        n = numbering.experiment.stories
+        known = [item.placed for item in self.looked_for]
+
+        def duals(one: Search) -> list[frozenset[Placed]]:
+            found = [dual_set(model.effects, known, n) for model in one.beam]
+            return [each for each in found if each is not None]
+
+        search.visit(duals(search))
+        theta = search.base.estimate.theta.copy()
+        theta[: 2 * n] = dual_frame(theta[:n], theta[n : 2 * n])
+        try:
+            other = self._search(numbering, theta, CONVERGED_STEP)
+        except CvxshearError:
+            # What was declared of the frame excludes its dual.
+            return None
+        if other.base.score < search.base.score - REACH or _same_frame(other.base, search.base):
+            return None
+        other.visit(duals(search))
+        other.run()
+        search.visit(duals(other))
+        return other
+
+
+def _same_frame(a: ModelClass, b: ModelClass) -> bool:
+    """Whether two fits are the same optimum."""
+    assert a.estimate is not None
+    assert b.estimate is not None
+    return bool(np.allclose(a.estimate.theta, b.estimate.theta, rtol=SAME_FRAME))
+
+
+def _first(experiment: Experiment, backend: Backend, there: tuple[Placed, ...]) -> Estimate:
+    """The first fit, on the backend that was asked for: one that does not solve it is not fit for the others either.
+
+    Only where the backend takes no such programs (active inequalities) another one stands in.
+    """
+    try:
+        return efficient(experiment, backend, there)
+    except UnsuitableError:
+        if backend.name == "auto":
+            raise
+        return efficient(experiment, backends.get("auto"), there)
 
 
 def _declared(experiment: Experiment, backend: Backend, there: tuple[Placed, ...]) -> tuple[Placed, ...]:
     """The assumed effects; one that these data do not determine is held at its starting value."""
     if not there:
         return there
-    found, _ = with_stand_in(backend, lambda by: efficient(experiment, by, there))
+    found = _first(experiment, backend, there)
     known = found.uncertainty.determined
     return tuple(
         placed if np.all(known[found.own(placed)]) else Placed(placed.effect, placed.place, placed.start)
@@ -102,7 +220,7 @@ def _expectation(experiment: Experiment, theta: Floats, looked_for: Sequence[Hyp
     mass, stiffness = np.median(theta[:n]), np.median(theta[n : 2 * n])
     scale = Scale(float(mass), float(stiffness), heights_of(experiment))
     stds = {
-        item.placed: np.concatenate([[item.size], item.placed.effect.sizes(scale)[1:]])
+        item.placed: item.placed.effect.expecting(size=item.size).expected_sizes(scale)
         for item in looked_for
         if item.size is not None
     }

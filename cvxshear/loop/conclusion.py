@@ -12,17 +12,18 @@ from scipy import stats
 from cvxshear.backends import Backend
 from cvxshear.effects import Effect, Placed
 from cvxshear.fit.efficient import Estimate, fitted_with, parameter_names
+from cvxshear.loop.duals import dual_set, frequencies_alone
 from cvxshear.loop.fitter import Fitter, with_stand_in
 from cvxshear.loop.held_out import held_out_frequency_errors
-from cvxshear.loop.hypotheses import Hypothesis
+from cvxshear.loop.hypotheses import OPEN, Hypothesis
 from cvxshear.loop.linear import Linearised
-from cvxshear.loop.model_class import RESIDUAL_LEVEL
+from cvxshear.loop.model_class import RESIDUAL_LEVEL, ModelClass
 from cvxshear.loop.next_test import next_test
 from cvxshear.loop.numbering import OVERLOOKED, NumberingProbability
-from cvxshear.loop.posterior import Posterior
+from cvxshear.loop.posterior import RIVAL, Posterior
 from cvxshear.loop.residual import where_it_sits
 from cvxshear.loop.results import AddedEffect, Candidate, Closure, EffectSet, Step, parameters_of, stds_of
-from cvxshear.loop.search import Search
+from cvxshear.loop.search import Search, fits_alike
 from cvxshear.util.errors import NoModesError
 
 EXPLAINED = 0.95
@@ -45,7 +46,14 @@ AT_AN_END = 1e-3
 """Distance from a bound, in standard deviations of what is expected, at which a parameter sits on it."""
 
 
-def conclude(searches: Sequence[Search], looked_for: Sequence[Hypothesis], wanted: Sequence[Effect]) -> Closure:
+def conclude(
+    searches: Sequence[Search],
+    looked_for: Sequence[Hypothesis],
+    wanted: Sequence[Effect],
+    *,
+    repeated: Sequence[tuple[str, str]] = (),
+    widened: Sequence[Search] = (),
+) -> Closure:
     """The verdict on the visited sets.
 
     Parameters
@@ -55,39 +63,82 @@ def conclude(searches: Sequence[Search], looked_for: Sequence[Hypothesis], wante
     looked_for : sequence of Hypothesis
     wanted : sequence of Effect
         That were asked for.
+    repeated : sequence of (str, str), optional
+        Tests that were left out, each with the one that it repeats.
+    widened : sequence of Search, optional
+        The searches under noise so wide that the residual is probable, where nothing explains it under the noise as it
+        is: these judge the effects, whose sizes are provisional then.
     """
-    posterior = Posterior([model for each in searches for model in each.visited.values()], looked_for)
+    judging = widened or searches
+    posterior = Posterior([model for each in judging for model in each.visited.values()], looked_for)
     numbering = posterior.numberings[0]
-    search = next(each for each in searches if each.fitter.numbering.changes == numbering.changes)
     # With the modes numbered in one way some effects are there, in another others: one and the same holds them all.
     here = posterior.within(numbering.changes)
+    search, found = _fit_of_verdict(judging, here)
+    twins = _twins(search, found, here)
+    posterior, here = posterior.with_twins(twins), here.with_twins(twins)
     fitter = search.fitter
-    final = search.fit_of(here.verdict_set())
+    judged = found.estimate
+    assert judged is not None, "a set without a fit has no probability"
+    final = judged
+    if widened:
+        same = next(each for each in searches if each.fitter.numbering.changes == numbering.changes)
+        fitter, final = same.fitter, same.fit_of(found.effects)
     steps = _steps(final, posterior, fitter, searches[0].fitter)
     after = steps[-1]
-    added = tuple(_added(posterior, final, placed) for placed in _by_probability(posterior, final, fitter))
+    added = tuple(_added(posterior, judged, placed) for placed in _by_probability(posterior, judged, fitter))
     significant = after.p_value is not None and after.p_value < RESIDUAL_LEVEL
     negligible = significant and _negligible(final)
-    rivals = [model for rival in _rival_sets(here, added) if (model := search.visited[rival].estimate) is not None]
+    fits = {model.effects: model.estimate for model in reversed(here.models)}
+    rivals = [estimate for rival in _rival_sets(here, added) if (estimate := fits[rival]) is not None]
     return Closure(
         experiment=fitter.experiment,
         backend=fitter.backend.name,
-        verdict=_verdict(added, numbering, unexplained=significant and not negligible),
-        rests_on=_rests_on(final),
+        verdict=_verdict(added, numbering, final, unexplained=significant and not negligible),
+        rests_on=(*_rests_on(final), *_granted(search, found)),
         steps=steps,
+        judged=judged,
         effects=added,
         assumed=fitter.assumed,
         numberings=tuple(each for each in posterior.numberings if each.probability >= SHOWN),
         models=tuple(_shown_sets(posterior)),
         averaged=posterior.averaged(),
-        candidates=tuple(_candidates(posterior, final, fitter)),
+        candidates=tuple(_candidates(posterior, judged, search.fitter)),
         not_considered={each.name: lack for each in wanted if (lack := each.lacks(fitter.experiment))},
         remains=tuple(where_it_sits(final)) if significant and not negligible else (),
-        information=tuple(_information(search, posterior, final, negligible=negligible)),
-        next_test=next_test(final, rivals),
-        fits=sum(each.fitter.fits for each in searches),
-        programs=sum(each.fitter.programs for each in searches),
+        information=(
+            *(f'"{name}" repeats "{same}" to the last digit: both count as one test' for name, same in repeated),
+            *_information(search, posterior, judged, negligible=negligible),
+        ),
+        next_test=next_test(judged, rivals),
+        fits=sum(each.fitter.fits for each in (*searches, *widened)),
+        programs=sum(each.fitter.programs for each in (*searches, *widened)),
     )
+
+
+def _fit_of_verdict(searches: Sequence[Search], posterior: Posterior) -> tuple[Search, ModelClass]:
+    """The set of the verdict with the search that fitted it best, to full accuracy."""
+    own = [each for each in searches if each.fitter.numbering.changes == posterior.best.changes]
+    wanted = posterior.verdict_set()
+    for each in own:
+        each.fit_of(wanted)
+    best = max(own, key=lambda each: each.visited[wanted].score)
+    return best, best.visited[wanted]
+
+
+def _twins(search: Search, found: ModelClass, posterior: Posterior) -> dict[Placed, list[Placed]]:
+    """For each effect of a set what no datum tells from it: exact twins, and the dual where frequencies are alone."""
+    experiment = search.fitter.experiment
+    twins = {placed: search.twins(found, placed) for placed in found.effects}
+    if not frequencies_alone(experiment):
+        return twins
+    known = [item.placed for item in search.fitter.hypotheses]
+    alike = [model.effects for model in posterior.models if fits_alike(model, found)]
+    if dual_set(found.effects, known, experiment.stories) in alike:
+        for placed in found.effects:
+            other = dual_set(frozenset([placed]), known, experiment.stories)
+            twins[placed] += [each for each in other or () if each not in (placed, *twins[placed])]
+    return twins
 
 
 def _by_probability(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[Placed]:
@@ -95,13 +146,18 @@ def _by_probability(posterior: Posterior, final: Estimate, fitter: Fitter) -> li
     return sorted(added, key=lambda placed: -posterior.of_effects[placed])
 
 
-def _verdict(added: Sequence[AddedEffect], numbering: NumberingProbability, *, unexplained: bool) -> str:
+def _verdict(
+    added: Sequence[AddedEffect], numbering: NumberingProbability, final: Estimate, *, unexplained: bool
+) -> str:
     if unexplained:
         return "unexplained"
     if not added and not numbering.changes:
         return "adequate" if numbering.probability >= NUMBERED else "ambiguous"
-    sure = min([numbering.probability, *(item.probability for item in added)])
-    return "explained" if sure >= EXPLAINED else "ambiguous"
+    sure = min([numbering.probability, *(item.probability for item in added)]) >= EXPLAINED
+    twins = any(rival.twin for item in added for rival in item.rivals)
+    if not sure or twins or final.dof <= 0:
+        return "ambiguous"
+    return "located" if any(item.placed.effect.kind == OPEN for item in added) else "explained"
 
 
 def _negligible(final: Estimate) -> bool:
@@ -161,6 +217,9 @@ def _in_noise_of(final: Estimate, effects: Sequence[Placed], fitter: Fitter) -> 
 
 def _added(posterior: Posterior, final: Estimate, placed: Placed) -> AddedEffect:
     parameters, std = parameters_of(final, placed), stds_of(final, placed)
+    if placed.effect.rescales:
+        factor = final.noise.of(placed.label) or {}
+        parameters, std = {"factor": factor["factor"]}, {"factor": factor["std"]}
     units = placed.units(final.experiment)
     own = final.own(placed)
     return AddedEffect(
@@ -185,15 +244,21 @@ def _remarks(final: Estimate, placed: Placed) -> Iterator[str]:
 
 
 def _rival_sets(posterior: Posterior, added: Sequence[AddedEffect]) -> list[frozenset[Placed]]:
-    """The sets that hold what may be there in place of an added effect."""
-    if not any(item.rivals for item in added):
-        return []
-    least = 0.05 * float(posterior.probabilities[0])
-    return [
-        model.effects
-        for model, probability in zip(posterior.models[1:], posterior.probabilities[1:], strict=True)
-        if probability >= least and not {item.placed for item in added} <= model.effects
+    """The sets that hold what may be there in place of an added effect, twins first."""
+    effects = frozenset(item.placed for item in added)
+    twins = [
+        (effects - {item.placed}) | {rival.placed} for item in added for rival in item.rivals if rival.twin
     ]
+    visited = {model.effects for model in posterior.models}
+    found = [each for each in twins if each in visited]
+    if any(item.rivals for item in added):
+        least = RIVAL * float(posterior.probabilities[0])
+        found += [
+            model.effects
+            for model, probability in zip(posterior.models[1:], posterior.probabilities[1:], strict=True)
+            if probability >= least and not effects <= model.effects
+        ]
+    return list(dict.fromkeys(found))
 
 
 def _shown_sets(posterior: Posterior) -> Iterator[EffectSet]:
@@ -206,7 +271,9 @@ def _shown_sets(posterior: Posterior) -> Iterator[EffectSet]:
 def _candidates(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[Candidate]:
     """All that was looked for, the most probable first."""
     there = set(final.effects)
-    lacking = [item.placed for item in fitter.hypotheses if item.placed not in there]
+    lacking = [
+        item.placed for item in fitter.hypotheses if item.placed not in there and not item.placed.effect.adds_motion
+    ]
     linear = Linearised(final, lacking, fitter.expectation) if lacking else None
     names = parameter_names(final.experiment, final.effects)
     found = []
@@ -217,6 +284,9 @@ def _candidates(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[C
         if placed in there or linear is None:
             kept = [each for each in final.effects if each is not placed and each not in fitter.assumed]
             gain, chi2, dof = _in_noise_of(final, kept, fitter).chi2 - final.chi2, final.chi2, final.dof
+        elif placed.effect.adds_motion:
+            # Derivatives at its null value say nothing of it.
+            gain, chi2, dof = 0.0, final.chi2, final.dof - count
         else:
             gain = linear.decrease(placed)
             chi2, dof = final.chi2 - gain, final.dof - count
@@ -231,18 +301,39 @@ def _quoted(names: Sequence[str]) -> str:
     return " and ".join(f'"{name}"' for name in names)
 
 
-def _rests_on(final: Estimate) -> str:
-    """What the verdict rests on."""
+def _rests_on(final: Estimate) -> Iterator[str]:
+    """What speaks for the verdict: the noise that the residual is compared with."""
     if final.dof <= 0:
-        return "nothing that could speak against it: the model has as many parameters as there are data"
+        yield "nothing that could speak against it: the model has as many parameters as there are data"
+        return
     if not final.misfit.open_noises:
-        return "the declared standard deviations"
+        yield "the declared standard deviations"
+        return
     # Not the noise of the misfit, which names no factor where the fit stopped at the default.
-    told = ", ".join(
-        f"{kind.replace('_', ' ')} {factor:.2g} times the default" for kind, factor in final.noise.noise.factors
+    factors = dict(final.noise.noise.factors)
+    listed = ", ".join(
+        f"{kind.replace('_', ' ')} {factors[kind]:.2g} times the default" for kind in final.misfit.open_noises
     )
     partly = len(final.misfit.open_noises) < len({datum.noise for datum in final.misfit.data})
-    return f"{'declared and ' if partly else ''}estimated noise ({told})"
+    yield f"{'declared and ' if partly else ''}estimated noise ({listed})"
+
+
+def _granted(search: Search, found: ModelClass) -> Iterator[str]:
+    """What the verdict takes for granted because no datum tells: sentences of effects that are not in it."""
+    candidates = [
+        item.placed
+        for item in search.fitter.hypotheses
+        if item.placed not in found.effects and not item.placed.effect.adds_motion
+    ]
+    states = {placed.place.state for placed in found.effects} | {None}
+    said = [each for each in candidates if each.effect.granted and each.place.state in states]
+    if not said:
+        return
+    invariances = search.invariances(found)
+    for placed in said:
+        alike = [other for other in candidates if other.place.state == placed.place.state and other.effect.kind != OPEN]
+        if invariances.untold(placed, alike):
+            yield placed.effect.granted.format(state=f'"{placed.place.state}"')
 
 
 def _information(search: Search, posterior: Posterior, final: Estimate, *, negligible: bool) -> Iterator[str]:
@@ -257,6 +348,10 @@ def _information(search: Search, posterior: Posterior, final: Estimate, *, negli
     named = [each.name for each in experiment.configurations if each.other_modes]
     if named and all(not each.changes for each in posterior.numberings if each.probability >= SHOWN):
         yield f"the modes of {_quoted(named)} are those given: that they are the other ones named is hardly probable"
+    if not final.noise.settled:
+        yield "the estimate of the standard deviations that nobody declared did not settle; its last value is used"
+    if search.spent:
+        yield f"the search ended after {len(search.visited)} sets of effects; sets that it did not visit may be better"
     if not final.fit.converged:
         yield f"the final fit did not converge ({final.fit.reason}); its numbers are where it stopped"
     for placed in posterior.untold():

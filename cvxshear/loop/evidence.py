@@ -8,27 +8,35 @@ Gauss-Newton Hessian of half the sum of squares, everything expected among its r
             + what undeclared noise adds.
 
 A parameter that is pressed against a bound with the multiplier w has integral(exp(-w t - t^2 / 2 s^2)) dt in place of
-a whole Gaussian, s^2 its variance. Directions of the frame count in units of a typical floor and story, the same in
+a whole Gaussian, s^2 its variance; one whose prior is Student's t has the integral of that times the likelihood's
+Gaussian (`log_tailed_interval`). Directions of the frame count in units of a typical floor and story, the same in
 every set; so the constants of the frame's own prior cancel.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 
 import numpy as np
-from scipy import optimize, special
+from scipy import integrate, optimize, special, stats
 
 from cvxshear.effects import Placed
 from cvxshear.effects.composition import slices
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.expectation import Expectation
+from cvxshear.fit.expectation import Expectation, tailed
 from cvxshear.programs import LeastSquares
-from cvxshear.programs.rows import constrained
+from cvxshear.programs.statements import constrained
 from cvxshear.util.typing import Floats
 
 FAR = 6.0
 """Standard deviations from an inequality beyond which it cuts nothing off."""
+
+WIDEST, POINTS = 12.0, 401
+"""Reach of the integral over a parameter, as the inverse hyperbolic sine of standard deviations, and its points: those
+of Student's t lie further out than a Gaussian's."""
+
+TINY = 1e-12
+"""Part of a parameter's precision below which the data add nothing to its interval: rounding of the difference."""
 
 TOUCHING = 1e-4
 """Distance from an inequality, in standard deviations, at which it counts as active."""
@@ -104,15 +112,17 @@ def _program(estimate: Estimate) -> LeastSquares:
 def _log_constant(placed: Placed, expectation: Expectation) -> float:
     """Logarithm of the constant of an effect's prior, times sqrt(2 pi) for each parameter, as in Laplace's integral."""
     value = 0.0
+    prior = stats.norm if placed.effect.common_size else stats.t(placed.effect.tail)
     for item, std in zip(placed.effect.parameters, expectation.of(placed), strict=True):
         if np.isinf(std) and np.isinf(item.upper - item.lower):
             # Nothing is expected of it at all, as may be of what was assumed and is in every set.
             continue
+        value += 0.5 * np.log(2 * np.pi)
         if np.isinf(std):
-            value += 0.5 * np.log(2 * np.pi) - np.log(item.upper - item.lower)
+            value -= np.log(item.upper - item.lower)
         else:
             below, above = (item.lower - item.null) / std, (item.upper - item.null) / std
-            value -= np.log(std) + np.log(special.ndtr(above) - special.ndtr(below))
+            value += prior.logpdf(0.0) - np.log(std) - np.log(prior.cdf(above) - prior.cdf(below))
     return float(value)
 
 
@@ -134,12 +144,22 @@ def _log_kept(estimate: Estimate, B: Floats, H: Floats, gradient: Floats) -> flo
     together = {p for _, own in slices(estimate.effects, n2) for p in range(own.start, own.stop)}
     std = _spread(rows, H + within.T @ within)
     alone = [row for row in range(2 * len(B)) if row % len(B) in together]
-    std[alone] = _spread(rows[alone], H)
+    # Its own interval is what cuts it, those of the others are what they can do for it: where two parameters do the
+    # same (turning joints and braces), a free one would be carried along far beyond what the other can be.
+    own_part = (std[alone] / np.concatenate([estimate.domain.interval_std] * 2)[alone]) ** 2
+    std[alone] = std[alone] / np.sqrt(np.maximum(1.0 - own_part, TINY))
     multipliers = _multipliers(rows, slack <= TOUCHING * std, gradient)
+    priors = dict(_tailed_priors(estimate))
     for p in sorted(together):
         if std[p] > 0:
             slope = multipliers[p] - multipliers[p + len(B)]
-            value += log_interval(-slack[p], slack[p + len(B)], slope, std[p])
+            between = -slack[p], slack[p + len(B)]
+            tailed_prior = priors.get(p)
+            value += (
+                log_interval(*between, slope, std[p])
+                if tailed_prior is None
+                else log_tailed_interval(*between, slope, std[p], *tailed_prior)
+            )
     for row in range(len(rows)):
         of_own = row < 2 * len(B) and row % len(B) in together
         if not of_own and std[row] > 0 and slack[row] < FAR * std[row]:
@@ -170,6 +190,51 @@ def log_interval(lower: float, upper: float, slope: float, std: float) -> float:
     return float(0.5 * shift**2 + log_normal_between(lower / std + shift, upper / std + shift))
 
 
+def _tailed_priors(estimate: Estimate) -> Iterator[tuple[int, tuple[float, float, float]]]:
+    """Parameters whose prior is Student's t: place in theta, deviation from null, size, degrees of freedom."""
+    for placed, own in slices(estimate.effects, 2 * estimate.experiment.stories):
+        if placed.fixed or placed.effect.common_size or np.isinf(placed.effect.tail):
+            continue
+        sizes = estimate.misfit.expectation.of(placed)
+        for p, item, size in zip(range(own.start, own.stop), placed.effect.parameters, sizes, strict=True):
+            if np.isfinite(size):
+                yield p, (float(estimate.theta[p]) - item.null, float(size), placed.effect.tail)
+
+
+def log_tailed_interval(
+    lower: float, upper: float, slope: float, std: float, deviation: float, size: float, tail: float
+) -> float:
+    """Logarithm of what a parameter with Student's prior has in place of Laplace's Gaussian integral.
+
+    Laplace takes exp(-slope t - t^2 / 2 std^2) about the optimum, 1 / std^2 = a + w^2 with w the slope of the prior's
+    residual there. What stays normal is the likelihood alone, of curvature a; the prior is taken as it is:
+
+        integral of exp(-(r(t)^2 - r(0)^2) / 2 - (slope - r(0) w) t - a t^2 / 2) dt / (sqrt(2 pi) std).
+
+    Parameters
+    ----------
+    lower, upper : float
+        Of t.
+    slope, std : float
+        As in `log_interval`.
+    deviation : float
+        Of the optimum from the null value.
+    size, tail : float
+        Of the prior.
+    """
+    reach = np.arcsinh(np.clip(np.array([lower, upper]) / std, -np.sinh(WIDEST), np.sinh(WIDEST)))
+    y = np.linspace(reach[0], reach[1], POINTS)
+    t = std * np.sinh(y)
+    r, _ = tailed((deviation + t) / size, tail)
+    here, unit_slope = tailed(np.array([deviation / size]), tail)
+    w = float(unit_slope[0]) / size
+    curvature = max(1.0 / std**2 - w**2, 0.0)
+    logs = -0.5 * (r**2 - here[0] ** 2) - (slope - here[0] * w) * t - 0.5 * curvature * t**2
+    logs += np.log(np.cosh(y)) - 0.5 * np.log(2 * np.pi)
+    highest = float(np.max(logs))
+    return highest + float(np.log(integrate.trapezoid(np.exp(logs - highest), y)))
+
+
 def log_normal_between(a: float, b: float) -> float:
     """log(Phi(b) - Phi(a)), without loss in either tail."""
     if a > 0:
@@ -180,6 +245,3 @@ def log_normal_between(a: float, b: float) -> float:
     return float(high + np.log(-np.expm1(low - high)))
 
 
-def log_constants(effects: Sequence[Placed], expectation: Expectation) -> float:
-    """Logarithm of the constants of the priors of several effects."""
-    return sum(_log_constant(placed, expectation) for placed in effects)

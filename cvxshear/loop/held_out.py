@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from cvxshear.data.pairing import numbered
 from cvxshear.effects import compose
 from cvxshear.fit.efficient import Estimate, fitted_with
 from cvxshear.fit.misfit import Misfit
@@ -76,7 +77,7 @@ def _prediction_errors(estimate: Estimate, name: str, mask: Bools, fitter: Fitte
     configuration = next(each for each in estimate.experiment.configurations if each.name == name)
     state = compose(estimate.experiment, configuration, estimate.effects, rest.theta)
     found = modes(state.system.M, state.system.K)
-    which = (configuration.modes[mask] - 1).tolist()
+    which = numbered(configuration, found, state.system.M)[mask]
     gradient = mode_derivatives(found, state.system, which)[0] / (2 * found.eigenvalues[which])
     open_change = np.abs(gradient * np.abs(rest.theta)[:, None])[~rest.uncertainty.determined].sum(axis=0)
     variance = np.einsum("pm,pq,qm->m", gradient, rest.uncertainty.covariance(), gradient)

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 
-from cvxshear.effects import Effect, Place, Placed, catalogue
+from cvxshear.effects import Effect, Place, Placed, catalogue, open_classes
 from cvxshear.measurement.experiment import ExpectedEffect, Experiment
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 
 T = TypeVar("T")
+
+OPEN = "open"
+"""Kind of the open classes, and the name that stands for all of them."""
 
 
 @dataclass(frozen=True)
@@ -59,13 +63,13 @@ def hypotheses(experiment: Experiment, effects: Sequence[Effect], there: Sequenc
     InputError
         Where the experiment expects something of an effect that there is not.
     """
-    known = {effect.name for effect in (*catalogue(), *effects)}
+    known = {OPEN, *(effect.name for effect in (*catalogue(), *open_classes(), *effects))}
     for each in experiment.expected:
         checks.choice(each.name, sorted(known), "effect: name")
     taken = {(placed.effect.name, placed.place) for placed in there}
     return [
         item
-        for effect in effects
+        for effect in (each.bound(experiment) for each in effects)
         if not effect.lacks(experiment)
         for item in _of(effect, experiment)
         if (effect.name, item.placed.place) not in taken
@@ -74,7 +78,7 @@ def hypotheses(experiment: Experiment, effects: Sequence[Effect], there: Sequenc
 
 def _of(effect: Effect, experiment: Experiment) -> list[Hypothesis]:
     """One effect at its places, but where it is excluded."""
-    said = {place: _said(experiment, effect.name, place) for place in effect.places(experiment)}
+    said = {place: _said(experiment, effect, place) for place in effect.places(experiment)}
     places = [place for place, known in said.items() if not any(each.exclude for each in known)]
     by_state = experiment.frame.reference is not None
 
@@ -83,7 +87,7 @@ def _of(effect: Effect, experiment: Experiment) -> list[Hypothesis]:
 
     return [
         Hypothesis(
-            Placed(effect, place),
+            Placed(effect.bound_at(experiment, place), place),
             _last(
                 [
                     _spread(each.probability, sum(each in said[other] for other in alike(place)))
@@ -98,10 +102,12 @@ def _of(effect: Effect, experiment: Experiment) -> list[Hypothesis]:
     ]
 
 
-def _said(experiment: Experiment, name: str, place: Place) -> list[ExpectedEffect]:
+def _said(experiment: Experiment, effect: Effect, place: Place) -> list[ExpectedEffect]:
     """What the experiment expects of an effect at a place, the most general first."""
-    said = [each for each in experiment.expected if each.concerns(name, place.floor, place.story, place.state)]
-    return sorted(said, key=lambda each: sum(part is not None for part in (each.floor, each.story, each.state)))
+    at = dataclasses.asdict(place)
+    names = (effect.name, OPEN) if effect.kind == OPEN else (effect.name,)
+    said = [each for each in experiment.expected if any(each.concerns(name, at) for name in names)]
+    return sorted(said, key=lambda each: sum(getattr(each, part, None) is not None for part in at))
 
 
 def _spread(probability: float, places: int) -> float:
@@ -113,18 +119,23 @@ def _last(values: Sequence[T], default: T) -> T:
 
 
 def chosen(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...]:
-    """The effects to look for: names or objects, the whole catalogue where none are given.
+    """The effects to look for: names or objects, the whole catalogue and the open classes where none are given.
+
+    The name "open" stands for all open classes.
 
     Raises
     ------
     InputError
         Where there is none of a name.
     """
+    everything = (*catalogue(), *open_classes())
     if effects is None:
-        return catalogue()
-    known = {effect.name: effect for effect in catalogue()}
+        return everything
+    known = {effect.name: (effect,) for effect in everything} | {OPEN: open_classes()}
     return tuple(
-        each if isinstance(each, Effect) else known[checks.choice(each, list(known), "effect")] for each in effects
+        effect
+        for each in effects
+        for effect in ((each,) if isinstance(each, Effect) else known[checks.choice(each, list(known), "effect")])
     )
 
 
@@ -141,7 +152,7 @@ def assumed(experiment: Experiment, assume: Sequence[str | Placed]) -> tuple[Pla
         if isinstance(each, Placed):
             result.append(each)
             continue
-        (effect,) = chosen([each])
+        effect = chosen([each])[0].bound(experiment)
         if effect.lacks(experiment):
             raise InputError(
                 f"effect {each} cannot be assumed: the experiment does not declare {effect.lacks(experiment)}"

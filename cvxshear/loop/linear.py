@@ -9,17 +9,32 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import special
 
 from cvxshear.effects import Placed
 from cvxshear.effects.composition import slices
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.expectation import Expectation
 from cvxshear.fit.misfit import Misfit
-from cvxshear.loop.evidence import log_constants, log_interval
+from cvxshear.loop.evidence import log_interval
 from cvxshear.util.typing import Floats
 
 MOST_TAKEN = 40
 """Effects that are taken in one go at most."""
+
+NORMAL = ((1.0, 1.0),)
+STUDENT = ((0.8, 0.6), (1.6, 0.33), (4.0, 0.065), (12.0, 0.005))
+"""A normal distribution, and Student's t with four degrees of freedom, as factors on the size with their weights: near
+enough to rank what is worth a fit, which then has the prior itself."""
+
+WIDE = 4.0
+"""Factor on an effect's size under which its first prediction is made."""
+
+LEAST_CURVATURE = 1e-9
+"""Least curvature, relative to that of the fit, of a direction that only residuals without weight determine."""
+
+LOG_SIZES = np.linspace(-4.0, 4.0, 33)
+"""Common sizes that are tried, as logarithms of factors, in units of their width."""
 
 
 class Linearised:
@@ -69,15 +84,30 @@ class Linearised:
         shift: Floats = -unit[:, None] * (np.linalg.pinv(A[:, :n2] * unit) @ A[:, n2:])
         return shift
 
+    def columns(self, placed: Placed) -> Floats:
+        """Derivatives of the residuals by an effect's parameters, the frame following its equalities, shape (d, p)."""
+        return self._columns[:, self._at[placed]]
+
     def gain(self, placed: Placed) -> float:
         """By how much the logarithm of the evidence grows with an effect, as the linearised model has it."""
         return self._gain(placed, self._own[:, self._at[placed]], self.base.fit.at.r)
 
     def _gain(self, placed: Placed, own: Floats, r: Floats) -> float:
         """The gain by columns that nothing else in the model can make, on what is left of the residual."""
-        b, h = -(own.T @ r), own.T @ own
-        constants = log_constants([placed], self.expectation)
-        stds = self.expectation.of(placed)
+        effect = placed.effect
+        if effect.rescales:
+            rows = self.base.misfit.rescaled_rows(self.base.fit.at, placed)
+            return _gain_of_noise(self._reached[rows], r[rows], effect.size_width)
+        b, h, stds = -(own.T @ r), own.T @ own, self.expectation.of(placed)
+        if effect.common_size:
+            return _gain_of_common_size(b, h, stds, effect.size_width)
+        tails = NORMAL if np.isinf(effect.tail) else STUDENT
+        parts = [np.log(weight) + self._gain_of_normal(placed, b, h, factor * stds) for factor, weight in tails]
+        return float(special.logsumexp(parts))
+
+    def _gain_of_normal(self, placed: Placed, b: Floats, h: Floats, stds: Floats) -> float:
+        """The gain of parameters whose prior is normal, or even between bounds."""
+        constants = _log_normal_constants(placed, stds)
         h = h + np.diag(1.0 / stds**2)
         (item, *more) = placed.effect.parameters
         if more:
@@ -89,6 +119,19 @@ class Linearised:
         std = float(1.0 / np.sqrt(h[0, 0]))
         between = log_interval(item.lower - item.null, item.upper - item.null, -float(b[0]), std)
         return constants + between + float(np.log(std))
+
+    def _likely_sizes(self, placed: Placed) -> Floats:
+        """Standard deviations under which a first prediction of an effect's parameters is made, shape (p,).
+
+        Those of Student's t are wide, so that a large effect is not held back; a common size is the best one.
+        """
+        stds = self.expectation.of(placed)
+        if not placed.effect.common_size:
+            return stds if np.isinf(placed.effect.tail) else WIDE * stds
+        own = self._own[:, self._at[placed]]
+        b, h = -(own.T @ self.base.fit.at.r), own.T @ own
+        found: Floats = stds * np.exp(_best_log_size(b, h, stds, placed.effect.size_width))
+        return found
 
     def forward(self, log_priors: Sequence[float]) -> list[Placed]:
         """Effects that the linearised model takes one after the other, the most promising first, while it gains.
@@ -110,13 +153,15 @@ class Linearised:
             if not gains[best] > 0.0:
                 break
             taken.append(best)
+            if best.effect.rescales:
+                continue
             basis, _ = np.linalg.qr(own[:, self._at[best]])
             own, left = own - basis @ (basis.T @ own), left - basis @ (basis.T @ left)
         return taken
 
     def pair_gains(self) -> Floats:
         """The same for each pair of effects of one parameter, shape (n, n); -inf where a bound is not kept."""
-        single = [placed for placed in self.lacking if len(placed.effect.parameters) == 1]
+        single = [each for each in self.lacking if len(each.effect.parameters) == 1 and not each.effect.common_size]
         at = [self._at[placed].start for placed in single]
         n = len(self.lacking)
         result = np.full((n, n), -np.inf)
@@ -124,7 +169,7 @@ class Linearised:
             return result
         own, b = self._own[:, at], -self._slope[at]
         gram = own.T @ own
-        precision = np.array([1.0 / self.expectation.of(placed)[0] ** 2 for placed in single])
+        precision = np.array([1.0 / self._likely_sizes(placed)[0] ** 2 for placed in single])
         a = np.diag(gram) + precision
         determinant = np.outer(a, a) - gram**2
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -135,7 +180,7 @@ class Linearised:
         nulls = np.array([p.effect.parameters[0].null for p in single])
         lower, upper = np.array([low for low, _ in limits]) - nulls, np.array([high for _, high in limits]) - nulls
         inside = (first >= lower[:, None]) & (first <= upper[:, None])
-        constants = np.array([log_constants([placed], self.expectation) for placed in single])
+        constants = np.array([_log_normal_constants(placed, self._likely_sizes(placed)) for placed in single])
         value = np.where(inside & inside.T & (determinant > 1e-9 * np.outer(a, a)), value, -np.inf)
         value = value + constants[:, None] + constants[None, :]
         np.fill_diagonal(value, -np.inf)
@@ -151,9 +196,12 @@ class Linearised:
         ndarray, shape (P + p,)
             The parameters of the fit, then the effects'.
         """
+        placed = [each for each in placed if each.effect.parameters]
+        if not placed:
+            return self.base.theta
         columns = np.concatenate([np.arange(self._at[each].start, self._at[each].stop) for each in placed])
         items = [item for each in placed for item in each.effect.parameters]
-        precision = np.concatenate([1.0 / self.expectation.of(each) ** 2 for each in placed])
+        precision = np.concatenate([1.0 / self._likely_sizes(each) ** 2 for each in placed])
         null = np.array([item.null for item in items])
         h = self._own[:, columns].T @ self._own[:, columns] + np.diag(precision)
         change = -np.linalg.lstsq(h, self._slope[columns], rcond=None)[0]
@@ -170,6 +218,8 @@ class Linearised:
     def decrease(self, placed: Placed) -> float:
         """By how much chi-square falls with an effect kept within its bounds, nothing being expected of it."""
         own = self._at[placed]
+        if own.start == own.stop:
+            return 0.0
         h, slope = self._own[:, own].T @ self._own[:, own], self._slope[own]
         items = placed.effect.parameters
         lower, upper = np.array([[item.lower - item.null, item.upper - item.null] for item in items]).T
@@ -186,8 +236,65 @@ class Linearised:
     def told(self, placed: Placed) -> float:
         """How much more surely its first parameter is known with the data than without, as a ratio of precisions."""
         own = self._at[placed]
+        if own.start == own.stop:
+            return np.inf
         first = self._own[:, own.start]
         std = self.expectation.of(placed)[0]
         item = placed.effect.parameters[0]
         usual = std if np.isfinite(std) else (item.upper - item.lower) / np.sqrt(12)
         return float(1.0 + (first @ first) * usual**2)
+
+
+def _log_normal_constants(placed: Placed, stds: Floats) -> float:
+    """Logarithm of the constants of normal priors, truncated at bounds, times sqrt(2 pi) for each parameter."""
+    value = 0.0
+    for item, std in zip(placed.effect.parameters, stds, strict=True):
+        if np.isinf(std):
+            value += 0.5 * np.log(2 * np.pi) - np.log(item.upper - item.lower)
+        else:
+            below, above = (item.lower - item.null) / std, (item.upper - item.null) / std
+            value -= np.log(std) + np.log(special.ndtr(above) - special.ndtr(below))
+    return float(value)
+
+
+def _log_evidence_by_size(b: Floats, h: Floats, stds: Floats, width: float) -> tuple[Floats, Floats]:
+    """Logarithms of common sizes, and the log evidence gained with each, the parameters integrated out.
+
+    In units of the sizes the information is V diag(l) V', the slope V c: with the factor e^u the gain is
+    sum (c^2 e^2u / (1 + l e^2u) - log(1 + l e^2u)) / 2, and u is normal about zero.
+    """
+    values, vectors = np.linalg.eigh(stds[:, None] * h * stds)
+    c = vectors.T @ (stds * b)
+    u = width * LOG_SIZES
+    square = np.exp(2.0 * u)[:, None]
+    gained = 0.5 * np.sum(c**2 * square / (1.0 + np.maximum(values, 0.0) * square), axis=1)
+    gained -= 0.5 * np.sum(np.log1p(np.maximum(values, 0.0) * square), axis=1)
+    return u, gained - 0.5 * LOG_SIZES**2
+
+
+def _gain_of_common_size(b: Floats, h: Floats, stds: Floats, width: float) -> float:
+    """The log evidence gained by parameters of one common size, that size integrated out."""
+    _, gained = _log_evidence_by_size(b, h, stds, width)
+    return float(special.logsumexp(gained) - special.logsumexp(-0.5 * LOG_SIZES**2))
+
+
+def _best_log_size(b: Floats, h: Floats, stds: Floats, width: float) -> float:
+    """The logarithm of the common size that the linearised model finds most probable."""
+    u, gained = _log_evidence_by_size(b, h, stds, width)
+    return float(u[np.argmax(gained)])
+
+
+def _gain_of_noise(reached: Floats, r: Floats, width: float) -> float:
+    """The log evidence gained where a factor e^u = sqrt(1 + s^2) on the deviation of some residuals is left open.
+
+    The fit follows: with G = m'm and g = m'r of these rows m of the free directions and w = e^-2u,
+    chi-square changes by (w - 1) r'r - (w - 1)^2 g' (1 + (w - 1) G)^-1 g.
+    """
+    values, vectors = np.linalg.eigh(reached.T @ reached)
+    c = vectors.T @ (reached.T @ r)
+    u = 0.5 * np.logaddexp(0.0, 2.0 * width * LOG_SIZES)
+    change = np.expm1(-2.0 * u)[:, None]
+    left = np.maximum(1.0 + change * values, LEAST_CURVATURE)
+    chi2 = change[:, 0] * float(r @ r) - np.sum(change**2 * c**2 / left, axis=1)
+    gained = -0.5 * chi2 - 0.5 * np.sum(np.log(left), axis=1) - np.count_nonzero(r) * u - 0.5 * LOG_SIZES**2
+    return float(special.logsumexp(gained) - special.logsumexp(-0.5 * LOG_SIZES**2))

@@ -152,4 +152,3 @@ def _renumbered(experiment: Experiment, changes: Changes) -> Experiment:
         for each in experiment.configurations
     )
     return dataclasses.replace(experiment, configurations=configurations)
-

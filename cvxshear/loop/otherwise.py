@@ -27,7 +27,7 @@ their shear models, as effects that both need bring both as much; the numbers as
 Begun = Callable[[Numbering], Search]
 
 
-def searches(experiment: Experiment, begun: Begun) -> list[Search]:
+def searches(experiment: Experiment, begun: Begun, dual: Callable[[Search], Search | None]) -> list[Search]:
     """The searches that count, that with the modes numbered as given first, then one for each numbering near the best.
 
     Each is searched to its end, but the one with the modes as given where others leave it far behind.
@@ -37,6 +37,8 @@ def searches(experiment: Experiment, begun: Begun) -> list[Search]:
     experiment : Experiment
     begun : callable
         The search under a numbering, its shear model fitted.
+    dual : callable
+        A search that starts at the dual of another's shear model; None where no frame has the same frequencies.
 
     Raises
     ------
@@ -55,9 +57,11 @@ def searches(experiment: Experiment, begun: Begun) -> list[Search]:
         leader = _leader(given, others)
     leader.run()
     kept = _kept(given, others, leader)
-    for search in kept:
+    twins = [other for search in kept if (other := dual(search)) is not None]
+    for search in (*kept, *twins):
         search.refine()
-    return kept
+        search.visit_twins()
+    return [*kept, *twins]
 
 
 def _begun(numberings: Iterable[Numbering], begun: Begun) -> Iterator[Search]:

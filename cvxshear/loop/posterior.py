@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,9 +23,6 @@ RAISED = 3.0
 
 RIVAL = 0.05
 """Probability, relative to that of the best set, of a set whose effects count as rivals."""
-
-TWIN = 1e-3
-"""Difference of chi-square, and of its derivatives' logarithm, below which no datum tells two effects apart."""
 
 
 @dataclass(frozen=True)
@@ -53,9 +50,17 @@ class Posterior:
     ----------
     models : iterable of ModelClass
     hypotheses : sequence of Hypothesis
+    twins : mapping of Placed to sequence of Placed, optional
+        Effects that no datum can tell from one of the best set (`loop/twins.py`).
     """
 
-    def __init__(self, models: Iterable[ModelClass], hypotheses: Sequence[Hypothesis]) -> None:
+    def __init__(
+        self,
+        models: Iterable[ModelClass],
+        hypotheses: Sequence[Hypothesis],
+        twins: Mapping[Placed, Sequence[Placed]] | None = None,
+    ) -> None:
+        self._twins = twins or {}
         fitted = [model for model in models if model.estimate is not None and np.isfinite(model.score)]
         self.models = sorted(fitted, key=lambda model: -model.score)
         scores = np.array([model.score for model in self.models])
@@ -76,7 +81,7 @@ class Posterior:
         for model, probability in zip(self.models, self.probabilities, strict=True):
             for placed in model.effects:
                 result[placed] += float(probability)
-        return result
+        return {placed: min(probability, 1.0) for placed, probability in result.items()}
 
     @cached_property
     def numberings(self) -> tuple[NumberingProbability, ...]:
@@ -89,7 +94,11 @@ class Posterior:
 
     def within(self, changes: Changes) -> Posterior:
         """The probabilities where the modes are known to be numbered in one way."""
-        return Posterior([model for model in self.models if model.changes == changes], self._hypotheses)
+        return Posterior([model for model in self.models if model.changes == changes], self._hypotheses, self._twins)
+
+    def with_twins(self, twins: Mapping[Placed, Sequence[Placed]]) -> Posterior:
+        """The same probabilities, with what no datum tells known."""
+        return Posterior(self.models, self._hypotheses, twins)
 
     def verdict_set(self) -> frozenset[Placed]:
         """What is added.
@@ -142,17 +151,25 @@ class Posterior:
         ]
 
     def rivals(self, placed: Placed) -> list[Rival]:
-        """What replaces an effect in sets a twentieth as probable as the best, or more; most probable first."""
-        return self._in_place_of(placed, self._holding(placed))
+        """What may stand in the place of an effect, most probable first.
+
+        What replaces it in sets a twentieth as probable as the best, or more; and its twins, however improbable they
+        were beforehand.
+        """
+        found = self._in_place_of(placed, self._holding(placed))
+        twins = self._twins.get(placed, ())
+        for other in twins:
+            found.setdefault(other, self.of_effects[other])
+        order = sorted(found, key=lambda each: -found[each])
+        return [Rival(each, min(found[each], 1.0), each in twins) for each in order]
 
     def _holding(self, placed: Placed) -> ModelClass:
         """The most probable set that holds an effect; the best of all where none does."""
         return next((model for model in self.models if placed in model.effects), self.best)
 
-    def _in_place_of(self, placed: Placed, best: ModelClass) -> list[Rival]:
-        """What replaces an effect of a set in the others."""
+    def _in_place_of(self, placed: Placed, best: ModelClass) -> dict[Placed, float]:
+        """What replaces an effect of a set in the others, with its probability there."""
         found: dict[Placed, float] = {}
-        twins: set[Placed] = set()
         for model, probability in zip(self.models, self.probabilities, strict=True):
             if probability < RIVAL * self.probabilities[0]:
                 break
@@ -162,10 +179,7 @@ class Posterior:
             other = replacement(placed, gone - (self._kept_odds - {placed}), come - self._kept_odds)
             if other is not None:
                 found[other] = found.get(other, 0.0) + float(probability)
-                if len(model.effects) == len(best.effects) and _alike(model, best):
-                    twins.add(other)
-        order = sorted(found, key=lambda each: -found[each])
-        return [Rival(each, found[each], each in twins) for each in order]
+        return found
 
     def averaged(self) -> IdentifiedFrame:
         """Masses and stiffnesses averaged over the sets, with the scatter within and between them."""
@@ -204,11 +218,3 @@ def replacement(placed: Placed, gone: frozenset[Placed], come: frozenset[Placed]
         if a not in taken and b not in taken.values():
             taken[a] = b
     return taken.get(placed)
-
-
-def _alike(a: ModelClass, b: ModelClass) -> bool:
-    """Whether two sets fit the same data alike, so that none tells them apart."""
-    assert a.estimate is not None
-    assert b.estimate is not None
-    scale = max(1.0, b.estimate.chi2)
-    return abs(a.estimate.chi2 - b.estimate.chi2) <= TWIN * scale and a.estimate.dof == b.estimate.dof

@@ -24,12 +24,12 @@ def _compared(estimate: Estimate) -> list[tuple[Datum, Model, float]]:
 
 
 def by_part(estimate: Estimate) -> list[Deviation]:
-    """The residual of every part of every datum, in standard deviations of the fit's noise."""
+    """The residual of every part of every datum and of every soft prior, in standard deviations of the fit's noise."""
     return [
         dataclasses.replace(part, deviations=part.deviations / factor)
         for datum, model, factor in _compared(estimate)
         for part in datum.describe(model)
-    ]
+    ] + estimate.misfit.statement_deviations(estimate.theta)
 
 
 def by_floor(estimate: Estimate) -> dict[int, float]:

@@ -16,21 +16,14 @@ from cvxshear.loop.next_test import NextTest
 from cvxshear.loop.numbering import Changes, NumberingProbability, changes_to_dict
 from cvxshear.loop.posterior import Rival
 from cvxshear.loop.residual import by_floor, by_part
+from cvxshear.loop.verdicts import VERDICTS
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.util.dataframe import data_frame
+from cvxshear.util.plain import data_frame
 from cvxshear.util.showing import Shown
 from cvxshear.util.typing import Json
 
 if TYPE_CHECKING:
     import pandas as pd
-
-VERDICTS = {
-    "adequate": "The shear model explains the data; nothing was added.",
-    "explained": "The shear model alone does not explain the data; with what was added they are explained.",
-    "ambiguous": "The data are explained with what was added, but something else would explain them as well.",
-    "unexplained": "A significant residual is left that no effect of the catalogue accounts for.",
-}
-
 
 @dataclass(frozen=True, eq=False)
 class Step:
@@ -90,6 +83,7 @@ class AddedEffect:
         """Name, place, probability, parameters, standard deviations, size in words, rivals."""
         return {
             **self.placed.to_dict(),
+            "kind": self.placed.effect.kind,
             "probability": self.probability,
             "parameters": self.parameters,
             "std": self.std,
@@ -185,13 +179,17 @@ class Closure(Shown):
         Its modes numbered in the most probable way.
     backend : str
     verdict : str
-        A key of `VERDICTS`.
-    rests_on : str
-        What the verdict rests on: the declared noise, or an estimate of it.
+        Of `cvxshear.loop.verdicts.VERDICTS`.
+    rests_on : tuple of str
+        What the verdict rests on: the declared noise or an estimate of it, and what it takes for granted because no
+        datum tells.
     steps : tuple of Step
         The first is the shear model, the last the final one.
+    judged : Estimate
+        The fit that the effects are read from: the last step's or, where that leaves a residual that nothing explains,
+        one under noise so wide that the residual is probable.
     effects : tuple of AddedEffect
-        Most probable first.
+        Most probable first; provisional where the verdict is.
     assumed : tuple of Placed
     numberings : tuple of NumberingProbability
         Which modes of the frame the measured ones are, most probable first; the numbers as given alone where they were
@@ -216,8 +214,9 @@ class Closure(Shown):
     experiment: Experiment
     backend: str
     verdict: str
-    rests_on: str
+    rests_on: tuple[str, ...]
     steps: tuple[Step, ...]
+    judged: Estimate
     effects: tuple[AddedEffect, ...]
     assumed: tuple[Placed, ...]
     numberings: tuple[NumberingProbability, ...]
@@ -248,8 +247,8 @@ class Closure(Shown):
 
     @property
     def frame(self) -> IdentifiedFrame:
-        """The identified frame."""
-        return self.estimate.frame
+        """The identified frame, its deviations those of the noise that the residual asks for."""
+        return self.judged.frame
 
     @property
     def noise(self) -> NoiseEstimate:
@@ -278,8 +277,9 @@ class Closure(Shown):
         """The documented JSON."""
         return {
             "verdict": self.verdict,
-            "rests_on": self.rests_on,
+            "rests_on": list(self.rests_on),
             "backend": self.backend,
+            "provisional": VERDICTS[self.verdict].provisional,
             "effects": [item.to_dict() for item in self.effects],
             "assumed": [{**p.to_dict(), "parameters": parameters_of(self.estimate, p)} for p in self.assumed],
             "numberings": [item.to_dict() for item in self.numberings],

@@ -1,5 +1,7 @@
 """The search among sets of effects: forward from the shear model, then exchange and removal, none visited twice.
 
+In place of a whole group of effects, all of one state or all of one name, single ones are tried too.
+
 A set is expanded by what the linearised model at its fit promises of each further effect, of each pair, and of all
 that it would take one after the other. The best
 sets visited, a beam of them, are expanded until all of them have been; then the same from each of them with one effect
@@ -9,16 +11,19 @@ none is fitted or expanded twice, it ends.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import dataclasses
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from cvxshear.effects import Placed
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.gauss_newton import CONVERGED_STEP
-from cvxshear.loop.fitter import Fitter
+from cvxshear.loop.fitter import ROUGH, Fitter
 from cvxshear.loop.linear import Linearised
 from cvxshear.loop.model_class import ModelClass
+from cvxshear.loop.twins import Invariances, invariances
 
 BEAM = 6
 REACH = 20.0
@@ -27,10 +32,25 @@ REACH = 20.0
 WITHIN = 7.0
 """Logarithm of a probability ratio: what is a thousandth as probable as the best is not followed up."""
 
+A_PILE = 3
+"""Effects from which on a set is no simple explanation: two causes at once are met now and then, three seldom."""
+
+STAND_FOR_A_GROUP = 3
+"""Single effects, the most promising ones, that are tried in place of a group."""
+
+MOST_SETS = 600
+"""Sets that one search visits at most: three to six times what sound files of three states need (up to some 150), so
+that a file that no set explains ends too. What is left out then is said."""
+
+ALIKE = 0.1
+"""Difference of chi-square, relative where it is above one, that rounding and the priors of sizes leave of twins."""
+
 MOST = 10
 LEAST = 1
 PAIRS = 2
-"""Most and least further effects, and most pairs of them, that are fitted when a set is expanded."""
+RESCALING = 3
+"""Most and least further effects, most pairs, and effects on the accuracy of data, that are fitted when a set is
+expanded."""
 
 Set = frozenset[Placed]
 
@@ -52,6 +72,8 @@ class Search:
         self.visited: dict[Set, ModelClass] = {start.effects: start}
         self.expanded: set[Set] = set()
         self.thinned: set[Set] = set()
+        self.regrouped: set[Set] = set()
+        self.moved = False
         self.base = start
 
     @property
@@ -66,15 +88,47 @@ class Search:
         return sorted(fitted, key=lambda model: -model.score)[:BEAM]
 
     def run(self) -> None:
-        """Visit sets until the beam has nothing left to expand."""
+        """Visit sets until the beam has nothing left to expand, or the budget is spent."""
         self._grow()
-        while (model := self._next(self.thinned, WITHIN)) is not None:
-            self._thin(model)
+        while not self.spent:
+            if (model := self._next(self.regrouped, WITHIN)) is not None:
+                self._regroup(model)
+            elif (model := self._next(self.thinned, WITHIN)) is not None:
+                self._thin(model)
+            else:
+                break
             self._grow()
+        if not self.moved and not self.spent and self._add_motions():
+            self.run()
+
+    def _add_motions(self) -> bool:
+        """Visit sets with an effect that brings a motion of its own, where nothing simple explains the data."""
+        self.moved = True
+        motions = [item.placed for item in self.fitter.hypotheses if item.placed.effect.adds_motion]
+        simple = len(self.best.effects) < A_PILE and all(placed.effect.kind == "cause" for placed in self.best.effects)
+        if not motions or (simple and not self.best.improbable):
+            return False
+        base = self.base.estimate
+        assert base is not None, "the shear model was fitted"
+        proposals = [
+            dataclasses.replace(
+                self.fitter.proposal(base, (*base.effects, placed)), starts=(np.concatenate([base.theta, start]),)
+            )
+            for placed in motions
+            for start in placed.effect.starts
+        ]
+        # Each is fitted from several starts: the best of them is the set's fit.
+        self._record(sorted(self.fitter.models(proposals), key=lambda model: model.score))
+        return True
+
+    @property
+    def spent(self) -> bool:
+        """Whether the search has made as many fits as it may."""
+        return len(self.visited) >= MOST_SETS
 
     def _grow(self) -> None:
         """Expand the beam until all of it has been."""
-        while (model := self._next(self.expanded, REACH)) is not None:
+        while not self.spent and (model := self._next(self.expanded, REACH)) is not None:
             self._expand(model)
 
     def probe(self) -> None:
@@ -88,6 +142,37 @@ class Search:
         if new and self.base.estimate is not None:
             linear = Linearised(self.base.estimate, self._lacking(self.base), self.fitter.expectation)
             self._visit(self.base.estimate, linear, new)
+
+    def visit_twins(self) -> None:
+        """Visit, beside each of the best sets, those in which an effect has given its place to a twin."""
+        for model in [each for each in self.beam if each.score >= self.best.score - WITHIN]:
+            if model.estimate is None or not model.effects:
+                continue
+            found = self.invariances(model)
+            for placed in model.effects:
+                rest = model.effects - {placed}
+                new = [rest | {twin} for twin in found.twins(placed) if rest | {twin} not in self.visited]
+                if not new:
+                    continue
+                self._fit_without(model, [rest])
+                base = self.visited[rest]
+                if base.estimate is not None:
+                    linear = Linearised(base.estimate, self._lacking(base), self.fitter.expectation)
+                    self._visit(base.estimate, linear, new, CONVERGED_STEP)
+
+    def invariances(self, model: ModelClass) -> Invariances:
+        """What no datum tells at the fit of a set."""
+        assert model.estimate is not None
+        return invariances(model.estimate, self._lacking(model), self.fitter.expectation)
+
+    def twins(self, model: ModelClass, placed: Placed) -> list[Placed]:
+        """The effects that no datum tells from one of a set, where the set with them fits as well."""
+        assert model.estimate is not None
+        found = []
+        for twin in self.invariances(model).twins(placed):
+            other = self.visited.get((model.effects - {placed}) | {twin})
+            found += [twin] if other is not None and fits_alike(other, model) else []
+        return found
 
     def refine(self) -> None:
         """Fit the sets that count most to full accuracy."""
@@ -114,7 +199,12 @@ class Search:
         return next((model for model in self.beam if model.effects not in done and model.score >= floor), None)
 
     def _lacking(self, model: ModelClass) -> list[Placed]:
-        return [item.placed for item in self.fitter.hypotheses if item.placed not in model.effects]
+        """What the linearised model at the fit of a set can judge of what the set lacks."""
+        return [
+            item.placed
+            for item in self.fitter.hypotheses
+            if item.placed not in model.effects and not item.placed.effect.adds_motion
+        ]
 
     def _expand(self, model: ModelClass) -> None:
         """Visit the most promising sets with one more effect, or two."""
@@ -134,6 +224,12 @@ class Search:
         # A set with an effect taken out is far behind: what is put in must catch up with the best.
         floor = max(single[order[0]], 0.0, self.best.score - model.score) - WITHIN
         new = [each for at, each in enumerate(order[:MOST]) if at < LEAST or single[each] > floor]
+        if model.improbable:
+            # What leaves the accuracy of some data open shows all that it is worth only once they weigh less.
+            rescaling = sorted(
+                (placed for placed in linear.lacking if placed.effect.rescales), key=lambda placed: -linear.gain(placed)
+            )
+            new += [model.effects | {placed} for placed in rescaling[:RESCALING]]
         several = model.effects.union(linear.forward([self.fitter.log_prior([placed]) for placed in linear.lacking]))
         return [each for each in (*new, *self._pairs(model, linear, single), several) if each not in self.visited]
 
@@ -149,27 +245,74 @@ class Search:
         ranked = sorted(candidates.tolist(), key=lambda pair: -together[pair[0], pair[1]])
         return [model.effects | {linear.lacking[i], linear.lacking[j]} for i, j in ranked[:PAIRS]]
 
-    def _visit(self, of: Estimate, linear: Linearised, sets: list[Set]) -> None:
+    def _visit(self, base: Estimate, linear: Linearised, sets: Iterable[Set], tolerance: float = ROUGH) -> None:
         """Fit these sets, each with the effects of a fit and some that it lacks."""
         proposals = []
         for effects in dict.fromkeys(sets):
             new = [placed for placed in linear.lacking if placed in effects]
-            proposals.append(self.fitter.proposal(of, (*of.effects, *new), [linear.predicted(new)]))
-        self._record(self.fitter.models(proposals))
+            motions = [placed for placed in effects if placed.effect.adds_motion and placed not in base.effects]
+            predicted = [] if motions else [linear.predicted(new)]
+            proposals.append(self.fitter.proposal(base, (*base.effects, *new, *motions), predicted))
+        self._record(self.fitter.models(proposals, tolerance))
 
     def _record(self, models: Iterable[ModelClass]) -> None:
         for model in models:
             self.visited[model.effects] = model
+
+    def _regroup(self, model: ModelClass) -> None:
+        """Visit the sets in which one effect stands for a whole group: all of a state, all of a name, or all at once.
+
+        Where every floor of a state is heavier, or every story softer, one cause takes the place of many; taking them
+        out one at a time never gets there.
+        """
+        self.regrouped.add(model.effects)
+        for group in self._groups(model.effects):
+            rest = model.effects - group
+            self._fit_without(model, [rest])
+            base = self.visited[rest]
+            if base.estimate is None:
+                continue
+            linear = Linearised(base.estimate, self._lacking(base), self.fitter.expectation)
+            gains = {
+                placed: linear.gain(placed) + self.fitter.log_prior([placed])
+                for placed in linear.lacking
+                if placed not in group
+            }
+            best = sorted(gains, key=lambda placed: -gains[placed])[:STAND_FOR_A_GROUP]
+            new = [rest | {placed} for placed in best]
+            self._visit(base.estimate, linear, [each for each in new if each not in self.visited])
+
+    def _groups(self, effects: Set) -> list[Set]:
+        """The groups of two effects or more, each once."""
+        by_state, by_name = defaultdict[str | None, set[Placed]](set), defaultdict[str, set[Placed]](set)
+        for placed in effects:
+            by_name[placed.effect.name].add(placed)
+            if placed.place.state is not None:
+                by_state[placed.place.state].add(placed)
+        groups = [frozenset(group) for group in (*by_state.values(), *by_name.values(), set(effects))]
+        return [group for group in dict.fromkeys(groups) if len(group) > 1]
 
     def _thin(self, model: ModelClass) -> None:
         """Visit the sets with one effect less, and expand those: what is added takes its place."""
         self.thinned.add(model.effects)
         assert model.estimate is not None
         fewer = [model.effects - {placed} for placed in model.estimate.effects if placed in model.effects]
-        new = [each for each in fewer if each not in self.visited]
-        assumed = set(self.fitter.assumed)
-        kept = [[placed for placed in model.estimate.effects if placed in each | assumed] for each in new]
-        self._record(self.fitter.models([self.fitter.proposal(model.estimate, effects) for effects in kept]))
+        self._fit_without(model, fewer)
         for each in fewer:
             if each not in self.expanded:
                 self._expand(self.visited[each])
+
+    def _fit_without(self, model: ModelClass, sets: Sequence[Set]) -> None:
+        """Fit sets that hold some of the effects of one, started there, where they were not visited yet."""
+        assert model.estimate is not None
+        assumed = set(self.fitter.assumed)
+        new = [each for each in sets if each not in self.visited]
+        held = [[placed for placed in model.estimate.effects if placed in each | assumed] for each in new]
+        self._record(self.fitter.models([self.fitter.proposal(model.estimate, effects) for effects in held]))
+
+
+def fits_alike(a: ModelClass, b: ModelClass) -> bool:
+    """Whether two sets fit the same data equally well."""
+    if a.estimate is None or b.estimate is None:
+        return False
+    return abs(a.estimate.chi2 - b.estimate.chi2) <= ALIKE * max(1.0, b.estimate.chi2)

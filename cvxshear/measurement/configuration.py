@@ -9,8 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from cvxshear.measurement.other_modes import OtherModes, other_modes
-from cvxshear.measurement.repeated_shapes import copied_rows, proportional_rows
+from cvxshear.measurement.measured_modes import OtherModes, copied_rows, other_modes, proportional_rows
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError

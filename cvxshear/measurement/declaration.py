@@ -1,21 +1,57 @@
-"""What is declared of the frame itself: its stories, masses and weight, and how its damping is modelled."""
+"""What is declared of the frame itself, how its damping is modelled, and what a report says of the test."""
 
 from __future__ import annotations
 
 import dataclasses
+import datetime
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from cvxshear.priors import Prior
-from cvxshear.util import checks, findings
+from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Json
 
-UNSAID = (("stories", 0), ("accept", ()))
+UNSAID = (("stories", 0), ("accept", ()), ("total_mass_placeholder", False))
 """Keys of a frame, with the values that stand for "not given"."""
+
+MISTAKES = {
+    "sensor_sign": "one sensor's sign is turned round in every mode",
+    "swapped_sensors": "two sensors stand in each other's place",
+    "floors_from_top": "the floors are listed from the top",
+    "transposed": "mode_shapes has a row a floor in place of a row a mode",
+    "mode_order": "the shapes stand in another order than the frequencies",
+    "missing_mode": "a mode was not measured and `modes` does not say which",
+    "mode_number": "one of the numbers in `modes` is wrong",
+    "entry_sign": "one entry of one shape has the wrong sign",
+    "sensor_floors": "one sensor, or all, are listed one floor too low or too high",
+    "sensor_unit": "one sensor's entries are in another unit",
+    "drifts": "mode_shapes are drifts of the stories in place of displacements of the floors",
+    "frequency_unit": "one configuration's frequencies are in another unit than those of the others",
+    "signs": "a shape has signs that no mode of that number has, and no single change mends it",
+}
+"""What is refused unless it is accepted."""
+
+NUMBERS = ("missing_mode", "mode_number")
+"""Mistakes in which modes of the frame the measured ones are."""
+
+DOUBTS = {
+    "angular_frequency": "frequencies look like rad/s in place of Hz",
+    "heights": "story heights look like mm or cm in place of m",
+    "masses": "masses look like g or t in place of kg",
+    "elevations": "story heights are added up: elevations of the floors",
+    "time_unit": "frequencies are lower than those of any frame: times in ms, or frequencies in kHz",
+    "deviations": "standard deviations are finer than any instrument measures, or look like percent",
+    "repeated": "configurations repeat each other to the last digit",
+    "gravity": "gravity is not that of the Earth in m/s2",
+    "total_mass": "the total mass contradicts what the added masses did to the frequencies",
+}
+"""What is warned of."""
+
+NAMES = (*MISTAKES, *DOUBTS)
 
 DAMPING_KINDS = ("modal", "story", "rayleigh")
 
@@ -38,10 +74,12 @@ class Frame:
         m/s2.
     total_mass_std : float, optional
         Relative standard deviation of `total_mass`; exact without it.
+    total_mass_placeholder : bool, optional
+        Whether `total_mass` stands for one that nobody gave: masses and stiffnesses are then relative to it.
     reference : str, optional
         The state that is the frame itself: no change and no undeclared mass sits in it.
     accept : sequence of str, optional
-        Findings of `check` that are known and right, by their names in `cvxshear.util.findings.NAMES`.
+        Findings of `check` that are known and right, by their names in `cvxshear.measurement.declaration.NAMES`.
 
     Raises
     ------
@@ -55,6 +93,7 @@ class Frame:
     floor_masses: Floats | None = None
     gravity: float = 9.81
     total_mass_std: float | None = None
+    total_mass_placeholder: bool = False
     reference: str | None = None
     accept: tuple[str, ...] = ()
 
@@ -79,6 +118,9 @@ class Frame:
             put(self, "total_mass_std", checks.number(self.total_mass_std, "frame: total_mass_std", above=0.0))
             if self.total_mass is None or self.floor_masses is not None:
                 raise InputError("frame: total_mass_std belongs to total_mass; give that, and no floor_masses")
+        put(self, "total_mass_placeholder", checks.flag(self.total_mass_placeholder, "frame: total_mass_placeholder"))
+        if self.total_mass_placeholder and (self.total_mass is None or self.floor_masses is not None):
+            raise InputError("frame: total_mass_placeholder belongs to total_mass; leave it out where that is known")
         if self.reference is not None:
             checks.text(self.reference, "frame: reference")
         put(self, "accept", self._checked_accept(self.accept))
@@ -87,7 +129,7 @@ class Frame:
     def _checked_accept(accept: object) -> tuple[str, ...]:
         if not isinstance(accept, list | tuple):
             raise InputError(f"frame: accept must be a list of names, not {checks.shown(accept)}")
-        return tuple(checks.choice(name, findings.NAMES, "frame: accept") for name in accept)
+        return tuple(checks.choice(name, NAMES, "frame: accept") for name in accept)
 
     def _checked_heights(self, heights: object) -> Floats:
         """One height a story; a single number, for all stories, stays one until their number is known."""
@@ -163,6 +205,50 @@ class Damping:
     def from_dict(declared: object) -> Damping:
         """The damping that the table `[damping]` of a measurement file declares."""
         return Damping(**checks.keys(declared, ["kind"], [], "damping"))
+
+
+@dataclass(frozen=True)
+class Heading:
+    """What a report says of the test besides its results; each part is None where nobody said it.
+
+    Parameters
+    ----------
+    title, client, author, test : str, optional
+    date : str, optional
+    photograph : str, optional
+        Name of a PNG or JPEG file.
+    """
+
+    title: str | None = None
+    client: str | None = None
+    author: str | None = None
+    date: str | None = None
+    test: str | None = None
+    photograph: str | None = None
+
+    @staticmethod
+    def from_dict(declared: object) -> Heading:
+        """The heading that the table `[report]` of a measurement file declares.
+
+        Raises
+        ------
+        InputError
+            Where a key is unknown or its value no text.
+        """
+        table = dict(checks.keys(declared, [item.name for item in dataclasses.fields(Heading)], [], "report"))
+        # TOML has dates of its own.
+        if isinstance(table.get("date"), datetime.date):
+            table["date"] = table["date"].isoformat()
+        return Heading(**{key: checks.text(value, f"report: {key}") for key, value in table.items()})
+
+    def to_dict(self) -> Json:
+        """The table that declares it in a measurement file."""
+        return {key: value for key, value in dataclasses.asdict(self).items() if value is not None}
+
+    @property
+    def lines(self) -> list[tuple[str, str]]:
+        """Names and texts that stand below the title."""
+        return [(key, value) for key, value in self.to_dict().items() if key not in ("title", "photograph")]
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from cvxshear.util import checks
@@ -20,7 +20,7 @@ class ExpectedEffect:
     name : str
         Of the catalogue.
     floor, story : int, optional
-        Counted from 1; every one where not given.
+        Counted from 1 (floor 0: the base); every one where not given.
     state : str, optional
         Every one where not given.
     size : float, optional
@@ -29,6 +29,8 @@ class ExpectedEffect:
         That it is there, at one of these places.
     exclude : bool, optional
         It is not looked for.
+    to : int, optional
+        The higher of the two floors that it joins, `floor` the lower; every one where not given.
 
     Raises
     ------
@@ -43,6 +45,7 @@ class ExpectedEffect:
     size: float | None = None
     probability: float | None = None
     exclude: bool = False
+    to: int | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -73,13 +76,14 @@ class ExpectedEffect:
 
     def check(self, stories: int, states: Sequence[str]) -> None:
         """Raise `InputError` where it names a floor, story or state that an experiment has not."""
-        for key in ("floor", "story"):
+        for key, least in (("floor", 0), ("to", 1), ("story", 1)):
             if getattr(self, key) is not None:
-                checks.whole(getattr(self, key), self._at(key), least=1, most=stories)
+                checks.whole(getattr(self, key), self._at(key), least=least, most=stories)
+        if self.to is not None and self.floor is not None and self.to <= self.floor:
+            raise InputError(f"{self._at('to')} = {self.to} must be above floor = {self.floor}: the lower floor first")
         if self.state is not None:
             checks.choice(self.state, list(states), self._at("state"))
 
-    def concerns(self, name: str, floor: int | None, story: int | None, state: str | None) -> bool:
-        """Whether it speaks of the effect of this name at this place."""
-        places = ((self.floor, floor), (self.story, story), (self.state, state))
-        return name == self.name and all(mine is None or mine == its for mine, its in places)
+    def concerns(self, name: str, place: Mapping[str, int | str | None]) -> bool:
+        """Whether it speaks of the effect of this name at this place (its floor, to, story and state)."""
+        return name == self.name and all(getattr(self, part, None) in (None, its) for part, its in place.items())

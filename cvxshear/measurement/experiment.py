@@ -11,11 +11,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+import numpy as np
+
 from cvxshear.measurement.configuration import Configuration
-from cvxshear.measurement.declaration import DAMPING_KINDS, Damping, Frame, Limits
+from cvxshear.measurement.declaration import DAMPING_KINDS, Damping, Frame, Heading, Limits
 from cvxshear.measurement.expected_effect import ExpectedEffect
 from cvxshear.measurement.static_test import StaticTest
-from cvxshear.priors import Prior, check_quantity
+from cvxshear.priors import Prior, check_prior
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError, NoScaleError
@@ -50,6 +52,8 @@ class Experiment(Shown):
     expected : sequence of ExpectedEffect, optional
         What is known beforehand of effects that the shear model lacks.
     damping : Damping, optional
+    report : Heading, optional
+        What a report says of the test: title, client, author, date, photograph.
     limits : Limits, optional
         Drift ratios whose passing a reconstruction judges.
 
@@ -66,6 +70,7 @@ class Experiment(Shown):
     static: tuple[StaticTest, ...] = ()
     expected: tuple[ExpectedEffect, ...] = ()
     damping: Damping = field(default_factory=Damping)
+    report: Heading = field(default_factory=Heading)
     limits: Limits | None = None
 
     def __post_init__(self) -> None:
@@ -87,8 +92,7 @@ class Experiment(Shown):
         self._check_states()
         for place, prior in enumerate((*self.priors, *self.damping.priors), 1):
             with _named(place):
-                check_quantity(prior)
-                prior.check(stories)
+                check_prior(prior, stories)
         self._part_priors()
         self._check_scale()
 
@@ -188,7 +192,7 @@ class Experiment(Shown):
         """
         frame_keys = {item.name: "[frame]" for item in dataclasses.fields(Frame)}
         tested_keys = {item.name: "[[configuration]]" for item in dataclasses.fields(Configuration)}
-        tables = ["frame", "configuration", "prior", "static", "effect", "damping", "limits"]
+        tables = ["frame", "configuration", "prior", "static", "effect", "damping", "report", "limits"]
         table = checks.keys(declared, tables, [], "the measurement file", elsewhere={**tested_keys, **frame_keys})
         if table.get("configuration") is None:
             raise InputError("at least one [[configuration]] is needed: none was found")
@@ -210,8 +214,9 @@ class Experiment(Shown):
             for place, item in enumerate(_tables(table.get("effect"), "effect"), 1)
         )
         damping = Damping() if table.get("damping") is None else Damping.from_dict(table["damping"])
+        report = Heading() if table.get("report") is None else Heading.from_dict(table["report"])
         limits = None if table.get("limits") is None else Limits.from_dict(table["limits"])
-        return Experiment(frame, configurations, tuple(priors), name, static, expected, damping, limits)
+        return Experiment(frame, configurations, tuple(priors), name, static, expected, damping, report, limits)
 
     def to_dict(self) -> Json:
         """The dict of the measurement file's shape that declares this experiment."""
@@ -227,6 +232,8 @@ class Experiment(Shown):
         result["configuration"] = [each.to_dict() for each in self.configurations]
         if self.static:
             result["static"] = [each.to_dict() for each in self.static]
+        if self.report != Heading():
+            result["report"] = self.report.to_dict()
         return result
 
     @property
@@ -253,6 +260,22 @@ class Experiment(Shown):
     def noise_declared(self) -> bool:
         """Whether every configuration declares both standard deviations; otherwise the weights are only relative."""
         return all(each.noise_declared for each in self.configurations)
+
+    @property
+    def soft_statements(self) -> tuple[tuple[str, int], ...]:
+        """Each prior in words with its number of residuals, none where it is exact; a soft total mass comes first.
+
+        Words that come twice carry a number.
+        """
+        frame = self.frame
+        found = [(prior.describe(), len(prior.residual(np.ones(self.stories))[0])) for prior in self.priors]
+        if frame.total_mass is not None and frame.total_mass_std is not None:
+            found.insert(0, (f"total mass = {frame.total_mass:g} kg within {100 * frame.total_mass_std:g} %", 1))
+        words = [item[0] for item in found]
+        return tuple(
+            (f"{text} ({words[: place + 1].count(text)})" if words.count(text) > 1 else text, rows)
+            for place, (text, rows) in enumerate(found)
+        )
 
     def with_priors(self, priors: Sequence[Prior]) -> Experiment:
         """The same experiment with these priors besides its own."""

@@ -1,4 +1,4 @@
-"""What one configuration reads, as the screening takes it: rows that can be turned, exchanged and renumbered."""
+"""What configurations read, as the screening takes it: rows that can be turned, exchanged and renumbered; copies."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cvxshear.measurement.experiment import Configuration
+from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.util.typing import Bools, Floats, Ints
 
 SHAPE_TOLERANCE = 0.03
@@ -17,6 +17,12 @@ FREQUENCY_TOLERANCE = 0.02
 
 CLOSER = 0.3
 """The part of both tolerances that suffices for a frame which is nearly a shear frame."""
+
+FARTHER = 3.0
+"""The multiple of both that a frame asks for which is far from a shear frame (walls, coupled floors)."""
+
+NUMBERS_OF_A_COPY = 3
+"""Two tests may round to the same frequency or two; no two agree in the same three numbers to the last digit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,3 +108,25 @@ class Reading:
         near, known = self.closer, self.known
         shapes = np.log(near.weights[known] / self.weights[known])
         return 2 * float(np.sum(shapes) + np.sum(np.log(self.frequency_std / near.frequency_std)))
+
+
+def repeated_configurations(experiment: Experiment) -> tuple[tuple[str, ...], ...]:
+    """Configurations that repeat each other to the last digit: one test, however often it is listed.
+
+    Parameters
+    ----------
+    experiment : Experiment
+
+    Returns
+    -------
+    tuple of tuple of str
+        Names of the configurations of each group of two or more, in the order of the file. Those of a group have the
+        same added mass, modes, floors, frequencies and mode shapes, of which `NUMBERS_OF_A_COPY` at least are measured.
+    """
+    groups: dict[tuple[bytes, ...], list[str]] = {}
+    for each in experiment.configurations:
+        if len(each.frequencies) + int(np.isfinite(each.mode_shapes).sum()) < NUMBERS_OF_A_COPY:
+            continue
+        parts = (each.added_mass, each.modes, each.measured_floors, each.frequencies, each.mode_shapes)
+        groups.setdefault(tuple(np.asarray(part).tobytes() for part in parts), []).append(each.name)
+    return tuple(tuple(names) for names in groups.values() if len(names) > 1)

@@ -6,10 +6,9 @@ import numpy as np
 
 from cvxshear.backends import Backend
 from cvxshear.fit.results import SingleIdentification
-from cvxshear.methods.separate import CompleteTest, finished, start_mass
-from cvxshear.methods.story_stiffness import identified_stiffness
+from cvxshear.methods.separate import CompleteTest, finished, identified_stiffness, start_mass
 from cvxshear.programs import mass_correction
-from cvxshear.programs.mass import normalized
+from cvxshear.programs.orthogonality import normalized
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.typing import Floats
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.fit.ending import Ending
+from cvxshear.fit.gauss_newton import Ending
 from cvxshear.fit.results import SingleIdentification
-from cvxshear.methods.separate import CompleteTest, finished
-from cvxshear.methods.story_stiffness import MOST_ROUNDS, UNCHANGED, identified_stiffness
+from cvxshear.methods.separate import MOST_ROUNDS, UNCHANGED, CompleteTest, finished, identified_stiffness
 from cvxshear.programs import one_shot_masses
 from cvxshear.programs.normal import LOST, digits_lost, keeps_rows
-from cvxshear.programs.rows import constrained, softened
+from cvxshear.programs.statements import constrained, softened
 from cvxshear.util.typing import Floats
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from cvxshear import backends
 from cvxshear.backends import BenchmarkProgram, Comparison
-from cvxshear.backends.comparison import REPEATS
+from cvxshear.backends.benchmark import REPEATS
 from cvxshear.fit.domain import domain_of
 from cvxshear.fit.gauss_newton import step_program
 from cvxshear.fit.misfit import Misfit
@@ -16,8 +16,8 @@ from cvxshear.fit.start import uniform
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.methods.separate import CompleteTest, complete_test, start_mass
 from cvxshear.programs import LeastSquares, mass_correction, one_shot_masses, story_stiffnesses
-from cvxshear.programs.mass import normalized
-from cvxshear.programs.rows import constrained
+from cvxshear.programs.orthogonality import normalized
+from cvxshear.programs.statements import constrained
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.typing import Floats
 

@@ -1,4 +1,7 @@
-"""What the methods share that identify each configuration by itself: what they need, and what they return."""
+"""What the methods share that identify each configuration by itself.
+
+What they need, the story stiffnesses once the masses are known (Eqs. 20-24), and what they return.
+"""
 
 from __future__ import annotations
 
@@ -7,21 +10,31 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cvxshear.backends import Backend
 from cvxshear.fit.domain import refuse_contradicting
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.quality import quality
 from cvxshear.fit.results import IdentifiedFrame, SingleIdentification, predictions
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.programs.feasibility import NamedConstraints
-from cvxshear.programs.rows import statements
+from cvxshear.programs import story_stiffnesses
+from cvxshear.programs.normal import LOST, digits_lost, keeps_rows
+from cvxshear.programs.orthogonality import normalized
+from cvxshear.programs.statements import NamedConstraints, constrained, softened, statements
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.quantities import ranged
 from cvxshear.util.typing import Floats
 
-SMALLEST = 1e-3
+LEAST_POSITIVE = 1e-3
 """Of the mean floor mass, and of the stiffness that would carry it at the first frequency: less is not positive.
 
 A bound much smaller than this is lost in a solver's own tolerances; HiGHS 1.15 ends with an error on one of 1e-6."""
+
+
+MOST_ROUNDS = 50
+"""Times that soft priors, which need not be linear, are linearised again where the last solution lies."""
+
+UNCHANGED = 1e-10
+"""Relative change of the stiffnesses at which soft priors count as linearised where they belong."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,9 +109,11 @@ def complete_test(
         shapes=configuration.mode_shapes.T,
         eigenvalues=eigenvalues,
         total=total + float(configuration.added_mass.sum()),
-        mass_statements=statements(experiment.priors, "floor_mass", n, experiment.frame, least=SMALLEST * total / n),
+        mass_statements=statements(
+            experiment.priors, "floor_mass", n, experiment.frame, least=LEAST_POSITIVE * total / n
+        ),
         stiffness_statements=statements(
-            experiment.priors, "story_stiffness", n, least=SMALLEST * eigenvalues[0] * total / n
+            experiment.priors, "story_stiffness", n, least=LEAST_POSITIVE * eigenvalues[0] * total / n
         ),
         shape_std=float(np.sqrt(np.mean(relative**2))),
         rows=rows,
@@ -114,6 +129,41 @@ def start_mass(of: CompleteTest, initial: Floats | None) -> Floats:
     n = of.experiment.stories
     net = of.total - of.configuration.added_mass.sum()
     return (np.full(n, net / n) if initial is None else initial) + of.configuration.added_mass
+
+
+def identified_stiffness(of: CompleteTest, mass: Floats, backend: Backend) -> Floats:
+    """Solve Eq. 24 with the priors.
+
+    Parameters
+    ----------
+    of : CompleteTest
+    mass : ndarray, shape (N,) or (N, N)
+        Floor masses with added mass, or a full mass matrix.
+    backend : Backend
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        N/m.
+    """
+    shapes = normalized(of.shapes, mass)
+    plain = story_stiffnesses(shapes, of.eigenvalues, rows=of.rows)
+    origin = np.zeros(plain.unknowns)
+    solution = backend.solve(constrained(plain, of.stiffness_statements, origin))
+    k = solution.x
+    if not keeps_rows(of.rows, len(k)) and digits_lost(plain.R) > LOST:
+        again = story_stiffnesses(shapes, of.eigenvalues, rows=of.rows, at=k)
+        k = k + backend.solve(constrained(again, of.stiffness_statements, k)).x
+    row_std = of.shape_std * float(of.eigenvalues.max())
+    for _ in range(MOST_ROUNDS):
+        soft = softened(plain, of.experiment.priors, "story_stiffness", k, row_std, step=False)
+        if soft is plain:
+            return k
+        solution = backend.solve(constrained(soft, of.stiffness_statements, origin), solution)
+        before, k = k, solution.x
+        if np.max(np.abs(k - before)) <= UNCHANGED * np.max(np.abs(k)):
+            break
+    return k
 
 
 def finished(of: CompleteTest, mass: Floats, stiffness: Floats, **more: object) -> SingleIdentification:

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 
 from cvxshear.modal.estimate import Replication
-from cvxshear.modal.findings import Finding
 from cvxshear.modal.frf import FixedSource
 from cvxshear.modal.picking import values_on
 from cvxshear.modal.result import ModalResult
+from cvxshear.records.record import Finding
 from cvxshear.util.typing import Bools, Floats
 
 SIGNIFICANT = 3.0

@@ -3,22 +3,79 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
-from cvxshear.modal import signs
 from cvxshear.modal.amplitude import amplitude_findings
 from cvxshear.modal.estimate import Details, Replication
-from cvxshear.modal.findings import Finding
-from cvxshear.modal.record import FrfRecord, Record
-from cvxshear.modal.result import ModalResult
-from cvxshear.util.errors import InputError
+from cvxshear.modal.picking import MOSTLY_ROTATION, PoleCandidate
+from cvxshear.modal.result import OVERLOOKED, ModalResult
+from cvxshear.records.record import Finding, FrfRecord, Record
 from cvxshear.util.quantities import listed, ranged, significant
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Floats, Ints
 
-OF_CHANNELS = ("dead channel", "clipped channel", "held samples", "drift", "aliasing")
+A_MODE = 0.3
+"""Probability that a stable pole of no reproducible shape between two modes is a mode of the frame: of another
+direction, of twisting, of a floor or of noise it is as often."""
+
+
+def overlooked_modes(
+    frequencies: Floats, modes: Ints, left_out: Sequence[PoleCandidate], *, floors: int, stories: int
+) -> list[Finding]:
+    """The resonances that put the numbers of modes in doubt.
+
+    Parameters
+    ----------
+    frequencies : ndarray, shape (m,)
+        Of the modes found, Hz.
+    modes : ndarray of int, shape (m,)
+        Their numbers.
+    left_out : sequence of PoleCandidate
+        Stable poles that are none of them.
+    floors : int
+        Measured.
+    stories : int
+
+    Returns
+    -------
+    list of Finding
+        Each with the numbers `frequency`, `modes` as they would be, and `probability`.
+    """
+    if floors == stories:
+        return []
+    between: dict[int, list[float]] = {}
+    for item in left_out:
+        between.setdefault(int(np.searchsorted(frequencies, item.frequency)), []).append(item.frequency)
+    share = A_MODE / max(len(between), 1)
+    findings = []
+    for place, resonances in sorted(between.items()):
+        moved = modes + (np.arange(len(modes)) >= place)
+        if not 0 < place < len(modes) or moved[-1] > stories:
+            continue
+        below, above, at = modes[place - 1], modes[place], listed([f"{each:.4g}" for each in resonances])
+        findings.append(
+            Finding(
+                OVERLOOKED,
+                f"between modes {below} and {above} lies a resonance that is not among them, at {at} Hz; if it is a "
+                f"mode of the frame, what is called mode {above} is mode {above + 1}, and so on (written as "
+                f"other_modes, with a probability of {100 * share:.0f} %)",
+                {"frequency": resonances[0], "modes": moved.tolist(), "probability": share},
+            )
+        )
+    return findings
+
+
+def left_out(candidates: Sequence[PoleCandidate], chosen: Sequence[PoleCandidate]) -> list[PoleCandidate]:
+    """The candidates that are resonances of something, and not among those chosen."""
+    taken = {item.members for item in chosen}
+    return [item for item in candidates if (item.physical or item.shaky) and item.members not in taken]
+
+
 SIGNIFICANT = 3.0
 """Standard deviations."""
+CLOCK_CERTAIN = 4.5
+"""Standard deviations, of a score of blocks, for a clock that is off: one sound record in some hundreds has one."""
 LEAST_TURN = 1.0
 """Degrees at the highest mode; a clock offset that turns it less changes nothing that is reported."""
 COMPLEX = 5.0
@@ -26,6 +83,10 @@ COMPLEX = 5.0
 UNRECIPROCAL = 0.02
 """Relative; sensors and hammers are hardly calibrated better."""
 OTHER = "not a sway mode that the frame still lacks: torsion, another axis, a local or split mode"
+GAIN_CHANGED = 0.04
+"""Change of a channel's gain between two records that is worth a word: twice what calibrations differ by."""
+GAIN_SEEN = 0.15
+"""Of a mode's largest entry: smaller ones change by noise."""
 FEWEST_PERIODS = 500
 """Of the lowest mode in an ambient record: the usual advice is 1000 to 2000 (Brincker and Ventura 2015)."""
 
@@ -38,20 +99,9 @@ def modal_findings(
     lost: int,
     *,
     wanted: int,
-    accept_swapped: bool,
 ) -> list[Finding]:
-    """Everything the modes say about the record they came from; `wanted` is how many modes were asked for.
-
-    Raises
-    ------
-    InputError
-        Where two channels are swapped and `accept_swapped` is false.
-    """
-    found = signs_and_swaps(record, full.real)
-    swapped = [finding for finding in found if finding.kind == "swapped channels"]
-    if swapped and not accept_swapped:
-        raise InputError(swapped[0].message)
-    found += clock_findings(result, full)
+    """Everything the modes say about the record they came from; `wanted` is how many modes were asked for."""
+    found = clock_findings(result, full)
     found += resolution_findings(record, result)
     found += reciprocity_findings(full, setting)
     found += amplitude_findings(setting, result)
@@ -77,7 +127,7 @@ def clock_findings(result: ModalResult, full: Details) -> list[Finding]:
         result.clock_offsets.items(), full.clocks.unexplained, full.clocks.before, strict=False
     ):
         turn = float(np.degrees(highest * abs(late)))
-        if len(full.frequencies) < 2 or turn < LEAST_TURN or abs(late) < SIGNIFICANT * std:
+        if len(full.frequencies) < 2 or turn < LEAST_TURN or abs(late) < CLOCK_CERTAIN * std:
             continue
         phases = (
             f"; phases of {before:.1f} degrees before, {left:.1f} after a straight line over frequency"
@@ -90,49 +140,17 @@ def clock_findings(result: ModalResult, full: Details) -> list[Finding]:
                 f'the clock of "{name}" is {abs(late) * 1e3:.2f} ms {"late" if late > 0 else "early"} '
                 f'(std {significant(std * 1e3, 2)} ms) against that of "{names[full.clocks.reference]}": '
                 f"a phase of {turn:.1f} degrees at the highest mode{phases}",
-                {"channel": name, "seconds": late, "std": std, "turn_degrees": turn, "left_degrees": left},
+                {
+                    "channel": name,
+                    "seconds": late,
+                    "std": std,
+                    "turn_degrees": turn,
+                    "before_degrees": before,
+                    "left_degrees": left,
+                },
             )
         )
     return found
-
-
-def signs_and_swaps(record: Record, shapes: Floats) -> list[Finding]:
-    """Channels of the wrong sign, or in each other's place, by what the modes of a shear frame look like.
-
-    One change of sign, or one exchange of two channels, that mends all the modes found is named; where none
-    is needed, or the record needs more than one, nothing is said.
-    """
-    if shapes.shape[1] != record.stories or record.stories < 2 or signs.fits(shapes):
-        return []
-    first = shapes[0] / shapes[0][np.argmax(np.abs(shapes[0]))]
-    turned = signs.flipped(shapes)
-    if turned is not None:
-        channel = record.channels[turned]
-        return [
-            Finding(
-                "sign",
-                f"{channel} moves against all the others in the lowest mode, {_listed(first)} from the ground up; "
-                "turned round, every mode has as many changes of sign as a shear frame's; check its sign in the record "
-                "file",
-                {"channel": channel.name, "first_mode": first.tolist()},
-            )
-        ]
-    pair = signs.exchanged(shapes)
-    if pair is None:
-        return []
-    low, high = (record.channels[place] for place in pair)
-    return [
-        Finding(
-            "swapped channels",
-            f"{low} and {high} look swapped: the lowest mode is {_listed(first)} from the ground up, which no shear "
-            "frame has; exchanged, every mode has the signs of one. Exchange their floors in the record file",
-            {"channels": [low.name, high.name], "first_mode": first.tolist()},
-        )
-    ]
-
-
-def _listed(shape: Floats) -> str:
-    return "(" + ", ".join(f"{entry:.3f}" for entry in shape) + ")"
 
 
 def resolution_findings(record: Record, result: ModalResult) -> list[Finding]:
@@ -235,6 +253,11 @@ def _mode_findings(record: Record, result: ModalResult, setting: Replication, wa
         for item in sweep.candidates
         if item.physical and not any(item is other for other in sweep.chosen)
     )
+    found.extend(
+        Finding("rotation", f"{item.frequency:.3f} Hz is set aside: {item.reason}", {"frequency": item.frequency})
+        for item in sweep.candidates
+        if item.reason.startswith(MOSTLY_ROTATION)
+    )
     for mode, phase in zip(result.modes, result.lost_phase, strict=True):
         if phase > COMPLEX:
             found.append(
@@ -249,3 +272,39 @@ def _mode_findings(record: Record, result: ModalResult, setting: Replication, wa
 
 def _modes(numbers: list[int]) -> str:
     return f"mode{'' if len(numbers) == 1 else 's'} {ranged(numbers)}"
+
+
+def cables_changed(before: ModalResult, after: ModalResult) -> list[Finding]:
+    """What changed between two records of one frame that a cable explains: one channel reversed, or with another gain.
+
+    The entries of a channel change by one and the same factor in every mode; damage changes them by another in each.
+    """
+    floors = np.intersect1d(before.floors, after.floors)
+    modes = np.intersect1d(before.modes, after.modes)
+    if len(floors) < 3 or len(modes) < 2:
+        return []
+    old, new = (
+        item.mode_shapes[np.ix_(np.isin(item.modes, modes), np.isin(item.floors, floors))] for item in (before, after)
+    )
+    seen = np.abs(old) > GAIN_SEEN * np.abs(old).max(axis=1, keepdims=True)
+    ratios = np.where(seen, new / np.where(seen, old, 1.0), np.nan)
+    # The scale of a mode is free: that of the channels' median.
+    ratios = ratios / np.nanmedian(ratios, axis=1, keepdims=True)
+    gains, spread = np.nanmedian(ratios, axis=0), np.nanmax(np.abs(ratios - np.nanmedian(ratios, axis=0)), axis=0)
+    off = np.abs(gains - 1.0)
+    place = int(np.argmax(off))
+    others = np.delete(off, place)
+    if np.sum(seen[:, place]) < 2 or off[place] < GAIN_CHANGED or off[place] < 3 * spread[place]:
+        return []
+    if others.max() > off[place] / 3:
+        return []
+    gain, floor = float(gains[place]), int(floors[place])
+    what = "is reversed" if abs(gain + 1.0) < GAIN_CHANGED else f"reads {gain:.3f} times as much"
+    return [
+        Finding(
+            "cable",
+            f'floor {floor} {what} in "{after.name}" as against "{before.name}", in every mode by the same factor and '
+            "no other floor with it: a cable, a sensor or a calibration explains that, and it is no damage",
+            {"floor": floor, "gain": gain, "records": [before.name, after.name]},
+        )
+    ]

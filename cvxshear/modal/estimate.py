@@ -3,20 +3,81 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.modal.clock import Offsets, offsets, undone
-from cvxshear.modal.frf import FixedSource
-from cvxshear.modal.jackknife import jackknife, surrogate
+from cvxshear.modal.frf import FixedSource, FrfSource, modal_products, modal_scale, participations, residues, unwrapped
 from cvxshear.modal.picking import Sweep, Values, values_on
 from cvxshear.modal.realization import DampedModes, Impulse, Source
-from cvxshear.modal.residues import modal_products, modal_scale, participations, residues, unwrapped
-from cvxshear.modal.runs import Complexes
-from cvxshear.modal.shapes import main_axis, real_shape, signed_projection
+from cvxshear.records.clocks import Offsets, offsets, undone
+from cvxshear.records.record import Complexes, Finding, FrfRecord, Record
+from cvxshear.records.shapes import main_axis, real_shape, signed_projection
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats, Ints
+
+Estimate = Callable[[Bools], Floats | None]
+
+
+def jackknife(estimate: Estimate, groups: Ints) -> tuple[Floats, int]:
+    """Covariance by leaving out one piece at a time.
+
+    Parameters
+    ----------
+    estimate : callable
+        From a mask of kept pieces to the parameters, shape (k,), or None where they are not found.
+    groups : array of int, shape (pieces,)
+        Stratum of each piece.
+
+    Returns
+    -------
+    covariance : array, shape (k, k)
+    lost : int
+        Pieces without which the parameters were not found; the others stand in for them.
+
+    Raises
+    ------
+    InputError
+        Where fewer than two pieces of some stratum can be left out.
+    """
+    total: Floats | None = None
+    lost = 0
+    for group in np.unique(groups):
+        replicates = []
+        for piece in np.flatnonzero(groups == group):
+            keep = np.ones(len(groups), dtype=bool)
+            keep[piece] = False
+            values = estimate(keep)
+            if values is None:
+                lost += 1
+            else:
+                replicates.append(values)
+        if len(replicates) < 2:
+            raise InputError(
+                "the modes rest on single pieces of the record: left out one at a time, they are not found again in "
+                "the rest; record longer, or more hits"
+            )
+        spread = np.array(replicates) - np.mean(replicates, axis=0)
+        part = (len(replicates) - 1) / len(replicates) * spread.T @ spread
+        total = part if total is None else total + part
+    if total is None:
+        raise InputError("there are no pieces to leave out")
+    return total, lost
+
+
+def surrogate(residual: Floats, random: np.random.Generator) -> Floats:
+    """Noise with the spectra and cross-spectra of a residual, shape (samples, channels), of random phase.
+
+    One random phase a line, the same for all channels, keeps their coherence (Prichard and Theiler 1994).
+    """
+    spectrum = np.fft.rfft(residual, axis=0)
+    phase = np.exp(2j * np.pi * random.random(len(spectrum)))
+    phase[0] = 1.0
+    if len(residual) % 2 == 0:
+        phase[-1] = 1.0
+    return np.fft.irfft(spectrum * phase[:, None], n=len(residual), axis=0)
+
 
 SURROGATES = 20
 FEW_PIECES = 6
@@ -201,3 +262,58 @@ def _fit(impulse: Impulse, eigenvalues: Complexes, rate: float) -> Floats:
     amplitudes = residues(impulse.sequence, eigenvalues, rate, impulse.start)
     powers = np.exp(np.outer(np.arange(impulse.start, len(impulse.sequence)), eigenvalues) / rate)
     return np.asarray(2 * np.real(np.einsum("kr,roi->koi", powers, amplitudes)))
+
+
+NOTICEABLE = 0.01
+"""Share of a mode's impulse response that is left at the end of the window."""
+
+
+def settle_truncation(record: Record, setting: Replication, values: Values) -> list[Finding]:
+    """Decide, where the record does not say, which of the two a table of functions is; sets the source's flag.
+
+    The products of a real mode's shape entries are real. Of the two readings the one is taken whose products
+    are nearer to it, the modes weighted by how much their residues depend on the question.
+    """
+    source = setting.source
+    if not isinstance(record, FrfRecord) or not isinstance(source, FrfSource):
+        return []
+    length = source.samples / source.sampling_rate
+    left = np.abs(np.exp(values.eigenvalues * length))
+    if left.max() < NOTICEABLE:
+        return []
+    if record.truncated is not None:
+        return [_leakage(record.truncated, "as declared", length, left)]
+    angles = {}
+    for truncated in (True, False):
+        source.wrapped = not truncated
+        angles[truncated] = _phase_off(setting, values, left)
+    truncated = angles[True] <= angles[False]
+    source.wrapped = not truncated
+    why = (
+        f"told from the residues' phases, {angles[truncated]:.1f} degrees from real where the other reading leaves "
+        f"{angles[not truncated]:.1f}"
+    )
+    return [_leakage(truncated, why, length, left)]
+
+
+def _phase_off(setting: Replication, values: Values, left: Floats) -> float:
+    """Root mean square phase of the products, degrees, weighted by their size and by what is left at the end."""
+    products = details(setting, values, None).products
+    if products is None:
+        return 0.0
+    folded = np.angle(products * np.where(products.real < 0, -1.0, 1.0))
+    weight = np.abs(products) ** 2
+    weight = weight / weight.sum(axis=(1, 2), keepdims=True) * left[:, None, None] ** 2
+    return float(np.degrees(np.sqrt(np.sum(weight * folded**2) / np.sum(weight))))
+
+
+def _leakage(truncated: bool, why: str, length: float, left: Floats) -> Finding:
+    mode = int(np.argmax(left)) + 1
+    kind = "those of responses cut off there" if truncated else "samples of the true functions"
+    return Finding(
+        "leakage",
+        f"{100 * left.max():.1f} % of mode {mode}'s impulse response is left at the end of the window of "
+        f"{length:.3g} s; the functions are taken for {kind} ({why}); its residues depend on that by as much, its "
+        "frequency and damping do not",
+        {"mode": mode, "left": float(left.max()), "length": length, "truncated": truncated},
+    )

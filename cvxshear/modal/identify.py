@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,20 +11,19 @@ from threadpoolctl import threadpool_limits
 
 from cvxshear.modal import diagnostics
 from cvxshear.modal.assemble import assembled
-from cvxshear.modal.channels import channel_findings, without_dead
-from cvxshear.modal.estimate import Replication, covariance, details
+from cvxshear.modal.diagnostics import left_out, overlooked_modes
+from cvxshear.modal.estimate import Replication, covariance, details, settle_truncation
 from cvxshear.modal.functions import measured_functions
-from cvxshear.modal.leakage import settle_truncation
-from cvxshear.modal.overlooked import left_out, overlooked_modes
-from cvxshear.modal.picking import REACH, Sweep, Values, sweep_orders
-from cvxshear.modal.prepare import BLOCKS, METHODS, default_method, source_of
-from cvxshear.modal.rate import settled
+from cvxshear.modal.picking import REACH, Sweep, Values, strongest, sweep_orders
+from cvxshear.modal.prepare import BLOCKS, METHODS, default_method, settled, source_of
 from cvxshear.modal.realization import Source
-from cvxshear.modal.record import FrfRecord, Record
 from cvxshear.modal.result import ModalResult
-from cvxshear.modal.shapes import RULES
-from cvxshear.modal.shift import shifted
 from cvxshear.modal.stabilization import Criteria
+from cvxshear.records.examination import Examined, clock_offset, examined
+from cvxshear.records.placement import SURE, findings_of, weighed
+from cvxshear.records.record import Finding, FrfRecord, Record
+from cvxshear.records.shapes import RULES
+from cvxshear.records.signals import scaled, shifted
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError
 
@@ -121,34 +120,39 @@ def identify_modes(
     try:
         # The matrices are small: with all cores, threads wait for each other longer than they compute.
         with threadpool_limits(1):
-            result, record = _with_clocks(record, options, correct_clocks=correct_clocks)
+            looked = examined(record)
+            try:
+                result, record = _with_clocks(looked, options, correct_clocks=correct_clocks)
+            except NoSolutionError as error:
+                raise NoSolutionError(error.backend, error.reason + _besides(looked)) from None
+            except InputError as error:
+                raise type(error)(str(error) + _besides(looked)) from None
+            result = _with_what_was_seen(looked, result)
             if not functions:
                 return result
-            alive = without_dead(record, list(result.findings))
-            return dataclasses.replace(result, functions=measured_functions(alive, SHOWN * result.frequencies[-1]))
+            return dataclasses.replace(result, functions=measured_functions(record, SHOWN * result.frequencies[-1]))
     except np.linalg.LinAlgError as error:
         # Records that no frame made, a channel twice or a constant, have no decomposition somewhere.
         reason = f"the record determines no model ({error}); is one channel a copy of another, or constant?"
         raise NoSolutionError(options.method or default_method(record), reason) from error
 
 
-def _with_clocks(record: Record, options: Options, *, correct_clocks: bool) -> tuple[ModalResult, Record]:
+def _with_clocks(looked: Examined, options: Options, *, correct_clocks: bool) -> tuple[ModalResult, Record]:
     """The result, and the record it is of: with its clocks set right where that was asked for and needed."""
-    result = _identified(record, options)
+    record = looked.record
+    result = _identified(record, options, looked.turning)
     if not correct_clocks or not any(finding.kind == "clock offset" for finding in result.findings):
         return result, record
     record = shifted(record, result.clock_offsets)
-    return _with_first_findings(result, _identified(record, options)), record
+    return _with_first_findings(result, _identified(record, options, looked.turning)), record
 
 
-def _identified(record: Record, options: Options) -> ModalResult:
-    findings = channel_findings(record)
-    record = without_dead(record, findings)
+def _identified(record: Record, options: Options, turning: Callable[[float], float] | None = None) -> ModalResult:
     method = options.method or default_method(record)
     shift = 0.0 if record.exponential_window is None else 1.0 / record.exponential_window
     wanted = _wanted(record, options)
 
-    def attempt(record: Record) -> tuple[Source, Sweep]:
+    def attempt(record: Record, order: Sequence[int] | None = None) -> tuple[Source, Sweep]:
         source = source_of(record, method, estimator=options.estimator, blocks=options.blocks)
         by_signs = len(record.channels) == record.stories > 1
         return source, sweep_orders(
@@ -160,9 +164,28 @@ def _identified(record: Record, options: Options) -> ModalResult:
             band=record.band,
             shift=shift,
             picked=options.pick,
+            order=order,
+            turning=turning,
         )
 
-    source, sweep = settled(record, wanted, attempt, highest=max(options.pick, default=0.0))
+    highest = max(options.pick, default=0.0)
+    source, sweep = settled(record, wanted, attempt, highest=highest)
+    frequencies, lowest = strongest(sweep, 2)
+    of_places: list[Finding] = []
+    if len(record.channels) > 1 and len(lowest) > 1:
+        hypotheses = weighed(frequencies, lowest, record.floors, record.stories)
+        of_places = findings_of(hypotheses, record.channels, lowest[0])
+        if of_places and of_places[0].kind == "swapped channels" and hypotheses[0].probability >= SURE:
+            if not options.accept_swapped:
+                raise InputError(of_places[0].message)
+            order = list(range(len(record.channels)))
+            low, high = hypotheses[0].places
+            order[low], order[high] = high, low
+            source, sweep = settled(record, wanted, lambda record: attempt(record, order), highest=highest)
+        elif of_places and of_places[0].numbers["corrected"]:
+            factor = -1.0 if hypotheses[0].kind == "sign" else hypotheses[0].factor
+            record = scaled(record, {record.channels[place].name: factor for place in hypotheses[0].places})
+            source, sweep = settled(record, wanted, attempt, highest=highest)
     if len(sweep.chosen) < len(options.pick):
         raise InputError(_out_of_reach(sweep, options.pick))
     if not sweep.chosen:
@@ -181,10 +204,8 @@ def _identified(record: Record, options: Options) -> ModalResult:
         if len(sweep.chosen) == len(result.frequencies):
             break
         setting = dataclasses.replace(setting, sweep=sweep)
-    findings += of_leakage
-    findings += diagnostics.modal_findings(
-        record, result, setting, full, lost, wanted=wanted, accept_swapped=options.accept_swapped
-    )
+    findings = of_places + of_leakage
+    findings += diagnostics.modal_findings(record, result, setting, full, lost, wanted=wanted)
     findings += overlooked_modes(
         result.frequencies,
         result.modes,
@@ -251,11 +272,32 @@ def _nothing(sweep: Sweep) -> str:
 
 def _with_first_findings(first: ModalResult, again: ModalResult) -> ModalResult:
     """The second result, with what the record showed before its clocks were set right."""
-    kept = [finding for finding in first.findings if finding.kind in diagnostics.OF_CHANNELS]
     mended = [
         dataclasses.replace(finding, message=finding.message + "; corrected")
         for finding in first.findings
         if finding.kind == "clock offset"
     ]
-    rest = [finding for finding in again.findings if finding.kind not in diagnostics.OF_CHANNELS]
-    return dataclasses.replace(again, findings=(*kept, *mended, *rest), clock_offsets=first.clock_offsets)
+    return dataclasses.replace(again, findings=(*mended, *again.findings), clock_offsets=first.clock_offsets)
+
+
+def _besides(looked: Examined) -> str:
+    """What the record gets wrong, for the message of a record without modes."""
+    said = [f"{finding.kind}: {finding.message}" for finding in looked.findings]
+    return f". What the record gets wrong: {'; '.join(said)}" if said else ""
+
+
+def _with_what_was_seen(looked: Examined, result: ModalResult) -> ModalResult:
+    """The result with what was found before, clocks that were set right counted together with what was left."""
+    seen, offsets = [], dict(result.clock_offsets)
+    for finding in looked.findings:
+        name = finding.numbers.get("channel")
+        if finding.kind == "clock offset" and name in offsets:
+            against = finding.numbers["reference"]
+            (rest, std), (zero, spread) = result.clock_offsets[name], result.clock_offsets.get(against, (0.0, 0.0))
+            offsets[name] = finding.numbers["seconds"] + rest - zero, float(np.hypot(std, spread))
+            seen.append(clock_offset(name, against, *offsets[name]))
+        else:
+            seen.append(finding)
+    twice = {finding.numbers["channel"] for finding in seen if finding.kind == "clock offset"}
+    left = [item for item in result.findings if item.kind != "clock offset" or item.numbers["channel"] not in twice]
+    return dataclasses.replace(result, findings=(*seen, *left), clock_offsets=offsets)

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.modal import signs
-from cvxshear.modal.clock import offsets, undone
 from cvxshear.modal.realization import Poles, Source, realize
-from cvxshear.modal.runs import Complexes
-from cvxshear.modal.shapes import collinearity, mac, possible_changes, real_shape, sign_changes
 from cvxshear.modal.stabilization import (
     Cluster,
     Criteria,
@@ -24,10 +20,19 @@ from cvxshear.modal.stabilization import (
     stable_poles,
     undivided,
 )
+from cvxshear.records.clocks import offsets, undone
+from cvxshear.records.record import Complexes
+from cvxshear.records.shapes import collinearity, mac, possible_changes, real_shape, sign_changes
 from cvxshear.util.typing import Bools, Floats
 
 MOST_CANDIDATES = 8
 """Strongest candidates that clock offsets are told by."""
+
+MOSTLY_ROTATION = "mostly rotation"
+"""How the reason of a candidate begins that is set aside as a mode of rotation."""
+
+FAINT = 1e-3
+"""Of the loudest resonance's energy: fainter ones may be of noise."""
 
 UNSURE = 0.05
 """Of a shape's largest entry: smaller ones can have either sign, by noise or by a sensor that stands askew."""
@@ -112,6 +117,8 @@ def sweep_orders(
     band: tuple[float, float] | None = None,
     shift: float = 0.0,
     picked: Sequence[float] = (),
+    order: Sequence[int] | None = None,
+    turning: Callable[[float], float] | None = None,
 ) -> Sweep:
     """Sweep the orders, cluster the stable poles and choose the frame's modes.
 
@@ -133,6 +140,10 @@ def sweep_orders(
         Decay that an exponential window added, 1/s.
     picked : sequence of float, optional
         Frequencies in Hz whose nearest stable poles are the modes, whatever else would choose them.
+    order : sequence of int, optional
+        The channels from the ground up, where two are known to be in each other's place.
+    turning : callable, optional
+        The share of rotation in the motion at a frequency, Hz; a mode of more than half is none of sway.
 
     Returns
     -------
@@ -151,13 +162,11 @@ def sweep_orders(
         found.append(PoleCandidate(tuple(members), value, shape, share, 0.0, *_lasting(cluster, share, criteria)))
     found.sort(key=lambda item: item.frequency)
     found = _weighed(_distinct(_within(found, band), criteria), source.data(), source.sampling_rate)
-    found = _collinear(found, criteria)
+    found = _swaying(_collinear(found, criteria), turning)
     if picked:
         return Sweep(poles, stable, tuple(found), tuple(_by_hand(found, picked)))
     usable = [item for item in found if item.physical]
-    chosen = _by_signs(usable, count) if by_signs else _as_low_as_can_be(_by_energy(usable, count), stories)
-    if by_signs and not _grows(chosen):
-        chosen = _but_for_one_slip(usable, count) or chosen
+    chosen = _by_signs(usable, count, order) if by_signs else _as_low(_by_energy(usable, count), stories, order)
     numbered = {item.members: item for item in chosen}
     found = [numbered.get(item.members, item) for item in found]
     return Sweep(poles, stable, tuple(found), tuple(chosen))
@@ -216,6 +225,23 @@ def _collinear(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandi
     return result
 
 
+def _swaying(found: list[PoleCandidate], turning: Callable[[float], float] | None) -> list[PoleCandidate]:
+    """Set the modes aside that are mostly rotation, by the difference of sensors on one floor."""
+    if turning is None:
+        return found
+    result = []
+    for item in found:
+        share = turning(item.frequency)
+        if item.physical and share > 0.5:
+            reason = (
+                f"{MOSTLY_ROTATION}: {100 * share:.0f} % of the motion is in the difference of sensors on one floor"
+            )
+            result.append(dataclasses.replace(item, physical=False, reason=reason))
+        else:
+            result.append(item)
+    return result
+
+
 def _by_hand(found: list[PoleCandidate], picked: Sequence[float]) -> list[PoleCandidate]:
     """The candidate nearest to each frequency; none where none is within reach, or it is taken."""
     chosen: list[PoleCandidate] = []
@@ -235,7 +261,7 @@ def _by_energy(usable: list[PoleCandidate], count: int) -> list[PoleCandidate]:
     return sorted(strongest, key=lambda item: item.frequency)
 
 
-def _by_signs(usable: list[PoleCandidate], count: int) -> list[PoleCandidate]:
+def _by_signs(usable: list[PoleCandidate], count: int, order: Sequence[int] | None = None) -> list[PoleCandidate]:
     """The candidates, one for each number of sign changes at most, ascending, with their numbers.
 
     A mode that the record does not hold is left out rather than replaced by one of the wrong shape. Entries near zero
@@ -244,7 +270,7 @@ def _by_signs(usable: list[PoleCandidate], count: int) -> list[PoleCandidate]:
     """
     if not usable:
         return []
-    straight = _straight(usable)
+    straight = _straight(usable, order)
     ranges = [possible_changes(shape, UNSURE) for shape in straight]
     exact = [sign_changes(shape) for shape in straight]
     # best[w] is the best choice among the candidates so far for the numbers up to w, as (rank, numbered candidates).
@@ -262,7 +288,7 @@ def _by_signs(usable: list[PoleCandidate], count: int) -> list[PoleCandidate]:
     return list(best[count][1])
 
 
-def _as_low_as_can_be(chosen: list[PoleCandidate], stories: int) -> list[PoleCandidate]:
+def _as_low(chosen: list[PoleCandidate], stories: int, order: Sequence[int] | None = None) -> list[PoleCandidate]:
     """The candidates with the lowest numbers that they can have where some floors are not measured.
 
     At some of the floors mode r changes sign r - 1 times at most. Where that asks for more modes than the frame has,
@@ -270,7 +296,7 @@ def _as_low_as_can_be(chosen: list[PoleCandidate], stories: int) -> list[PoleCan
     """
     while chosen:
         number, numbered = 0, []
-        for item, shape in zip(chosen, _straight(chosen), strict=True):
+        for item, shape in zip(chosen, _straight(chosen, order), strict=True):
             number = max(number, possible_changes(shape, UNSURE)[0]) + 1
             numbered.append(dataclasses.replace(item, number=number))
         if number <= stories:
@@ -280,28 +306,21 @@ def _as_low_as_can_be(chosen: list[PoleCandidate], stories: int) -> list[PoleCan
     return []
 
 
-def _grows(chosen: list[PoleCandidate]) -> bool:
-    return bool(chosen) and signs.fits(_straight(chosen))
-
-
-def _straight(items: list[PoleCandidate]) -> Floats:
+def _straight(items: list[PoleCandidate], order: Sequence[int] | None = None) -> Floats:
     """Real shapes, the turns of clock offsets taken back first."""
     eigenvalues, shapes = np.array([item.eigenvalue for item in items]), np.array([item.shape for item in items])
     clocks = offsets(eigenvalues, shapes)
-    return np.array([real_shape(shape) for shape in undone(eigenvalues, shapes, clocks.seconds)])
+    real = np.array([real_shape(shape) for shape in undone(eigenvalues, shapes, clocks.seconds)])
+    return real if order is None else real[:, list(order)]
 
 
-def _but_for_one_slip(usable: list[PoleCandidate], count: int) -> list[PoleCandidate]:
-    """The strongest candidates, where one channel's sign or two channels' places are all that spoils them.
-
-    Chosen by their signs, a frame's modes are missed where a channel has the wrong one.
-    """
-    strongest = _by_energy(usable, count)
-    if len(strongest) < 2:
-        return []
-    shapes = _straight(strongest)
-    slipped = signs.flipped(shapes) is not None or signs.exchanged(shapes) is not None
-    return strongest if slipped else []
+def strongest(sweep: Sweep, count: int) -> tuple[Floats, Floats]:
+    """Frequencies and real shapes of the lowest resonances that hold a part of the energy worth the name."""
+    usable = [item for item in sweep.candidates if item.physical]
+    loud = [item for item in usable if item.energy > FAINT * max(other.energy for other in usable)][:count]
+    if not loud:
+        return np.zeros(0), np.zeros((0, 0))
+    return np.array([item.frequency for item in loud]), _straight(loud)
 
 
 @dataclass(frozen=True, eq=False)

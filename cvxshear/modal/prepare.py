@@ -7,21 +7,19 @@ import itertools
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from scipy import signal
 
-from cvxshear.modal import covariance, okid, subspace
+from cvxshear.modal import sources
 from cvxshear.modal.frf import DecaySource, FrfSource, cut, hit_spectra, reached_lines, table_spectra
+from cvxshear.modal.picking import Sweep
 from cvxshear.modal.realization import Source
-from cvxshear.modal.record import FrfRecord, Record, TimeRecord
-from cvxshear.modal.runs import Run
+from cvxshear.records.record import FrfRecord, Record, Run, TimeRecord
+from cvxshear.records.signals import decimated, detrended, impulsive, without_offset
 from cvxshear.util import checks
-from cvxshear.util.errors import InputError, UnsuitableError
+from cvxshear.util.errors import InputError, NoSolutionError, UnsuitableError
 from cvxshear.util.typing import Floats
 
 METHODS = ("era", "okid", "subspace", "ssi")
 BLOCKS = 20
-IMPULSIVE = 0.1
-"""A force that does nearly all its work within this share of the run is a blow."""
 
 
 def default_method(record: Record) -> str:
@@ -31,16 +29,8 @@ def default_method(record: Record) -> str:
     if record.input == "none":
         return "ssi"
     if record.input == "base":
-        return "okid"
-    return "era" if all(impulsive(run) for run in record.runs) else "okid"
-
-
-def impulsive(run: Run) -> bool:
-    """Whether the run's force is a blow: 90 % of its energy within a tenth of the run."""
-    if run.excitation is None:
-        return False
-    power = np.sort(run.excitation**2)[::-1]
-    return bool(np.searchsorted(np.cumsum(power), 0.9 * power.sum()) < IMPULSIVE * len(power))
+        return "subspace"
+    return "era" if all(impulsive(run) for run in record.runs) else "subspace"
 
 
 def source_of(record: Record, method: str, *, estimator: str = "h1", blocks: int = BLOCKS) -> Source:
@@ -93,42 +83,8 @@ def _suited(record: Record) -> tuple[str, ...]:
         "none": ("ssi",),
         "free_decay": ("era", "ssi"),
         "force": (default_method(record), "era", "okid", "subspace"),
-        "base": ("okid", "subspace"),
+        "base": ("subspace", "okid"),
     }[record.input]
-
-
-def detrended(record: TimeRecord) -> TimeRecord:
-    """The record without mean and straight-line drift."""
-    return _mapped(record, lambda values: signal.detrend(values, axis=0), record.sampling_rate)
-
-
-def decimated(record: TimeRecord) -> TimeRecord:
-    """The record at the lowest whole fraction of its sampling rate that keeps its band clear of the filter's edge."""
-    if record.band is None:
-        return record
-    factor = int(record.sampling_rate / (2.5 * record.band[1]))
-    if factor < 2:
-        return record
-    if min(run.samples for run in record.runs) < 40 * factor:
-        raise InputError(f"the record is too short to be decimated to its band up to {record.band[1]:g} Hz; widen it")
-    return _mapped(
-        record,
-        lambda values: signal.decimate(values, factor, ftype="fir", axis=0),
-        record.sampling_rate / factor,
-    )
-
-
-def _mapped(record: TimeRecord, change: Callable[[Floats], Floats], rate: float) -> TimeRecord:
-    runs = tuple(
-        Run(
-            change(run.responses),
-            None if run.excitation is None else change(run.excitation[:, None])[:, 0],
-            run.floor,
-            run.name,
-        )
-        for run in record.runs
-    )
-    return dataclasses.replace(record, runs=runs, sampling_rate=rate)
 
 
 def _hits(record: TimeRecord, estimator: str) -> FrfSource:
@@ -141,11 +97,6 @@ def _hits(record: TimeRecord, estimator: str) -> FrfSource:
     step = record.sampling_rate / samples
     spectra, samples = cut(spectra, lines)
     return FrfSource(spectra, 2 * (lines - 1) * step, samples, estimator)
-
-
-def without_offset(record: TimeRecord) -> TimeRecord:
-    """A decay must not lose its slow part to a fitted line: only the median goes, which a blow does not move."""
-    return _mapped(record, lambda values: values - np.median(values, axis=0), record.sampling_rate)
 
 
 def _decays(record: TimeRecord) -> DecaySource:
@@ -164,16 +115,17 @@ def _release(responses: Floats) -> int:
 
 def _driven(record: TimeRecord, method: str, blocks: int) -> Source:
     samples = sum(run.samples for run in record.runs)
-    lags = okid.lags_for(record.stories, len(record.channels), samples)
-    before = lags if method == "okid" else 2 * subspace.ROWS - 1
+    lags = sources.lags_for(record.stories, len(record.channels), samples)
+    rows = sources.rows_for(record.stories, len(record.channels))
+    before = lags if method == "okid" else 2 * rows - 1
     pieces = []
     for run, start, stop in _cuts(record, blocks, before, 0):
         if run.excitation is None:
             raise InputError(f"{run.name} lacks the input channel")
         pieces.append((run.excitation[start - before : stop, None], run.responses[start - before : stop]))
     if method == "okid":
-        return okid.OkidSource(pieces, record.sampling_rate, _one_floor(record), lags)
-    return subspace.SubspaceSource(pieces, record.sampling_rate)
+        return sources.OkidSource(pieces, record.sampling_rate, _one_floor(record), lags)
+    return sources.SubspaceSource(pieces, record.sampling_rate, _one_floor(record), rows, lags)
 
 
 def _one_floor(record: TimeRecord) -> int:
@@ -188,9 +140,9 @@ def _one_floor(record: TimeRecord) -> int:
 
 
 def _ambient(record: TimeRecord, blocks: int) -> Source:
-    after = covariance.ROWS + covariance.COLUMNS
+    after = sources.SSI_ROWS + sources.SSI_COLUMNS
     pieces = [run.responses[start : stop + after] for run, start, stop in _cuts(record, blocks, 0, after)]
-    return covariance.CovarianceSource(pieces, record.sampling_rate)
+    return sources.CovarianceSource(pieces, record.sampling_rate)
 
 
 def _cuts(record: TimeRecord, blocks: int, before: int, after: int) -> Iterator[tuple[Run, int, int]]:
@@ -209,3 +161,58 @@ def _cuts(record: TimeRecord, blocks: int, before: int, after: int) -> Iterator[
         edges = (before + np.linspace(0, count, pieces + 1).astype(int)).tolist()
         for start, stop in itertools.pairwise(edges):
             yield run, start, stop
+
+
+FACTORS = (2, 4, 8, 16, 32, 64)
+LOWEST_SHARE = 0.1
+"""Of the sampling rate: a highest mode below it asks for a lower rate."""
+
+Attempt = Callable[[Record], tuple[Source, Sweep]]
+
+
+def settled(record: Record, wanted: int, attempt: Attempt, highest: float = 0.0) -> tuple[Source, Sweep]:
+    """The source and sweep at the rate that suits the modes.
+
+    Parameters
+    ----------
+    record : TimeRecord or FrfRecord
+    wanted : int
+        Number of modes that would be all.
+    attempt : callable
+        From a record to its source and sweep.
+    highest : float, optional
+        Hz that must stay in sight: the highest mode picked by hand.
+
+    Returns
+    -------
+    source : Source
+    sweep : Sweep
+    """
+    best = attempt(record)
+    if record.band is not None or _suits(best, wanted):
+        return best
+    for factor in FACTORS:
+        band = (0.0, record.sampling_rate / (2.5 * factor))
+        if band[1] < highest:
+            break
+        try:
+            trial = attempt(dataclasses.replace(record, band=band))
+        except (InputError, NoSolutionError):
+            # Too short to be decimated any further, or without a model then: what was found before stands.
+            break
+        if len(trial[1].chosen) < len(best[1].chosen):
+            break
+        if len(trial[1].chosen) > len(best[1].chosen) or _too_low(best):
+            best = trial
+        if _suits(best, wanted):
+            break
+    return best
+
+
+def _suits(found: tuple[Source, Sweep], wanted: int) -> bool:
+    return len(found[1].chosen) == wanted and not _too_low(found)
+
+
+def _too_low(found: tuple[Source, Sweep]) -> bool:
+    source, sweep = found
+    return not sweep.chosen or sweep.chosen[-1].frequency < LOWEST_SHARE * source.sampling_rate

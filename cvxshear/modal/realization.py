@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from scipy import linalg
 
-from cvxshear.modal.runs import Complexes
+from cvxshear.records.record import Complexes
 from cvxshear.util.typing import Bools, Floats, Ints
 
 

@@ -4,18 +4,87 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import nnls
 
-from cvxshear.modal.findings import Finding
 from cvxshear.modal.functions import Functions
-from cvxshear.modal.knowledge import entry_std, frequency_std, other_modes
 from cvxshear.modal.picking import Sweep
-from cvxshear.modal.runs import Complexes
+from cvxshear.records.record import Complexes, Finding
+from cvxshear.util.plain import data_frame
 from cvxshear.util.showing import Shown
 from cvxshear.util.typing import Floats, Ints, Json
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+OVERLOOKED = "overlooked mode"
+"""The kind of the findings that put the numbers of modes in doubt."""
+
+SENSOR_STD = 0.005
+"""Standard deviation of a shape entry, over the mode's largest, that no scatter shows: a sensor 5 degrees askew loses
+0.4 %, one with a transverse sensitivity of 3 % picks up as much of a floor's other motions."""
+
+
+def frequency_std(scatter: Floats, modes: Ints, findings: Sequence[Finding]) -> Floats:
+    """Relative standard deviations of the frequencies, those that depend on amplitude being known no better than that.
+
+    The halves of the record, the stronger and the weaker one, lie a half of the whole range of amplitudes apart. A
+    frequency that changes by d between them is spread over 2 d, with a standard deviation of 2 d / sqrt(12). A mode
+    for which no change could be told is taken to change by as much as the one that changes least.
+
+    Parameters
+    ----------
+    scatter : ndarray, shape (m,)
+    modes : ndarray of int, shape (m,)
+    findings : sequence of Finding
+    """
+    changes = {
+        item.numbers["mode"]: 2.0 * abs(item.numbers["change"]) / np.sqrt(12.0)
+        for item in findings
+        if item.kind == "amplitude"
+    }
+    least = min(changes.values(), default=0.0)
+    return np.hypot(scatter, [changes.get(int(mode), least) for mode in modes])
+
+
+def entry_std(scatter: Floats, shapes: Floats, floors: Ints, findings: Sequence[Finding]) -> Floats:
+    """Standard deviations of the shape entries, over each mode's largest, with what sensors get wrong unseen.
+
+    Where the response at floor i to a force at j differs from that at j to a force at i by the share d, one of four
+    calibrations is off, those of two sensors and of the force at two driving points. With s the standard deviation of
+    each, d has that of 2 s; an entry takes half of its sensor's error and half of its driving point's, which is
+    s / sqrt(2) = d / (2 sqrt(2)).
+
+    Parameters
+    ----------
+    scatter : ndarray, shape (m, n)
+    shapes : ndarray, shape (m, n)
+        In any scaling.
+    floors : ndarray of int, shape (n,)
+    findings : sequence of Finding
+    """
+    failures = [item.numbers for item in findings if item.kind == "reciprocity"]
+    share = np.array(
+        [
+            np.sqrt(np.mean(np.square([each["by_mode"] for each in failures if floor in each["floors"]] or [[0.0]])))
+            for floor in floors.tolist()
+        ]
+    )
+    relative = np.abs(shapes) / np.max(np.abs(shapes), axis=1, keepdims=True)
+    result: Floats = np.hypot(np.hypot(scatter, SENSOR_STD), relative * share / (2.0 * np.sqrt(2.0)))
+    return result
+
+
+def other_modes(findings: Sequence[Finding]) -> list[Json]:
+    """Which other modes of the frame those of a record may be, as `other_modes` of a measurement file has it."""
+    return [
+        {"modes": item.numbers["modes"], "probability": item.numbers["probability"]}
+        for item in findings
+        if item.kind == OVERLOOKED
+    ]
+
 
 DRAWN = 0.3
 """Weight of equal variances against those that the covariance asks for."""
@@ -121,6 +190,43 @@ class ModalResult(Shown):
             "findings": [finding.to_dict() for finding in self.findings],
         }
 
+    @property
+    def written_frequency_std(self) -> Floats:
+        """Relative standard deviations of the frequencies, with what no scatter shows, as files have them."""
+        return np.maximum(frequency_std(self.frequency_std, self.modes, self.findings), LEAST_STD)
+
+    @property
+    def written_entry_std(self) -> Floats:
+        """Standard deviations of the entries over each mode's largest, as files have them, shape (m, n)."""
+        return entry_std(self.entry_std, self.mode_shapes, self.floors, self.findings)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row a mode: number, frequency, damping ratio, their standard deviations, one column a floor.
+
+        Returns
+        -------
+        pandas.DataFrame
+            `frequency` in Hz, `frequency_std` relative as measurement files have it, `damping_ratio` and its `std` as
+            fractions of critical, `floor_1`, ... in the scale of `mode_shapes`; indexed by `mode`.
+
+        Raises
+        ------
+        InputError
+            Where pandas is not installed.
+        """
+        columns: dict[str, Sequence[object]] = {
+            "mode": self.modes.tolist(),
+            "frequency": self.frequencies.tolist(),
+            "frequency_std": self.written_frequency_std.tolist(),
+            "damping_ratio": self.damping_ratios.tolist(),
+            "damping_ratio_std": self.damping_std.tolist(),
+        }
+        columns |= {
+            f"floor_{floor}": entries.tolist()
+            for floor, entries in zip(self.floors.tolist(), self.mode_shapes.T, strict=True)
+        }
+        return data_frame(columns).set_index("mode")
+
     def configuration(self, *, added_mass: Sequence[float] | None = None, state: str | None = None) -> Json:
         """The table `[[configuration]]` of a measurement file that these modes make."""
         result: Json = {"name": self.name}
@@ -135,10 +241,8 @@ class ModalResult(Shown):
             "frequencies": self.frequencies.tolist(),
             "mode_shapes": self.mode_shapes.tolist(),
             "mass_normalized": self.mass_normalized,
-            "frequency_std": np.maximum(
-                frequency_std(self.frequency_std, self.modes, self.findings), LEAST_STD
-            ).tolist(),
-            "mode_shape_std": entry_std(self.entry_std, self.mode_shapes, self.floors, self.findings).tolist(),
+            "frequency_std": self.written_frequency_std.tolist(),
+            "mode_shape_std": self.written_entry_std.tolist(),
             "mode_shape_noise": "additive",
             "damping_ratios": np.clip(self.damping_ratios, 0.0, None).tolist(),
         }
@@ -174,12 +278,12 @@ class ModalResult(Shown):
         Notes
         -----
         Where neither the shapes nor the frame nor a prior say how heavy the frame is, the total mass is set
-        to 1 kg: masses and stiffnesses then come out per kilogram of the frame. The measurement file that is
-        written of the result says so in a comment at its head.
+        to 1, with `total_mass_placeholder = true`: masses and stiffnesses then come out relative to it, and no
+        command shows them in kilograms or newtons. A comment at the head of the measurement file says so too.
         """
         table = frame_in({"stories": self.stories, **(frame or {})}, {state or self.name})
         if self.needs_mass(table, priors):
-            table["total_mass"] = 1.0
+            table |= {"total_mass": 1.0, "total_mass_placeholder": True}
         result: Json = {"frame": table}
         if priors:
             result["prior"] = [dict(prior) for prior in priors]

@@ -193,6 +193,25 @@ def modes(M: Floats, K: Floats) -> Modes:
     return Modes(eigenvalues, shapes * np.sign(largest)[:, None])
 
 
+def attached_share(found: Modes, M: Floats, floors: int) -> Floats:
+    """Part of each mode's kinetic energy that is in masses attached to the floors, shape (n,).
+
+    The motions of the floors come first; attached masses are coupled to nothing by their inertia, and have together the
+    energy of one mode each.
+    """
+    attached = slice(floors, len(M))
+    share: Floats = found.shapes[:, attached] ** 2 @ np.diag(M)[attached]
+    return share
+
+
+def frame_modes(found: Modes, M: Floats, floors: int) -> Ints:
+    """The modes that are the frame's, zero-based, ascending, shape (N,): all but the attached masses' own."""
+    if len(M) == floors:
+        return np.arange(floors)
+    order = np.argsort(attached_share(found, M, floors), kind="stable")
+    return np.sort(order[:floors])
+
+
 def _is_chain(M: Floats, K: Floats) -> bool:
     """Whether M is diagonal and K tridiagonal, of a size at which that is worth looking at."""
     n = len(M)

@@ -3,12 +3,65 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from cvxshear import backends
 from cvxshear.backends import Backend
-from cvxshear.paper import noise, steel_frame, three_story
-from cvxshear.paper.results import Reproduction
-from cvxshear.studies.noise import SEED
+from cvxshear.paper import steel_frame, three_story
+from cvxshear.paper.scatter import SEED
+from cvxshear.paper.tables import DIFFERS, MISPRINTED, ROUNDED, TO_THE_DIGIT, Row, Section
+from cvxshear.util.typing import Json
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """The paper's figures and ours.
+
+    Parameters
+    ----------
+    sections : tuple of Section
+    backend : str
+    samples : tuple of int
+        Numbers of random samples of Table 3.
+    seed : int
+    """
+
+    sections: tuple[Section, ...]
+    backend: str
+    samples: tuple[int, ...]
+    seed: int
+
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """All rows of all sections."""
+        return tuple(row for section in self.sections for row in section.rows)
+
+    @property
+    def summary(self) -> str:
+        """How many figures agree, in a sentence or two."""
+        results = [row for section in self.sections if section.counted for row in section.rows]
+        fixed = [row for row in results if row.chance is None and not row.printed.startswith("about")]
+        verdicts = (TO_THE_DIGIT, ROUNDED, MISPRINTED, DIFFERS)
+        counts = {name: sum(row.verdict == name for row in fixed) for name in verdicts}
+        return (
+            f"{len(fixed)} printed results that no chance is involved in: {counts[TO_THE_DIGIT]} are met to the last "
+            f"printed digit, {counts[ROUNDED]} more once computed, as the paper did, from its own rounded figures, "
+            f"{counts[MISPRINTED]} is a misprint, {counts[DIFFERS]} differ."
+        )
+
+    def section(self, title: str) -> Section:
+        """The first section whose title begins so."""
+        return next(each for each in self.sections if each.title.startswith(title))
+
+    def to_dict(self) -> Json:
+        """The documented JSON."""
+        return {
+            "backend": self.backend,
+            "samples": list(self.samples),
+            "seed": self.seed,
+            "summary": self.summary,
+            "sections": [section.to_dict() for section in self.sections],
+        }
 
 
 def reproduce(
@@ -38,7 +91,7 @@ def reproduce(
     solver = backends.get(backend)
     parts = (
         *three_story.sections(three_story.ThreeStory(solver)),
-        *noise.sections(samples, seed),
+        *three_story.noise_sections(samples, seed),
         *steel_frame.sections(steel_frame.SteelFrame(solver)),
     )
     return Reproduction(parts, solver.name, tuple(samples), seed)

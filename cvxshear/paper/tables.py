@@ -6,10 +6,17 @@ and 6. Cases 1 and 2 are its two initial masses; "present" is its own method, "R
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+from cvxshear.util.typing import Json
+
+KILO = 1e3
+"""The paper prints stiffnesses in kN/m."""
+
 INITIAL_MASS = {1: (9.5, 7.5, 5.5), 2: (7.5, 7.5, 7.5)}
 """Section 5.1, kg."""
 
-METHODS = {"two-stage": "present", "qi": "Ref. [23]", "berman": "Ref. [17]"}
+PAPER_METHODS = {"two-stage": "present", "qi": "Ref. [23]", "berman": "Ref. [17]"}
 """Our name of each method, and the paper's."""
 
 ITERATIONS = {1: "14", 2: "16"}
@@ -123,3 +130,121 @@ def decimals(printed: str) -> int:
 def values(printed: tuple[str, ...]) -> tuple[float, ...]:
     """Printed figures as numbers."""
     return tuple(value(each) for each in printed)
+
+
+TO_THE_DIGIT = "to the last digit"
+ROUNDED = "from rounded figures"
+MISPRINTED = "misprint"
+DIFFERS = "differs"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure.
+
+    Parameters
+    ----------
+    what : str
+        The quantity and its unit.
+    where : str
+        In the paper.
+    printed : str
+        As it stands there.
+    recomputed : float
+    from_rounded : float, optional
+        The same figure computed from other figures of the paper as they are printed.
+    std_error : float, optional
+        Of a recomputed figure that rests on random samples.
+    chance : float, optional
+        Standard deviation of `difference` where printed and recomputed figure rest on other random samples.
+    misprint : bool, optional
+        Whether the paper does not print what its own formula gives.
+    """
+
+    what: str
+    where: str
+    printed: str
+    recomputed: float
+    from_rounded: float | None = None
+    std_error: float | None = None
+    chance: float | None = None
+    misprint: bool = False
+
+    @property
+    def difference(self) -> float:
+        """Recomputed less printed."""
+        return self.recomputed - value(self.printed)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the recomputed figure, rounded to the printed number of digits, is the printed one."""
+        return same_digits(self.recomputed, self.printed)
+
+    @property
+    def distance(self) -> float | None:
+        """The difference in standard deviations of what chance makes of it; None where no chance is involved."""
+        return None if self.chance is None else self.difference / self.chance
+
+    @property
+    def verdict(self) -> str:
+        """In words; empty where the paper gives no more than a rough figure."""
+        if self.misprint:
+            return MISPRINTED
+        if self.distance is not None:
+            return f"{self.distance:+.1f} standard errors"
+        if self.printed.startswith("about"):
+            return ""
+        if self.agrees:
+            return TO_THE_DIGIT
+        if self.from_rounded is not None and same_digits(self.from_rounded, self.printed):
+            return ROUNDED
+        return DIFFERS
+
+    def to_dict(self) -> Json:
+        """The fields and what follows from them."""
+        return {
+            "what": self.what,
+            "where": self.where,
+            "printed": self.printed,
+            "recomputed": self.recomputed,
+            "difference": self.difference,
+            "agrees": self.agrees,
+            "from_rounded": self.from_rounded,
+            "std_error": self.std_error,
+            "distance": self.distance,
+            "misprint": self.misprint,
+            "verdict": self.verdict,
+        }
+
+
+@dataclass(frozen=True)
+class Section:
+    """The rows of one table or statement of the paper.
+
+    Parameters
+    ----------
+    title : str
+    rows : tuple of Row
+    notes : tuple of str, optional
+        What a reader of the rows should know.
+    printed_in : str, optional
+        Header of the figures that ours are compared with.
+    counted : bool, optional
+        Whether these are results of the paper, which the summary counts; not what went in.
+    """
+
+    title: str
+    rows: tuple[Row, ...]
+    notes: tuple[str, ...] = ()
+    printed_in: str = "printed"
+    counted: bool = True
+
+    def to_dict(self) -> Json:
+        """Title, rows and notes."""
+        return {"title": self.title, "rows": [row.to_dict() for row in self.rows], "notes": list(self.notes)}
+
+
+def same_digits(number: float, printed: str) -> bool:
+    """Whether a number rounds to a printed one, a zero of either sign being zero."""
+    count = decimals(printed)
+    return round(number, count) == round(value(printed), count)

@@ -1,8 +1,8 @@
-"""Section 5.1: the three-story frame from exact modes, by the paper's method and the two it compares itself with."""
+"""Section 5: the three-story frame, from exact modes by the paper's method and two earlier ones, and from noise."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -11,14 +11,19 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame
 from cvxshear.methods import SingleIdentification, identify
-from cvxshear.methods.separate import complete_test
-from cvxshear.methods.story_stiffness import identified_stiffness
+from cvxshear.methods.separate import complete_test, identified_stiffness
 from cvxshear.paper import tables
-from cvxshear.paper.results import Row, Section
-from cvxshear.studies.setups import three_story
+from cvxshear.paper.scatter import NoiseStudy, noise_study, paper_setups
+from cvxshear.paper.setups import three_story
+from cvxshear.paper.tables import KILO, Row, Section
 from cvxshear.util.typing import Floats
 
-KILO = 1e3
+FIGURE_6_SAMPLES = 2000
+UNLIKELY = 1.96
+"""Standard errors that chance exceeds in one case of twenty."""
+
+BEYOND_CHANCE = 3.5
+"""Standard errors that the largest of 30 figures exceeds in one case of seventy."""
 
 
 class ThreeStory:
@@ -41,7 +46,7 @@ class ThreeStory:
         """What each method finds in each case."""
         return {
             (method, case): identify(self.experiment, method, self.backend, initial_mass=start).parts[0]
-            for method in tables.METHODS
+            for method in tables.PAPER_METHODS
             for case, start in tables.INITIAL_MASS.items()
         }
 
@@ -52,18 +57,18 @@ class ThreeStory:
 
     def stiffness_of(self, mass_matrix: Floats) -> Floats:
         """Eq. 24 on the modes normalized by a mass matrix, shape (3,), N/m."""
-        of = complete_test(self.experiment, self.experiment.configurations[0], "berman")
-        return identified_stiffness(of, mass_matrix, backends.get(self.backend))
+        test = complete_test(self.experiment, self.experiment.configurations[0], "berman")
+        return identified_stiffness(test, mass_matrix, backends.get(self.backend))
 
 
-def sections(of: ThreeStory) -> Iterator[Section]:
+def sections(ours: ThreeStory) -> Iterator[Section]:
     """Tables 1 and 2, the numbers of iterations, and the errors stated in the text."""
-    yield Section("Table 1: corrected floor masses", tuple(_table_1(of)), (_misprint(of),))
-    yield Section("Table 2: identified story stiffnesses", tuple(_table_2(of)))
-    yield Section("Section 5.1: iterations to Eq. 15", tuple(_iterations(of)))
+    yield Section("Table 1: corrected floor masses", tuple(_table_1(ours)), (_misprint(ours),))
+    yield Section("Table 2: identified story stiffnesses", tuple(_table_2(ours)))
+    yield Section("Section 5.1: iterations to Eq. 15", tuple(_iterations(ours)))
     yield Section(
         "Section 5.1: largest errors of the two earlier methods",
-        tuple(_largest_errors(of)),
+        tuple(_largest_errors(ours)),
         (
             "The paper took these from its tables' rounded figures, and relative to the exact value (Eq. 25 as it is "
             "printed would divide by the approximate one).",
@@ -72,12 +77,12 @@ def sections(of: ThreeStory) -> Iterator[Section]:
 
 
 def _place(table: str, method: str, case: int) -> str:
-    return f"{table}, Case {case}, {tables.METHODS[method]}"
+    return f"{table}, Case {case}, {tables.PAPER_METHODS[method]}"
 
 
-def _table_1(of: ThreeStory) -> Iterator[Row]:
+def _table_1(ours: ThreeStory) -> Iterator[Row]:
     for (method, case), entries in tables.TABLE_1.items():
-        matrix = of.mass_matrix(method, case)
+        matrix = ours.mass_matrix(method, case)
         for (i, j), printed in entries.items():
             yield Row(
                 what=f"m{i}, kg" if i == j else f"mass matrix entry ({i}, {j}), kg",
@@ -88,11 +93,11 @@ def _table_1(of: ThreeStory) -> Iterator[Row]:
             )
 
 
-def _misprint(of: ThreeStory) -> str:
+def _misprint(ours: ThreeStory) -> str:
     """Why that entry is a misprint: the paper's own Table 2 was computed with the formula's value."""
     method, case, (i, j) = tables.MISPRINT
     printed = tables.TABLE_1[method, case][i, j]
-    matrix = of.mass_matrix(method, case)
+    matrix = ours.mass_matrix(method, case)
     as_printed = matrix.copy()
     as_printed[i - 1, j - 1] = as_printed[j - 1, i - 1] = tables.value(printed)
 
@@ -101,30 +106,30 @@ def _misprint(of: ThreeStory) -> str:
 
     return (
         f"Entry ({i}, {j}) of Ref. [17] in Case {case} is a misprint: the paper has {printed}, the formula gives "
-        f"{matrix[i - 1, j - 1]:.3f}. With {printed} Table 2 would read {listed(of.stiffness_of(as_printed))} kN/m; it "
-        f"reads {' '.join(tables.TABLE_2[method, case])}, which the formula's entry gives "
-        f"({listed(of.stiffness_of(matrix))})."
+        f"{matrix[i - 1, j - 1]:.3f}. With {printed} Table 2 would read {listed(ours.stiffness_of(as_printed))} kN/m; "
+        f"it reads {' '.join(tables.TABLE_2[method, case])}, which the formula's entry gives "
+        f"({listed(ours.stiffness_of(matrix))})."
     )
 
 
-def _table_2(of: ThreeStory) -> Iterator[Row]:
+def _table_2(ours: ThreeStory) -> Iterator[Row]:
     for (method, case), printed in tables.TABLE_2.items():
-        stiffness = of.parts[method, case].frame.story_stiffness / KILO
+        stiffness = ours.parts[method, case].frame.story_stiffness / KILO
         for story, (text, found) in enumerate(zip(printed, stiffness, strict=True), 1):
             yield Row(f"k{story}, kN/m", _place("Table 2", method, case), text, float(found))
 
 
-def _iterations(of: ThreeStory) -> Iterator[Row]:
+def _iterations(ours: ThreeStory) -> Iterator[Row]:
     for case, printed in tables.ITERATIONS.items():
-        yield Row("iterations", f"Section 5.1, Case {case}, present", printed, of.parts["two-stage", case].iterations)
+        yield Row("iterations", f"Section 5.1, Case {case}, present", printed, ours.parts["two-stage", case].iterations)
 
 
-def _largest_errors(of: ThreeStory) -> Iterator[Row]:
+def _largest_errors(ours: ThreeStory) -> Iterator[Row]:
     for (method, case), (mass, stiffness) in tables.LARGEST_ERRORS.items():
-        frame = of.parts[method, case].frame
+        frame = ours.parts[method, case].frame
         where = _place("Section 5.1", method, case)
         diagonal = tuple(text for (i, j), text in tables.TABLE_1[method, case].items() if i == j)
-        truth = of.truth
+        truth = ours.truth
         yield Row(
             "largest error of a floor mass, %", where, mass, _largest(frame.floor_mass, truth.floor_mass),
             from_rounded=_largest(np.array(tables.values(diagonal)), truth.floor_mass),
@@ -139,3 +144,87 @@ def _largest_errors(of: ThreeStory) -> Iterator[Row]:
 
 def _largest(found: Floats, truth: Floats) -> float:
     return 100 * float(np.max(np.abs(found / truth - 1)))
+
+
+def noise_sections(samples: Sequence[int], seed: int) -> Iterator[Section]:
+    """Table 3 with each number of samples, and Fig. 6.
+
+    Parameters
+    ----------
+    samples : sequence of int
+    seed : int
+    """
+    for count in samples:
+        study = noise_study(paper_setups(tuple(tables.TABLE_3)), ("two-stage",), count, seed)
+        rows = tuple(_table_3(study))
+        title = f"Table 3: error of the mean, {count:,} samples"
+        yield Section(title, rows, (_chance(rows), *_systematic(study)))
+    yield _figure_6(noise_study(paper_setups((tables.FIGURE_6_SIGMA,)), ("two-stage",), FIGURE_6_SAMPLES, seed))
+
+
+def _table_3(study: NoiseStudy) -> Iterator[Row]:
+    for scatter, (sigma, printed) in zip(study.scatters, tables.TABLE_3.items(), strict=True):
+        spread = scatter.errors.std(axis=0, ddof=1)
+        # The paper's mean and ours are of samples that have nothing to do with each other.
+        chance = spread * np.sqrt(1 / tables.TABLE_3_SAMPLES + 1 / study.samples)
+        for place, name in enumerate(tables.PARAMETERS):
+            yield Row(
+                what=f"{name}, %",
+                where=f"Table 3, σ = {sigma:g}",
+                printed=printed[place],
+                recomputed=100 * float(scatter.bias[place]),
+                std_error=100 * float(scatter.bias_error[place]),
+                chance=100 * float(chance[place]),
+            )
+
+
+def _chance(rows: Sequence[Row]) -> str:
+    distances = np.array([row.distance for row in rows if row.distance is not None])
+    beyond = int(np.sum(np.abs(distances) > UNLIKELY))
+    farthest = float(np.max(np.abs(distances)))
+    explained = "explains" if farthest < BEYOND_CHANCE else "does not explain"
+    return (
+        f"A mean of {tables.TABLE_3_SAMPLES} samples scatters: of {len(rows)} printed errors {beyond} lie more than "
+        f"{UNLIKELY:g} standard errors from ours ({0.05 * len(rows):.1f} expected by chance), the farthest "
+        f"{farthest:.1f}. Chance {explained} the printed figures."
+    )
+
+
+def _systematic(study: NoiseStudy) -> Iterator[str]:
+    """The bias that is left when chance is averaged out, where the samples suffice to see one."""
+    scatter = study.scatters[-1]
+    seen = np.flatnonzero(np.abs(scatter.bias) > 3 * scatter.bias_error)
+    if seen.size:
+        listed = ", ".join(
+            f"{tables.PARAMETERS[i]} {100 * scatter.bias[i]:+.2f} ± {100 * scatter.bias_error[i]:.2f} %" for i in seen
+        )
+        yield (
+            f"At σ = {scatter.setup.mode_shape_std:g} a bias is seen beyond three standard errors: {listed}. It is "
+            "small beside the scatter, and under 1 % as the paper says."
+        )
+
+
+def _figure_6(study: NoiseStudy) -> Section:
+    scatter = study.scatters[0]
+    sigma = scatter.setup.mode_shape_std
+    variation = 100 * scatter.variation
+    rows = tuple(
+        Row(
+            what=f"{name}, %",
+            where=f"Fig. 6, σ = {sigma:g}",
+            printed=tables.FIGURE_6,
+            recomputed=float(found),
+            # Of the standard deviation of normal samples.
+            std_error=float(found / np.sqrt(2 * study.samples)),
+        )
+        for name, found in zip(tables.PARAMETERS, variation, strict=True)
+    )
+    largest = int(np.argmax(variation))
+    return Section(
+        f"Fig. 6: coefficients of variation, {study.samples:,} samples",
+        rows,
+        (
+            f"The paper says that an error of the modes is not enlarged. For {tables.PARAMETERS[largest]} it is, "
+            f"{variation[largest] / (100 * sigma):.1f} times.",
+        ),
+    )

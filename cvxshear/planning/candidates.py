@@ -1,4 +1,4 @@
-"""What each candidate, a floor to measure or a test to make, adds to what is known of the frame.
+"""What floors to measure and tests to make add to what is known of a frame: the candidates of a plan.
 
 The information of the parameters is a sum over the candidates that are chosen,
 
@@ -6,10 +6,13 @@ The information of the parameters is a sum over the candidates that are chosen,
 
 with w_j = 1 for what is chosen. The free scale of every measured shape would spoil the sum if it were eliminated from
 each shape; it is a parameter of its own here, and what is asked is always a covariance with the others marginalised.
+Where design values are vague every matrix is there once for each of several frames that they allow, and a criterion is
+an average over these.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,7 +22,7 @@ from scipy import linalg
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
 
-NEGLIGIBLE = 1e-12
+KNOWN_EXACTLY = 1e-12
 """Length of a row of the question, each parameter in its own size, below which the parameter is known exactly."""
 
 
@@ -28,15 +31,15 @@ class Candidates:
     """What is known and what each candidate would add, in coordinates in which it is well scaled.
 
     In these coordinates z the parameters asked for are x = F z_a, z_a the first of them, and the information of equal
-    shares of all candidates is the identity.
+    weights of all candidates is the identity.
 
     Parameters
     ----------
-    base : ndarray, shape (p, p)
-        Information without any candidate.
-    rows : ndarray, shape (n, d, p)
+    base : ndarray, shape (q, p, p)
+        Information without any candidate, for each of q frames.
+    rows : ndarray, shape (q, n, d, p)
         J_j of each candidate.
-    asked : ndarray, shape (s, a)
+    asked : ndarray, shape (q, s, a)
         F.
     """
 
@@ -44,73 +47,81 @@ class Candidates:
     rows: Floats
     asked: Floats
 
-    @cached_property
-    def atoms(self) -> Floats:
-        """Information that each candidate adds, G_j, shape (n, p, p)."""
-        return self.rows.transpose(0, 2, 1) @ self.rows
+    @staticmethod
+    def averaged(frames: Sequence[Candidates]) -> Candidates:
+        """The same candidates on several frames, over which a criterion is an average."""
+        parts = [[each.base for each in frames], [each.rows for each in frames], [each.asked for each in frames]]
+        return Candidates(*map(np.concatenate, parts))
 
     @cached_property
-    def log_volume(self) -> float:
+    def added(self) -> Floats:
+        """Information that each candidate adds, G_j, shape (q, n, p, p)."""
+        return self.rows.swapaxes(2, 3) @ self.rows
+
+    @cached_property
+    def log_volume(self) -> Floats:
         """log det of the covariance of what is asked for where that of z_a is the identity, in its own directions."""
-        return float(np.sum(np.log(np.linalg.svd(self.asked, compute_uv=False) ** 2)))
+        return np.asarray(np.sum(np.log(np.linalg.svd(self.asked, compute_uv=False) ** 2), axis=-1))
 
     @property
     def count(self) -> int:
         """How many candidates there are."""
-        return len(self.rows)
+        return int(self.rows.shape[1])
 
-    def information(self, shares: Floats) -> Floats:
-        """M(w), shape (..., p, p), for shares w of shape (..., n)."""
-        result: Floats = self.base + np.tensordot(shares, self.atoms, axes=1)
+    def information(self, weights: Floats) -> Floats:
+        """M(w), shape (..., q, p, p), for weights w of shape (..., n)."""
+        result: Floats = self.base + np.tensordot(weights, self.added, axes=(-1, 1))
         return result
 
     def subset(self, chosen: Ints | list[int]) -> Floats:
-        """The information of the chosen candidates, shape (p, p)."""
-        result: Floats = self.base + self.atoms[chosen].sum(axis=0)
+        """The information of the chosen candidates, shape (q, p, p)."""
+        result: Floats = self.base + self.added[:, chosen].sum(axis=1)
         return result
 
     def own(self, information: Floats) -> Floats:
-        """Covariance of z_a with all others marginalised, shape (..., a, a)."""
-        a = self.asked.shape[1]
+        """Covariance of z_a with all others marginalised, shape (..., q, a, a)."""
+        a = self.asked.shape[-1]
         result: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)[..., :a, :a]
         return result
 
     def own_with_each(self, chosen: Ints | list[int], others: Ints | list[int]) -> Floats:
-        """Covariance of z_a with the chosen candidates and one of the others, for each of these; shape (k, a, a).
+        """Covariance of z_a with the chosen candidates and one of the others, for each of these; shape (k, q, a, a).
 
         C - C J' (1 + J C J')^-1 J C: one inverse for all of them.
         """
-        a = self.asked.shape[1]
+        a = self.asked.shape[-1]
         covariance = np.linalg.inv(self.subset(chosen))
-        J = self.rows[others]
-        seen = J @ covariance
-        inner = np.eye(J.shape[1]) + seen @ J.transpose(0, 2, 1)
-        columns = seen[:, :, :a]
-        result: Floats = covariance[:a, :a] - columns.transpose(0, 2, 1) @ np.linalg.solve(inner, columns)
-        return result
+        J = self.rows[:, others]
+        seen = J @ covariance[:, None]
+        inner = np.eye(J.shape[2]) + seen @ J.swapaxes(2, 3)
+        columns = seen[..., :a]
+        result: Floats = covariance[:, None, :a, :a] - columns.swapaxes(2, 3) @ np.linalg.solve(inner, columns)
+        return result.swapaxes(0, 1)
 
     def covariance(self, own: Floats) -> Floats:
-        """Covariance of the parameters asked for, shape (..., s, s), from that of z_a."""
-        result: Floats = self.asked @ own @ self.asked.T
+        """Covariance of the parameters asked for, shape (..., s, s), from that of z_a: the mean over the frames."""
+        result: Floats = np.mean(self.asked @ own @ self.asked.swapaxes(1, 2), axis=-3)
         return result
 
     def slopes(self, information: Floats, weight: Floats) -> Floats:
-        """Derivatives of tr(weight C_aa) by the shares, C the whole covariance: -tr(weight C_a. G_j C_.a), shape (n,).
+        """Derivatives by the weights of the frames' mean tr(weight C_aa), C the whole covariance, shape (n,).
+
+        Of one frame -tr(weight C_a. G_j C_.a).
 
         Parameters
         ----------
-        information : ndarray, shape (p, p)
-        weight : ndarray, shape (a, a)
+        information : ndarray, shape (q, p, p)
+        weight : ndarray, shape (q, a, a)
         """
-        a = self.asked.shape[1]
-        columns = np.linalg.inv(information)[:, :a]
-        spread = columns @ weight @ columns.T
-        result: Floats = -np.tensordot(self.atoms, spread, axes=2)
+        a = self.asked.shape[-1]
+        columns = np.linalg.inv(information)[..., :a]
+        spread = columns @ weight @ columns.swapaxes(1, 2)
+        result: Floats = -np.tensordot(self.added, spread, axes=([0, 2, 3], [0, 1, 2])) / len(spread)
         return result
 
 
-def candidates(known: Floats, fixed: Floats, rows: Floats, question: Floats, shares: float) -> Candidates:
-    """Candidates in coordinates in which they are well scaled.
+def candidates(known: Floats, fixed: Floats, rows: Floats, question: Floats, weight: float) -> Candidates:
+    """Candidates on one frame in coordinates in which they are well scaled.
 
     Parameters
     ----------
@@ -122,8 +133,8 @@ def candidates(known: Floats, fixed: Floats, rows: Floats, question: Floats, sha
         For each candidate its data's derivatives in standard deviations.
     question : ndarray, shape (s, p)
         Rows that make the parameters asked for of all p.
-    shares : float
-        The share that every candidate has in the information that is the identity.
+    weight : float
+        That every candidate has in the information that is the identity.
 
     Raises
     ------
@@ -132,16 +143,15 @@ def candidates(known: Floats, fixed: Floats, rows: Floats, question: Floats, sha
     """
     free = linalg.null_space(fixed, rcond=1e-12) if len(fixed) else np.eye(question.shape[1])
     left, sizes, right = np.linalg.svd(question @ free)
-    rank = int(np.sum(sizes > NEGLIGIBLE * max(1.0, sizes[0] if len(sizes) else 1.0)))
-    if not rank or sizes[0] <= NEGLIGIBLE:
+    rank = int(np.sum(sizes > KNOWN_EXACTLY * max(1.0, sizes[0] if len(sizes) else 1.0)))
+    if not rank or sizes[0] <= KNOWN_EXACTLY:
         raise InputError("what the plan is for is known exactly already; plan for something that is not")
     basis = free @ right.T
     known, rows = known @ basis, rows @ basis
-    whole = np.concatenate([known, np.sqrt(shares) * rows.reshape(-1, rows.shape[2])])
-    scale = _lower(whole)
+    scale = _lower(np.concatenate([known, np.sqrt(weight) * rows.reshape(-1, rows.shape[2])]))
     known, rows = known @ scale, rows @ scale
     asked = left[:, :rank] * sizes[:rank] @ scale[:rank, :rank]
-    return Candidates(known.T @ known, rows, asked)
+    return Candidates((known.T @ known)[None], rows[None], asked[None])
 
 
 def _lower(whole: Floats) -> Floats:

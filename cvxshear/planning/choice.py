@@ -1,30 +1,61 @@
-"""From shares to a choice: rounding, and exchanges of one candidate for another while they improve it."""
+"""The best choice of candidates: a convex program behind it, rounding, exchanges, and what no choice can beat.
+
+    minimize  criterion of C_a(w)   subject to   0 <= w <= 1,  sum w = N,
+
+weights between 0 and 1 in place of yes and no (Joshi and Boyd, 2009), with C_a(w) the covariance of what is asked for.
+The program's matrices have a row a direction in the space of the parameters. Directions of which the candidates tell
+next to nothing, compared with what is known without them, are left out, and of very many only those they tell most of
+are used; it is stated for the frame as designed. Where that is not the whole problem the weights are then improved
+with every direction and every frame (sequential quadratic programming, scipy's SLSQP). The bound rests on neither
+solver: it is computed afterwards from the weights found. From the weights a choice comes by rounding, and by exchanging
+one candidate for another while that improves it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 from math import comb
+from typing import Any
 
 import numpy as np
+from scipy.optimize import Bounds, LinearConstraint, minimize
 
 from cvxshear.planning.candidates import Candidates
-from cvxshear.planning.criteria import Criterion
-from cvxshear.planning.others import equally_spaced
-from cvxshear.planning.relaxation import relaxed
+from cvxshear.planning.criteria import Criterion, Reduced
+from cvxshear.util import checks
+from cvxshear.util.errors import NoSolutionError
 from cvxshear.util.typing import Floats, Ints
+
+SOLVERS = ("clarabel", "scs")
+"""Conic solvers that cvxpy brings along and that know semidefinite constraints."""
+
+SOLVER_ACCURACY: dict[str, dict[str, Any]] = {
+    "clarabel": {"tol_gap_abs": 1e-6, "tol_gap_rel": 1e-6, "tol_feas": 1e-7},
+    "scs": {"eps_abs": 1e-6, "eps_rel": 1e-6, "max_iters": 40_000},
+}
+
+TELLING = 1e-3
+"""Part of a direction's information that the candidates must give for the direction to stand in the program: the
+others' standard deviations change by less than 0.05 %."""
+
+MOST_DIRECTIONS = 16
+"""Of what is asked for, and as many again of the rest: the program's time grows with their fourth power."""
 
 IMPROVES = 1e-9
 """Relative gain from which on an exchange is made; less is rounding."""
 
 AT_ONCE = 2_000_000
-"""Numbers in the information matrices that are formed at a time."""
+"""Numbers in the information matrices that are formed at a time: 16 MB."""
 
 FEW = 20_000
 """Choices of which every one is looked at, where the information has `TYPICAL` rows: eighteen floors choose six."""
 
 TYPICAL = 45
+"""Rows of the information of an eighteen-story frame with three modes: a cubic measure of what one choice takes."""
 
 AT_LAST = 2
 """Times as many, of which every one is looked at where windows leave a gap: a few sensors on a tall frame."""
@@ -38,16 +69,16 @@ WIDTHS = (4, 6, 8, 10)
 MOST_WORK = 6e7
 """Parameters, times choices within a window, times the numbers that each takes: two seconds."""
 
-SEED = 2009
-DRAWS, FEWER_DRAWS = 8, 1
-"""Choices drawn with the shares as odds; fewer where there are more than `MANY` candidates, and each takes long."""
+ROUNDING_SEED = 2009
+ROUNDINGS, FEWER_ROUNDINGS = 8, 1
+"""Choices drawn with the weights as odds; fewer where there are more than `MANY` candidates, and each takes long."""
 
 MANY = 24
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Candidates that are chosen, and how far from the best they can be.
+    """Candidates that are chosen, and how far from the best and the worst they are.
 
     Parameters
     ----------
@@ -59,12 +90,15 @@ class Choice:
         What no choice of as many can beat; the value itself where all were looked at.
     program : float
         What the convex program alone says that no choice can beat; the value where it was not needed.
+    worst : float
+        What no choice exceeds: the worst of all where all were looked at, else the value without any candidate.
     """
 
     chosen: Ints
     value: float
     bound: float
     program: float
+    worst: float
 
     @property
     def gap(self) -> float:
@@ -73,7 +107,7 @@ class Choice:
 
 
 def choose(
-    of: Candidates,
+    problem: Candidates,
     number: int,
     by: Criterion,
     solver: str = "clarabel",
@@ -84,7 +118,7 @@ def choose(
 
     Parameters
     ----------
-    of : Candidates
+    problem : Candidates
     number : int
         How many.
     by : Criterion
@@ -95,48 +129,71 @@ def choose(
         Of the windows with which a closer bound is looked for while the gap is above `ENOUGH`; none where the choice
         alone is wanted.
     """
-    work = comb(of.count, number) * (len(of.base) / TYPICAL) ** 3
+    frames, rows, _ = problem.base.shape
+    work = comb(problem.count, number) * frames * (rows / TYPICAL) ** 3
     if work <= enumerate_up_to:
-        return _best_of_all(of, number, by)
-    found = relaxed(of, number, by, solver)
-    value, chosen = min(exchanged(of, start, by) for start in _roundings(found.shares, number))
+        return _best_of_all(problem, number, by)
+    found = relaxed(problem, number, by, solver)
+    value, chosen = min(exchanged(problem, start, by) for start in _roundings(found.weights, number))
     bound = found.bound
-    # Tangents at the program's own shares are far below where it leaves whole parts of the frame without any.
-    evened = (found.shares + number / of.count) / 2
-    for width in _affordable(widths, of):
+    # Tangents at the program's own weights are far below where it leaves whole parts of the frame without any.
+    evened = (found.weights + number / problem.count) / 2
+    for width in _affordable(widths, problem):
         if value <= (1 + ENOUGH) * bound:
             break
-        higher, start = by.windowed(of, evened, number, width, value / (1 + ENOUGH))
+        higher, start = by.windowed(problem, evened, number, width, value / (1 + ENOUGH))
         bound = max(bound, higher)
-        value, chosen = min((value, chosen), exchanged(of, start, by))
+        value, chosen = min((value, chosen), exchanged(problem, start, by))
     if widths and value > (1 + ENOUGH) * bound and work <= AT_LAST * enumerate_up_to:
-        return _best_of_all(of, number, by, found.bound)
-    return Choice(np.array(chosen), value, min(bound, value), min(found.bound, value))
+        return _best_of_all(problem, number, by, found.bound)
+    without = float(by.value(problem, problem.base))
+    return Choice(np.array(chosen), value, min(bound, value), min(found.bound, value), without)
 
 
-def _best_of_all(of: Candidates, number: int, by: Criterion, program: float | None = None) -> Choice:
-    value, chosen = exhaustive(of, number, by)
-    return Choice(np.array(chosen), value, value, value if program is None else program)
+def _best_of_all(problem: Candidates, number: int, by: Criterion, program: float | None = None) -> Choice:
+    every = list(combinations(range(problem.count), number))
+    values = values_of(problem, every, by)
+    best = int(np.argmin(values))
+    value = float(values[best])
+    return Choice(np.array(every[best]), value, value, value if program is None else program, float(values.max()))
 
 
-def _affordable(widths: Sequence[int], of: Candidates) -> list[int]:
+def values_of(problem: Candidates, choices: Sequence[Sequence[int]], by: Criterion) -> Floats:
+    """The criterion of each of many choices, shape (len(choices),)."""
+    step = max(1, AT_ONCE // problem.base.size)
+    parts = []
+    for first in range(0, len(choices), step):
+        some = choices[first : first + step]
+        weights = np.zeros((len(some), problem.count))
+        np.put_along_axis(weights, np.array(some), 1.0, axis=1)
+        parts.append(by.value(problem, problem.information(weights)))
+    return np.concatenate(parts)
+
+
+def _affordable(widths: Sequence[int], problem: Candidates) -> list[int]:
     """Those of the windows whose choices can all be looked at in a few seconds."""
-    n, d, _ = of.rows.shape
-    return [width for width in widths if width <= n and len(of.asked) * 2**width * n * d**2 <= MOST_WORK]
+    frames, n, d, _ = problem.rows.shape
+    work = problem.asked.shape[1] * n * d**2 * frames
+    return [width for width in widths if width <= n and 2**width * work <= MOST_WORK]
 
 
-def _roundings(shares: Floats, number: int) -> list[list[int]]:
-    """Choices to exchange from: the largest shares, equal distances, and a few drawn with the shares as odds."""
-    rng = np.random.default_rng(SEED)
-    count = len(shares)
-    # The largest of log(share) + Gumbel noise are a draw without replacement with the shares as odds.
-    odds = np.log(np.maximum(shares, 1e-6))
-    drawn = [odds + rng.gumbel(size=count) for _ in range(DRAWS if count <= MANY else FEWER_DRAWS)]
-    largest = [np.argsort(-each, kind="stable")[:number].tolist() for each in (shares, *drawn)]
+def equally_spaced(floors: int, number: int) -> list[int]:
+    """So many floors at equal distances, the top one among them; zero-based."""
+    return [round((place + 1) * floors / number) - 1 for place in range(number)]
+
+
+def _roundings(weights: Floats, number: int) -> list[list[int]]:
+    """Choices to exchange from: the largest weights, equal distances, and a few drawn with the weights as odds."""
+    rng = np.random.default_rng(ROUNDING_SEED)
+    count = len(weights)
+    # The largest of log(weight) + Gumbel noise are a draw without replacement with the weights as odds.
+    odds = np.log(np.maximum(weights, 1e-6))
+    drawn = [odds + rng.gumbel(size=count) for _ in range(ROUNDINGS if count <= MANY else FEWER_ROUNDINGS)]
+    largest = [np.argsort(-each, kind="stable")[:number].tolist() for each in (weights, *drawn)]
     return [*largest, equally_spaced(count, number)]
 
 
-def exchanged(of: Candidates, start: Sequence[int], by: Criterion) -> tuple[float, list[int]]:
+def exchanged(problem: Candidates, start: Sequence[int], by: Criterion) -> tuple[float, list[int]]:
     """Exchange one candidate for another, the best exchange each time, while that improves the choice.
 
     Returns
@@ -146,45 +203,148 @@ def exchanged(of: Candidates, start: Sequence[int], by: Criterion) -> tuple[floa
         Ascending.
     """
     chosen = sorted(start)
-    value = float(by.value(of, of.subset(chosen)))
+    value = float(by.value(problem, problem.subset(chosen)))
     while True:
-        others = [j for j in range(of.count) if j not in chosen]
+        others = [j for j in range(problem.count) if j not in chosen]
         if not others:
             return value, chosen
         ends = []
         for out in chosen:
-            kept = [i for i in chosen if i != out]
-            values = by.value_of(of, of.own_with_each(kept, others))
+            rest = [i for i in chosen if i != out]
+            values = by.value_at(problem, problem.own_with_each(rest, others))
             best = int(np.argmin(values))
-            ends.append((float(values[best]), sorted([*kept, others[best]])))
+            ends.append((float(values[best]), sorted([*rest, others[best]])))
         least, nearest = min(ends)
         if least >= value * (1 - IMPROVES):
             return value, chosen
         value, chosen = least, nearest
 
 
-def values_of(of: Candidates, choices: Sequence[Sequence[int]], by: Criterion) -> Floats:
-    """The criterion of each of many choices, shape (len(choices),)."""
-    step = max(1, AT_ONCE // of.base.size)
-    parts = []
-    for first in range(0, len(choices), step):
-        some = choices[first : first + step]
-        shares = np.zeros((len(some), of.count))
-        np.put_along_axis(shares, np.array(some), 1.0, axis=1)
-        parts.append(by.value(of, of.information(shares)))
-    return np.concatenate(parts)
+@dataclass(frozen=True, eq=False)
+class Relaxed:
+    """The solved program.
 
-
-def exhaustive(of: Candidates, number: int, by: Criterion) -> tuple[float, list[int]]:
-    """The best of all choices of so many candidates, each of them looked at.
-
-    Returns
-    -------
-    value : float
-    chosen : list of int
-        Ascending.
+    Parameters
+    ----------
+    weights : ndarray, shape (n,)
+    bound : float
+        Standard deviation that no choice can beat.
     """
-    every = list(combinations(range(of.count), number))
-    values = values_of(of, every, by)
-    best = int(np.argmin(values))
-    return float(values[best]), list(every[best])
+
+    weights: Floats
+    bound: float
+
+
+def relaxed(problem: Candidates, number: int, by: Criterion, solver: str = "clarabel") -> Relaxed:
+    """Weights of the candidates at which the criterion is least, and the bound that follows.
+
+    Parameters
+    ----------
+    problem : Candidates
+    number : int
+        How many are to be chosen, N.
+    by : Criterion
+    solver : str, optional
+        "clarabel" or "scs".
+
+    Raises
+    ------
+    NoSolutionError
+        Where the solver finds no weights.
+    """
+    checks.choice(solver, SOLVERS, "solver")
+    if number >= problem.count:
+        weights = np.ones(problem.count)
+        return Relaxed(weights, float(by.value(problem, problem.information(weights))))
+    import cvxpy  # noqa: PLC0415 - takes a second
+
+    # Most of its functions have no types.
+    cp: Any = cvxpy
+    reduced = _reduced(problem, number / problem.count)
+    w = cp.Variable(problem.count)
+    r = len(reduced.base)
+    information = reduced.base + cp.reshape(reduced.added.reshape(problem.count, -1).T @ w, (r, r), order="C")
+    objective, constraints, hardest = by.program(cp, reduced, information)
+    conic = cp.Problem(objective, [w >= 0, w <= 1, cp.sum(w) == number, *constraints])
+    try:
+        with warnings.catch_warnings():
+            # "Solution may be inaccurate": how accurate it is shows in the bound.
+            warnings.simplefilter("ignore")
+            conic.solve(solver=solver.upper(), **SOLVER_ACCURACY[solver])
+    except cp.SolverError as error:
+        raise NoSolutionError(f"cvxpy-{solver}", str(error)) from error
+    if w.value is None:
+        raise NoSolutionError(f"cvxpy-{solver}", f"no weights found (its status: {conic.status})")
+    weights = np.clip(w.value, 0.0, 1.0)
+    mixture = None if hardest is None else _as_mixture(hardest())
+    found = [(by.bound(problem, weights, number, mixture), weights)]
+    if not reduced.whole:
+        total = LinearConstraint(np.ones((1, problem.count)), number, number)
+        improved = descended(partial(by.smooth, problem), weights, total, rounds=100, tolerance=1e-8)
+        found.append((by.bound(problem, improved, number), improved))
+    bound, weights = max(found, key=lambda pair: pair[0])
+    return Relaxed(weights, bound)
+
+
+def _reduced(problem: Candidates, weight: float) -> Reduced:
+    """The frame as designed in the directions that its candidates tell of."""
+    base, added, asked = problem.base[0], problem.added[0], problem.asked[0]
+    whole = weight * added.sum(axis=0)
+    a = asked.shape[1]
+    (own, all_own), (rest, all_rest) = _telling(whole[:a, :a]), _telling(whole[a:, a:])
+    turn = np.zeros((len(whole), own.shape[1] + rest.shape[1]))
+    turn[:a, : own.shape[1]] = own
+    turn[a:, own.shape[1] :] = rest
+    seen = asked @ own
+    left = asked @ asked.T - seen @ seen.T
+    single = len(problem.base) == 1
+    return Reduced(turn.T @ base @ turn, turn.T @ added @ turn, seen, left, all_own and all_rest and single)
+
+
+def _telling(whole: Floats) -> tuple[Floats, bool]:
+    """Orthonormal columns, the directions that the candidates tell of, most first; and whether these are all."""
+    values, vectors = np.linalg.eigh(whole)
+    many = max(1, int(np.sum(values > TELLING)))
+    used = np.argsort(-values)[: min(many, MOST_DIRECTIONS)]
+    return vectors[:, used], many <= MOST_DIRECTIONS
+
+
+def _as_mixture(matrix: Floats) -> Floats:
+    """The nearest positive semidefinite matrix, of trace 1: what rounding leaves of a multiplier is made one."""
+    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
+    values = np.maximum(values, 0.0)
+    result: Floats = (vectors * (values / values.sum())) @ vectors.T
+    return result
+
+
+def descended(
+    function: Callable[[Floats], tuple[float, Floats]],
+    start: Floats,
+    within: LinearConstraint,
+    rounds: int,
+    tolerance: float,
+) -> Floats:
+    """Where a function of weights between 0 and 1 is least, or at least lower than at the start (scipy's SLSQP).
+
+    Parameters
+    ----------
+    function : callable
+        Value and gradient, shape (n,), at weights of shape (n,).
+    start : ndarray, shape (n,)
+    within : LinearConstraint
+    rounds : int
+        Steps at most.
+    tolerance : float
+        Of the value.
+    """
+    found = minimize(
+        function,
+        start,
+        jac=True,
+        method="SLSQP",
+        bounds=Bounds(0.0, 1.0),
+        constraints=within,
+        options={"maxiter": rounds, "ftol": tolerance},
+    )
+    result: Floats = np.clip(found.x, 0.0, 1.0)
+    return result

@@ -1,25 +1,61 @@
 """What makes one choice better than another: one number from the covariance of what is asked for.
 
-Each criterion is convex in the shares, and each is said as a standard deviation: that of a typical parameter (D, A),
-of the worst combination of parameters (E), of the worst parameter.
+Each criterion is convex in the weights of the candidates, and each is said as a standard deviation: that of a typical
+parameter (D, A), of the worst combination of parameters (E), of the worst parameter. Over several frames the variances
+are averaged (A, E, worst), or their logarithms (D), which keeps them convex.
+
+A criterion also states itself for conic solvers, with linear matrix inequalities in w: for D, a matrix S with
+[[M_aa - S, M_ab], [M_ba, M_bb]] >= 0 is at most the information of z_a with the others marginalised, and log det S is
+maximised; for the others [[T, F 0], [(F 0)', M]] >= 0 makes T at least the covariance.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import ClassVar
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
 from cvxshear.planning.candidates import Candidates
-from cvxshear.planning.terms import of_volume, variance
-from cvxshear.planning.windows import least_of_largest, least_of_sum
+from cvxshear.planning.windows import least_of_largest, least_of_sum, log_volume, variance
 from cvxshear.util import checks
 from cvxshear.util.typing import Floats
 
 POWER = 24
 """The largest of the variances is taken for the power mean (sum of v^24)^(1/24) where a derivative is needed: above it
 by a factor of s^(1/24) at most for s parameters."""
+
+MOST_PARAMETERS = 16
+"""Parameters, those known least, that stand in the program for the worst one: its time grows with their fourth
+power, and the bound is computed with all of them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reduced:
+    """One frame's candidates in the directions that they tell of.
+
+    Parameters
+    ----------
+    base, added : ndarray, shapes (r, r) and (n, r, r)
+    asked : ndarray, shape (s, a)
+        F of the directions that are kept, the first a of r.
+    left : ndarray, shape (s, s)
+        Covariance that comes from the directions left out.
+    whole : bool
+        Whether the candidates tell of no other direction.
+    """
+
+    base: Floats
+    added: Floats
+    asked: Floats
+    left: Floats
+    whole: bool
+
+
+Program = tuple[Any, list[Any], Callable[[], Floats] | None]
+"""Objective and constraints of cvxpy, and what gives the hardest mixture of parameters after solving."""
 
 
 class Criterion(ABC):
@@ -36,44 +72,44 @@ class Criterion(ABC):
     name: ClassVar[str]
     summary: ClassVar[str]
 
-    def value(self, of: Candidates, information: Floats) -> Floats:
-        """The standard deviation that an information stands for, shape (...), for information (..., p, p)."""
-        return self.value_of(of, of.own(information))
+    def value(self, problem: Candidates, information: Floats) -> Floats:
+        """The standard deviation that an information stands for, shape (...), for information (..., q, p, p)."""
+        return self.value_at(problem, problem.own(information))
 
     @abstractmethod
-    def value_of(self, of: Candidates, own: Floats) -> Floats:
-        """The same, shape (...), for covariances of z_a, shape (..., a, a)."""
+    def value_at(self, problem: Candidates, own: Floats) -> Floats:
+        """The same, shape (...), for covariances of z_a, shape (..., q, a, a)."""
 
     @abstractmethod
-    def smooth(self, of: Candidates, shares: Floats) -> tuple[float, Floats]:
+    def smooth(self, problem: Candidates, weights: Floats) -> tuple[float, Floats]:
         """A smooth convex function that is least where the criterion is, or nearly, and its gradient, shape (n,)."""
 
     @abstractmethod
-    def bound(self, of: Candidates, shares: Floats, number: int, weight: Floats | None = None) -> float:
-        """What no choice of so many candidates can beat, by linearising at these shares.
+    def bound(self, problem: Candidates, weights: Floats, number: int, hardest: Floats | None = None) -> float:
+        """What no choice of so many candidates can beat, by linearising at these weights.
 
         A convex function lies above its tangent, whose minimum over 0 <= w <= 1, sum w = N is a matter of sorting:
-        the bound holds however roughly the shares were found.
+        the bound holds however roughly the weights were found.
 
         Parameters
         ----------
-        of : Candidates
-        shares : ndarray, shape (n,)
+        problem : Candidates
+        weights : ndarray, shape (n,)
         number : int
-        weight : ndarray, shape (s, s), optional
+        hardest : ndarray, shape (s, s), optional
             Positive semidefinite, of trace 1: the mixture of parameters that a solver found the hardest.
         """
 
     @abstractmethod
     def windowed(
-        self, of: Candidates, shares: Floats, number: int, width: int, enough: float
+        self, problem: Candidates, weights: Floats, number: int, width: int, enough: float
     ) -> tuple[float, list[int]]:
         """What no choice of so many candidates can beat, every choice within windows of neighbours looked at.
 
         Parameters
         ----------
-        of : Candidates
-        shares : ndarray, shape (n,)
+        problem : Candidates
+        weights : ndarray, shape (n,)
             Near which the bound is to be close.
         number : int
         width : int
@@ -89,6 +125,10 @@ class Criterion(ABC):
             The choice at which the bound is least: one to exchange from.
         """
 
+    @abstractmethod
+    def program(self, cp: Any, reduced: Reduced, information: Any) -> Program:
+        """The criterion for a conic solver, the information being affine in the weights."""
+
 
 class Determinant(Criterion):
     """D: the geometric mean of the standard deviations along the axes of the covariance's ellipsoid."""
@@ -96,52 +136,59 @@ class Determinant(Criterion):
     name = "D"
     summary = "geometric mean standard deviation"
 
-    def value_of(self, of: Candidates, own: Floats) -> Floats:
-        whole = of.log_volume + np.linalg.slogdet(own)[1]
-        result: Floats = np.exp(whole / (2 * of.asked.shape[1]))
-        return result
+    def value_at(self, problem: Candidates, own: Floats) -> Floats:
+        return self._std(problem, np.mean(problem.log_volume + np.linalg.slogdet(own)[1], axis=-1))
 
-    def smooth(self, of: Candidates, shares: Floats) -> tuple[float, Floats]:
-        information = of.information(shares)
-        own = of.own(information)
-        volume = of.log_volume + float(np.linalg.slogdet(own)[1])
-        weight = np.asarray(np.linalg.inv(own), dtype=np.float64)
-        return volume, of.slopes(information, weight)
+    def smooth(self, problem: Candidates, weights: Floats) -> tuple[float, Floats]:
+        information = problem.information(weights)
+        own = problem.own(information)
+        volume = float(np.mean(problem.log_volume + np.linalg.slogdet(own)[1]))
+        return volume, problem.slopes(information, np.asarray(np.linalg.inv(own), dtype=np.float64))
 
-    def bound(self, of: Candidates, shares: Floats, number: int, weight: Floats | None = None) -> float:
-        volume, slopes = self.smooth(of, shares)
-        return float(np.exp((volume + _least(slopes, shares, number)) / (2 * of.asked.shape[1])))
+    def bound(self, problem: Candidates, weights: Floats, number: int, hardest: Floats | None = None) -> float:
+        volume, slopes = self.smooth(problem, weights)
+        return float(self._std(problem, volume + _least(slopes, weights, number)))
 
     def windowed(
-        self, of: Candidates, shares: Floats, number: int, width: int, enough: float
+        self, problem: Candidates, weights: Floats, number: int, width: int, enough: float
     ) -> tuple[float, list[int]]:
-        terms, constant = of_volume(of, shares)
-        least, chosen = least_of_sum(terms, shares, number, width)
-        return float(np.exp((least + constant + of.log_volume) / (2 * of.asked.shape[1]))), chosen
+        terms, constant = log_volume(problem, weights)
+        least, chosen = least_of_sum(terms, weights, number, width)
+        return float(self._std(problem, least + constant + float(np.mean(problem.log_volume)))), chosen
+
+    def program(self, cp: Any, reduced: Reduced, information: Any) -> Program:
+        a = reduced.asked.shape[1]
+        S = cp.Variable((a, a), symmetric=True)
+        embed = np.eye(len(reduced.base))[:, :a]
+        return cp.Maximize(cp.log_det(S)), [information - embed @ S @ embed.T >> 0], None
+
+    @staticmethod
+    def _std(problem: Candidates, volume: Floats | float) -> Floats:
+        return np.asarray(np.exp(volume / (2 * problem.asked.shape[-1])))
 
 
 class _Mixture(Criterion):
-    """The criteria that are a largest tr(weight C) over a set of weights."""
+    """The criteria that are a largest tr(Z C) over a set of mixtures Z of the parameters."""
 
-    def smooth(self, of: Candidates, shares: Floats) -> tuple[float, Floats]:
-        information = of.information(shares)
-        covariance = of.covariance(of.own(information))
-        weight, least = self.hardest(covariance)
-        slopes = of.slopes(information, of.asked.T @ weight @ of.asked)
+    def smooth(self, problem: Candidates, weights: Floats) -> tuple[float, Floats]:
+        information = problem.information(weights)
+        covariance = problem.covariance(problem.own(information))
+        Z, least = self.hardest(covariance)
+        slopes = problem.slopes(information, problem.asked.swapaxes(1, 2) @ Z @ problem.asked)
         # Of the logarithm, whose size is the same for every frame.
-        return float(np.log(least)), slopes / float(np.sum(weight * covariance))
+        return float(np.log(least)), slopes / float(np.sum(Z * covariance))
 
-    def bound(self, of: Candidates, shares: Floats, number: int, weight: Floats | None = None) -> float:
-        information = of.information(shares)
-        covariance = of.covariance(of.own(information))
-        weight = self.hardest(covariance)[0] if weight is None else weight
-        slopes = of.slopes(information, of.asked.T @ weight @ of.asked)
-        least = float(np.sum(weight * covariance)) + _least(slopes, shares, number)
+    def bound(self, problem: Candidates, weights: Floats, number: int, hardest: Floats | None = None) -> float:
+        information = problem.information(weights)
+        covariance = problem.covariance(problem.own(information))
+        Z = self.hardest(covariance)[0] if hardest is None else hardest
+        slopes = problem.slopes(information, problem.asked.swapaxes(1, 2) @ Z @ problem.asked)
+        least = float(np.sum(Z * covariance)) + _least(slopes, weights, number)
         return float(np.sqrt(max(least, 0.0)))
 
     @abstractmethod
     def hardest(self, covariance: Floats) -> tuple[Floats, float]:
-        """A weight of trace 1 at which tr(weight C) is nearly the largest, and the smooth function of C behind it."""
+        """A mixture of trace 1 at which tr(Z C) is nearly the largest, and the smooth function of C behind it."""
 
 
 class Trace(_Mixture):
@@ -150,29 +197,37 @@ class Trace(_Mixture):
     name = "A"
     summary = "root mean square standard deviation"
 
-    def value_of(self, of: Candidates, own: Floats) -> Floats:
-        result: Floats = np.sqrt(np.sum(own * (of.asked.T @ of.asked), axis=(-2, -1)) / len(of.asked))
+    def value_at(self, problem: Candidates, own: Floats) -> Floats:
+        inner = problem.asked.swapaxes(1, 2) @ problem.asked
+        mean = np.mean(np.sum(own * inner, axis=(-2, -1)), axis=-1)
+        result: Floats = np.sqrt(mean / problem.asked.shape[1])
         return result
 
     def windowed(
-        self, of: Candidates, shares: Floats, number: int, width: int, enough: float
+        self, problem: Candidates, weights: Floats, number: int, width: int, enough: float
     ) -> tuple[float, list[int]]:
-        s = len(of.asked)
-        least, chosen = least_of_sum([variance(of, each) for each in np.eye(s)], shares, number, width)
+        s = problem.asked.shape[1]
+        terms = [term for each in np.eye(s) for term in variance(problem, each)]
+        least, chosen = least_of_sum(terms, weights, number, width)
         return float(np.sqrt(max(least, 0.0) / s)), chosen
 
     def hardest(self, covariance: Floats) -> tuple[Floats, float]:
         s = len(covariance)
         return np.eye(s) / s, float(np.trace(covariance)) / s
 
+    def program(self, cp: Any, reduced: Reduced, information: Any) -> Program:
+        # tr(F C F') depends on F'F alone: a square factor of it stands for F.
+        T, above = _above(cp, np.asarray(np.linalg.qr(reduced.asked, mode="r")), information)
+        return cp.Minimize(cp.trace(T)), [above], None
+
 
 class _Largest(_Mixture):
     """The criteria that are the largest of many variances."""
 
     def windowed(
-        self, of: Candidates, shares: Floats, number: int, width: int, enough: float
+        self, problem: Candidates, weights: Floats, number: int, width: int, enough: float
     ) -> tuple[float, list[int]]:
-        least, chosen = least_of_largest(of, self.largest, shares, number, width, enough**2)
+        least, chosen = least_of_largest(problem, self.largest, weights, number, width, enough**2)
         return float(np.sqrt(least)), chosen
 
     @abstractmethod
@@ -186,8 +241,8 @@ class Eigenvalue(_Largest):
     name = "E"
     summary = "standard deviation of the worst combination"
 
-    def value_of(self, of: Candidates, own: Floats) -> Floats:
-        result: Floats = np.sqrt(np.linalg.eigvalsh(of.covariance(own))[..., -1])
+    def value_at(self, problem: Candidates, own: Floats) -> Floats:
+        result: Floats = np.sqrt(np.linalg.eigvalsh(problem.covariance(own))[..., -1])
         return result
 
     def largest(self, covariance: Floats) -> tuple[Floats, Floats]:
@@ -199,6 +254,13 @@ class Eigenvalue(_Largest):
         shares, mean = _power_mean(values)
         return (axes * shares) @ axes.T, mean
 
+    def program(self, cp: Any, reduced: Reduced, information: Any) -> Program:
+        axes = np.linalg.eigh(reduced.asked @ reduced.asked.T + reduced.left)[1][:, ::-1][:, :MOST_PARAMETERS]
+        T, above = _above(cp, axes.T @ reduced.asked, information)
+        t = cp.Variable()
+        below = t * np.eye(axes.shape[1]) - axes.T @ reduced.left @ axes - T >> 0
+        return cp.Minimize(t), [above, below], lambda: axes @ below.dual_value @ axes.T
+
 
 class Worst(_Largest):
     """The largest standard deviation of a parameter, each relative to its size: the worst coefficient of variation."""
@@ -206,8 +268,8 @@ class Worst(_Largest):
     name = "worst"
     summary = "worst coefficient of variation"
 
-    def value_of(self, of: Candidates, own: Floats) -> Floats:
-        variances = np.sum((of.asked @ own) * of.asked, axis=-1)
+    def value_at(self, problem: Candidates, own: Floats) -> Floats:
+        variances = np.mean(np.sum((problem.asked @ own) * problem.asked, axis=-1), axis=-2)
         result: Floats = np.sqrt(np.max(variances, axis=-1))
         return result
 
@@ -218,6 +280,20 @@ class Worst(_Largest):
     def hardest(self, covariance: Floats) -> tuple[Floats, float]:
         shares, mean = _power_mean(np.diag(covariance))
         return np.diag(shares), mean
+
+    def program(self, cp: Any, reduced: Reduced, information: Any) -> Program:
+        variances = np.diag(reduced.asked @ reduced.asked.T + reduced.left)
+        least_known = np.argsort(-variances)[:MOST_PARAMETERS]
+        T, above = _above(cp, reduced.asked[least_known], information)
+        t = cp.Variable()
+        below = cp.diag(T) + np.diag(reduced.left)[least_known] <= t
+
+        def hardest() -> Floats:
+            Z = np.zeros((len(variances), len(variances)))
+            Z[least_known, least_known] = np.maximum(below.dual_value, 0.0)
+            return Z
+
+        return cp.Minimize(t), [above, below], hardest
 
 
 CRITERIA: dict[str, Criterion] = {each.name: each for each in (Determinant(), Trace(), Eigenvalue(), Worst())}
@@ -242,6 +318,14 @@ def _power_mean(variances: Floats) -> tuple[Floats, float]:
     return shares / shares.sum(), largest * float(np.sum(ratio**POWER)) ** (1 / POWER)
 
 
-def _least(slopes: Floats, shares: Floats, number: int) -> float:
-    """The least of slopes' (w - shares) over 0 <= w <= 1, sum w = number: the lowest slopes, so many."""
-    return float(np.sort(slopes)[:number].sum() - slopes @ shares)
+def _least(slopes: Floats, weights: Floats, number: int) -> float:
+    """The least of slopes' (w - weights) over 0 <= w <= 1, sum w = number: the lowest slopes, so many."""
+    return float(np.sort(slopes)[:number].sum() - slopes @ weights)
+
+
+def _above(cp: Any, asked: Floats, information: Any) -> tuple[Any, Any]:
+    """A matrix T, and the constraint that makes it at least F C_a F'."""
+    s, r = len(asked), information.shape[0]
+    wide = np.hstack([asked, np.zeros((s, r - asked.shape[1]))])
+    T = cp.Variable((s, s), symmetric=True)
+    return T, cp.bmat([[T, wide], [wide.T, information]]) >> 0

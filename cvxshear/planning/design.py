@@ -3,24 +3,71 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import linalg
 
 from cvxshear import backends
-from cvxshear.effects import Placed, Scale
-from cvxshear.fit.efficient import efficient
+from cvxshear.effects import Place, Placed, Scale, catalogue, compose
+from cvxshear.files.toml import is_built_in, load, parse, read_text
+from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.misfit import Misfit
+from cvxshear.loop import close_loop
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame, Prior
-from cvxshear.priors.nominal import Nominal
-from cvxshear.priors.value import Value
+from cvxshear.model.shear import modes
+from cvxshear.priors import Value, check_prior
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
 
-QUANTITIES = ("floor_mass", "story_stiffness")
+FRAME_QUANTITIES = ("floor_mass", "story_stiffness")
+
+UNKNOWN_STD = 1.0
+"""Relative standard deviation from which on a mass or stiffness counts as unknown: as uncertain as it is large."""
+
+FIRM = 0.1
+"""Relative standard deviation of design values up to which a plan is made at these values alone. What a test tells
+changes with the frame: averaged over stiffnesses good to 30 % expected standard deviations are 14 % larger than those
+at the design values, in a story up to twice, and the difference goes with the square."""
+
+MOST_PAIRS, FEWEST_PAIRS = 16, 4
+"""Frames on either side of the design values over which a plan is averaged where these are vague. With sixteen pairs,
+stiffnesses good to 30 %, promises are within 2 % of the average of 200 frames in the mean (`python -m
+tests.benchmarks.planning vague`)."""
+
+STORIES_DRAWN = 160
+"""Stories of all pairs together: tall frames get fewer, each of which takes longer and draws more stories."""
+
+PRIOR_SEED = 2024
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A measured frequency beside that of the frame that the plan starts from.
+
+    Parameters
+    ----------
+    configuration : str
+    mode : int
+        1 the lowest.
+    expected, measured : float
+        Hz.
+    """
+
+    configuration: str
+    mode: int
+    expected: float
+    measured: float
+
+    @property
+    def error(self) -> float:
+        """Relative difference."""
+        return self.expected / self.measured - 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +87,12 @@ class Design:
     declared : tuple of Configuration
         The configurations of the file that the values come from.
     name : str
+    effects : tuple of Placed
+        Effects that an earlier loop found in the frame; they are in it when it is tested again.
+    values, value_std : ndarray, shape (e,)
+        Their parameters in their units, and the standard deviations of these where no measurement counts.
+    state : str or None
+        State of the frame that is to be tested; None where it does not matter.
     """
 
     frame: Frame
@@ -49,6 +102,10 @@ class Design:
     measured: Experiment | None = None
     declared: tuple[Configuration, ...] = ()
     name: str = "design"
+    effects: tuple[Placed, ...] = ()
+    values: Floats = field(default_factory=lambda: np.zeros(0))
+    value_std: Floats = field(default_factory=lambda: np.zeros(0))
+    state: str | None = None
 
     @property
     def stories(self) -> int:
@@ -70,6 +127,76 @@ class Design:
         """Floor masses, then story stiffnesses, shape (2N,)."""
         return np.concatenate([self.floor_mass, self.story_stiffness])
 
+    @property
+    def theta(self) -> Floats:
+        """Floor masses, story stiffnesses, and the parameters of the effects that were found, shape (2N + e,)."""
+        return np.concatenate([self.sizes, self.values])
+
+    @property
+    def units(self) -> Floats:
+        """The size of each of these, by which derivatives are made relative, shape (2N + e,)."""
+        parameters = [item for placed in self.effects for item in placed.effect.parameters]
+        away = [
+            abs(value - item.null) or abs(item.start - item.null) or 1.0
+            for item, value in zip(parameters, self.values, strict=True)
+        ]
+        return np.concatenate([self.sizes, away])
+
+    def possible(self) -> tuple[Design, ...]:
+        """The frame as designed, then frames that its design values allow; these alone where they are firm.
+
+        Masses and stiffnesses are drawn from what is known beforehand, in pairs about the design values, so that the
+        mean and the variance of each are those known. What nothing is known of stays as designed.
+        """
+        fixed = self.fixed()
+        free = linalg.null_space(fixed, rcond=1e-12) if len(fixed) else np.eye(len(self.sizes))
+        known = self.known()[:, : len(self.sizes)] @ free
+        information, axes = np.linalg.eigh(known.T @ known)
+        somewhat = information > UNKNOWN_STD**-2
+        root = free @ (axes[:, somewhat] / np.sqrt(information[somewhat]))
+        if np.max(np.linalg.norm(root, axis=1), initial=0.0) <= FIRM * (1 + 1e-9):
+            return (self,)
+        pairs = int(np.clip(STORIES_DRAWN // self.stories, FEWEST_PAIRS, MOST_PAIRS))
+        z = np.random.default_rng(PRIOR_SEED).standard_normal((pairs, root.shape[1]))
+        # The frame as designed is one of them: without a factor they would scatter less than is known.
+        z *= np.sqrt((2 * pairs + 1) / (2 * np.sum(z**2, axis=0)))
+        return (self, *(self._moved(root @ each) for each in (*z, *-z)))
+
+    def _moved(self, change: Floats) -> Design:
+        """The frame with masses and stiffnesses changed by these parts of themselves, with its declared total mass."""
+        # Below a half the logarithm is changed instead, which leaves every value positive.
+        factor = np.where(change > -0.5, 1 + change, 0.5 * np.exp(2 * np.minimum(change, 0.0) + 1))
+        mass, stiffness = np.split(self.sizes * factor, 2)
+        if self.frame.total_mass is not None and self.frame.floor_masses is None:
+            mass *= self.floor_mass.sum() / mass.sum()
+        return dataclasses.replace(self, floor_mass=mass, story_stiffness=stiffness)
+
+    def fitted(self) -> tuple[Fitted, ...]:
+        """Every frequency that the file measured beside that of this frame."""
+        found: list[Fitted] = []
+        shell = self.shell()
+        for test in self.declared:
+            state = compose(shell, test, self.effects, self.theta, derivatives=False)
+            expected = modes(state.system.M, state.system.K).frequencies[test.modes - 1]
+            pairs = zip(test.modes, expected, test.frequencies, strict=True)
+            found += [Fitted(test.name, int(mode), float(own), float(seen)) for mode, own, seen in pairs]
+        return tuple(found)
+
+    def shell(self) -> Experiment:
+        """An experiment that holds the frame's dimensions for the forward model; its masses are those expected."""
+        frame = dataclasses.replace(self.frame, floor_masses=self.floor_mass, total_mass=None)
+        return Experiment(frame, (self.blank(np.zeros(self.stories)),))
+
+    def blank(self, added_mass: Floats, name: str = "planned test") -> Configuration:
+        """A configuration with these masses that nothing was measured on yet."""
+        return Configuration(
+            frequencies=np.array([1.0]),
+            mode_shapes=np.full((1, self.stories), np.nan),
+            added_mass=np.array(added_mass),
+            name=name,
+            state=self.state or "",
+        )
+
     def fixed(self) -> Floats:
         """Rows on which every relative change of masses and stiffnesses is zero, shape (e, 2N)."""
         n, size = self.stories, self.sizes
@@ -87,32 +214,41 @@ class Design:
                 rows.append(row / np.linalg.norm(row, axis=1, keepdims=True))
         return np.concatenate(rows)
 
-    def known(self, effects: Sequence[Placed], values: Floats) -> Floats:
-        """What is known before the test, as rows by relative changes in standard deviations, shape (k, 2N + e).
+    def known(self, more: Sequence[Placed] = (), nulls: Sequence[float] = ()) -> Floats:
+        """What is known before the test, rows in standard deviations, shape (k, 2N + e + m).
+
+        Derivatives are relative to `units`.
 
         Parameters
         ----------
-        effects : sequence of Placed
-        values : ndarray, shape (e,)
-            Their parameters; the rows are by these in their own units.
+        more : sequence of Placed
+            Effects of one parameter that may be there besides those that were found; derivatives by these, m of them,
+            are in their own units.
+        nulls : sequence of float
+            Their values without an effect.
         """
         n, size = self.stories, self.sizes
+        units = np.concatenate([self.units, np.ones(len(more))])
         if self.measured is not None:
-            theta = np.concatenate([size, values])
-            measured: Floats = Misfit(self.measured, effects).evaluate(theta).J
-            result: Floats = measured * np.concatenate([size, np.ones(len(values))])
+            theta = np.concatenate([self.theta, nulls])
+            result: Floats = Misfit(self.measured, (*self.effects, *more)).evaluate(theta).J * units
             return result
-        rows = [np.zeros((0, 2 * n + len(values)))]
+        rows = [np.zeros((0, len(units)))]
         for prior in self.priors:
             at = _place(prior, n)
             _, J = prior.residual(size[at])
-            row = np.zeros((len(J), 2 * n + len(values)))
+            row = np.zeros((len(J), len(units)))
             row[:, at] = J * size[at]
             rows.append(row)
+        for place, std in enumerate(self.value_std, 2 * n):
+            if np.isfinite(std) and std > 0:
+                rows.append(np.eye(1, len(units), place) * units[place] / std)
         return np.concatenate(rows)
 
     @staticmethod
-    def of_experiment(experiment: Experiment, *, fresh: bool = False) -> Design:
+    def of_experiment(
+        experiment: Experiment, *, fresh: bool = False, loop: bool = False, state: str | None = None
+    ) -> Design:
         """The frame that a measurement tells of.
 
         Parameters
@@ -121,23 +257,36 @@ class Design:
             Fitted first.
         fresh : bool, optional
             Take the values from it, and its priors, but count none of its measurements as known.
+        loop : bool, optional
+            Take the frame with the effects that the loop finds, in place of the shear frame.
+        state : str, optional
+            State of the frame that is to be tested; that of the first configuration where not given.
         """
-        found = efficient(experiment, backends.get("auto"))
-        if not np.all(found.uncertainty.determined):
+        states = list(dict.fromkeys(each.state for each in experiment.configurations))
+        if state is not None:
+            checks.choice(state, states, "state")
+        found: Estimate = close_loop(experiment).estimate if loop else efficient(experiment, backends.get("auto"))
+        n = experiment.stories
+        determined = found.uncertainty.determined[: 2 * n]
+        if not np.all(determined):
             open_ones = " and ".join(found.uncertainty.null_directions[0][:4])
             raise InputError(
                 f"{experiment.name} does not determine {open_ones}, so there is no frame to plan for; declare design "
                 "values (a nominal prior with std)"
             )
-        n = experiment.stories
+        local = state is not None or any(placed.place.state is not None for placed in found.effects)
         return Design(
             experiment.frame,
             found.theta[:n],
             found.theta[n : 2 * n],
             experiment.priors,
-            None if fresh else experiment,
-            experiment.configurations,
+            None if fresh else found.experiment,
+            found.experiment.configurations,
             experiment.name,
+            found.effects,
+            found.theta[2 * n :],
+            found.std[2 * n :],
+            (state or states[0]) if local else None,
         )
 
     @staticmethod
@@ -155,13 +304,13 @@ class Design:
         if not isinstance(items, list):
             raise InputError("[prior] must be a list of tables: write [[prior]], in double brackets")
         priors = tuple(Prior.from_dict(item) for item in items)
-        stiffness = _nominal(priors, "story_stiffness")
+        stiffness = _nominal(priors, "story_stiffness", frame.stories)
         if stiffness is None:
             raise InputError(
                 'no story stiffness is expected: add a [[prior]] with kind = "nominal", quantity = "story_stiffness", '
                 "its design values and their std"
             )
-        mass = frame.floor_masses if frame.floor_masses is not None else _nominal(priors, "floor_mass")
+        mass = frame.floor_masses if frame.floor_masses is not None else _nominal(priors, "floor_mass", frame.stories)
         n = len(stiffness)
         if mass is None and frame.total_mass is not None:
             mass = np.full(n, frame.total_mass / n)
@@ -177,7 +326,7 @@ class Design:
         if frame.total_mass is not None and frame.floor_masses is None:
             mass = mass * frame.total_mass / mass.sum()
         for prior in priors:
-            prior.check(n)
+            check_prior(prior, n)
         return Design(_completed(frame, n), np.array(mass), np.array(stiffness), priors, name=name)
 
     @staticmethod
@@ -190,28 +339,30 @@ class Design:
             Where it has none.
         """
         frame = result.get("frame")
-        keys = [f"{quantity}{part}" for quantity in QUANTITIES for part in ("", "_std")]
+        keys = [f"{quantity}{part}" for quantity in FRAME_QUANTITIES for part in ("", "_std")]
         if not isinstance(frame, Mapping) or any(not isinstance(frame.get(key), list) for key in keys):
             raise InputError(
                 f"{name} holds no frame with standard deviations; it must be the JSON of loop, or of identify by the "
                 "efficient method"
             )
-        mass, stiffness = (checks.vector(frame[key], f"frame: {key}", above=0.0) for key in QUANTITIES)
+        mass, stiffness = (checks.vector(frame[key], f"frame: {key}", above=0.0) for key in FRAME_QUANTITIES)
         priors = tuple(
             Value(quantity=quantity, at=place, value=float(value), std=None if not std else float(std) / float(value))
-            for quantity, values in zip(QUANTITIES, (mass, stiffness), strict=True)
+            for quantity, values in zip(FRAME_QUANTITIES, (mass, stiffness), strict=True)
             for place, (value, std) in enumerate(zip(values, frame[f"{quantity}_std"], strict=True), 1)
         )
-        return Design(_completed(Frame(), len(mass)), mass, stiffness, priors, name=name)
+        frame = _completed(Frame(), len(mass))
+        return Design(frame, mass, stiffness, priors, None, (), name, *_effects(result))
 
 
 def _place(prior: Prior, n: int) -> slice:
     return slice(0, n) if prior.quantity == "floor_mass" else slice(n, 2 * n)
 
 
-def _nominal(priors: Sequence[Prior], quantity: str) -> Floats | None:
-    """The design values of a quantity, where a prior declares them."""
-    return next((each.values for each in priors if isinstance(each, Nominal) and each.quantity == quantity), None)
+def _nominal(priors: Sequence[Prior], quantity: str, stories: int) -> Floats | None:
+    """The design values of a quantity, where a prior declares all of them; `stories` is 0 where not declared."""
+    values = [prior.suggested(stories) for prior in priors if prior.quantity == quantity]
+    return next((each for each in values if each is not None and each.size and not np.any(np.isnan(each))), None)
 
 
 def _completed(frame: Frame, stories: int) -> Frame:
@@ -219,3 +370,94 @@ def _completed(frame: Frame, stories: int) -> Frame:
     heights = frame.story_heights
     whole = heights if heights is None or heights.ndim else np.full(stories, float(heights))
     return dataclasses.replace(frame, stories=stories, story_heights=whole)
+
+
+def _effects(result: Mapping[str, Any]) -> tuple[tuple[Placed, ...], Floats, Floats]:
+    """The effects that a result of the loop holds in every state, their parameters and standard deviations.
+
+    Raises
+    ------
+    InputError
+        Where one of them cannot be made again from the result alone, which holds no story heights.
+    """
+    there = {effect.name: effect for effect in catalogue()}
+    found, values, std = [], [], []
+    for item in (*(result.get("assumed") or ()), *(result.get("effects") or ())):
+        effect = there.get(item["name"])
+        if item.get("configuration") is None:
+            if effect is None or "heights" in effect.needs or any(each.unit_in_stories for each in effect.parameters):
+                raise InputError(
+                    f"the result holds {item['name']}, which cannot be made again without the measurement; plan for "
+                    "the measurement file itself, with the option loop"
+                )
+            parts = {each.name: item.get(each.name) for each in dataclasses.fields(Place) if each.name != "state"}
+            found.append(Placed(effect, Place(**parts)))
+            values += [float(value) for value in item["parameters"].values()]
+            std += [float(item.get("std", {}).get(name) or np.nan) for name in item["parameters"]]
+    return tuple(found), np.array(values), np.array(std)
+
+
+def read_design(
+    source: str | Path | Experiment, *, fresh: bool = False, loop: bool = False, state: str | None = None
+) -> Design:
+    """The frame before the test that a source tells of.
+
+    Parameters
+    ----------
+    source : str, Path or Experiment
+        "paper"; a TOML file with configurations (fitted first) or without (design values); the JSON of a result.
+    fresh : bool, optional
+        Count nothing of what was measured as known.
+    loop : bool, optional
+        Close the loop on what was measured, and plan for the frame with the effects that it finds.
+    state : str, optional
+        State of the frame that is to be tested.
+
+    Raises
+    ------
+    InputError
+        Naming the file and what would be right.
+    """
+    if isinstance(source, Experiment) or is_built_in(source):
+        measured = source if isinstance(source, Experiment) else load(source)
+        return Design.of_experiment(measured, fresh=fresh, loop=loop, state=state)
+    path = Path(source)
+    try:
+        if (loop or state) and measurement_of(path) is None:
+            raise InputError("a loop, or a state of the frame, needs a file with measured modes ([[configuration]])")
+        if path.suffix.lower() == ".json":
+            return Design.of_result(_parsed(path), path.stem)
+        declared = parse(read_text(path), path)
+        if "configuration" not in declared:
+            return Design.of_file(declared, path.stem)
+    except InputError as error:
+        raise error if str(error).startswith(str(path)) else type(error)(f"{path}: {error}") from error
+    return Design.of_experiment(load(path), fresh=fresh, loop=loop, state=state)
+
+
+def measurement_of(source: str | Path) -> Experiment | None:
+    """What a file tells to have been measured; None where it holds design values or the JSON of a result.
+
+    Raises
+    ------
+    InputError
+        Naming the file and what would be right.
+    """
+    if is_built_in(source):
+        return load(source)
+    path = Path(source)
+    if path.suffix.lower() == ".json" or "configuration" not in parse(read_text(path), path):
+        return None
+    return load(path)
+
+
+def _parsed(path: Path) -> dict[str, object]:
+    try:
+        found = json.loads(read_text(path))
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path} is not valid JSON: {error}") from None
+    if not isinstance(found, dict):
+        raise InputError(f"{path} must hold the result of identify or loop, not {checks.shown(found)}")
+    return found

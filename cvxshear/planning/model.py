@@ -1,4 +1,4 @@
-"""The tests of a frame before they are made: what each would tell, by the model's own derivatives."""
+"""The tests of a frame before they are made: what each would show, by the model's own derivatives."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.effects import Placed, compose
-from cvxshear.fit.separation import told
-from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.fit.separation import separation
 from cvxshear.model.shear import Modes, mode_derivatives, modes
 from cvxshear.planning.candidates import Candidates, candidates
+from cvxshear.planning.chances import Target
 from cvxshear.planning.design import Design
-from cvxshear.planning.noise import TestNoise
-from cvxshear.planning.targets import Target
+from cvxshear.planning.expected_noise import TestNoise
 from cvxshear.util.typing import Floats, Ints
 
 VAGUE = 10.0
@@ -64,10 +63,16 @@ class Expected:
         own = rows - unit[:, :, None] * np.einsum("jm,jmp->mp", unit, rows)
         return np.concatenate([self.frequency_rows, own.reshape(-1, rows.shape[2])])
 
+    def without(self, first: int) -> Expected:
+        """The same test with the derivatives by the first so many parameters alone."""
+        return dataclasses.replace(
+            self, frequency_rows=self.frequency_rows[:, :first], shape_rows=self.shape_rows[:, :, :first]
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class TestModel:
-    """A frame, what the plan is for, and how its tests are measured.
+    """One frame, what the plan is for, and how its tests are measured.
 
     Parameters
     ----------
@@ -89,25 +94,30 @@ class TestModel:
 
     @property
     def effects(self) -> tuple[Placed, ...]:
-        """The effects of the model, free to be there or not."""
-        return tuple(each.placed for each in self.targets)
+        """The effects of the model: those that were found, and those that are free to be there or not."""
+        return (*self.design.effects, *(each.placed for each in self.targets))
+
+    @property
+    def certain(self) -> int:
+        """Number of parameters before those of the targets: masses, stiffnesses, and what the found effects have."""
+        return len(self.design.theta)
 
     @property
     def theta(self) -> Floats:
-        """The parameters: floor masses, story stiffnesses, the effects' null values; shape (P,)."""
-        return np.concatenate([self.design.sizes, [each.null for each in self.targets]])
+        """The parameters: floor masses, story stiffnesses, the effects' values, the targets' null values; (P,)."""
+        return np.concatenate([self.design.theta, [each.null for each in self.targets]])
 
     @property
     def units(self) -> Floats:
         """The size of each parameter, shape (P,)."""
-        return np.concatenate([self.design.sizes, [each.size for each in self.targets]])
+        return np.concatenate([self.design.units, [each.size for each in self.targets]])
 
     @cached_property
     def question(self) -> Floats:
         """Rows that pick what the plan is for, shape (s, P)."""
         n, P = self.design.stories, len(self.units)
         if self.targets:
-            return np.eye(P)[2 * n :]
+            return np.eye(P)[self.certain :]
         at = {"floor_mass": slice(0, n), "story_stiffness": slice(n, 2 * n)}
         picked = np.concatenate([np.eye(P)[at[each]] for each in self.quantities])
         # What is known exactly is no part of the question.
@@ -120,17 +130,14 @@ class TestModel:
     def fixed(self) -> Floats:
         """Rows on which every change is zero, shape (e, P)."""
         rows = self.design.fixed()
-        return np.hstack([rows, np.zeros((len(rows), len(self.targets)))])
+        return np.hstack([rows, np.zeros((len(rows), len(self.units) - rows.shape[1]))])
 
     @cached_property
     def learned(self) -> Floats:
         """What is known before the test, rows in standard deviations, shape (k, P)."""
-        e = len(self.targets)
-        values = np.array([each.null for each in self.targets])
-        rows = self.design.known(self.effects, values)
-        if e:
-            rows = np.hstack([rows[:, :-e], rows[:, -e:] * self.units[-e:]])
-        return rows
+        rows = self.design.known([each.placed for each in self.targets], [each.null for each in self.targets])
+        result: Floats = rows * np.concatenate([np.ones(self.certain), [each.size for each in self.targets]])
+        return result
 
     @cached_property
     def known(self) -> Floats:
@@ -139,14 +146,12 @@ class TestModel:
 
     def expected(self, added_mass: Floats) -> Expected:
         """What a test with these masses would show."""
-        blank = blank_test(added_mass, "planned test")
-        state = compose(_shell(self.design), blank, self.effects, self.theta)
+        state = compose(self.design.shell(), self.design.blank(added_mass), self.effects, self.theta)
         found = modes(state.system.M, state.system.K)
         dlam, dphi = mode_derivatives(found, state.system, self.which)
-        mass = self.design.floor_mass + added_mass
-        frequency_std, mode_std = self.noise.of(found, mass, self.which)
-        psi = found.shapes[self.which] * state.gain
-        dpsi = dphi * state.gain + (psi / state.gain) * state.d_gain[:, None, :]
+        frequency_std, mode_std = self.noise.of(found, np.diag(state.system.M).copy(), self.which)
+        psi = state.observation.shown(found.shapes[self.which])
+        dpsi = state.observation.shown_slopes(found.shapes[self.which], dphi, slice(None))
         largest = np.max(np.abs(psi), axis=1, keepdims=True)
         std = np.repeat(mode_std[:, None], psi.shape[1], axis=1)
         frequency = dlam * self.units[:, None] / (2 * found.eigenvalues[self.which]) / frequency_std
@@ -182,28 +187,67 @@ class TestModel:
         result: Floats = half @ half.T
         return result
 
-    def told_of_effects(self, tests: Sequence[Expected], floors: Ints) -> Floats:
-        """Information about the effects' values after these tests at these floors, the frame following, shape (e, e).
+    def of_targets(self, tests: Sequence[Expected], floors: Ints) -> Floats:
+        """Information about the targets' values after these tests at these floors, the frame following, shape (e, e).
 
         Of a single effect, of its size: the square of how many standard deviations it is from none.
         """
         rows = np.concatenate([self.learned, *(test.at(floors) for test in tests)])
-        frame = 2 * self.design.stories
-        fixed = self.fixed[:, :frame]
-        free = linalg.null_space(fixed, rcond=1e-12) if len(fixed) else np.eye(frame)
-        found = told(rows[:, frame:], VAGUE * rows[:, :frame] @ free)
+        first = self.certain
+        fixed = self.fixed[:, :first]
+        free = linalg.null_space(fixed, rcond=1e-12) if len(fixed) else np.eye(first)
+        found = separation(rows[:, first:], VAGUE * rows[:, :first] @ free)
         return found + np.eye(len(found)) / VAGUE**2
 
 
-def blank_test(added_mass: Floats, name: str) -> Configuration:
-    """A configuration with these masses that nothing was measured on yet."""
-    n = len(added_mass)
-    return Configuration(
-        frequencies=np.array([1.0]), mode_shapes=np.full((1, n), np.nan), added_mass=np.array(added_mass), name=name
-    )
+Test = tuple[Expected, ...]
+"""A test as each of the frames that the design values allow would show it."""
 
 
-def _shell(design: Design) -> Experiment:
-    """An experiment that holds the frame's dimensions for the forward model; its masses are those expected."""
-    frame = dataclasses.replace(design.frame, floor_masses=design.floor_mass, total_mass=None)
-    return Experiment(frame, (blank_test(np.zeros(design.stories), "none"),))
+@dataclass(frozen=True, eq=False)
+class AveragedModel:
+    """The frames that the design values allow; what a plan promises is an average over them.
+
+    Parameters
+    ----------
+    frames : tuple of TestModel
+        The frame as designed first, and alone where the design values are firm.
+    """
+
+    frames: tuple[TestModel, ...]
+
+    @staticmethod
+    def around(model: TestModel) -> AveragedModel:
+        """The frames that the design values of a model allow."""
+        return AveragedModel(tuple(dataclasses.replace(model, design=each) for each in model.design.possible()))
+
+    def expected(self, added_mass: Floats) -> Test:
+        """What a test with these masses would show."""
+        return tuple(each.expected(added_mass) for each in self.frames)
+
+    def sensors(self, tests: Sequence[Test], number: int) -> Candidates:
+        """The floors as candidates, measured in every one of these tests."""
+        return Candidates.averaged([each.sensors(own, number) for each, own in self._by_frame(tests)])
+
+    def choices(self, tests: Sequence[Test], floors: Ints, number: int) -> Candidates:
+        """Tests as candidates, each measured at these floors."""
+        return Candidates.averaged([each.choices(own, floors, number) for each, own in self._by_frame(tests)])
+
+    def shear_std(self, tests: Sequence[Test], floors: Ints) -> Floats:
+        """Standard deviations of masses and stiffnesses without the targets, relative, shape (2N,).
+
+        The root mean square over the frames.
+        """
+        variances = []
+        for each, own in self._by_frame(tests):
+            shear = dataclasses.replace(each, targets=(), quantities=())
+            bare = [test.without(each.certain) for test in own]
+            variances.append(np.diag(shear.covariance(bare, floors))[: 2 * each.design.stories])
+        return np.asarray(np.sqrt(np.mean(variances, axis=0)))
+
+    def of_targets(self, tests: Sequence[Test], floors: Ints) -> Floats:
+        """Information about the targets' values on each frame, shape (q, e, e)."""
+        return np.array([each.of_targets(own, floors) for each, own in self._by_frame(tests)])
+
+    def _by_frame(self, tests: Sequence[Test]) -> list[tuple[TestModel, list[Expected]]]:
+        return [(each, [test[place] for test in tests]) for place, each in enumerate(self.frames)]

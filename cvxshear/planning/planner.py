@@ -1,25 +1,25 @@
-"""Plan a test: which floors to measure, which masses to add."""
+"""Plan a test: which floors to measure, which masses to add.
+
+Masses are the best of a grid of tests, then what is between the grid's points; floors and masses are chosen by turns.
+"""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import LinearConstraint
 
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.planning.apart import apart
-from cvxshear.planning.choice import Choice, choose
+from cvxshear.planning.chances import chances, target
+from cvxshear.planning.choice import SOLVERS, Choice, choose, descended
 from cvxshear.planning.criteria import Criterion, criterion_named
-from cvxshear.planning.design import Design
-from cvxshear.planning.masses import Limits, refined
-from cvxshear.planning.model import Expected, TestModel
-from cvxshear.planning.noise import Declared, TestNoise
-from cvxshear.planning.relaxation import SOLVERS
-from cvxshear.planning.results import OPEN, Outlook, Plan
-from cvxshear.planning.source import read_design
-from cvxshear.planning.targets import target
+from cvxshear.planning.design import UNKNOWN_STD, Design, read_design
+from cvxshear.planning.expected_noise import Declared, TestNoise
+from cvxshear.planning.model import AveragedModel, Test, TestModel
+from cvxshear.planning.results import Outlook, Plan
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
@@ -34,11 +34,80 @@ DECLARED = "declared"
 """In place of a number of tests: those that the file declares."""
 
 USUAL_MODES = 4
-"""That are planned for where nothing says which."""
+"""Modes that are planned for where nothing says which: as many as ambient tests of buildings commonly give."""
 
 MOST_TESTS = 50
+
 TURNS = 3
-"""Times that floors and masses are chosen, one given the other."""
+"""Times that floors and masses are chosen, one given the other; the third turn seldom changes anything."""
+
+PARTS = (0.5, 1.0)
+"""Parts of what a floor can carry that the grid's tests put on it."""
+
+MOST_REFINED = 60
+"""Masses of all tests together up to which they are refined between the points of the grid."""
+
+DESCENT_STEPS = 15
+"""Steps of the refinement at most; its gradient takes a test's modes for each mass."""
+
+MASS_STEP = 1e-3
+"""Part of a floor's limit by which the differences of that gradient move a mass."""
+
+MASS_DIGITS = 2
+"""Decimals, of the limit in percent, that a refined mass is given with: nobody weighs finer."""
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """What can be added to the frame.
+
+    Parameters
+    ----------
+    floor : ndarray, shape (N,)
+        kg on each floor; zero where nothing can be put.
+    total : float
+        kg in one test.
+    """
+
+    floor: Floats
+    total: float
+
+    @staticmethod
+    def of(floor: object, total: object, stories: int) -> Limits:
+        """The limits that options declare: one number or one a floor, and a number or nothing for all together."""
+        if floor is None:
+            if total is not None:
+                raise InputError("a limit of the added mass in all needs one of each floor: give added_mass as well")
+            return Limits(np.zeros(stories), 0.0)
+        each = checks.one_or_many(floor, "added_mass", stories, of=", one a floor", least=0.0)
+        whole = float(each.sum()) if total is None else checks.number(total, "added_mass_total", least=0.0)
+        return Limits(each, min(whole, float(each.sum())))
+
+    @property
+    def any(self) -> bool:
+        """Whether anything can be added."""
+        return self.total > 0
+
+    def grid(self) -> list[Floats]:
+        """Tests to choose from: nothing, each floor alone, all floors, the lower and the upper half; none twice."""
+        n = len(self.floor)
+        patterns = [np.zeros(n), *np.eye(n), np.ones(n)]
+        if n > 2:
+            half = np.arange(n) < n // 2
+            patterns += [half.astype(float), (~half).astype(float)]
+        tests = [self._within(part * pattern * self.floor) for pattern in patterns for part in PARTS]
+        return list({tuple(np.round(test, 9)): test for test in tests}.values())
+
+    def _within(self, test: Floats) -> Floats:
+        """The test, made smaller where it is too heavy in all."""
+        result: Floats = test * min(1.0, self.total / max(float(test.sum()), 1e-300))
+        return result
+
+    def practical(self, test: Floats) -> Floats:
+        """The masses as one would weigh them, within the limits."""
+        largest = float(self.floor.max())
+        result: Floats = np.minimum(np.round(test / largest, MASS_DIGITS) * largest, self.floor)
+        return self._within(result)
 
 
 def plan(
@@ -53,6 +122,8 @@ def plan(
     goal: str = "all",
     criterion: str | None = None,
     fresh: bool = False,
+    loop: bool = False,
+    state: str | None = None,
     solver: str = "clarabel",
 ) -> Plan:
     """Choose the floors to measure and the masses to add before a test.
@@ -81,6 +152,11 @@ def plan(
         "D", "A", "E" or "worst"; D for the frame and worst for effects where not given.
     fresh : bool, optional
         Count nothing of what the source measured as known.
+    loop : bool, optional
+        Close the loop on what the source measured, and plan for the frame with the effects that it finds; the shear
+        frame that fits best where not.
+    state : str, optional
+        State of the source that is to be tested again; that of its first configuration where not given.
     solver : str, optional
         "clarabel" or "scs".
 
@@ -101,18 +177,20 @@ def plan(
         if isinstance(tests, str):
             raise InputError(f"tests must be a whole number or {DECLARED!r}, not {checks.shown(tests)}")
         checks.whole(tests, "tests", least=1, most=MOST_TESTS)
-    design = source if isinstance(source, Design) else read_design(source, fresh=fresh or declared)
+    design = source if isinstance(source, Design) else read_design(
+        source, fresh=fresh or declared, loop=loop, state=state
+    )
     n = design.stories
     number = n if sensors is None else checks.whole(sensors, "sensors", least=1, most=n)
-    model = _model(design, goal, modes, noise or Declared())
-    by = criterion_named(criterion or ("worst" if model.targets else "D"))
+    model = AveragedModel.around(_model(design, goal, modes, noise or Declared()))
+    by = criterion_named(criterion or ("worst" if model.frames[0].targets else "D"))
     limits = Limits.of(added_mass, added_mass_total, n)
     if declared:
-        masses, names, tests_bound = _declared(design), [each.name for each in design.declared], None
-    else:
-        masses, tests_bound = _masses(model, number, int(tests), by, limits, solver)
-        names = _names(design, len(masses))
-    return _finished(model, masses, names, number, by, solver, tests_bound)
+        return _finished(model, _declared(design), [each.name for each in design.declared], number, by, solver, None)
+    names = _names(design, int(tests))
+    if not limits.any:
+        return _finished(model, [np.zeros(n)] * int(tests), names, number, by, solver, None)
+    return _finished(model, _masses(model, number, int(tests), by, limits, solver), names, number, by, solver, limits)
 
 
 def _model(design: Design, goal: str, modes: int | Sequence[int] | None, noise: TestNoise) -> TestModel:
@@ -151,12 +229,10 @@ def _names(design: Design, count: int) -> list[str]:
 
 
 def _masses(
-    model: TestModel, number: int, count: int, by: Criterion, limits: Limits, solver: str
-) -> tuple[list[Floats], float | None]:
-    """The masses of so many tests, and the bound of the tests on the grid; floors and masses by turns."""
-    n = model.design.stories
-    if not limits.any:
-        return [np.zeros(n)] * count, None
+    model: AveragedModel, number: int, count: int, by: Criterion, limits: Limits, solver: str
+) -> list[Floats]:
+    """The masses of so many tests, kg, the lightest first; floors and masses chosen by turns."""
+    n = len(limits.floor)
     grid = limits.grid()
     if count > len(grid):
         raise InputError(f"tests = {count} are more than the {len(grid)} that these added masses give; plan fewer")
@@ -168,31 +244,91 @@ def _masses(
             break
         before = floors
         # On the way the choice is wanted, not how far it is from the best.
-        of = model.sensors([expected[i] for i in found.chosen], number)
-        floors = choose(of, number, by, solver, widths=()).chosen
+        problem = model.sensors([expected[i] for i in found.chosen], number)
+        floors = choose(problem, number, by, solver, widths=()).chosen
         if np.array_equal(floors, before):
             break
     tests = refined(model, [grid[i] for i in found.chosen], floors, by, limits)
-    return sorted(tests, key=lambda test: float(test.sum())), found.bound
+    return sorted(tests, key=lambda test: float(test.sum()))
+
+
+def value_of(model: AveragedModel, tests: Sequence[Test], floors: Ints, by: Criterion) -> float:
+    """The criterion of these tests at these floors."""
+    problem = model.choices(tests, floors, len(tests))
+    return float(by.value(problem, problem.information(np.ones(len(tests)))))
+
+
+def refined(model: AveragedModel, tests: Sequence[Floats], floors: Ints, by: Criterion, limits: Limits) -> list[Floats]:
+    """The tests with masses between the grid's points, where these are better.
+
+    The masses are looked for on the frame as designed, and judged on all that the design values allow.
+
+    Parameters
+    ----------
+    model : AveragedModel
+    tests : sequence of ndarray, shape (N,)
+        kg.
+    floors : ndarray of int
+        Measured, zero-based.
+    by : Criterion
+    limits : Limits
+    """
+    free = np.flatnonzero(limits.floor > 0)
+    count, size = len(tests), len(free)
+    if not size or count * size > MOST_REFINED:
+        return list(tests)
+    scale = limits.floor[free]
+    designed = AveragedModel(model.frames[:1])
+
+    def masses(x: Floats) -> list[Floats]:
+        result = np.zeros((count, len(limits.floor)))
+        result[:, free] = np.clip(x.reshape(count, size), 0.0, 1.0) * scale
+        return list(result)
+
+    def value(expected: Sequence[Test]) -> float:
+        return float(np.log(value_of(designed, expected, floors, by)))
+
+    def both(x: Floats) -> tuple[float, Floats]:
+        here = [designed.expected(test) for test in masses(x)]
+        now, slope = value(here), np.zeros(len(x))
+        for place in range(len(x)):
+            # Into the interior, so that no mass becomes negative or too large.
+            step = MASS_STEP if x[place] < 0.5 else -MASS_STEP
+            moved, test = x.copy(), place // size
+            moved[place] += step
+            there = [*here[:test], designed.expected(masses(moved)[test]), *here[test + 1 :]]
+            slope[place] = (value(there) - now) / step
+        return now, slope
+
+    start = np.concatenate([test[free] / scale for test in tests])
+    within = LinearConstraint(np.kron(np.eye(count), scale), -np.inf, limits.total)
+    better = [limits.practical(test) for test in masses(descended(both, start, within, DESCENT_STEPS, tolerance=1e-4))]
+    before, after = ([model.expected(test) for test in some] for some in (tests, better))
+    return better if value_of(model, after, floors, by) < value_of(model, before, floors, by) else list(tests)
 
 
 def _finished(
-    model: TestModel,
+    model: AveragedModel,
     masses: Sequence[Floats],
     names: Sequence[str],
     number: int,
     by: Criterion,
     solver: str,
-    tests_bound: float | None,
+    limits: Limits | None,
 ) -> Plan:
     """The plan with its outlook: the sensors for these tests, with one more, one less, and with all."""
-    n = model.design.stories
+    designed = model.frames[0]
+    n = designed.design.stories
     expected = [model.expected(test) for test in masses]
     wanted = [count for count in (number - 1, number, number + 1) if 1 <= count <= n]
     found = {count: choose(model.sensors(expected, count), count, by, solver) for count in {*wanted, n}}
     seen = {count: outlook(model, expected, choice) for count, choice in found.items()}
+    grid = None
+    if limits is not None:
+        tests = [model.expected(test) for test in limits.grid()]
+        grid = choose(model.choices(tests, found[number].chosen, len(masses)), len(masses), by, solver)
+    told = model.of_targets(expected, found[number].chosen) if designed.targets else None
     return Plan(
-        model=model,
         criterion=by.name,
         solver=solver,
         tests=tuple(masses),
@@ -201,31 +337,24 @@ def _finished(
         fewer=seen.get(number - 1),
         more=seen.get(number + 1),
         everywhere=seen[n],
-        tests_bound=tests_bound,
-        apart=apart(model.targets, model.told_of_effects(expected, found[number].chosen)) if model.targets else (),
+        grid_bound=None if grid is None else grid.bound,
+        grid_worst=None if grid is None else grid.worst,
+        apart=() if told is None else chances(designed.targets, told),
+        averaged=model,
     )
 
 
-def outlook(model: TestModel, tests: Sequence[Expected], choice: Choice) -> Outlook:
+def outlook(model: AveragedModel, tests: Sequence[Test], choice: Choice) -> Outlook:
     """What is expected of the shear model with the chosen floors.
 
     Parameters
     ----------
-    model : TestModel
-    tests : sequence of Expected
+    model : AveragedModel
+    tests : sequence of Test
     choice : Choice
     """
-    design = model.design
+    design = model.frames[0].design
+    relative = model.shear_std(tests, choice.chosen)
+    std = np.where(relative < UNKNOWN_STD, relative, np.nan) * design.sizes
     n = design.stories
-    shear = dataclasses.replace(model, targets=(), quantities=GOALS["all"])
-    plain = tests if not model.targets else [_without_effects(test, 2 * n) for test in tests]
-    relative = np.sqrt(np.diag(shear.covariance(plain, choice.chosen)))
-    std = np.where(relative < OPEN, relative, np.nan) * design.sizes
-    return Outlook(choice.chosen + 1, choice.value, choice.bound, std[:n], std[n:])
-
-
-def _without_effects(test: Expected, first: int) -> Expected:
-    """A test with the derivatives by masses and stiffnesses alone: the effects' own come after them."""
-    return dataclasses.replace(
-        test, frequency_rows=test.frequency_rows[:, :first], shape_rows=test.shape_rows[:, :, :first]
-    )
+    return Outlook(choice.chosen + 1, choice.value, choice.bound, choice.worst, std[:n], std[n:])

@@ -1,20 +1,33 @@
-"""What planning returns."""
+"""What planning returns: the choice and what it promises, and the planned tests as a file to fill in."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 
+from cvxshear.files.measurement import write_measurement
 from cvxshear.fit.results import plain
-from cvxshear.planning.apart import Apart
-from cvxshear.planning.criteria import CRITERIA
-from cvxshear.planning.model import TestModel
+from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.planning.chances import Chance
+from cvxshear.planning.choice import choose
+from cvxshear.planning.criteria import CRITERIA, criterion_named
+from cvxshear.planning.design import Fitted
+from cvxshear.planning.model import AveragedModel, Expected, TestModel
 from cvxshear.util.showing import Shown
 from cvxshear.util.typing import Floats, Ints, Json
 
-OPEN = 1.0
-"""Relative standard deviation from which on a parameter counts as not determined."""
+NO_DIFFERENCE = 0.01
+"""Relative difference of the best and the worst choice up to which the choice does not matter: expected noise is not
+known to a hundredth."""
+
+MISFIT = 0.02
+"""Relative error of the frame's frequencies from which on a plan says so: ten times the noise that is expected of them
+where nothing is declared."""
+
+MOST_POINTS = 10
+"""Numbers of sensors in the curve of accuracy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +42,8 @@ class Outlook:
         The criterion's standard deviation, relative (to the effects' sizes where the plan is for effects).
     bound : float
         What no choice of as many floors can beat in these tests.
+    worst : float
+        What no choice of as many floors exceeds.
     floor_mass_std, story_stiffness_std : ndarray, shape (N,)
         kg and N/m, of the shear model; nan where it stays open.
     """
@@ -36,6 +51,7 @@ class Outlook:
     floors: Ints
     objective: float
     bound: float
+    worst: float
     floor_mass_std: Floats
     story_stiffness_std: Floats
 
@@ -43,6 +59,11 @@ class Outlook:
     def gap(self) -> float:
         """How far the choice is above what none can beat, relative."""
         return self.objective / self.bound - 1.0 if self.bound > 0 else float("inf")
+
+    @property
+    def arbitrary(self) -> bool:
+        """Whether every choice of as many floors gives the same, so that nothing speaks for these."""
+        return self.worst <= (1 + NO_DIFFERENCE) * self.bound
 
     def to_dict(self) -> Json:
         """The fields by name."""
@@ -86,8 +107,8 @@ class Plan(Shown):
 
     Parameters
     ----------
-    model : TestModel
-        The frame, what the plan is for, the modes and their noise.
+    averaged : AveragedModel
+        The frames that the design values allow, over which the objective and the standard deviations are averaged.
     criterion, solver : str
     tests : tuple of ndarray, shape (N,)
         Added mass of each, kg.
@@ -99,13 +120,14 @@ class Plan(Shown):
         With the best choice of one sensor less, and one more.
     everywhere : Outlook
         With every floor measured.
-    tests_bound : float or None
-        What no tests of the grid can beat with the chosen sensors, where the masses were chosen.
-    apart : tuple of Apart
-        How far the effects are told apart; empty where the plan is for the frame.
+    grid_bound, grid_worst : float or None
+        What no tests of the grid of added masses can beat with the chosen sensors, and what none exceeds, where the
+        masses were chosen. The planned masses may lie between the grid's points, and below this bound.
+    apart : tuple of Chance
+        What becomes of each effect; empty where the plan is for the frame.
     """
 
-    model: TestModel
+    averaged: AveragedModel
     criterion: str
     solver: str
     tests: tuple[Floats, ...]
@@ -114,8 +136,30 @@ class Plan(Shown):
     fewer: Outlook | None
     more: Outlook | None
     everywhere: Outlook
-    tests_bound: float | None
-    apart: tuple[Apart, ...]
+    grid_bound: float | None
+    grid_worst: float | None
+    apart: tuple[Chance, ...]
+
+    @property
+    def model(self) -> TestModel:
+        """The frame as designed, what the plan is for, the modes and their noise."""
+        return self.averaged.frames[0]
+
+    @property
+    def frames(self) -> int:
+        """Number of frames that the plan is an average over; 1 where the design values are firm."""
+        return len(self.averaged.frames)
+
+    @property
+    def arbitrary_masses(self) -> bool:
+        """Whether all tests of the grid of added masses give the same."""
+        return self.grid_bound is not None and (self.grid_worst or 0.0) <= (1 + NO_DIFFERENCE) * self.grid_bound
+
+    @property
+    def misfit(self) -> Fitted | None:
+        """The measured frequency that the frame of the plan is farthest from, where that is more than `MISFIT`."""
+        worst = max(self.model.design.fitted(), key=lambda each: abs(each.error), default=None)
+        return None if worst is None or abs(worst.error) <= MISFIT else worst
 
     @property
     def sensors(self) -> list[int]:
@@ -185,10 +229,15 @@ class Plan(Shown):
             "objective": self.objective,
             "bound": self.bound,
             "gap": self.gap if np.isfinite(self.gap) else None,
-            "tests_bound": self.tests_bound,
+            "floors_arbitrary": self.chosen.arbitrary and len(self.sensors) < design.stories,
+            "grid_bound": self.grid_bound,
+            "masses_arbitrary": self.arbitrary_masses,
+            "averaged_over": self.frames,
             "frame": {
                 "floor_mass": design.floor_mass.tolist(),
                 "story_stiffness": design.story_stiffness.tolist(),
+                "effects": [placed.to_dict() for placed in design.effects],
+                "state": design.state,
             },
             "std": self.chosen.to_dict()["std"],
             "one_sensor_less": None if self.fewer is None else self.fewer.to_dict(),
@@ -196,3 +245,105 @@ class Plan(Shown):
             "every_floor": self.everywhere.to_dict(),
             "apart": [each.to_dict() for each in self.apart],
         }
+
+
+def accuracy_curve(plan: Plan) -> list[tuple[int, float, float]]:
+    """Number of sensors, the criterion of the best choice found, and what no choice is below; ascending.
+
+    Parameters
+    ----------
+    plan : Plan
+    """
+    by, n = criterion_named(plan.criterion), plan.model.design.stories
+    tests = [plan.averaged.expected(masses) for masses in plan.tests]
+    spread = np.unique(np.linspace(1, n, min(n, MOST_POINTS)).round().astype(int))
+    points = []
+    for count in sorted({*spread.tolist(), len(plan.sensors)}):
+        found = choose(plan.averaged.sensors(tests, count), count, by, plan.solver)
+        points.append((count, found.value, found.bound))
+    return points
+
+
+def predicted(plan: Plan) -> Experiment:
+    """The planned tests, measured without error on the frame as it is expected.
+
+    Parameters
+    ----------
+    plan : Plan
+
+    Returns
+    -------
+    Experiment
+        With what is declared of the frame, and what was measured of it before.
+
+    Raises
+    ------
+    InputError
+        Where the tests would not tell how heavy the frame is.
+    """
+    floors = plan.chosen.floors - 1
+    tests = tuple(
+        _configuration(plan, name, masses, plan.model.expected(masses), floors)
+        for name, masses in zip(plan.names, plan.tests, strict=True)
+    )
+    design = plan.model.design
+    before = design.measured.configurations if design.measured is not None else ()
+    return Experiment(design.frame, (*before, *tests), design.priors, design.name)
+
+
+def _configuration(plan: Plan, name: str, masses: Floats, test: Expected, floors: Ints) -> Configuration:
+    which = plan.model.which
+    return Configuration(
+        frequencies=test.found.frequencies[which],
+        mode_shapes=test.shapes[:, floors],
+        name=name,
+        state=plan.model.design.state or "",
+        added_mass=masses,
+        measured_floors=floors + 1,
+        modes=which + 1,
+        frequency_std=test.frequency_std,
+        mode_shape_std=relative_std(test, floors),
+    )
+
+
+def relative_std(test: Expected, floors: Ints) -> Floats:
+    """The entries' standard deviations, shape (m, n), as a file has them: of a mode's largest measured entry."""
+    largest = np.max(np.abs(test.shapes[:, floors]), axis=1, keepdims=True)
+    result: Floats = test.shape_std[:, floors] / largest
+    return result
+
+
+def write_template(path: str | Path, plan: Plan) -> None:
+    """Write a measurement file with the planned tests, nan in place of what is to be measured.
+
+    Parameters
+    ----------
+    path : str or Path
+    plan : Plan
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
+    """
+    exact = predicted(plan)
+    declared = exact.to_dict()
+    declared["configuration"] = [
+        _to_fill_in(table) if table["name"] in plan.names else table for table in declared["configuration"]
+    ]
+    comments = [
+        "Planned by cvxshear plan: put what you measure in place of every nan.",
+        f"Sensors on floors {', '.join(map(str, plan.sensors))}; {plan.model.noise.describe()} expected.",
+        *(
+            f"{each.name}: expected frequencies {', '.join(f'{value:.4g}' for value in each.frequencies)} Hz"
+            for each in exact.configurations
+            if each.name in plan.names
+        ),
+    ]
+    write_measurement(path, declared, comments)
+
+
+def _to_fill_in(table: Json) -> Json:
+    """The table of a planned test without its predictions."""
+    shapes = np.full(np.shape(table["mode_shapes"]), np.nan)
+    return {**table, "frequencies": np.full(len(table["frequencies"]), np.nan).tolist(), "mode_shapes": shapes.tolist()}

@@ -1,8 +1,8 @@
-"""A bound that sees whole sensors: near each parameter every choice of floors is looked at, far from it shares suffice.
+"""A bound that sees whole sensors: near each parameter every choice of floors is looked at, far from it weights do.
 
-Shares overrate few sensors: half a sensor on every floor sees every story a little, a whole one on every other floor
+Weights overrate few sensors: half a sensor on every floor sees every story a little, a whole one on every other floor
 does not. But a story's stiffness is told by the floors near it. Let phi be a variance, or the logarithm of one,
-convex in the shares; T a window of neighbouring floors; pi the choice within it; v the shares at which the tangent is
+convex in the weights; T a window of neighbouring floors; pi the choice within it; v the weights at which the tangent is
 taken. For every choice w that is pi in T,
 
     phi(w) >= phi(pi, v) + sum over k outside T of (d phi / d w_k)(pi, v) (w_k - v_k).
@@ -11,20 +11,26 @@ With slopes b_k in place of those that depend on pi, and the least that the diff
 rest put into the constant, this is a number for each pi and one for each floor outside. What so many sensors make least
 of a sum of such terms, or of the largest of them, is found exactly along the floors (`path`). Windows of no floor
 would give the tangent bound of the convex program back, and a window of all floors looks at every choice.
+
+Criteria are made of such phi (`Term`), each of them told by few floors. The trace of the covariance is one already.
+Its volume is one by the chain rule: the logarithms of the variances of x_i with x_1, ..., x_(i-1) known add up to log
+det C.
+Known parameters are struck from the information, and the information of one parameter with the rest marginalised is
+concave in the whole information, so each of these logarithms is convex.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 
 from cvxshear.planning.candidates import Candidates
-from cvxshear.planning.path import least_largest, least_sum, patterns
-from cvxshear.planning.terms import Term, variance
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Bools, Floats, Ints
 
-ROUNDS = 60
+MIXTURE_ROUNDS = 60
 """Of looking for what bounds the best choice so far."""
 
 A_ROUND = 4
@@ -34,35 +40,115 @@ Hardest = Callable[[Floats], tuple[Floats, Floats]]
 """From covariances, shape (..., s, s): the criterion's variance, (...), and its mixture of the parameters, (..., s)."""
 
 
-def least_of_sum(terms: Sequence[Term], shares: Floats, number: int, width: int) -> tuple[float, list[int]]:
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """v' C(w) v, or its logarithm, C(w) the inverse of an information that the weights add up to.
+
+    Parameters
+    ----------
+    base : ndarray, shape (p, p)
+        Information without any candidate.
+    rows : ndarray, shape (n, d, p)
+        J_j of each candidate.
+    v : ndarray, shape (p,)
+    logarithm : bool
+    weight : float
+        Factor of the term in a sum.
+    """
+
+    base: Floats
+    rows: Floats
+    v: Floats
+    logarithm: bool = False
+    weight: float = 1.0
+
+    def information(self, weights: Floats) -> Floats:
+        """The information, shape (p, p), at weights of shape (n,)."""
+        weighed = (self.rows * np.sqrt(weights)[:, None, None]).reshape(-1, len(self.v))
+        result: Floats = self.base + weighed.T @ weighed
+        return result
+
+    def slopes(self, weights: Floats) -> Floats:
+        """Derivatives by the weights, shape (n,)."""
+        seen = np.linalg.solve(self.information(weights), self.v)
+        steep: Floats = -np.sum((self.rows @ seen) ** 2, axis=1)
+        return self.weight * (steep / float(self.v @ seen) if self.logarithm else steep)
+
+
+def variance(problem: Candidates, mixture: Floats) -> list[Term]:
+    """The variance of a mixture of the parameters asked for: a term a frame, whose sum is the mean.
+
+    Parameters
+    ----------
+    problem : Candidates
+    mixture : ndarray, shape (s,)
+    """
+    terms = []
+    for base, rows, asked in zip(problem.base, problem.rows, problem.asked, strict=True):
+        v = np.zeros(len(base))
+        v[: asked.shape[1]] = asked.T @ mixture
+        terms.append(Term(base, rows, v, weight=1.0 / len(problem.base)))
+    return terms
+
+
+def log_volume(problem: Candidates, weights: Floats) -> tuple[list[Term], float]:
+    """Terms, and a number to add, whose sum is the mean over the frames of log det of the covariance of z_a.
+
+    Parameters
+    ----------
+    problem : Candidates
+    weights : ndarray, shape (n,)
+        At which it is seen which candidates tell of which parameter: parameters are taken along the candidates.
+    """
+    a, share = problem.asked.shape[-1], 1.0 / len(problem.base)
+    terms, constant = [], 0.0
+    every = zip(problem.base, problem.rows, problem.asked, problem.information(weights), strict=True)
+    for base, rows, asked, information in every:
+        # As many of the parameters asked for as there are coordinates, where an equality ties some to the others.
+        picked = np.sort(linalg.qr(asked.T, mode="r", pivoting=True)[1][:a])
+        # Where among the candidates each parameter is told: the mean place weighed with the slopes of its variance.
+        slopes = np.sum((rows @ np.linalg.inv(information)[:, :a] @ asked[picked].T) ** 2, axis=1)
+        picked = picked[np.argsort(np.arange(len(rows)) @ slopes / slopes.sum(axis=0), kind="stable")]
+        square = asked[picked]
+        turn = linalg.block_diag(np.linalg.inv(square), np.eye(len(base) - a))
+        turned, seen = turn.T @ base @ turn, rows @ turn
+        for first in range(a):
+            v = np.eye(1, len(base) - first)[0]
+            terms.append(Term(turned[first:, first:], seen[:, :, first:], v, logarithm=True, weight=share))
+        constant -= 2.0 * share * float(np.linalg.slogdet(square)[1])
+    return terms, constant
+
+
+def least_of_sum(terms: Sequence[Term], weights: Floats, number: int, width: int) -> tuple[float, list[int]]:
     """What the sum of terms is at least for any choice of so many candidates, and the choice that it is least for.
 
     Parameters
     ----------
     terms : sequence of Term
-    shares : ndarray, shape (n,)
+    weights : ndarray, shape (n,)
         Of the candidates, 0 to 1: where tangents are taken.
     number : int
         How many are to be chosen.
     width : int
         Neighbouring candidates of which every choice is looked at.
     """
-    n = len(shares)
+    n = len(weights)
     values, slopes = np.zeros((n - width + 1, 2**width)), np.zeros(n)
     for term in terms:
-        here = term.slopes(shares)
+        here = term.slopes(weights)
         told = np.convolve(here, np.ones(width), mode="valid")
         # Of windows that tell the same, as in a symmetric frame, the first: rounding is not to decide.
         first = int(np.argmax(told <= told.min() * (1 - 1e-9)))
         outside = np.delete(here, np.s_[first : first + width])
-        values[first] += within_window(term, shares, number, first, width, outside)
+        values[first] += within_window(term, weights, number, first, width, outside)
         slopes += here
         slopes[first : first + width] -= here[first : first + width]
     return least_sum(values, slopes, number)
 
 
 def least_of_largest(
-    of: Candidates, hardest: Hardest, shares: Floats, number: int, width: int, enough: float
+    problem: Candidates, hardest: Hardest, weights: Floats, number: int, width: int, enough: float
 ) -> tuple[float, list[int]]:
     """What the largest variance of a mixture of the parameters is at least for any choice of so many candidates.
 
@@ -70,10 +156,10 @@ def least_of_largest(
 
     Parameters
     ----------
-    of : Candidates
+    problem : Candidates
     hardest : callable
         The largest variance of a covariance, and its mixture.
-    shares, number, width
+    weights, number, width
         As in `least_of_sum`.
     enough : float
         The bound at which looking ends.
@@ -83,35 +169,39 @@ def least_of_largest(
     least : float
     chosen : list of int
     """
-    n = of.count
+    n = problem.count
     count = n - width + 1
     values = np.zeros((count, 2**width))
     added: set[tuple[int, bytes]] = set()
-    for _ in range(ROUNDS):
+    for _ in range(MIXTURE_ROUNDS):
         least, chosen = least_largest(values, number)
         if least >= enough:
             break
-        # The choice within each window, the shares outside of it.
+        # The choice within each window, the weights outside of it.
         near = np.abs(np.arange(n) - np.arange(count)[:, None] - (width - 1) / 2) < width / 2
-        mixed = np.where(near, np.isin(np.arange(n), chosen), shares)
-        largest, mixtures = hardest(of.covariance(of.own(of.information(mixed))))
+        mixed = np.where(near, np.isin(np.arange(n), chosen), weights)
+        largest, mixtures = hardest(problem.covariance(problem.own(problem.information(mixed))))
         new = [place for place in np.argsort(-largest) if (place, mixtures[place].tobytes()) not in added]
         if not new:
             break
         for place in new[:A_ROUND]:
             added.add((place, mixtures[place].tobytes()))
-            found = within_window(variance(of, mixtures[place]), shares, number, place, width, np.zeros(n - width))
-            values[place] = np.maximum(values[place], found)
+            flat = np.zeros(n - width)
+            parts = (
+                within_window(term, weights, number, int(place), width, flat)
+                for term in variance(problem, mixtures[place])
+            )
+            values[place] = np.maximum(values[place], sum(parts))
     return least_largest(values, number)
 
 
-def within_window(term: Term, shares: Floats, number: int, first: int, width: int, slopes: Floats) -> Floats:
+def within_window(term: Term, weights: Floats, number: int, first: int, width: int, slopes: Floats) -> Floats:
     """For each choice within a window, what a term is at least beyond the slopes' part; infinite where it is none.
 
     Parameters
     ----------
     term : Term
-    shares : ndarray, shape (n,)
+    weights : ndarray, shape (n,)
     number : int
     first : int
         Candidate of the window.
@@ -125,15 +215,16 @@ def within_window(term: Term, shares: Floats, number: int, first: int, width: in
     """
     _, d, p = term.rows.shape
     window = np.s_[first : first + width]
-    bare = shares.copy()
+    bare = weights.copy()
     bare[window] = 0.0
     covariance = np.asarray(np.linalg.inv(term.information(bare)), dtype=np.float64)
     near, far = term.rows[window].reshape(-1, p), np.delete(term.rows, window, axis=0).reshape(-1, p)
     value, told = _every_choice(term.v, near, far, covariance, width)
-    outside, left = np.delete(shares, window), number - patterns(width).sum(axis=1)
+    outside, left = np.delete(weights, window), number - patterns(width).sum(axis=1)
     steep = -np.sum(told.reshape(len(value), len(outside), d) ** 2, axis=2)
     if term.logarithm:
         value, steep = np.log(value), steep / value[:, None]
+    value, steep = term.weight * value, term.weight * steep
     # The least of (steep - slopes)'w over choices of the rest: the lowest, as many as are left.
     lowest = np.zeros((len(value), len(outside) + 1))
     np.cumsum(np.sort(steep - slopes, axis=1), axis=1, out=lowest[:, 1:])
@@ -175,3 +266,65 @@ def _every_choice(v: Floats, near: Floats, far: Floats, covariance: Floats, widt
         told = np.concatenate([told[:, d:], told[:, d:] - (seen @ gain[:, :, :1])[:, :, 0]])
         between = np.concatenate([between[:, d:, d:], between[:, d:, d:] - seen @ gain[:, :, 1:]])
     return value, told
+
+
+def patterns(width: int) -> Ints:
+    """Every choice within a window, shape (2^width, width): bit b of a choice's place is candidate b."""
+    result: Ints = (np.arange(2**width)[:, None] >> np.arange(width)) & 1
+    return result
+
+
+def least_sum(values: Floats, slopes: Floats, number: int) -> tuple[float, list[int]]:
+    """The least that the windows' values and the chosen candidates' slopes can add up to, and where.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n - width + 1, 2^width)
+        Of each window, for each choice within it.
+    slopes : ndarray, shape (n,)
+    number : int
+        Candidates that are chosen.
+    """
+    return _least(values, slopes, number, np.add)
+
+
+def least_largest(values: Floats, number: int) -> tuple[float, list[int]]:
+    """The least that the largest of the windows' values can be, and where; parameters as in `least_sum`."""
+    width = int(values.shape[1]).bit_length() - 1
+    return _least(values, np.zeros(len(values) + width - 1), number, np.maximum)
+
+
+def _least(values: Floats, slopes: Floats, number: int, together: np.ufunc) -> tuple[float, list[int]]:
+    every = values.shape[1]
+    half, width = every // 2, every.bit_length() - 1
+    within = patterns(width)
+    counts = within.sum(axis=1)
+    cost = np.full((every, number + 1), np.inf)
+    few = np.flatnonzero(counts <= number)
+    cost[few, counts[few]] = (values[0] + within @ slopes[:width])[few]
+    gone = []
+    for first in range(1, len(values)):
+        # The lowest candidate leaves the window, of whose two states the better is kept; a new one enters at the top.
+        without, with_it = cost[0::2], cost[1::2]
+        gone.append(with_it < without)
+        kept = np.minimum(without, with_it)
+        cost = np.full((every, number + 1), np.inf)
+        cost[:half] = kept
+        cost[half:, 1:] = kept[:, :-1] + slopes[first + width - 1]
+        cost = together(cost, values[first][:, None])
+    state = int(np.argmin(cost[:, number]))
+    return float(cost[state, number]), _traced(state, number, gone, width)
+
+
+def _traced(state: int, number: int, gone: Sequence[Bools], width: int) -> list[int]:
+    """The candidates of the path that ends in a state of the last window, ascending."""
+    last = len(gone)
+    chosen = [last + bit for bit in range(width) if state >> bit & 1]
+    for first in range(last - 1, -1, -1):
+        entered, before = state >> (width - 1), state & (2 ** (width - 1) - 1)
+        number -= entered
+        leaves = int(gone[first][before, number])
+        if leaves:
+            chosen.append(first)
+        state = before << 1 | leaves
+    return sorted(chosen)

@@ -1,6 +1,6 @@
 """Priors: what is known of the masses and stiffnesses before anything is measured."""
 
-from cvxshear.priors.base import QUANTITIES, UNITS, Constraints, Prior, check_quantity
+from cvxshear.priors.base import QUANTITIES, UNITS, Constraints, Prior, check_prior, check_quantity
 from cvxshear.priors.bounds import Bounds
 from cvxshear.priors.monotone import Monotone
 from cvxshear.priors.nominal import Nominal
@@ -17,5 +17,6 @@ __all__ = [
     "Prior",
     "Ratio",
     "Value",
+    "check_prior",
     "check_quantity",
 ]

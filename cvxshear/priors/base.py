@@ -6,6 +6,7 @@ A prior of one's own is a subclass of `Prior` that overrides `constraints` (an e
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from abc import ABC
 from collections.abc import Mapping
@@ -19,6 +20,16 @@ from cvxshear.util.quantities import fitting
 from cvxshear.util.typing import Floats, Json
 
 QUANTITIES = ("floor_mass", "story_stiffness", "story_damping")
+SIZES = (1.0, 1e2, 1e4, 1e6, 1e8)
+"""Sizes of masses (kg), stiffnesses (N/m) and dashpots at which a prior from elsewhere is tried: from bench models to
+towers. What it returns is compared at the size where its residual is smallest, the nearest to what it means."""
+
+QUOTIENT_STEP = 1e-5
+"""Relative step of a difference quotient: its rounding and its curvature are both far below a part in a thousand."""
+
+_CHECKED = "_checked_for_stories"
+"""Name of the mark on a prior that was checked."""
+
 UNITS = {"floor_mass": "kg", "story_stiffness": "N/m", "story_damping": "N s/m"}
 
 
@@ -53,6 +64,21 @@ class Constraints:
                     f"Constraints: {matrix} must have the shape (rows, N) and {side} the shape (rows,), "
                     f"not {np.shape(rows)} and {np.shape(values)}"
                 )
+
+    def check(self, size: int, where: str) -> None:
+        """Raise `InputError` where the statements are not about a vector of `size` real numbers; `where` names them."""
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if value is None:
+                continue
+            array = _real(value, f"{where}: its {field.name}")
+            if field.name not in {"h", "b"} and array.shape[-1:] != (size,):
+                raise InputError(
+                    f"{where}: its {field.name} has the shape {array.shape}, where the last length must be {size}"
+                )
+            wrong = np.isnan(array) if field.name in {"lower", "upper"} else ~np.isfinite(array)
+            if wrong.any():
+                raise InputError(f"{where}: its {field.name} must hold finite numbers, not {array[wrong][0]}")
 
 
 class Prior(ABC):
@@ -127,6 +153,17 @@ class Prior(ABC):
         """Whether it alone tells how heavy or how stiff the frame is, and not only how it is distributed."""
         return False
 
+    def suggested(self, stories: int) -> Floats | None:
+        """Values from which a fit may start, shape (N,), up to a common factor unless `fixes_scale`.
+
+        nan on floors or stories that the prior says nothing of; None, the default, where it suggests no value.
+        """
+        return None
+
+    def redrawn(self, rng: np.random.Generator) -> Prior:
+        """The statement as somebody else would make it who is as sure of it; for studies. Itself by default."""
+        return self
+
     def check(self, stories: int) -> None:  # noqa: B027  (a prior need not override it)
         """Raise `InputError` where the prior does not fit a frame of so many stories."""
 
@@ -158,8 +195,100 @@ class Prior(ABC):
 
 def check_quantity(prior: Prior) -> None:
     """Raise `InputError` unless the prior's quantity is one that a frame has."""
-    name = prior.kind or type(prior).__name__
-    checks.choice(getattr(prior, "quantity", None), QUANTITIES, f"quantity of the {name} prior")
+    checks.choice(getattr(prior, "quantity", None), QUANTITIES, f"quantity of the {_name(prior)} prior")
+
+
+def check_prior(prior: Prior, stories: int) -> None:
+    """Raise `InputError` where a prior does not fit a frame of so many stories, or does not do what a prior must.
+
+    What this library's own priors return is not looked at. That of others is, once an object and number of stories:
+    `constraints` and `residual` must return real, finite numbers of the right shapes, the same twice, and the
+    derivative must agree with central differences in two random directions.
+
+    Parameters
+    ----------
+    prior : Prior
+    stories : int
+    """
+    check_quantity(prior)
+    prior.check(stories)
+    if type(prior).__module__.startswith("cvxshear.priors.") or getattr(prior, _CHECKED, None) == stories:
+        return
+    name = f"the {_name(prior)} prior on {prior.quantity}"
+    try:
+        said = prior.constraints(stories)
+    except Exception as error:
+        raise InputError(f"{name}: constraints({stories}) raised {type(error).__name__}: {error}") from error
+    if not isinstance(said, Constraints):
+        raise InputError(f"{name}: constraints must return a Constraints, not {checks.shown(said)}")
+    said.check(stories, name)
+    _check_residual(prior, stories, name)
+    # A class with slots has no room for the mark, and is checked each time.
+    with contextlib.suppress(AttributeError, TypeError):
+        object.__setattr__(prior, _CHECKED, stories)
+
+
+def _check_residual(prior: Prior, stories: int, name: str) -> None:
+    """Raise `InputError` where `residual` is not a function of x with its derivative."""
+    rng = np.random.default_rng(0)
+    spread = rng.uniform(0.8, 1.25, stories)
+    tried = [(size * spread, *_evaluated(prior, size * spread, name)) for size in SIZES]
+    finite = [each for each in tried if np.all(np.isfinite(each[1])) and np.all(np.isfinite(each[2]))]
+    if not finite:
+        raise InputError(
+            f"{name}: its residual or derivative is not finite anywhere from {SIZES[0]:g} to {SIZES[-1]:g}"
+        )
+    x, r, J = min(finite, key=lambda each: float(np.max(np.abs(each[1]), initial=0.0)))
+    again = _evaluated(prior, x, name)
+    if not (np.array_equal(again[0], r) and np.array_equal(again[1], J)):
+        raise InputError(f"{name}: residual returns another value the second time; it must be a function of x alone")
+    for _ in range(2):
+        d = x * rng.choice([-1.0, 1.0], stories)
+        ends = [_evaluated(prior, x + sign * QUOTIENT_STEP * d, name)[0] for sign in (1.0, -1.0)]
+        quotient, stated = (ends[0] - ends[1]) / (2 * QUOTIENT_STEP), J @ d
+        tolerance = 1e-3 * (np.abs(J) @ np.abs(d) + np.abs(quotient)) + 1e-8 * np.max(np.abs(r), initial=1.0)
+        wrong = ~(np.abs(quotient - stated) <= tolerance)
+        if np.any(wrong):
+            at = int(np.argmax(wrong))
+            raise InputError(
+                f"{name}: the derivative of entry {at + 1} of its residual is wrong: along one direction it is "
+                f"{stated[at]:.4g}, where difference quotients give {quotient[at]:.4g}"
+            )
+
+
+def _evaluated(prior: Prior, x: Floats, name: str) -> tuple[Floats, Floats]:
+    """The residual and its derivative as real arrays of fitting shapes, or `InputError`."""
+    given = x.copy()
+    try:
+        with np.errstate(all="ignore"):
+            found = prior.residual(given)
+    except Exception as error:
+        raise InputError(f"{name}: residual raised {type(error).__name__}: {error}") from error
+    if not np.array_equal(given, x):
+        raise InputError(f"{name}: residual changes x in place; it must leave it as it is")
+    if not isinstance(found, tuple) or len(found) != 2:
+        raise InputError(f"{name}: residual must return (r, J), not {checks.shown(found)}")
+    r, J = _real(found[0], f"{name}: r of its residual"), _real(found[1], f"{name}: J of its residual")
+    if r.ndim != 1 or J.shape != (len(r), len(x)):
+        raise InputError(
+            f"{name}: residual must return r and J of the shapes (p,) and (p, {len(x)}), not {r.shape} and {J.shape}"
+        )
+    return r, J
+
+
+def _real(value: object, where: str) -> Floats:
+    """An array of real numbers."""
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        array = np.array(None)
+    if array.dtype.kind not in "fiu" or isinstance(value, np.ma.MaskedArray):
+        raise InputError(f"{where} must hold real numbers, not {checks.shown(value)}")
+    return array.astype(float)
+
+
+def _name(prior: Prior) -> str:
+    return prior.kind or type(prior).__name__
 
 
 def set_field(prior: Prior, name: str, value: object) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -50,6 +51,16 @@ class Nominal(Prior):
     def fixes_scale(self) -> bool:
         """Whether the values are meant as they stand, and not up to a factor."""
         return not self.free_scale
+
+    def suggested(self, stories: int) -> Floats:
+        """The values."""
+        return self.values
+
+    def redrawn(self, rng: np.random.Generator) -> Nominal:
+        """The values as another engineer would have them, who is as sure of them; itself where they are exact."""
+        if self.std is None:
+            return self
+        return dataclasses.replace(self, values=self.values * (1 + self.std * rng.standard_normal(len(self.values))))
 
     def check(self, stories: int) -> None:
         """Raise `InputError` where it names floors or stories that a frame of so many stories has not."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from cvxshear.util.typing import Floats
 
-ROUNDING = 1e-13
+NO_DIFFERENCE = 1e-13
 """Relative size of a difference that counts as none."""
 
 
@@ -99,5 +99,5 @@ def remaining(side: Floats, rows: Floats, origin: Floats) -> Floats:
     their last digits once a step is as small as those.
     """
     result = side - rows @ origin
-    rounding = ROUNDING * (np.abs(side) + np.abs(rows) @ np.abs(origin))
+    rounding = NO_DIFFERENCE * (np.abs(side) + np.abs(rows) @ np.abs(origin))
     return np.where(np.abs(result) <= rounding, 0.0, result)

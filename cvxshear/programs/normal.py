@@ -29,7 +29,7 @@ ROWS_UP_TO = 30
 LOST = 4.0
 """Decimal digits lost to the squared condition number from which on a second, centred program is solved."""
 
-NEGLIGIBLE = 1e-14
+ROUNDED_EIGENVALUE = 1e-14
 """Eigenvalue of a scaled normal matrix, relative to the largest, that is rounding."""
 
 
@@ -103,7 +103,7 @@ def factored(normal: Floats, side: Floats) -> tuple[Floats, Floats]:
         U = linalg.cholesky(scaled, check_finite=False)
     except linalg.LinAlgError:
         values, vectors = linalg.eigh(scaled)
-        known = values > NEGLIGIBLE * len(values) * values[-1]
+        known = values > ROUNDED_EIGENVALUE * len(values) * values[-1]
         root = np.sqrt(values[known])
         R = np.zeros_like(normal)
         s = np.zeros_like(side)

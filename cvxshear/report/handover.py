@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import json
 from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
@@ -12,16 +10,15 @@ import numpy as np
 from scipy import io
 
 from cvxshear.data import Deviation
+from cvxshear.files.spreadsheets import Cell, Sheet, workbook
 from cvxshear.fit.misfit import Misfit
 from cvxshear.report.opensees import opensees_script
 from cvxshear.response import Fitted, RecordPrediction
 from cvxshear.response.model import DampedModel
 from cvxshear.response.uncertain import Damped
-from cvxshear.util.errors import InputError
+from cvxshear.util.text import json_text
 from cvxshear.util.typing import Floats
 from cvxshear.util.writing import ending_of, write_file
-
-Cells = list[str | float | int | None]
 
 
 def write_model(path: str | Path, result: RecordPrediction) -> None:
@@ -31,7 +28,7 @@ def write_model(path: str | Path, result: RecordPrediction) -> None:
     ----------
     path : str or Path
         Ending in .npz, .mat or .json: matrices, modes and state-space form by the names of
-        `response.handover.matrices`; .py: a script for OpenSeesPy; .xlsx: masses, stiffnesses, their standard
+        `matrices`; .py: a script for OpenSeesPy; .xlsx: masses, stiffnesses, their standard
         deviations, effects and residuals. A device is written JSON to.
     result : RecordPrediction
 
@@ -69,7 +66,7 @@ def _mat(result: RecordPrediction) -> bytes:
 
 
 def _json(result: RecordPrediction) -> str:
-    return json.dumps({name: values.tolist() for name, values in matrices(result.after.damped).items()}, indent=1)
+    return json_text({name: values.tolist() for name, values in matrices(result.after.damped).items()}, indent=1)
 
 
 def _py(result: RecordPrediction) -> str:
@@ -78,40 +75,17 @@ def _py(result: RecordPrediction) -> str:
 
 
 def _xlsx(result: RecordPrediction) -> bytes:
-    try:
-        openpyxl = importlib.import_module("openpyxl")
-    except ImportError:
-        raise InputError("a spreadsheet needs openpyxl: pip install openpyxl") from None
-    book = openpyxl.Workbook()
-    book.remove(book.active)
-    for name, rows in _sheets(result):
-        sheet = book.create_sheet(name)
-        for row in rows:
-            sheet.append([_plain_cell(cell) for cell in row])
-        for column in sheet.columns:
-            width = max(len(str(cell.value)) for cell in column if cell.value is not None)
-            sheet.column_dimensions[column[0].column_letter].width = min(width, 28) + 2
-        sheet.freeze_panes = "A2"
-    out = BytesIO()
-    book.save(out)
-    return out.getvalue()
+    return workbook(_sheets(result))
 
 
-def _plain_cell(cell: str | float | int | None) -> str | float | int | None:
-    """A cell as it stands: nan is empty, and a name that begins like a formula is none."""
-    if isinstance(cell, float) and np.isnan(cell):
-        return None
-    return f"'{cell}" if isinstance(cell, str) and cell[:1] in ("=", "+", "-", "@") else cell
-
-
-def _sheets(result: RecordPrediction) -> Iterator[tuple[str, list[Cells]]]:
+def _sheets(result: RecordPrediction) -> Iterator[Sheet]:
     fitted = result.after.fitted
     n = fitted.experiment.stories
     std = _std(fitted)
     dashpots, dashpot_std = result.damping.story_dashpot, result.damping.story_dashpot_std
-    head: Cells = ["floor / story", "mass, kg", "std", "stiffness, N/m", "std", "dashpot, N s/m", "std"]
-    rows: list[Cells] = [
-        [
+    header = ("floor / story", "mass, kg", "std", "stiffness, N/m", "std", "dashpot, N s/m", "std")
+    rows: list[tuple[Cell, ...]] = [
+        (
             i + 1,
             float(fitted.theta[i]),
             float(std[i]),
@@ -119,13 +93,13 @@ def _sheets(result: RecordPrediction) -> Iterator[tuple[str, list[Cells]]]:
             float(std[n + i]),
             None if dashpots is None else float(dashpots[i]),
             None if dashpot_std is None else float(dashpot_std[i]),
-        ]
+        )
         for i in range(n)
     ]
-    yield "frame", [head, *rows]
-    yield "effects", list(_effects(fitted, std))
-    yield "modes", list(_modes(result))
-    yield "residuals", list(_residuals(result))
+    yield Sheet("frame", header, rows)
+    yield _effects(fitted, std)
+    yield _modes(result)
+    yield _residuals(result)
 
 
 def _std(fitted: Fitted) -> Floats:
@@ -135,39 +109,43 @@ def _std(fitted: Fitted) -> Floats:
     return np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
 
 
-def _effects(fitted: Fitted, std: Floats) -> Iterator[Cells]:
-    yield ["effect", "parameter", "unit", "value", "std"]
-    at = 2 * fitted.experiment.stories
-    for placed in fitted.effects:
-        for parameter in placed.effect.parameters:
-            yield [placed.label, parameter.name, parameter.unit, float(fitted.theta[at]), float(std[at])]
-            at += 1
+def _effects(fitted: Fitted, std: Floats) -> Sheet:
+    n = 2 * fitted.experiment.stories
+    named = [(placed.label, each.name, each.unit) for placed in fitted.effects for each in placed.effect.parameters]
+    values = zip(fitted.theta[n:].tolist(), std[n:].tolist(), strict=False)
+    rows: list[tuple[Cell, ...]] = [(*words, *numbers) for words, numbers in zip(named, values, strict=False)]
+    return Sheet("effects", ("effect", "parameter", "unit", "value", "std"), rows)
 
 
-def _modes(result: RecordPrediction) -> Iterator[Cells]:
+def _modes(result: RecordPrediction) -> Sheet:
     model = result.after.damped.model
     n = len(model.M)
-    yield ["mode", "frequency, Hz", "damping ratio", "std", *(f"shape at floor {i + 1}" for i in range(n))]
-    for mode in range(n):
-        yield [
+    header = ("mode", "frequency, Hz", "damping ratio", "std", *(f"shape at floor {i + 1}" for i in range(n)))
+    rows: list[tuple[Cell, ...]] = [
+        (
             mode + 1,
             float(model.modes.frequencies[mode]),
             float(result.damping.ratios[mode]),
             float(result.damping.ratios_std[mode]),
             *model.modes.shapes[mode].tolist(),
-        ]
+        )
+        for mode in range(n)
+    ]
+    return Sheet("modes", header, rows)
 
 
-def _residuals(result: RecordPrediction) -> Iterator[Cells]:
+def _residuals(result: RecordPrediction) -> Sheet:
     """The error of each part of the measurement, relative and in standard deviations, before and after."""
     sides = [side.fitted for side in (result.before, result.after) if side is not None]
     words = ["before", "after"][-len(sides) :]
     measures = ["relative error", "standard deviations off"]
-    yield ["configuration", "part", "quantity", *(f"{measure}, {word}" for measure in measures for word in words)]
+    header = ("configuration", "part", "quantity", *(f"{measure}, {word}" for measure in measures for word in words))
+    rows: list[tuple[Cell, ...]] = []
     for parts in zip(*(_parts(each) for each in sides), strict=True):
         what = parts[0].noise.replace("_", " ")
-        errors, deviations = [part.error for part in parts], [part.deviations for part in parts]
-        yield [parts[0].configuration, parts[0].place, what, *errors, *deviations]
+        numbers = [*(part.error for part in parts), *(part.deviations for part in parts)]
+        rows.append((parts[0].configuration, parts[0].place, what, *numbers))
+    return Sheet("residuals", header, rows)
 
 
 def _parts(of: Fitted) -> list[Deviation]:

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import base64
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from cvxshear.backends import Comparison
+from cvxshear.files.inputs import read_bytes
 from cvxshear.loop import Closure
-from cvxshear.methods import compare_backends
-from cvxshear.util.errors import CvxshearError
-from cvxshear.util.quantities import AUTOMATIC, Units
+from cvxshear.measurement.declaration import Heading
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.methods import Prediction, compare_backends
+from cvxshear.report.describe import describe
+from cvxshear.report.describe.closed_loop import open_questions
+from cvxshear.report.describe.headline import headline, verdict_of
+from cvxshear.response import RecordPrediction
+from cvxshear.response.fitted import without_nan
+from cvxshear.util.errors import CvxshearError, InputError
+from cvxshear.util.quantities import AUTOMATIC, Units, capital
 from cvxshear.util.writing import write_file
 
 try:
-    from markupsafe import Markup
-
-    from cvxshear.report import figures
-    from cvxshear.report.drawings import drawings
-    from cvxshear.report.pages import environment
+    from cvxshear.report import figures  # noqa: F401 - told here, before the loop is closed, where it is missing
+    from cvxshear.report.pages import drawings, environment, readable_json, versions
     from cvxshear.report.response_html import (
         prediction_contents,
         write_prediction_report,
@@ -27,10 +36,19 @@ except ImportError as error:
         f"the report needs {error.name}, which is not installed: pip install jinja2 matplotlib"
     ) from error
 
-from cvxshear.report.contents import contents
-from cvxshear.response import RecordPrediction
-
 __all__ = ["render", "write_prediction_report", "write_reconstruction_report", "write_report"]
+
+FIRST_SECTIONS = ("verdict",)
+"""Sections of the description that stand on the first screen."""
+
+APPENDIX = ("steps", "effort")
+"""Sections that say how the result was computed; they stand in the appendix, with the agreement of the backends."""
+
+PHOTOGRAPHS = {b"\x89PNG\r\n\x1a\n": "png", b"\xff\xd8\xff": "jpeg"}
+"""How the files of pictures begin that a page may hold, and what they are called there."""
+
+LARGEST_PHOTOGRAPH = 20_000_000
+"""Bytes; a picture of a camera has fewer, and the page holds it whole."""
 
 
 def write_report(
@@ -40,6 +58,7 @@ def write_report(
     comparison: Comparison | None = None,
     units: Units = AUTOMATIC,
     prediction: RecordPrediction | None = None,
+    heading: Heading | None = None,
 ) -> None:
     """Write the report of a closed loop.
 
@@ -56,13 +75,15 @@ def write_report(
         In which quantities are shown.
     prediction : RecordPrediction, optional
         Of a record by the models of the loop; a section of its own.
+    heading : Heading, optional
+        Title, client, author, date and photograph; those of the measurement file where not given.
 
     Raises
     ------
     InputError
         Where the file cannot be written.
     """
-    write_file(path, render(result, command, comparison, units, prediction))
+    write_file(path, render(result, command, comparison, units, prediction, heading))
 
 
 def render(
@@ -71,6 +92,7 @@ def render(
     comparison: Comparison | None = None,
     units: Units = AUTOMATIC,
     prediction: RecordPrediction | None = None,
+    heading: Heading | None = None,
 ) -> str:
     """The report of a closed loop as HTML.
 
@@ -81,6 +103,7 @@ def render(
     comparison : Comparison, optional
     units : Units, optional
     prediction : RecordPrediction, optional
+    heading : Heading, optional
 
     Returns
     -------
@@ -90,23 +113,125 @@ def render(
     if comparison is None:
         comparison = compare_backends(result.experiment)
     page = environment().get_template("report.html")
-    found, drawn = contents(result, comparison, command, units), _figures(result, comparison)
     beside = None if prediction is None else prediction_contents(prediction)
+    drawn = {**drawings(comparison), **drawings(result)}
     if beside is not None:
         drawn |= beside["figure"]
-    return page.render(**found, figure=drawn, beside=beside)
+    document = describe(result, units)
+    heading = result.experiment.report if heading is None else heading
+    return page.render(
+        document=document,
+        first=[section for section in document.sections if section.key in FIRST_SECTIONS],
+        body=[s for s in document.sections if s.parts and s.key not in (*FIRST_SECTIONS, *APPENDIX)],
+        appendix=[section for section in document.sections if section.parts and section.key in APPENDIX],
+        heading=heading,
+        photograph=photograph_of(heading),
+        headline=capital(headline(result)),
+        verdict=verdict_of(result),
+        open_questions=open_questions(result),
+        figure=drawn,
+        backends=describe(comparison)["worst"],
+        left_out=comparison.left_out,
+        motion=moving_shapes(result),
+        motion_size=(WIDTH, HEIGHT),
+        versions=list(versions()),
+        command=command,
+        experiment_json=readable_json(without_nan(result.experiment.to_dict())),
+        result_json=readable_json(result.to_dict()),
+        beside=beside,
+    )
 
 
-def _figures(result: Closure, comparison: Comparison) -> dict[str, Markup]:
-    """The drawings by name."""
-    drawn = {
-        "frame": figures.frame(result),
-        "shapes": figures.shapes(result),
-        "residual": figures.residual(result),
-        "backends": figures.backend_differences(comparison),
-    }
-    if any(each.measured.any() for each in result.experiment.configurations):
-        drawn["mac"] = figures.mac(result)
-    if result.candidates:
-        drawn["ranking"] = figures.ranking(result)
-    return drawings(drawn)
+def photograph_of(heading: Heading) -> str:
+    """The photograph as an address that holds it; empty where there is none.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be read, is larger than `LARGEST_PHOTOGRAPH`, or is no PNG or JPEG.
+    """
+    if heading.photograph is None:
+        return ""
+    path = Path(heading.photograph)
+    content = read_bytes(path, LARGEST_PHOTOGRAPH, "make the picture smaller")
+    kind = next((kind for start, kind in PHOTOGRAPHS.items() if content.startswith(start)), None)
+    if kind is None:
+        raise InputError(f"report: photograph = {str(path)!r} must be a PNG or JPEG file")
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
+
+
+# Mode shapes as drawings that a small script of the page can set in motion.
+
+WIDTH, HEIGHT = 120.0, 170.0
+"""Of one drawing, in its own units."""
+
+MARGIN = 12.0
+"""Free room around the frame of a drawing."""
+HALF = 15.0
+"""Half the width of the drawn frame."""
+
+SWAY = 34.0
+"""Of the largest entry of a shape."""
+
+MOST_MODES = 6
+"""Modes of a configuration that are drawn, from the lowest."""
+
+
+@dataclass(frozen=True)
+class MovingShape:
+    """One mode of one configuration.
+
+    Parameters
+    ----------
+    label : str
+    sway : tuple of float
+        From the ground up, largest 1 in size.
+    heights : tuple of float
+        Of the ground and the floors in the drawing, from its top.
+    left, right : str
+        Points of the columns at full sway, as a polyline has them.
+    floors : tuple of (float, float, float)
+        Both ends and the height of each floor at full sway.
+    """
+
+    label: str
+    sway: tuple[float, ...]
+    heights: tuple[float, ...]
+    left: str
+    right: str
+    floors: tuple[tuple[float, float, float], ...]
+
+
+def moving_shapes(result: Closure) -> list[tuple[str, list[MovingShape]]]:
+    """The lowest modes of the final model, by configuration."""
+    return [
+        (each.configuration, [_moving(result.experiment, each, mode) for mode in range(_count(result.experiment))])
+        for each in result.estimate.predictions
+    ]
+
+
+def _count(experiment: Experiment) -> int:
+    return min(experiment.stories, MOST_MODES)
+
+
+def _moving(experiment: Experiment, prediction: Prediction, mode: int) -> MovingShape:
+    declared = experiment.frame.elevations
+    z = np.arange(1.0, experiment.stories + 1) if declared is None else declared
+    heights = HEIGHT - MARGIN - (HEIGHT - 2 * MARGIN) * np.concatenate([[0.0], z]) / z[-1]
+    sway = np.concatenate([[0.0], prediction.mode_shapes[mode]])
+    centre = WIDTH / 2 + SWAY * sway
+    return MovingShape(
+        f"mode {mode + 1}: {prediction.frequencies[mode]:.4g} Hz",
+        tuple(round(float(value), 4) for value in sway),
+        tuple(round(float(value), 2) for value in heights),
+        _points(centre - HALF, heights),
+        _points(centre + HALF, heights),
+        tuple(
+            (round(float(x - HALF), 2), round(float(x + HALF), 2), round(float(y), 2))
+            for x, y in zip(centre[1:], heights[1:], strict=True)
+        ),
+    )
+
+
+def _points(x: np.ndarray, y: np.ndarray) -> str:
+    return " ".join(f"{a:.2f},{b:.2f}" for a, b in zip(x, y, strict=True))

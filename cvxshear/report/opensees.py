@@ -6,6 +6,7 @@ import numpy as np
 
 from cvxshear.response.uncertain import Damped
 from cvxshear.util.errors import UnsuitableError
+from cvxshear.util.text import printable
 from cvxshear.util.typing import Floats
 
 SCRIPT = '''"""{title}: the identified frame for OpenSeesPy; units m, kg, s, N.
@@ -103,7 +104,7 @@ def opensees_script(damped: Damped, title: str) -> str:
         )
     modal = damped.dashpots is None and damped.rayleigh is None
     return SCRIPT.format(
-        title=" ".join(title.replace("\\", "/").replace('"', "'").split()) or "frame",
+        title=printable(" ".join(title.split())).replace("\\", "/").replace('"', "'") or "frame",
         masses=np.diag(M).tolist(),
         springs=_links(damped.model.K),
         dashpots=[] if damped.dashpots is None else _links(damped.model.C),

@@ -1,13 +1,59 @@
-"""The templates of everything that is shown as HTML."""
+"""What every page of HTML shares: the templates, figures as drawings in a page, versions, JSON for readers."""
 
 from __future__ import annotations
 
 import json
+import platform
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cache
+from importlib import metadata
+from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
-from cvxshear.util.text import printable
+from cvxshear.util.text import json_text, printable
+from cvxshear.version import __version__
+
+PACKAGES = (
+    "numpy",
+    "scipy",
+    "qpsolvers",
+    "clarabel",
+    "cvxpy",
+    "osqp",
+    "scs",
+    "highspy",
+    "piqp",
+    "proxsuite",
+    "quadprog",
+    "daqp",
+)
+"""Packages whose versions a report names: what computed its numbers."""
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure as it stands in a page.
+
+    Parameters
+    ----------
+    name, title, caption, alternative, section : str
+        As in the table of figures.
+    wide : Markup
+        The drawing as SVG.
+    narrow : Markup or None
+        The same for a telephone; the wide one is moved sideways there where None.
+    """
+
+    name: str
+    title: str
+    caption: str
+    alternative: str
+    section: str
+    wide: Markup
+    narrow: Markup | None
 
 
 @cache
@@ -24,3 +70,43 @@ def environment() -> Environment:
     found.filters["printable"] = printable
     found.filters["exact"] = json.dumps
     return found
+
+
+def drawings(*results: Any) -> dict[str, Drawing]:
+    """Every figure of the table that can be drawn of these results, by name.
+
+    Parameters
+    ----------
+    *results : object
+        All of one type; most figures show one.
+    """
+    # Not above: a notebook shows tables where matplotlib is not installed.
+    from cvxshear.report.figures import style  # noqa: PLC0415
+    from cvxshear.report.figures.figure_table import applicable  # noqa: PLC0415
+
+    found = {}
+    for entry in applicable(*results):
+        # matplotlib has escaped the texts in a drawing.
+        wide, narrow = Markup(style.inline_svg(entry.draw(*results), entry.name)), None
+        if entry.narrow:
+            with style.for_narrow_page():
+                narrow = Markup(style.inline_svg(entry.draw(*results), f"{entry.name}-narrow"))
+        words = entry.caption_of(*results), entry.alternative_of(*results)
+        found[entry.name] = Drawing(entry.name, entry.title, *words, entry.section, wide, narrow)
+    return found
+
+
+def readable_json(value: object) -> str:
+    """JSON that a person can read."""
+    return json_text(value, indent=1)
+
+
+def versions() -> Iterator[tuple[str, str]]:
+    """Names and versions of what computed the result."""
+    yield "cvxshear", __version__
+    yield "Python", platform.python_version()
+    for name in PACKAGES:
+        try:
+            yield name, metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue

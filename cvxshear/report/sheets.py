@@ -1,49 +1,19 @@
-"""Results as plain tables, for spreadsheets: one sheet a table in XLSX, the first table in CSV."""
+"""Results as plain tables for spreadsheet programs."""
 
 from __future__ import annotations
 
-import csv
-import importlib
-import io
 import math
-import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
+from cvxshear.files.spreadsheets import Cell, Sheet
 from cvxshear.loop import Closure
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.methods import Identification
 from cvxshear.modal import ModalResult
-from cvxshear.report.describe.errors import ERRORS
-from cvxshear.util.errors import InputError
+from cvxshear.report.describe.before_after import ERRORS
 from cvxshear.util.typing import Json
-from cvxshear.util.writing import write_file
-
-Cell = str | float | int | None
 
 FRAME = ("floor / story", "floor mass, kg", "floor mass std, kg", "story stiffness, N/m", "story stiffness std, N/m")
-LONGEST_TITLE = 31
-"""Letters that a sheet's title may have in a workbook."""
-
-
-@dataclass(frozen=True)
-class Sheet:
-    """One table.
-
-    Parameters
-    ----------
-    title : str
-    header : tuple of str
-    rows : list of tuple
-        None stands for what is not known.
-    """
-
-    title: str
-    header: tuple[str, ...]
-    rows: list[tuple[Cell, ...]]
-
 
 def sheets_of_modes(results: Sequence[ModalResult]) -> list[Sheet]:
     """One sheet a record, as `csv` and `xlsx` of a configuration read it."""
@@ -64,7 +34,7 @@ def sheets_of_identification(result: Identification) -> list[Sheet]:
 def sheets_of_closure(result: Closure) -> list[Sheet]:
     """The identified frame, the effects added, the errors before and after, and the modes."""
     said = result.to_dict()
-    words = {key: label for key, label, _ in ERRORS}
+    words = {key: label.format(held_out="predicted from the rest") for key, label, _ in ERRORS}
     errors: list[tuple[Cell, ...]] = [
         (words.get(key, _words(key)), said["before"][key], said["after"][key]) for key in said["before"]
     ]
@@ -99,63 +69,6 @@ def sheets_of_response(said: Json) -> list[Sheet]:
         names = tuple(each["name"] for each in said["limits"])
         sheets.append(Sheet("limits", ("story", *names), [(at, *row) for at, row in enumerate(chances, 1)]))
     return sheets
-
-
-def write_csv(path: str | Path, sheets: Sequence[Sheet]) -> None:
-    """Write the first table; of several with one header all of them, each row led by its table's title.
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be written.
-    """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    alike = [sheet for sheet in sheets if sheet.header == sheets[0].header]
-    if len(alike) > 1:
-        writer.writerow(["configuration", *alike[0].header])
-        writer.writerows([sheet.title, *row] for sheet in alike for row in sheet.rows)
-    else:
-        writer.writerow(sheets[0].header)
-        writer.writerows(sheets[0].rows)
-    write_file(path, text.getvalue())
-
-
-def write_xlsx(path: str | Path, sheets: Sequence[Sheet]) -> None:
-    """Write every table to a sheet of its own.
-
-    Raises
-    ------
-    InputError
-        Where openpyxl (the extra `xlsx`) is not installed, or the file cannot be written.
-    """
-    openpyxl = load_openpyxl()
-    book = openpyxl.Workbook()
-    book.remove(book.active)
-    for sheet in sheets:
-        # What a title must not hold, and openpyxl gives a number to a title that is taken.
-        page = book.create_sheet(re.sub(r"[\\/*?:\[\]]", " ", sheet.title)[:LONGEST_TITLE].strip() or "sheet")
-        page.append(sheet.header)
-        for row in sheet.rows:
-            page.append(row)
-        page.freeze_panes = "A2"
-    content = io.BytesIO()
-    book.save(content)
-    write_file(path, content.getvalue())
-
-
-def load_openpyxl() -> Any:
-    """The package that writes workbooks.
-
-    Raises
-    ------
-    InputError
-        Where it is not installed.
-    """
-    try:
-        return importlib.import_module("openpyxl")
-    except ImportError:
-        raise InputError("workbooks need openpyxl: pip install openpyxl") from None
 
 
 def _modes(result: ModalResult) -> Sheet:

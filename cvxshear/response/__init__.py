@@ -1,6 +1,6 @@
 """From an identified frame to how it moves: damping, prediction of responses, comparison with a record."""
 
-from cvxshear.modal.motion import Drive, Motion
+from cvxshear.records.motion import Drive, Motion
 from cvxshear.response.compare import RecordComparison
 from cvxshear.response.damping import IdentifiedDamping, damping_of
 from cvxshear.response.fitted import Fitted, Models

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import signal
 
 from cvxshear.fit.results import plain
-from cvxshear.modal.motion import Motion
+from cvxshear.records.motion import Motion
 from cvxshear.response.model import Complexes, DampedModel, Response
 from cvxshear.util.quantities import ranged
 from cvxshear.util.typing import Bools, Floats, Ints, Json

@@ -15,9 +15,8 @@ from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model.shear import Modes, stiffness_matrix
 from cvxshear.priors import Prior
 from cvxshear.programs import LeastSquares
-from cvxshear.programs.feasibility import refuse_contradictions
-from cvxshear.programs.mass import pair_products
-from cvxshear.programs.rows import constrained, softened, statements
+from cvxshear.programs.orthogonality import pair_products
+from cvxshear.programs.statements import constrained, refuse_contradictions, softened, statements
 from cvxshear.response.model import coupled, modal_damping
 from cvxshear.util.errors import InputError, NoSolutionError, UnsuitableError
 from cvxshear.util.quantities import ranged

@@ -65,7 +65,7 @@ class Fitted:
             estimate.theta,
             estimate.uncertainty.covariance(),
             estimate.uncertainty.null_directions,
-            mass_known,
+            mass_known and not estimate.experiment.frame.total_mass_placeholder,
             *_misfit(estimate),
         )
 
@@ -123,7 +123,7 @@ class Fitted:
         """
         keys = ["effects", "theta", "covariance", "undetermined"]
         table = checks.keys(declared, [*keys, "misfit", "lacking"], keys, where)
-        effects = tuple(_placed(item, f"{where}: effects") for item in table["effects"])
+        effects = tuple(_placed(item, f"{where}: effects", experiment) for item in table["effects"])
         size = 2 * experiment.stories + sum(len(placed.effect.parameters) for placed in effects)
         theta = checks.vector(table["theta"], f"{where}: theta", length=size)
         covariance = None
@@ -145,10 +145,10 @@ def _misfit(estimate: Estimate) -> tuple[float, float]:
     return max(1.0, estimate.chi2 / estimate.dof), float(estimate.quality.max_shape_error or 0.0)
 
 
-def _placed(item: object, where: str) -> Placed:
-    table = checks.keys(item, ["name", "fixed", "floor", "story", "configuration"], ["name"], where)
-    place = Place(table.get("floor"), table.get("story"), table.get("configuration"))
-    return Placed(named([table["name"]])[0], place, tuple(table.get("fixed", ())))
+def _placed(item: object, where: str, experiment: Experiment) -> Placed:
+    table = checks.keys(item, ["name", "fixed", "floor", "to", "story", "configuration"], ["name"], where)
+    place = Place(table.get("floor"), table.get("story"), table.get("configuration"), table.get("to"))
+    return Placed(named([table["name"]])[0].bound(experiment), place, tuple(table.get("fixed", ())))
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from cvxshear.modal.motion import Drive
 from cvxshear.model.shear import Modes, modes
+from cvxshear.records.motion import Drive
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
 

@@ -12,7 +12,7 @@ import numpy as np
 from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.measurement.experiment import Configuration
-from cvxshear.modal.motion import Motion
+from cvxshear.records.motion import Motion
 from cvxshear.response.compare import RecordComparison, compared
 from cvxshear.response.damping import IdentifiedDamping, described, parts_of
 from cvxshear.response.fitted import Fitted, Models

@@ -19,7 +19,7 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.fit.results import plain
 from cvxshear.measurement.experiment import Configuration, Limits
-from cvxshear.modal.motion import Drive
+from cvxshear.records.motion import Drive
 from cvxshear.response.dynamics import Noise, Setting, dynamics
 from cvxshear.response.fitted import Fitted
 from cvxshear.response.innovations import (

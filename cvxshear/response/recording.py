@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from cvxshear.files.columns import Columns
-from cvxshear.files.record import RECORD_KEYS, columns_of, rate_of, refuse_two_rates
+from cvxshear.files.record_file import RECORD_KEYS, columns_of, pieces_of, refuse_two_rates
 from cvxshear.files.record_tables import (
     ChannelDeclaration,
     added_mass_of,
@@ -22,8 +22,9 @@ from cvxshear.files.record_tables import (
     runs_of,
     tables_of,
 )
-from cvxshear.modal.motion import Motion, trend
-from cvxshear.modal.record import INPUTS, TimeRecord
+from cvxshear.records.floors import ACROSS, one_a_floor
+from cvxshear.records.motion import Motion, trend
+from cvxshear.records.record import INPUTS, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
@@ -186,8 +187,9 @@ def recording_of(source: RecordingSource) -> Recording:
             if source.input in ("base", "force"):
                 return _of_motion(Motion.of(source))
             _refuse_other_quantity(source.quantity, source.name)
-            runs = tuple(RecordedRun(run.responses, None, run.name) for run in source.runs)
-            return Recording(runs, source.sampling_rate, source.floors, "none", name=source.name)
+            record, _ = one_a_floor(source)
+            runs = tuple(RecordedRun(run.responses, None, run.name) for run in record.runs)
+            return Recording(runs, record.sampling_rate, record.floors, "none", name=record.name)
         case str() | Path():
             return _of_file(Path(source))
     raise InputError(f"a reconstruction needs a record file, a TimeRecord or a Motion, not {checks.shown(source)}")
@@ -224,30 +226,30 @@ def _of_file(path: Path) -> Recording:
         kind = checks.choice(declared.get("input", "none"), INPUTS, "record: input")
         channels = channels_of(table["channel"], declared, path, lines)
         driver = driver_of(channels, kind)
-        floors = sorted(
-            (item for item in channels if item is not driver and item.responds), key=lambda item: item.floor
-        )
-        if not floors:
-            raise InputError("no floor's acceleration was recorded; a reconstruction needs one at least")
-        for item in floors:
-            _refuse_other_quantity(item.quantity, f'channel "{item.column}"')
+        floors = _by_floor([item for item in channels if item is not driver and item.responds])
         runs, rates, places = [], [], set()
         for run in runs_of(table, declared):
             columns = columns_of(run, declared, path)
-            rates.append((rate_of(declared, columns), columns.source))
-            measured = np.array([_with_gaps(columns, item, path) for item in floors]).T.reshape(-1, len(floors))
-            excitation = None
+            # Jumps of the clock and the ends asked for part the file; what a floor misses does not.
+            pieces, rate, _ = pieces_of(columns, [], declared, run, path)
+            rates.append((rate, columns.source))
+            name = str(run.get("name", Path(run["file"]).name))
             if driver is not None:
-                excitation = driver.factor * columns.column(driver.column, driver.place or path.name)
                 places.add(_force_floor(run, declared, driver) if kind == "force" else 0)
-            runs.append(RecordedRun(measured, excitation, str(run.get("name", Path(run["file"]).name))))
+            for number, rows in enumerate(pieces, 1):
+                part = columns.rows(rows)
+                measured = np.column_stack([_with_gaps(part, group, path) for group in floors.values()])
+                excitation = None
+                if driver is not None:
+                    excitation = driver.factor * part.column(driver.column, driver.place or path.name)
+                runs.append(RecordedRun(measured, excitation, name if len(pieces) == 1 else f"{name}, piece {number}"))
         refuse_two_rates(rates)
         if len(places) > 1:
             raise InputError("the force acts on several floors; reconstruct these runs one by one")
         added = added_mass_of(table, path)
         state = None if table.get("state") is None else checks.text(table["state"], "state")
         return Recording(
-            tuple(runs), rates[0][0], np.array([item.floor for item in floors], dtype=np.int64),
+            tuple(runs), rates[0][0], np.array(list(floors), dtype=np.int64),
             kind if kind in ("base", "force") else "none", places.pop() if places else 0,
             None if added is None else np.array(added), state,
             checks.text(declared.get("name", path.stem), "record: name"),
@@ -259,12 +261,29 @@ def _force_floor(run: Mapping[str, Any], declared: Mapping[str, Any], driver: Ch
     return checks.whole(floor, "input_floor", least=1, most=checks.MOST_STORIES)
 
 
-def _with_gaps(columns: Columns, item: ChannelDeclaration, path: Path) -> Floats:
-    """A floor's column, whose missing samples are nan."""
-    if item.column not in columns.names:
-        return columns.column(item.column, item.place or path.name)
-    values = columns.values[:, columns.names.index(item.column)]
-    if np.isinf(values).any() or np.any(np.abs(values[np.isfinite(values)]) > checks.LARGEST):
-        return columns.column(item.column, item.place or path.name)
-    result: Floats = item.factor * values
+def _by_floor(channels: Sequence[ChannelDeclaration]) -> dict[int, list[ChannelDeclaration]]:
+    """The channels of each floor, from the ground up, without those across the direction of test."""
+    for item in channels:
+        _refuse_other_quantity(item.quantity, f'channel "{item.column}"')
+    along = [item for item in channels if abs(_cosine(item)) >= np.cos(np.radians(ACROSS))]
+    if not along:
+        raise InputError("no floor's acceleration was recorded; a reconstruction needs one at least")
+    return {floor: [item for item in along if item.floor == floor] for floor in sorted({each.floor for each in along})}
+
+
+def _cosine(item: ChannelDeclaration) -> float:
+    """What a sensor shows of a motion along the direction of test."""
+    return float(np.cos(np.radians(item.direction or 0.0)))
+
+
+def _with_gaps(columns: Columns, group: Sequence[ChannelDeclaration], path: Path) -> Floats:
+    """A floor's motion, the mean of its sensors; nan where a sample of one is missing."""
+    total = np.zeros(len(columns.values))
+    for item in group:
+        columns.check(item.column, item.place or path.name)
+        values = columns.values[:, columns.names.index(item.column)]
+        if np.isinf(values).any() or np.any(np.abs(values[np.isfinite(values)]) > checks.LARGEST):
+            values = columns.column(item.column, item.place or path.name)
+        total += item.factor / _cosine(item) * values
+    result: Floats = total / len(group)
     return result

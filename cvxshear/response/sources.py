@@ -9,16 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.files.mode_tables import with_modes_read
 from cvxshear.files.modes import modes_from_file
-from cvxshear.files.motion import read_motion
-from cvxshear.files.toml import is_record_file, load, parse, read_text
+from cvxshear.files.record_file import read_motion
+from cvxshear.files.toml import is_record_file, load, parse, read_text, with_modes_read
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import Closure, close_loop
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.modal import Record
-from cvxshear.modal.motion import Motion
-from cvxshear.modal.record import FrfRecord, TimeRecord
+from cvxshear.records.motion import Motion
+from cvxshear.records.record import FrfRecord, TimeRecord
 from cvxshear.response.fitted import Fitted, Models
 from cvxshear.response.recording import Recording
 from cvxshear.util.checks import choice, shown

@@ -21,6 +21,7 @@ from cvxshear.response.dashpots import Dashpots, Ratios, damping_ratios, rayleig
 from cvxshear.response.fitted import Fitted
 from cvxshear.response.model import DampedModel
 from cvxshear.util import checks
+from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.typing import Floats
 
 
@@ -153,6 +154,11 @@ class UncertainFrame:
         experiment = self.fitted.experiment
         state = self._state(self.configuration, theta)
         M, K = state.system.M, state.system.K
+        if len(M) > experiment.stories:
+            raise UnsuitableError(
+                "nothing measured the damping of a mass that is attached to a floor: the response of a frame with one "
+                "is not computed; leave that effect out"
+            )
         dashpots, factors = None, None
         if self.kind == "modal":
             C = modal_matrix(M, modes(M, K), ratios.values)

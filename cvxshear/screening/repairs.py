@@ -29,7 +29,7 @@ class Repair:
     Parameters
     ----------
     name : str
-        Of the mistake that it mends, a key of `cvxshear.util.findings.MISTAKES`.
+        Of the mistake that it mends, a key of `cvxshear.measurement.declaration.MISTAKES`.
     found, change : str
         What the mistake would be, and what to change: parts of sentences.
     reading : Reading
@@ -84,6 +84,76 @@ def floors_from_top(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
             "the floors are listed from the top",
             "list each mode's entries from the lowest floor up (and added_mass and what else is given a floor)",
             replace(reading, shapes=reading.shapes[:, ::-1], noise=reading.noise[:, ::-1]),
+            1,
+        )
+
+
+STILL = 3.0
+"""Standard deviations, tolerance included, up to which an entry can be that of a sensor on the ground."""
+
+UNITS = (1e3, 1e-3, 9.80665, 1 / 9.80665)
+"""Factors between units in which sensors are read: m and mm, m/s2 and g."""
+
+
+def other_floors(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
+    """All sensors one floor higher or lower, and each of them by itself; one on the ground shows no motion."""
+    floors, top = reading.floors, reading.stories - 1
+    choices = 2 * (len(floors) + 1)
+    for by, word in ((1, "low"), (-1, "high")):
+        moved = floors + by
+        on = (moved >= 0) & (moved <= top)
+        # What is left out as the ground's must show no motion.
+        still = np.all(np.abs(reading.scaled * reading.weights)[:, moved < 0] < STILL)
+        if np.all(moved <= top) and still and on.any():
+            listed = ", ".join(str(floor + 1) for floor in moved)
+            yield Repair(
+                "sensor_floors",
+                f"the sensors are listed one floor too {word}",
+                f"list them at floors {listed}" + ("" if np.all(on) else " (0 is the ground: leave its entries out)"),
+                replace(reading, floors=moved[on], shapes=reading.shapes[:, on], noise=reading.noise[:, on]),
+                choices,
+            )
+        for column, floor in enumerate(moved.tolist()):
+            if 0 <= floor <= top and floor not in floors:
+                other = np.where(np.arange(len(floors)) == column, floor, floors)
+                yield Repair(
+                    "sensor_floors",
+                    f"the sensor of floor {floors[column] + 1} is listed one floor too {word}",
+                    f"list it at floor {floor + 1}",
+                    replace(reading, floors=other),
+                    choices,
+                )
+
+
+def other_units(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
+    """Each sensor in another unit."""
+    width = len(reading.floors)
+    for column in range(width if width > 1 else 0):
+        for factor in UNITS:
+            scale = np.where(np.arange(width) == column, factor, 1.0)
+            floor = reading.floors[column] + 1
+            yield Repair(
+                "sensor_unit",
+                f"the sensor of floor {floor} is in another unit",
+                f"multiply floor {floor}'s entry in every mode by {factor:.4g}",
+                replace(reading, shapes=reading.shapes * scale, noise=reading.noise * scale),
+                width * len(UNITS),
+            )
+
+
+def drifts(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
+    """Drifts of the stories added up to displacements of the floors."""
+    width = len(reading.floors)
+    if width > 1 and np.array_equal(reading.floors, np.arange(width)):
+        yield Repair(
+            "drifts",
+            "mode_shapes are drifts of the stories",
+            "add the entries of each mode up from the lowest floor",
+            replace(
+                reading,
+                shapes=np.cumsum(reading.shapes, axis=1),
+                noise=np.sqrt(np.cumsum(reading.noise**2, axis=1)),
+            ),
             1,
         )
 
@@ -197,6 +267,9 @@ def entry_signs(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
 KINDS: tuple[Callable[[Reading, Sequence[Modes]], Iterator[Repair]], ...] = (
     transposed,
     floors_from_top,
+    drifts,
+    other_floors,
+    other_units,
     sensor_signs,
     exchanged_sensors,
     other_numbers,

@@ -1,27 +1,138 @@
-"""Everything that looks wrong in an experiment, before anything is fitted to it."""
+"""Everything that looks wrong in an experiment, before anything is fitted to it.
+
+Which mistake, if any, explains what a configuration reads is a matter of odds, as in the loop. A reading, as given
+and after each single repair, is compared with the nearest shear frame; the less its cost C (minus twice the
+logarithm of the likelihood, `shear_fit`), the more probable it is:
+
+    p(as given) ~ exp(-C / 2),        p(repair) ~ exp(-C_r / 2) q / K,
+
+q the probability that a file has this kind of mistake and K the number of places where it can have been made. A reading
+is refused where the repairs together leave less than `LEFT_TO_GIVEN` to it, and those that share the rest are named.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
+from cvxshear.measurement.declaration import NUMBERS
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import Reading
 from cvxshear.measurement.sign_rule import violations
-from cvxshear.screening.finding import Finding
-from cvxshear.screening.mistakes import TALLEST, Verdict, judge
-from cvxshear.screening.total_mass import total_mass
-from cvxshear.screening.units import angular_frequency, gravity, heights, masses
+from cvxshear.screening.doubts import DOUBTS, frequency_units, total_mass
+from cvxshear.screening.repairs import KINDS, Repair
+from cvxshear.screening.results import Finding
+from cvxshear.screening.shear_fit import (
+    NearestFrame,
+    distance,
+    farthest,
+    fit,
+    misfit,
+    modes_at,
+    odd_starts,
+    robust_fit,
+    starts,
+)
 from cvxshear.util.errors import InputError
-from cvxshear.util.findings import NUMBERS
+from cvxshear.util.showing import Shown
+from cvxshear.util.typing import Floats, Json
 
-DOUBTS = (angular_frequency, heights, masses, gravity)
-"""What is looked for in the declaration, whatever the shapes are like."""
-
-SHOWN = 3
+SHOWN_MODES = 3
 """Modes of impossible signs that a finding lists."""
+
+MISTAKEN = 1e-2
+"""Probability that a configuration has a mistake of one kind: of a hundred files one."""
+
+LEFT_TO_GIVEN = 1e-3
+"""Probability of a reading as given, relative to that of its best repair, below which it is refused: a wrong refusal
+costs more than a mistake that is only suspected."""
+
+SUSPICIOUS = 25.0
+"""Cost of a reading as given below which no repair can be that much more probable: it needs 2 log of 1e5."""
+
+ALIKE = 9.0
+"""Repairs whose cost is so near to the best one's are named with it: at least a hundredth as probable."""
+
+PLAUSIBLE = 4.0
+"""Cost a datum: where no more than this is left, a repair explains the reading."""
+
+UNEXPLAINED = 0.25
+"""Share of the cost as given that a repair may leave at most, where that is more."""
+
+FITTED = 6
+"""Repairs of the least misfit to each reference frame that are fitted."""
+
+ROUGH_STEPS = 8
+"""Steps of a fit that only ranks."""
+
+REFITTED = 6
+"""Of these, the best, which are fitted with each tolerance."""
+
+TALLEST = 24
+"""Stories up to which repairs are tried: there are as many as the square of their number, each a fit."""
+
+FAR_DATUM = 3.5
+"""Standard deviations, the smaller tolerance included: a reading none of whose data are farther off is let pass."""
+
+
+class Remark(Protocol):
+    """What a record's own diagnostics say, see `cvxshear.records.record`."""
+
+    @property
+    def kind(self) -> str:
+        """What sort of thing is wrong."""
+
+    @property
+    def message(self) -> str:
+        """What is wrong, with the numbers."""
+
+    def to_dict(self) -> Json:
+        """The remark as plain values."""
+
+
+@dataclass(frozen=True, repr=False)
+class Screening(Shown):
+    """What `check` shows of a file.
+
+    Parameters
+    ----------
+    name : str
+        Of the experiment.
+    accepted : tuple of str
+        Findings that the file declares to be known and right.
+    findings : tuple of Finding
+        Mistakes first, then doubts.
+    record : tuple of Remark
+        What the records behind it say of themselves; empty for a measurement file.
+    """
+
+    name: str
+    accepted: tuple[str, ...]
+    findings: tuple[Finding, ...]
+    record: tuple[Remark, ...] = ()
+
+    @staticmethod
+    def of(experiment: Experiment, record: Iterable[Remark] = ()) -> Screening:
+        """What looks wrong in an experiment, and what was said of the records that it comes from."""
+        return Screening(experiment.name, tuple(experiment.frame.accept), screen(experiment), tuple(record))
+
+    @property
+    def refused(self) -> bool:
+        """Whether nothing is to be fitted before something is changed or accepted."""
+        return any(item.refuses for item in self.findings)
+
+    def to_dict(self) -> Json:
+        """The documented JSON."""
+        return {
+            "name": self.name,
+            "refused": self.refused,
+            "findings": [item.to_dict() for item in self.findings],
+            "record": [item.to_dict() for item in self.record],
+        }
 
 
 def screen(experiment: Experiment) -> tuple[Finding, ...]:
@@ -36,8 +147,8 @@ def screen(experiment: Experiment) -> tuple[Finding, ...]:
     tuple of Finding
         Mistakes first, then warnings; without those that `[frame] accept` lists.
     """
-    found = [item for each in experiment.configurations for item in mistakes(each)]
-    # Shapes that are wrong tell no mass.
+    found = [*frequency_units(experiment), *(item for each in experiment.configurations for item in mistakes(each))]
+    # Frequencies and shapes that are wrong tell no mass.
     for doubt in DOUBTS if found else (total_mass, *DOUBTS):
         said = {item.name for item in found}
         found += [item for item in doubt(experiment) if item.name not in said]
@@ -75,6 +186,85 @@ def _left_to_the_loop(item: Finding, weighed: Collection[str]) -> bool:
     return item.name in NUMBERS and item.configuration in weighed
 
 
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A repair and what is left after it.
+
+    Parameters
+    ----------
+    repair : Repair
+    cost : float
+        Of its fit, less 2 log of its prior odds.
+    prior_cost : float
+        The second part of it.
+    """
+
+    repair: Repair
+    cost: float
+    prior_cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """One configuration as it is given, and after each repair that was fitted.
+
+    Parameters
+    ----------
+    given : NearestFrame
+    judged : tuple of Judged
+        The best first; empty where the reading as given needs none.
+    """
+
+    given: NearestFrame
+    judged: tuple[Judged, ...]
+
+    @property
+    def told(self) -> tuple[Judged, ...]:
+        """The repairs that explain the reading, one of which is needed; none where it may stand as given."""
+        if not self.judged:
+            return ()
+        best = self.judged[0]
+        left = max(PLAUSIBLE * best.repair.reading.count, UNEXPLAINED * self.given.cost)
+        if best.cost - best.prior_cost > left or best.cost - self.given.cost > 2 * np.log(LEFT_TO_GIVEN):
+            return ()
+        return tuple(item for item in self.judged if item.cost - best.cost < ALIKE)
+
+
+def judge(reading: Reading) -> Verdict:
+    """Compare a reading with shear frames, as given and after single repairs."""
+    begin = starts(reading.stories)
+    given = distance(reading, begin)
+    if _may_stand(reading, given):
+        return Verdict(given, ())
+    robust = robust_fit(reading, given.theta)
+    odd = fit(reading, odd_starts(reading.stories), most_steps=ROUGH_STEPS)
+    given = min(given, distance(reading, [robust.theta, odd.theta]), key=lambda item: item.cost)
+    if _may_stand(reading, given):
+        return Verdict(given, ())
+    references = [*begin, robust.theta]
+    frames = [modes_at(theta) for theta in references]
+    candidates = [repair for kind in KINDS for repair in kind(reading, frames)]
+    misfits = np.array([[misfit(repair.reading, frame) for frame in frames] for repair in candidates])
+    nearest = np.unique(np.argsort(misfits, axis=0, kind="stable")[:FITTED])
+    first = {
+        place: fit(candidates[place].reading, [references[int(np.argmin(misfits[place]))]], most_steps=ROUGH_STEPS)
+        for place in nearest.tolist()
+    }
+    order = sorted(first, key=lambda place: first[place].cost)[:REFITTED]
+    judged = [_judged(candidates[place], first[place].theta) for place in order]
+    return Verdict(given, tuple(sorted(judged, key=lambda item: item.cost)))
+
+
+def _may_stand(reading: Reading, given: NearestFrame) -> bool:
+    """Whether no repair can be so much more probable, or nothing is farther off than noise."""
+    return given.cost < SUSPICIOUS or farthest(reading.closer, given.modes) < FAR_DATUM
+
+
+def _judged(repair: Repair, at: Floats) -> Judged:
+    prior_cost = 2 * float(np.log(repair.choices / MISTAKEN))
+    return Judged(repair, distance(repair.reading, [at]).cost + prior_cost, prior_cost)
+
+
 def mistakes(configuration: Configuration) -> list[Finding]:
     """The mistake in one configuration's modes, if there is one."""
     if not configuration.measured.any():
@@ -87,7 +277,7 @@ def mistakes(configuration: Configuration) -> list[Finding]:
     if not broken:
         return []
     change = "no single change mends it: look for more than one mistake" if verdict else "look for a mistake"
-    found = "; ".join(broken[:SHOWN]) + ("; and so on" if len(broken) > SHOWN else "")
+    found = "; ".join(broken[:SHOWN_MODES]) + ("; and so on" if len(broken) > SHOWN_MODES else "")
     return [Finding("signs", configuration.name, found, f"{change} in mode_shapes and modes", refuses=True)]
 
 
@@ -96,7 +286,7 @@ def _told(name: str, verdict: Verdict, broken: list[str]) -> Finding:
     told = verdict.told
     names = list(dict.fromkeys(item.repair.name for item in told))
     evidence = broken[0] if broken else "no shear frame has these modes"
-    before, after = (float(np.sqrt(cost)) for cost in (verdict.given.cost, told[0].cost))
+    before, after = (float(np.sqrt(cost)) for cost in (verdict.given.cost, told[0].cost - told[0].prior_cost))
     return Finding(
         names[0],
         name,

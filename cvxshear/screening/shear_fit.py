@@ -5,37 +5,49 @@ Floor masses and story stiffnesses are those that minimize
     sum (log f_model - log f)^2 / s_f^2 + sum |(1 - u u') W phi|^2 + sum (log m_i)^2 / s_m^2
         + sum (log k_i - mean log k)^2 / s_k^2,      u = W phi_model / |W phi_model|,
 
-the scale of each shape eliminated. What was declared of masses plays no part: one configuration fixes them only up to
-a common factor, and a declaration can be wrong as well. The last two sums say that floors are of the order of each
-other, and so are stories; they decide where the measurement does not.
+the scale of each shape eliminated, by Gauss-Newton (`fit.gauss_newton`). What was declared of masses plays no part: one
+configuration fixes them only up to a common factor, and a declaration can be wrong as well. The last two sums say how
+far floors and stories of one frame differ, as in the loop (`fit.expectation`); they decide where the measurement does
+not.
+
+A story that is a thousand times softer than the others, or a floor as much heavier, is a valley of its own that no even
+frame leads into. So a reading that even frames do not explain is also fitted from frames with one such story or floor.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import dataclasses
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
-from cvxshear.measurement.reading import Reading
+from cvxshear import backends
+from cvxshear.fit.domain import Domain
+from cvxshear.fit.expectation import MASS_WIDTH, STIFFNESS_WIDTH
+from cvxshear.fit.gauss_newton import gauss_newton
+from cvxshear.fit.optimality import PlainResiduals
+from cvxshear.measurement.reading import CLOSER, FARTHER, Reading
 from cvxshear.model.shear import Modes, mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
+from cvxshear.priors import Constraints
+from cvxshear.programs.statements import NamedConstraints
+from cvxshear.util.errors import CvxshearError, NoModesError
 from cvxshear.util.typing import Floats
 
-MASS_SPREAD = 0.6
-"""Standard deviation of the logarithm of a floor's mass."""
+FARTHEST_LOG = 14.0
+"""Bound on the logarithms of masses and stiffnesses about their start: factors of a million, bearings under a house."""
 
-STIFFNESS_SPREAD = 0.8
-"""Standard deviation of the logarithm of a story's stiffness about the mean."""
+STARTING_LOG = 3.0
+"""Logarithm: masses and stiffnesses start no farther than this from their mean."""
 
-WIDEST = 3.0
-"""Logarithm: masses and stiffnesses start no farther than this from their mean, and go no farther from there."""
+ODD = 1e-3
+"""Stiffness of the one story, and inverse mass of the one floor, of the odd frames that a fit starts from."""
 
-EVALUATIONS = 60
-"""At most, in one fit."""
+MOST_FIT_STEPS = 60
+"""Step programs at most, in one fit."""
 
-CONVERGED = 1e-4
-"""Relative change of the cost."""
+ENOUGH = 3e-2
+"""Change of a residual, in standard deviations, of a step that counts as none."""
 
 OUTLIER = 2.0
 """Standard deviations from which on a robust fit pays less and less heed to an entry."""
@@ -43,12 +55,12 @@ OUTLIER = 2.0
 ABOUT = 0.1
 """Standard deviation of the logarithm of a frequency under a frame of about the right proportions."""
 
-ROUNDS = 4
-"""Of weighting anew, in a robust fit."""
+REWEIGHTINGS = 4
+"""Of the entries, in a robust fit."""
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class NearestFrame:
     """A shear frame near a reading.
 
     Parameters
@@ -57,10 +69,13 @@ class Fit:
         Logarithms of masses and stiffnesses, the unit of mass free.
     cost : float
         The sum above.
+    at : PlainResiduals, optional
+        Residuals there.
     """
 
     theta: Floats
     cost: float
+    at: PlainResiduals | None = None
 
     @property
     def modes(self) -> Modes:
@@ -79,19 +94,26 @@ def starts(stories: int) -> list[Floats]:
     return [np.log(np.concatenate([np.ones(stories), np.linspace(1.0, top, stories)])) for top in (1.0, 0.4)]
 
 
+def odd_starts(stories: int) -> list[Floats]:
+    """Even frames but for one soft story, or one heavy floor."""
+    even = np.zeros(2 * stories)
+    changes = np.concatenate([np.full(stories, -np.log(ODD)), np.full(stories, np.log(ODD))])
+    return [even + np.where(np.arange(2 * stories) == place, changes, 0.0) for place in range(2 * stories)]
+
+
 def _tuned(reading: Reading, theta: Floats) -> Floats:
     """The frame with its stiffnesses scaled to the right mean frequency, and nothing far from the mean."""
     by_quantity = theta.reshape(2, -1)
     mean = by_quantity.mean(axis=1, keepdims=True)
-    theta = (mean + np.clip(by_quantity - mean, -WIDEST, WIDEST)).ravel()
+    theta = (mean + np.clip(by_quantity - mean, -STARTING_LOG, STARTING_LOG)).ravel()
     off = np.mean(reading.log_frequencies - np.log(modes_at(theta).frequencies[reading.modes]))
     tuned: Floats = theta + np.repeat([0.0, 2 * off], reading.stories)
     return tuned
 
 
 def fit(
-    reading: Reading, at: Iterable[Floats], *, weights: Floats | None = None, evaluations: int = EVALUATIONS
-) -> Fit:
+    reading: Reading, at: Iterable[Floats], *, weights: Floats | None = None, most_steps: int = MOST_FIT_STEPS
+) -> NearestFrame:
     """The best of the fits that begin at these frames.
 
     Parameters
@@ -100,29 +122,33 @@ def fit(
     at : iterable of ndarray, shape (2N,)
     weights : ndarray, shape (m, n), optional
         In place of the reading's own.
-    evaluations : int, optional
+    most_steps : int, optional
         At most, in each.
     """
-    found = (_fitted(reading, _tuned(reading, theta), weights, evaluations) for theta in at)
+    problem = ShearFrames([(reading, np.zeros(reading.stories), reading.weights if weights is None else weights)])
+    found = (problem.nearest(_tuned(reading, theta), most_steps) for theta in at)
     return min(found, key=lambda item: item.cost)
 
 
-def distance(reading: Reading, at: Iterable[Floats]) -> Fit:
-    """The best fit with either tolerance, its cost that of the likelihood: a wide tolerance must pay for itself.
+def distance(reading: Reading, at: Iterable[Floats]) -> NearestFrame:
+    """The best fit with each tolerance, its cost that of the likelihood: a wide tolerance must pay for itself.
 
     Minus twice the logarithm of the likelihood, but for a constant that is the same for every change of the reading.
     """
-    wide = fit(reading, at)
-    near = fit(reading.closer, [wide.theta])
-    wide = Fit(wide.theta, wide.cost + reading.certainty_lost())
-    return min(wide, near, key=lambda item: item.cost)
+    found = fit(reading, at)
+    each = [NearestFrame(found.theta, found.cost + reading.certainty_lost())]
+    for part in (CLOSER, FARTHER):
+        other = dataclasses.replace(reading, part=part)
+        again = fit(other, [found.theta])
+        each.append(NearestFrame(again.theta, again.cost + other.certainty_lost()))
+    return min(each, key=lambda item: item.cost)
 
 
-def robust_fit(reading: Reading, at: Floats) -> Fit:
+def robust_fit(reading: Reading, at: Floats) -> NearestFrame:
     """A fit that heeds an entry the less the farther it is off (Cauchy's weights, refitted a few times)."""
     weights = reading.weights
     found = fit(reading, [at], weights=weights)
-    for _ in range(ROUNDS):
+    for _ in range(REWEIGHTINGS):
         off = shape_residual(reading, found.modes, reading.weights)
         found = fit(reading, [found.theta], weights=weights / np.sqrt(1 + (off / OUTLIER) ** 2))
     return found
@@ -157,59 +183,67 @@ def farthest(reading: Reading, of: Modes) -> float:
     return float(max(np.max(np.abs(frequency)), np.max(np.abs(shapes))))
 
 
-def _fitted(reading: Reading, start: Floats, weights: Floats | None, evaluations: int) -> Fit:
-    problem = _Problem(reading, start, reading.weights if weights is None else weights)
-    found = least_squares(
-        problem.residual, np.zeros(len(start)), jac=problem.jacobian, method="lm", max_nfev=evaluations,
-        ftol=CONVERGED, xtol=CONVERGED, gtol=CONVERGED,
-    )  # fmt: skip
-    return Fit(problem.theta(found.x), 2 * float(found.cost))
+class ShearFrames:
+    """Shear frames compared with readings of one frame, as a problem in the logarithms of masses and stiffnesses.
 
+    Parameters
+    ----------
+    readings : sequence of (Reading, ndarray, ndarray)
+        Each with its added mass, shape (N,), kg, and the weights of its entries, shape (m, n).
+    centred : bool, optional
+        Whether masses are compared with their mean, and not with 1 kg: where the added masses fix their scale.
+    """
 
-class _Problem:
-    """Residuals and their derivatives by the change of theta from a start."""
-
-    def __init__(self, reading: Reading, start: Floats, weights: Floats) -> None:
-        self.reading, self.start, self.weights = reading, start, weights
-        self.read = weights * reading.scaled
-        self.frequency_std = reading.frequency_std
-        N = reading.stories
-        centred = np.eye(N) - np.full((N, N), 1 / N)
+    def __init__(self, readings: Sequence[tuple[Reading, Floats, Floats]], *, centred: bool = False) -> None:
+        self.readings = readings
+        self.stories = N = readings[0][0].stories
+        about_mean = np.eye(N) - np.full((N, N), 1 / N)
         self.prior = np.zeros((2 * N, 2 * N))
-        self.prior[:N, :N] = np.eye(N) / MASS_SPREAD
-        self.prior[N:, N:] = centred / STIFFNESS_SPREAD
-        self.last: tuple[Floats, Floats, Floats] | None = None
+        self.prior[:N, :N] = (about_mean if centred else np.eye(N)) / MASS_WIDTH
+        self.prior[N:, N:] = about_mean / STIFFNESS_WIDTH
 
-    def theta(self, x: Floats) -> Floats:
-        return self.start + np.clip(x, -WIDEST, WIDEST)
+    def nearest(self, start: Floats, most_steps: int = MOST_FIT_STEPS) -> NearestFrame:
+        """The frame that Gauss-Newton reaches from these logarithms, shape (2N,)."""
+        size = len(start)
+        within = NamedConstraints("reach", Constraints(lower=start - FARTHEST_LOG, upper=start + FARTHEST_LOG))
+        domain = Domain((within,), np.ones(size), np.full(size, np.inf))
+        try:
+            found = gauss_newton(self, start, domain, backends.get("auto"), ENOUGH, most_steps=most_steps)
+        except CvxshearError:
+            # No step from here can be solved in 64 bits: this start leads nowhere.
+            return NearestFrame(start, np.inf)
+        return NearestFrame(found.theta, found.at.objective, found.at)
 
-    def residual(self, x: Floats) -> Floats:
-        return self._at(x)[0]
+    def evaluate(self, theta: Floats, /, *, derivatives: bool = True) -> PlainResiduals:
+        """Residuals of frequencies and shapes, then of the logarithms themselves.
 
-    def jacobian(self, x: Floats) -> Floats:
-        return self._at(x)[1]
-
-    def _at(self, x: Floats) -> tuple[Floats, Floats]:
-        if self.last is None or not np.array_equal(self.last[0], x):
-            self.last = (x.copy(), *self._evaluate(x))
-        return self.last[1:]
-
-    def _evaluate(self, x: Floats) -> tuple[Floats, Floats]:
-        reading, theta = self.reading, self.theta(x)
+        Raises
+        ------
+        NoModesError
+            Where rounding leaves a frequency without a value.
+        """
         value = np.exp(theta)
         mass, stiffness = np.split(value, 2)
-        system = shear_system(mass, stiffness)
-        found = modes(system.M, system.K)
-        dlam, dphi = mode_derivatives(found, system, reading.modes)
-        off = 0.5 * np.log(found.eigenvalues[reading.modes]) - np.log(2 * np.pi) - reading.log_frequencies
-        frequency = off / self.frequency_std
-        d_frequency = 0.5 * dlam / found.eigenvalues[reading.modes] / self.frequency_std
-        psi = self.weights * found.shapes[np.ix_(reading.modes, reading.floors)]
-        share = _share(psi, self.read)
-        d_shape = share * self.weights * dphi[:, :, reading.floors]
-        length = np.linalg.norm(psi, axis=1, keepdims=True)
-        unit = psi / np.where(length > 0, length, 1.0)
-        d_shape -= unit * np.sum(unit * d_shape, axis=2, keepdims=True)
-        measured = np.concatenate([d_frequency, d_shape.reshape(len(value), -1)], axis=1) * value[:, None]
-        r = np.concatenate([frequency, (share * psi - self.read).ravel(), self.prior @ theta])
-        return r, np.concatenate([measured.T, self.prior])
+        residuals, slopes = [], []
+        for reading, added, weights in self.readings:
+            system = shear_system(mass + added, stiffness)
+            found = modes(system.M, system.K)
+            if not found.eigenvalues[0] > 0:
+                raise NoModesError("masses and stiffnesses of the frame differ by more than 64 bits resolve")
+            read = weights * reading.scaled
+            off = 0.5 * np.log(found.eigenvalues[reading.modes]) - np.log(2 * np.pi) - reading.log_frequencies
+            psi = weights * found.shapes[np.ix_(reading.modes, reading.floors)]
+            share = _share(psi, read)
+            residuals += [off / reading.frequency_std, (share * psi - read).ravel()]
+            if derivatives:
+                dlam, dphi = mode_derivatives(found, system, reading.modes)
+                slopes.append(0.5 * dlam / found.eigenvalues[reading.modes] / reading.frequency_std)
+                d_shape = share * weights * dphi[:, :, reading.floors]
+                length = np.linalg.norm(psi, axis=1, keepdims=True)
+                unit = psi / np.where(length > 0, length, 1.0)
+                d_shape -= unit * np.sum(unit * d_shape, axis=2, keepdims=True)
+                slopes.append(d_shape.reshape(len(value), -1))
+        r = np.concatenate([*residuals, self.prior @ theta])
+        if not derivatives:
+            return PlainResiduals(r, np.zeros((0, len(theta))))
+        return PlainResiduals(r, np.concatenate([(np.concatenate(slopes, axis=1) * value[:, None]).T, self.prior]))

@@ -3,13 +3,21 @@
 joblib runs it. Inside `with joblib.parallel_config(backend="dask")`, with a `dask.distributed.Client` open, the same
 calls run on that cluster (the extra `dask`); a worker that is lost has its tasks done again by the others, since
 every task is a pure function of what it is handed.
+
+No process outlives the one that started it, however that ends: each looks after its parent.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import logging
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from typing import TypeVar
+from contextlib import contextmanager
+from typing import Any, TypeVar
 
 from joblib import Parallel, cpu_count, delayed
 from threadpoolctl import threadpool_limits
@@ -17,12 +25,17 @@ from threadpoolctl import threadpool_limits
 from cvxshear.util import checks
 from cvxshear.util.errors import LostProcessError
 
+logger = logging.getLogger(__name__)
+
 T = TypeVar("T")
 U = TypeVar("U")
 
 MOST_JOBS = 4096
 TASKS_A_JOB = 8
 """Chunks that each process gets: enough that none waits long for the last, few enough to send."""
+
+GLANCE = 0.5
+"""s between two looks of a process after its parent: well below the two seconds after which it must have ended."""
 
 Progress = Callable[[int, int], None]
 """Called with the number of things done and to do."""
@@ -53,10 +66,16 @@ def each(function: Callable[[T], U], items: Iterable[T], *, jobs: int = 1, progr
         checks.whole(jobs, "jobs", least=1, most=MOST_JOBS)
     chunks = _chunks(todo, jobs, seen=progress is not None)
     results: list[U] = []
+    options: dict[str, Any] = {} if jobs == 1 else {"initializer": end_with, "initargs": (os.getpid(),)}
     try:
-        # In the order of the chunks, as they become ready.
-        for part in Parallel(n_jobs=jobs, return_as="generator")(delayed(_done)(function, chunk) for chunk in chunks):
+        with _interruption_held():
+            # In the order of the chunks, as they become ready.
+            parts = Parallel(n_jobs=jobs, return_as="generator", **options)(
+                delayed(_done)(function, chunk) for chunk in chunks
+            )
+        for part in parts:
             results += part
+            logger.debug("%d of %d done", len(results), len(todo))
             if progress is not None:
                 progress(len(results), len(todo))
     except BrokenProcessPool:
@@ -80,3 +99,33 @@ def _done(function: Callable[[T], U], items: Sequence[T]) -> list[U]:
     # The matrices are small: threads inside a process among several would only get in each other's way.
     with threadpool_limits(1):
         return [function(item) for item in items]
+
+
+def end_with(parent: int) -> None:
+    """End this process soon after its parent, whatever ends that, and whatever this one is doing.
+
+    Parameters
+    ----------
+    parent : int
+        The parent's number. Whoever loses its parent gets another one.
+    """
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(GLANCE)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _interruption_held() -> Iterator[None]:
+    """Let Ctrl-C wait while processes are started: they inherit that it is none of theirs, and print no traceback."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

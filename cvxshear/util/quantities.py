@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from cvxshear.util.errors import InputError
 
@@ -45,11 +46,15 @@ class Units:
     ----------
     mass, force, length : str or None
         Of `UNITS`. A stiffness has the unit force / length.
+    relative : bool, optional
+        Whether a total mass of 1 stands for one that nobody gave; masses are then shown as parts of it, stiffnesses
+        per mass.
     """
 
     mass: str | None = None
     force: str | None = None
     length: str | None = None
+    relative: bool = False
 
     @staticmethod
     def parse(text: str | None) -> Units:
@@ -60,7 +65,7 @@ class Units:
         InputError
             Where one is none of `UNITS`, or two are of one quantity.
         """
-        found: dict[str, str] = {}
+        found: dict[str, Any] = {}
         for name in [] if text is None else [part.strip() for part in text.split(",") if part.strip()]:
             quantity = next((key for key, units in UNITS.items() if name in units), None)
             if quantity is None:
@@ -73,10 +78,14 @@ class Units:
 
     def of_mass(self, values: Iterable[float]) -> tuple[float, str]:
         """kg in the unit that masses are shown in, and its name."""
+        if self.relative:
+            return 1.0, "of the total"
         return fitting(values, "kg") if self.mass is None else (UNITS["mass"][self.mass], self.mass)
 
     def of_stiffness(self, values: Iterable[float]) -> tuple[float, str]:
         """N/m in the unit that stiffnesses are shown in, and its name."""
+        if self.relative:
+            return 1.0, "1/s² per total mass"
         if self.force is None and self.length is None:
             return fitting(values, "N/m")
         length = self.length or "m"

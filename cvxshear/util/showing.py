@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from cvxshear.util.errors import InputError
+
 
 @dataclass(frozen=True)
 class Renderers:
@@ -20,11 +22,14 @@ class Renderers:
         Its tables as plain text.
     html : callable
         Its tables for a notebook; None where that cannot be made.
+    figure : callable
+        One of its figures, by name; the first where the name is empty.
     """
 
     line: Callable[[Any], str]
     text: Callable[[Any], str]
     html: Callable[[Any], str | None]
+    figure: Callable[[Any, str], Any]
 
 
 _home: list[str] = []
@@ -62,3 +67,26 @@ class Shown:
         """What a notebook shows."""
         renderers = _found()
         return None if renderers is None else renderers.html(self)
+
+    def figure(self, name: str = "") -> Any:
+        """Draw a figure of this result.
+
+        Parameters
+        ----------
+        name : str, optional
+            As `--figure list` prints it; the first figure of such a result where not given.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A notebook shows it as the last expression of a cell.
+
+        Raises
+        ------
+        InputError
+            Where there is no figure of that name, the result does not hold what it shows, or matplotlib is missing.
+        """
+        renderers = _found()
+        if renderers is None:
+            raise InputError("nobody has said how this result is drawn")
+        return renderers.figure(self, name)

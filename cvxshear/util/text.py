@@ -1,6 +1,24 @@
-"""Texts from outside: names are data, and what a person is shown of them must not steer the terminal."""
+"""Texts from outside: a name is data, wherever it is written to.
+
+A person is shown `printable` names, which cannot steer a terminal. A cell of a spreadsheet holds a `cell_text`, which
+no program takes for a formula. A file of names, JSON or TOML, holds them `escaped`: the name itself comes back when it
+is read, and no control character stands in the file.
+"""
 
 from __future__ import annotations
+
+import json
+import os
+import re
+import secrets
+import shlex
+from collections.abc import Iterable
+
+FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
+"""First letters of a formula in spreadsheet programs, the full-width ones among them (OWASP, "CSV injection")."""
+
+STEERING = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff]")
+"""Control characters but the line feed, marks that hide or turn text, separators of lines, halves of surrogates."""
 
 
 def printable(text: str) -> str:
@@ -11,3 +29,60 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(each if each.isprintable() else each.encode("unicode_escape").decode("ascii") for each in text)
+
+
+def cell_text(text: str) -> str:
+    """A text as a cell of a spreadsheet: printable, and led by an apostrophe where it would be taken for a formula."""
+    shown = printable(text)
+    return f"'{shown}" if shown.lstrip(" '").startswith(FORMULA) else shown
+
+
+def escaped(text: str, *, surrogates: bool = False) -> str:
+    r"""JSON or TOML whose strings hold what would steer a terminal as \uXXXX, which means the same there.
+
+    Parameters
+    ----------
+    text : str
+        A whole file, as json or tomli_w write it: such characters stand inside double quotes only.
+    surrogates : bool, optional
+        Whether half a surrogate pair may be written, which JSON allows; elsewhere a replacement character stands for
+        it.
+    """
+
+    def escape(found: re.Match[str]) -> str:
+        code = ord(found[0])
+        return f"\\u{0xFFFD if 0xD800 <= code <= 0xDFFF and not surrogates else code:04x}"
+
+    return STEERING.sub(escape, text)
+
+
+def shell_line(arguments: Iterable[str]) -> str:
+    r"""A command as it is typed in a shell; what would steer a terminal stands as \xNN inside $'...' (bash, zsh)."""
+    return " ".join(shlex.quote(each) if each.isprintable() else f"$'{_shell_escaped(each)}'" for each in arguments)
+
+
+def _shell_escaped(text: str) -> str:
+    quoted = text.replace("\\", "\\\\").replace("'", "\\'")
+    return "".join(
+        each if each.isprintable() else "".join(f"\\x{byte:02x}" for byte in os.fsencode(each)) for each in quoted
+    )
+
+
+def json_text(value: object, *, indent: int = 2, ascii_only: bool = False) -> str:
+    """A value as JSON, each row of numbers in a line; nan cannot stand in JSON and has no place in a result."""
+    rows: list[str] = []
+    mark = secrets.token_hex(8)
+
+    def marked(item: object) -> object:
+        # json writes indented text in Python, number by number, and a row without line breaks in C.
+        if isinstance(item, dict):
+            return {key: marked(each) for key, each in item.items()}
+        if not isinstance(item, list | tuple):
+            return item
+        if not item or not all(each is None or isinstance(each, int | float) for each in item):
+            return [marked(each) for each in item]
+        rows.append(json.dumps(item, allow_nan=False))
+        return f"{mark}{len(rows) - 1}"
+
+    text = escaped(json.dumps(marked(value), indent=indent, allow_nan=False, ensure_ascii=ascii_only), surrogates=True)
+    return re.sub(rf'"{mark}(\d+)"', lambda found: rows[int(found[1])], text)

@@ -7,6 +7,7 @@ what it points to is left alone. A device or a pipe has no old content to keep a
 
 from __future__ import annotations
 
+import logging
 import os
 import secrets
 import stat
@@ -16,6 +17,9 @@ from pathlib import Path
 
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import listed
+from cvxshear.util.text import printable
+
+logger = logging.getLogger(__name__)
 
 OWN_DESCRIPTORS = "/proc/self/fd"
 """Where /dev/stdout and /dev/fd/3 lead to under Linux; opened anew they would be written from their start."""
@@ -51,6 +55,7 @@ def write_file(path: PathLike, content: str | bytes, *, keep: Iterable[PathLike]
             _replace(Path(path), data)
     except OSError as error:
         raise InputError(f"{path} cannot be written: {error.strerror}") from None
+    logger.info("wrote %s, %d bytes", printable(str(path)), len(data))
 
 
 def check_output(path: PathLike, *, endings: Iterable[str] = (), keep: Iterable[PathLike] = ()) -> None:

@@ -1,28 +1,47 @@
-"""Draws the figures of the gallery: `python docs/gallery/draw.py [FOLDER]`; the build of the site runs it."""
+"""Draws the figures of the gallery, all that the table of figures has of a few examples.
 
+`python docs/gallery/draw.py [FOLDER]`; the build of the site runs it.
+"""
+
+import json
 import sys
+import tempfile
+from contextlib import chdir
 from pathlib import Path
+from runpy import run_path
 
 import cvxshear
 from cvxshear.report import figures
+from cvxshear.report.figures.figure_table import applicable
 
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parents[1] / "examples"
 
 
-def draw(folder: Path) -> None:
-    """Write every figure of the gallery into the folder, as SVG."""
-    folder.mkdir(parents=True, exist_ok=True)
-    paper = cvxshear.close_loop(cvxshear.load("paper"))
-    for name in ("frame", "shapes", "residual", "ranking", "mac"):
-        figures.save(getattr(figures, name)(paper), folder / f"paper-{name}.svg")
-    five = cvxshear.close_loop(cvxshear.load(EXAMPLES / "five_story.toml"))
-    for name in ("shapes", "ranking"):
-        figures.save(getattr(figures, name)(five), folder / f"five-story-{name}.svg")
+def results() -> dict[str, object]:
+    """What is drawn, by the name that the pages call it."""
     three = cvxshear.load(EXAMPLES / "three_story.toml")
-    first = cvxshear.identify(three, method="two-stage", initial_mass=[9.5, 7.5, 5.5])
-    figures.save(figures.convergence(first), folder / "convergence.svg")
-    figures.save(figures.backend_differences(cvxshear.compare_backends(three)), folder / "backends.svg")
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+        run_path(str(EXAMPLES / "before_and_after.py"))
+        story = cvxshear.load(Path(folder) / "before_and_after.toml")
+    return {
+        "paper": cvxshear.close_loop(cvxshear.load("paper")),
+        "five-story": cvxshear.close_loop(cvxshear.load(EXAMPLES / "five_story.toml")),
+        "story": cvxshear.close_loop(story),
+        "three-story": cvxshear.identify(three, method="two-stage", initial_mass=[9.5, 7.5, 5.5]),
+        "backends": cvxshear.compare_backends(three),
+    }
+
+
+def draw(folder: Path) -> None:
+    """Write every figure into the folder, as SVG, and beside it what the table says of it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    words = {}
+    for name, result in results().items():
+        for entry in applicable(result):
+            figures.save(entry.draw(result), folder / f"{name}-{entry.name}.svg")
+            words[f"{name} {entry.name}"] = [entry.title, entry.alternative_of(result), entry.caption_of(result)]
+    (folder / "figures.json").write_text(json.dumps(words), encoding="utf-8")
 
 
 if __name__ == "__main__":

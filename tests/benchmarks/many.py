@@ -5,9 +5,9 @@ import time
 import numpy as np
 
 from cvxshear import Experiment, close_loop, identify
-from cvxshear.studies.batch import one_shot_batch, two_stage_batch
-from cvxshear.studies.parallel import identify_many
-from cvxshear.studies.setups import three_story
+from cvxshear.paper.batch import one_shot_batch, two_stage_batch
+from cvxshear.paper.setups import three_story
+from cvxshear.util.parallel import each
 from tests.benchmarks.timing import fastest, shown, table
 from tests.frames import configuration, experiment, modes_of
 
@@ -59,8 +59,8 @@ def _processes():
     setup = three_story(0.05)
     frequencies, shapes = setup.draw(np.random.default_rng(1), 200)
     samples = [setup.experiment(*pair) for pair in zip(frequencies, shapes, strict=True)]
-    identify_many(samples[:4], jobs=2)  # the processes stay
-    one, two = (fastest(lambda jobs=jobs: identify_many(samples, jobs=jobs), 2)[0] for jobs in (1, 2))
+    each(identify, samples[:4], jobs=2)  # the processes stay
+    one, two = (fastest(lambda jobs=jobs: each(identify, samples, jobs=jobs), 2)[0] for jobs in (1, 2))
     return [[1, shown(one), "1"], [2, shown(two), f"{one / two:.1f}"]]
 
 

@@ -6,8 +6,8 @@ from scipy.optimize import least_squares, minimize
 
 from cvxshear import identify
 from cvxshear.programs import mass_correction
-from cvxshear.programs.mass import normalized
-from cvxshear.studies.scaling import exact_experiment
+from cvxshear.programs.orthogonality import normalized
+from tests.benchmarks.scaling import exact_experiment
 from tests.benchmarks.solvers import built_anew
 from tests.benchmarks.timing import fastest, shown, table
 

@@ -20,7 +20,7 @@ from scipy import signal
 import cvxshear
 from cvxshear import backends
 from cvxshear.fit.efficient import efficient
-from cvxshear.modal.motion import Drive, Motion
+from cvxshear.records.motion import Drive, Motion
 from cvxshear.response import Fitted, Models, reconstruct
 from cvxshear.util.parallel import each
 from tests.fe.frame import Building, sway_modes

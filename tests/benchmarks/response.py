@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 from scipy import signal
 
-from cvxshear.modal.motion import Drive
+from cvxshear.records.motion import Drive
 from cvxshear.report.handover import state_space
 from cvxshear.response import DampedModel, response
 from tests.benchmarks.timing import fastest, shown, table

@@ -18,7 +18,7 @@ import numpy as np
 import cvxshear
 from cvxshear import backends
 from cvxshear.fit.efficient import efficient
-from cvxshear.modal.motion import Drive
+from cvxshear.records.motion import Drive
 from cvxshear.response import DampedModel, Fitted, response
 from cvxshear.response.peaks import largest
 from cvxshear.response.uncertain import UncertainFrame, propagated, sampled

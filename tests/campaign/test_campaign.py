@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.campaign import IdentifiedRecord, identify_modes_many, merged, record_files, write_merged
+from cvxshear.files.modes import IdentifiedRecord, identify_modes_many, merged, record_files, write_merged
 from cvxshear.modal import from_arrays
 from cvxshear.util.errors import InputError, NoSolutionError
 from tests.campaign.shared import ADDED, MASSES, SOFTER, STIFFNESSES, frame, write_records

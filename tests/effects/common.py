@@ -66,7 +66,7 @@ def modes_with(effects: list[Placed], *own: float, number: int = 0, stiffness: F
     """The modes of that configuration, as the sensors show them."""
     state = composed(effects, *own, number=number, stiffness=stiffness)
     found = modes(state.system.M, state.system.K)
-    return dataclasses.replace(found, shapes=state.gain * found.shapes)
+    return dataclasses.replace(found, shapes=state.observation.shown(found.shapes))
 
 
 def frequency_gap(model: Modes, fe: SwayModes) -> float:

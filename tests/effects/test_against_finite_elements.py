@@ -9,6 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cvxshear.data.pairing import numbered
+from cvxshear.effects.attached_mass import LEAST_MASS
+from cvxshear.model.shear import frame_modes, modes
 from tests.effects.common import (
     HEIGHTS,
     MASS,
@@ -17,13 +20,14 @@ from tests.effects.common import (
     assert_same,
     building,
     composed,
+    experiment,
     frequency_gap,
     modes_with,
     placed,
     shape_gap,
 )
 from tests.fe import experiments as fe
-from tests.fe.frame import SwayModes, sway_modes
+from tests.fe.frame import SwayModes, assemble, sway_modes
 
 NUMBERS = (0, 1)
 TOP = float(HEIGHTS.sum())
@@ -210,6 +214,169 @@ def test_changed_story_between_joints_that_turn():
     effects = [placed("joint_rotation"), placed("story_change", story=2, state="loaded")]
     frame = fe.with_story_change(fe.with_turning_joints(building(1), 0.5), -0.3, 2)
     assert_same(modes_with(effects, 0.5, -0.3, number=1), sway_modes(frame))
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+@pytest.mark.parametrize("floors", [(1, 3), (2, 4), (1, 4)])
+@pytest.mark.parametrize("s", [200.0, 4000.0, 20000.0])
+def test_spring(s, floors, number):
+    """Exact: a diagonal over two or three stories, whose columns do not stretch."""
+    tie = placed("spring", floor=floors[0], to=floors[1])
+    assert_same(modes_with([tie], s, number=number), sway_modes(fe.with_tie(building(number), s, floors)))
+
+
+@pytest.mark.parametrize("e", [-0.02, -0.2, 0.3])
+def test_state_stiffness(e):
+    there = placed("state_stiffness", state="loaded")
+    assert_same(modes_with([there], e, number=1), sway_modes(fe.with_softer_state(building(1), e)))
+    assert_same(modes_with([there], e, number=0), sway_modes(building(0)))
+
+
+def test_a_softer_state_of_a_braced_frame_whose_joints_turn():
+    """Braces, columns and beams are of one material, and a story that lost its braces in part has less of them."""
+    effects = [
+        placed("joint_rotation"),
+        placed("bracing"),
+        placed("state_stiffness", state="loaded"),
+        placed("story_change", story=3, state="loaded"),
+    ]
+    frame = fe.with_softer_state(fe.with_turning_joints(building(1), 0.5), -0.2)
+    frame = fe.with_braces(replace(frame, beam_bending=0.6 * frame.beam_bending), 0.4)
+    braces = frame.brace_axial.copy()
+    braces[2] *= (0.4 - 0.1) / 0.4
+    model = modes_with(effects, 0.5, 0.4, -0.2, -0.1, number=1)
+    assert_same(model, sway_modes(replace(frame, brace_axial=braces)))
+
+
+@pytest.mark.parametrize("e", [-0.05, 0.02, 0.3])
+def test_state_mass(e):
+    there = placed("state_mass", state="loaded")
+    frame = replace(building(1), floor_mass=building(1).floor_mass + e * building(0).floor_mass)
+    assert_same(modes_with([there], e, number=1), sway_modes(frame))
+    assert_same(modes_with([there], e, number=0), sway_modes(building(0)))
+
+
+@pytest.mark.parametrize("e", [-0.1, 0.02, 0.3])
+def test_load_scale(e):
+    added = building(1).floor_mass - building(0).floor_mass
+    frame = replace(building(1), floor_mass=building(0).floor_mass + (1.0 + e) * added)
+    assert_same(modes_with([placed("load_scale")], e, number=1), sway_modes(frame))
+    assert_same(modes_with([placed("load_scale")], e, number=0), sway_modes(building(0)))
+
+
+@pytest.mark.parametrize("floor", [0, 1, 2, 3, 4])
+@pytest.mark.parametrize("rho", [0.02, 0.5, 20.0])
+def test_joint_release(rho, floor):
+    """Exact: springs between the columns, which run through, and the beams of one floor, or under the feet."""
+    there = placed("joint_release", floor=floor, state="loaded")
+    assert_same(modes_with([there], rho, number=1), sway_modes(fe.with_loose_joints(building(1), rho, floor)))
+    assert_same(modes_with([there], rho, number=0), sway_modes(building(0)))
+
+
+@pytest.mark.parametrize("floor", [0, 2, 4])
+def test_loose_joints_of_beams_that_bend(floor):
+    """The connection turns besides the beam: their flexibilities add up."""
+    effects = [placed("joint_rotation"), placed("joint_release", floor=floor, state="loaded")]
+    frame = fe.with_loose_joints(fe.with_turning_joints(building(1), 0.4), 0.7, floor)
+    assert_same(modes_with(effects, 0.4, 0.7, number=1), sway_modes(frame))
+
+
+def test_a_hinge_at_both_ends_of_a_story():
+    """Columns of one story between hinges leave it three quarters softer each time, and none of it in the end."""
+    base = placed("joint_release", floor=0, state="loaded")
+    k = composed([base], 1e9, number=1).system.K.sum()
+    assert k == pytest.approx(STIFFNESS[0] / 4, rel=1e-6)
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+@pytest.mark.parametrize("beta", [0.05, 0.4, 0.9])
+def test_bracing(beta, number):
+    """Exact: crossing diagonals beside columns whose joints turn; without turning joints they cannot be told."""
+    frame = fe.with_braces(fe.with_turning_joints(building(number), 0.5), beta)
+    # The beams stay those of the unbraced frame: measured by the columns left over they are 1 / (1 - beta) as stiff.
+    effects = [placed("joint_rotation"), placed("bracing")]
+    assert_same(modes_with(effects, 0.5 * (1.0 - beta), beta, number=number), sway_modes(frame))
+    assert_same(modes_with([placed("bracing")], beta), sway_modes(fe.with_braces(building(), beta)))
+
+
+@pytest.mark.parametrize("change", [-0.6, -0.1, 0.1, 0.6])
+def test_a_braced_story_that_changes(change):
+    """Its braces change first, until they are gone or twice what they were; then its columns."""
+    effects = [placed("joint_rotation"), placed("bracing"), placed("story_change", story=2, state="loaded")]
+    beta, columns = 0.3, STIFFNESS.copy()
+    frame = fe.with_braces(fe.with_turning_joints(building(1), 0.5), beta)
+    braces, columns = frame.brace_axial.copy(), frame.story_stiffness.copy()
+    of_braces = np.clip(change, -beta, beta)
+    braces[1] *= 1.0 + of_braces / beta
+    columns[1] *= 1.0 + (change - of_braces) / (1.0 - beta)
+    frame = replace(frame, brace_axial=braces, story_stiffness=columns)
+    model = modes_with(effects, 0.5 * (1.0 - beta), beta, change, number=1)
+    assert_same(model, sway_modes(frame), within=1e-10)
+
+
+@pytest.mark.parametrize("beta", [0.3, 0.8])
+def test_chord_drift_of_a_braced_frame(beta):
+    """Diagonals pull at the columns they end at: chord drift adds to the sway of braces and of columns alike."""
+    inverse_EI = 0.9 * SWAY / TOP**3
+    braced = fe.with_long_columns(fe.with_braces(building(), beta), inverse_EI)
+    model = modes_with([placed("axial_columns"), placed("bracing")], inverse_EI, beta)
+    assert_same(model, sway_modes(braced))
+
+
+@pytest.mark.parametrize("floor", [1, 3])
+@pytest.mark.parametrize("g", [-0.2, 0.02, 0.15])
+def test_sensor_gain_in_one_state(floor, g):
+    there = placed("sensor_gain", floor=floor, state="loaded")
+    seen = sway_modes(building(1))
+    seen.shapes[floor - 1] *= 1.0 + g
+    assert_same(modes_with([there], g, number=1), seen)
+    assert_same(modes_with([there], g, number=0), sway_modes(building(0)))
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+@pytest.mark.parametrize("floor", [1, 3, 4])
+@pytest.mark.parametrize(("mass", "tuning"), [(0.05, 0.6), (0.4, 0.98), (2.0, 1.0), (3.0, 2.3)])
+def test_attached_mass(mass, tuning, floor, number):
+    """All five modes of four floors and a mass on a spring, slower than the first, tuned to it, between two modes."""
+    frequency = tuning * sway_modes(building(0)).frequencies[0]
+    there = placed("attached_mass", floor=floor)
+    # What the model has more than its parameter says, so that it has modes where that is zero.
+    more = LEAST_MASS * MASS.mean()
+    model = modes_with([there], mass - more, frequency, number=number)
+    frame = replace(building(number), attached=((floor, mass, mass * (2 * np.pi * frequency) ** 2),))
+    assembled = assemble(frame)
+    eigenvalues, shapes = assembled.modes()
+    floors = shapes[[assembled.coordinates["sway", i] for i in range(1, 5)]]
+    assert len(model.frequencies) == 5
+    assert_same(model, SwayModes(np.sqrt(eigenvalues) / (2 * np.pi), floors), within=1e-9)
+
+
+def test_modes_are_numbered_without_the_attached_mass():
+    """Its own mode is left out, wherever among the others it lies; of a pair that share it, what was not measured."""
+    plain = sway_modes(building(0)).frequencies
+    for tuning, own in ((0.5, 0), (1.7, 1), (5.0, 4)):
+        there = placed("attached_mass", floor=4)
+        state = composed([there], 0.02, tuning * plain[0])
+        found = modes(state.system.M, state.system.K)
+        test = replace_frequencies(plain)
+        np.testing.assert_array_equal(numbered(test, found, state.system.M), np.delete(np.arange(5), own))
+        assert frame_modes(found, state.system.M, 4).tolist() == [mode for mode in range(5) if mode != own]
+    state = composed([placed("attached_mass", floor=4)], 1.0, plain[0])
+    found = modes(state.system.M, state.system.K)
+    f = found.frequencies
+    assert f[0] < plain[0] < f[1]
+    for seen in ([0, 2, 3, 4], [1, 2, 3, 4], [0, 1, 2, 3]):
+        assert numbered(replace_frequencies(f[seen]), found, state.system.M).tolist() == seen
+
+
+def replace_frequencies(measured):
+    """A test of the frame in which these frequencies were found."""
+    return replace(
+        experiment().configurations[0],
+        frequencies=np.array(measured),
+        modes=np.arange(1, len(measured) + 1),
+        mode_shapes=np.full((len(measured), 4), np.nan),
+    )
 
 
 def test_many_effects_at_once():

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import re
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from cvxshear.effects import Effect, Parameter, Place, Placed, Scale, catalogue,
 from cvxshear.effects import registry as registry_module
 from cvxshear.effects.state import STAGES
 from cvxshear.measurement.experiment import Experiment, Frame
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, NoModesError
 from tests.effects.common import ADDED, HEIGHTS, MASS, NAMES, STIFFNESS, composed, experiment, placed, theta
 from tests.effects.test_derivatives import CASES
 
@@ -25,9 +24,19 @@ ACTING = [
     "mass_coupling",
     "sensor_gain",
     "story_change",
+    "spring",
+    "state_stiffness",
+    "state_mass",
+    "load_scale",
+    "joint_release",
 ]
-TEN = [*ACTING, "total_mass"]
-"""The last changes what the masses must add up to, and no matrix."""
+BESIDE_OTHERS = ["bracing"]
+"""What changes a matrix only beside another effect."""
+WITH_A_MOTION = ["attached_mass"]
+"""What has two parameters and a motion of its own."""
+OF_STATEMENTS = ["total_mass", "wrong_prior"]
+"""What changes a statement about the frame, and no matrix."""
+ALL = [*ACTING, *BESIDE_OTHERS, *WITH_A_MOTION, *OF_STATEMENTS]
 UNITS = {
     "gravity": [("gamma", "")],
     "joint_rotation": [("eta", "")],
@@ -39,8 +48,23 @@ UNITS = {
     "sensor_gain": [("g", "")],
     "story_change": [("change", "")],
     "total_mass": [("e", "")],
+    "spring": [("s", "N/m")],
+    "state_stiffness": [("e", "")],
+    "state_mass": [("e", "")],
+    "load_scale": [("e", "")],
+    "joint_release": [("rho", "")],
+    "bracing": [("beta", "")],
+    "wrong_prior": [],
 }
-NEVER_NEGATIVE = ["joint_rotation", "axial_columns", "base_rocking", "ground_spring", "mass_coupling"]
+NEVER_NEGATIVE = [
+    "joint_rotation", "axial_columns", "base_rocking", "ground_spring", "mass_coupling", "spring", "joint_release",
+    "bracing",
+]  # fmt: skip
+EITHER_SIGN = [
+    "added_mass", "sensor_gain", "story_change", "state_stiffness", "state_mass", "load_scale",
+]  # fmt: skip
+SEVERAL_STATES = ["added_mass", "story_change", "state_stiffness", "state_mass", "joint_release"]
+RATIOS_OF_HEIGHTS = ["joint_rotation", "axial_columns", "base_rocking", "joint_release"]
 FOUR = [1, 2, 3, 4]
 
 
@@ -61,11 +85,12 @@ def one(name):
     return effect
 
 
-def test_ten_effects_in_their_order():
-    assert [effect.name for effect in catalogue()] == TEN
+def test_each_effect_is_there_once():
+    names = [effect.name for effect in catalogue()]
+    assert sorted(names) == sorted(ALL)
 
 
-@pytest.mark.parametrize("name", TEN)
+@pytest.mark.parametrize("name", sorted(set(ALL) - {"wrong_prior", *WITH_A_MOTION}))
 def test_parameters(name):
     effect = one(name)
     assert [(each.name, each.unit) for each in effect.parameters] == UNITS[name]
@@ -88,19 +113,19 @@ def test_what_cannot_be_negative(name):
     assert one(name).parameters[0].lower == 0.0
 
 
-@pytest.mark.parametrize("name", ["added_mass", "sensor_gain", "story_change"])
+@pytest.mark.parametrize("name", EITHER_SIGN)
 def test_what_may_have_either_sign(name):
     (parameter,) = one(name).parameters
     assert parameter.lower < 0 < parameter.upper
 
 
-@pytest.mark.parametrize("name", ["sensor_gain", "story_change"])
+@pytest.mark.parametrize("name", sorted(set(EITHER_SIGN) - {"added_mass"}))
 def test_what_cannot_turn_the_sign_of_what_it_multiplies(name):
     assert one(name).parameters[0].lower > -1
 
 
 @pytest.mark.parametrize("number", range(len(NAMES)))
-@pytest.mark.parametrize("name", ACTING)
+@pytest.mark.parametrize("name", [*ACTING, *BESIDE_OTHERS])
 def test_null_value_leaves_the_shear_frame(name, number):
     effect, _ = CASES[name]
     state = composed([effect], effect.effect.parameters[0].null, number=number)
@@ -134,9 +159,18 @@ def test_any_other_value_does_not(name):
         ("base_rocking", [Place()]),
         ("mass_coupling", [Place()]),
         ("ground_spring", [Place(floor=floor) for floor in FOUR[1:]]),
-        ("sensor_gain", [Place(floor=floor) for floor in FOUR]),
+        (
+            "sensor_gain",
+            [Place(floor=floor, state=name) for floor in FOUR for name in (None, *NAMES)],
+        ),
         ("added_mass", [Place(floor=floor, state=name) for floor in FOUR for name in NAMES]),
         ("story_change", [Place(story=story, state=name) for story in FOUR for name in NAMES]),
+        ("spring", [Place(floor=1, to=3), Place(floor=1, to=4), Place(floor=2, to=4)]),
+        ("state_stiffness", [Place(state=name) for name in NAMES]),
+        ("state_mass", [Place(state=name) for name in NAMES]),
+        ("load_scale", [Place()]),
+        ("joint_release", [Place(floor=floor, state=name) for floor in range(5) for name in NAMES]),
+        ("bracing", [Place()]),
     ],
 )
 def test_places(name, expected):
@@ -147,13 +181,35 @@ def test_places(name, expected):
 
 def test_no_gain_where_there_is_no_sensor():
     tested = experiment(measured_floors=[1, 3, 4], mode_shapes=[[1.0, 2.0, 3.0]])
-    assert [place.floor for place in one("sensor_gain").places(tested)] == [1, 3, 4]
+    assert {place.floor for place in one("sensor_gain").places(tested)} == {1, 3, 4}
+
+
+def test_a_gain_in_one_state_where_other_states_tell():
+    """With shapes in one state alone it is the gain in every test."""
+    declared = experiment().to_dict()
+    declared["configuration"][0] = {"name": "plain", "frequencies": [2.0]}
+    places = one("sensor_gain").places(Experiment.from_dict(declared))
+    assert places == [Place(floor=floor) for floor in FOUR]
+
+
+def test_what_is_looked_for_only_where_it_could_be_told():
+    alone = experiment(configurations=1)
+    assert one("load_scale").lacks(alone) == "added_mass"
+    two = experiment()
+    unknown = dataclasses.replace(two, frame=Frame(stories=4))
+    assert one("load_scale").lacks(unknown) == "total_mass or floor_masses"
+    low = Experiment.from_dict(
+        {"frame": {"stories": 2, "total_mass": 4.0}, "configuration": [{"name": "one", "frequencies": [1.0]}]}
+    )
+    assert one("spring").lacks(low) == "three stories"
+    assert one("spring").places(low) == []
 
 
 @pytest.mark.parametrize("name", ACTING)
 def test_several_states_where_they_are_needed(name):
     lacking = one(name).lacks(experiment(configurations=1))
-    assert lacking == ("several states" if name in ("added_mass", "story_change") else "")
+    expected = "several states" if name in SEVERAL_STATES else "added_mass" if name == "load_scale" else ""
+    assert lacking == expected
     assert one(name).lacks(experiment()) == ""
 
 
@@ -161,10 +217,10 @@ def test_several_states_where_they_are_needed(name):
 def test_heights_where_they_are_needed(name):
     """Weight needs them in metres; what needs only their ratios takes them as equal, and says so."""
     assert one(name).lacks(experiment(heights=False)) == ("story_heights" if name == "gravity" else "")
-    assert one(name).uses_heights == (name in ("joint_rotation", "axial_columns", "base_rocking"))
+    assert one(name).uses_heights == (name in RATIOS_OF_HEIGHTS)
 
 
-@pytest.mark.parametrize("name", sorted(set(ACTING) - {"gravity", "joint_rotation", "axial_columns", "base_rocking"}))
+@pytest.mark.parametrize("name", sorted(set(ACTING) - {"gravity", *RATIOS_OF_HEIGHTS}))
 def test_what_needs_no_heights_does_without(name):
     """The same matrices whether or not heights are declared."""
     effect, value = CASES[name]
@@ -212,6 +268,13 @@ def test_flexibilities_add_up():
     np.testing.assert_allclose(np.linalg.inv(state.system.K), expected, rtol=1e-11)
 
 
+def test_a_flexibility_that_leaves_no_stiffness_is_no_model():
+    """A trial far outside may be singular to the last digit; a search leaves it out like one that buckles."""
+    plain = composed([placed("ground_spring", floor=4)], 0.0)
+    with pytest.raises(NoModesError, match="singular with the flexibility"):
+        plain.with_stiffness(np.eye(4), np.zeros((9, 4, 4))).with_flexibility(-1.0, np.eye(4), slice(8, 9))
+
+
 def test_gravity_weighs_what_is_declared_and_what_is_not():
     """P_i counts floors, declared added mass and the mass that the declaration misses, floor i's own included."""
     effects = [placed("gravity"), placed("added_mass", floor=3, state="loaded")]
@@ -230,6 +293,9 @@ class Damper(Effect):
     source = "none"
     stage = "spring"
     parameters = (Parameter("mass", "kg", lower=0.0), Parameter("s", "N/m"))
+
+    def sizes(self, of):
+        return np.array([0.1 * of.floor_mass, 0.1 * of.story_stiffness])
 
     def apply(self, state, place, values, own):
         system = state.system
@@ -250,7 +316,8 @@ def own_catalogue(monkeypatch):
 @pytest.mark.usefixtures("own_catalogue")
 def test_an_effect_of_ones_own():
     register(Damper())
-    assert [effect.name for effect in catalogue()] == [*TEN, "locked_damper"]
+    assert sorted(effect.name for effect in catalogue()) == sorted([*ALL, "locked_damper"])
+    assert catalogue()[-1].name == "locked_damper"
     (effect,) = named(["locked_damper"])
     assert effect.places(experiment()) == [Place()]
     assert effect.lacks(experiment(configurations=1, heights=False)) == ""
@@ -268,12 +335,12 @@ def test_an_effect_of_the_same_name_takes_the_place_of_the_old():
         summary = "another"
 
     register(Heavier())
-    assert len(catalogue()) == len(TEN)
+    assert len(catalogue()) == len(ALL)
     assert one("ground_spring").summary == "another"
 
 
 def test_registered_effects_do_not_outlive_their_test():
-    assert [effect.name for effect in catalogue()] == TEN
+    assert sorted(effect.name for effect in catalogue()) == sorted(ALL)
 
 
 def test_a_name_that_is_not_there():
@@ -286,7 +353,11 @@ def test_labels():
     assert placed("gravity").label == "gravity"
     assert placed("ground_spring", floor=4).label == "ground spring at floor 4"
     assert placed("story_change", story=2, state="loaded").label == 'story change at story 2 of "loaded"'
-    assert Place(floor=2).to_dict() == {"floor": 2, "story": None, "configuration": None}
+    assert Place(floor=2).to_dict() == {
+        "floor": 2, "to": None, "story": None, "configuration": None, "prior": None,
+    }  # fmt: skip
+    assert Place(floor=2, to=6).label("spring") == "spring between floors 2 and 6"
+    assert Place(floor=0, state="after").label("joint release") == 'joint release at the base of "after"'
 
 
 def test_bounds_are_numbers():
@@ -334,24 +405,103 @@ def test_an_effect_brings_its_own_size_and_probability():
         gain.expecting(probability=1.5)
 
 
-def test_the_size_of_an_effect_in_words():
-    scale = Scale(10.0, 2e4, HEIGHTS)
-    said = {
-        "added_mass": one("added_mass").phrase(
-            Place(floor=3, state="after"), np.array([3.01]), np.array([0.03]), scale, ["kg"]
-        ),
-        "story_change": one("story_change").phrase(
-            Place(story=2, state="after"), np.array([-0.15]), np.array([0.01]), scale, [""]
-        ),
-        "sensor_gain": one("sensor_gain").phrase(Place(floor=4), np.array([0.1]), np.array([0.005]), scale, [""]),
-        "damper": Damper().phrase(Place(), np.array([2.0, 3e4]), np.array([0.1, 1e3]), scale, ["kg", "N/m"]),
-    }
-    assert said["added_mass"].startswith("an undeclared mass of 3.01")
-    assert said["added_mass"].endswith('kg on floor 3 of "after"')
-    assert "a loss of 15" in said["story_change"]
-    assert re.fullmatch(r'a loss of .* of the stiffness of story \d in "after"', said["story_change"])
-    assert "floor 4 that reads 10" in said["sensor_gain"]
-    assert said["sensor_gain"].endswith("% too much")
-    assert "mass = 2" in said["damper"]
-    assert "s = 3" in said["damper"]
-    assert "N/m" in said["damper"]
+SCALE = Scale(10.0, 2e4, np.full(4, 0.4))
+SAID = [
+    ("gravity", {}, 1.1, 0.05, "the weight above takes 1.100 ± 0.050 times P/h from every story's stiffness"),
+    ("joint_rotation", {}, 0.3, 0.02, "adds 30.0 ± 2.0 % to the sway of a story among equal ones (eta = 0.3)"),
+    ("axial_columns", {}, 5e-6, 1e-6, "the columns stretch and shorten, which adds 3.4 % to the sway of the top"),
+    ("base_rocking", {}, 1e-5, 1e-6, "the base turns, which adds 13 % to the sway of the top"),
+    ("ground_spring", {"floor": 3}, 2e4, 1e3, "a spring of 20.0 ± 1.0 kN/m ties floor 3 to the ground"),
+    ("spring", {"floor": 2, "to": 4}, 746e3, 55e3, "a spring of 746 ± 55 kN/m ties floors 2 and 4"),
+    (
+        "added_mass", {"floor": 2, "state": "after"}, 0.78, 0.05,
+        'floor 2 carries 0.780 ± 0.050 kg more in "after" than declared',
+    ),
+    (
+        "added_mass", {"floor": 2, "state": "after"}, -0.78, 0.05,
+        'floor 2 carries 0.780 ± 0.050 kg less in "after" than declared',
+    ),
+    ("mass_coupling", {}, 1.2, 0.1, "the columns of a story weigh 1.20 ± 0.10 kg, and their mass moves with both"),
+    ("sensor_gain", {"floor": 4}, 0.1, 0.005, "the sensor at floor 4 reads 10.00 ± 0.50 % too much"),
+    (
+        "sensor_gain", {"floor": 4, "state": "after"}, -0.1, 0.005,
+        'the sensor at floor 4 reads 10.00 ± 0.50 % too little in "after"',
+    ),
+    (
+        "story_change", {"story": 3, "state": "after"}, -0.151, 0.004,
+        'story 3 lost 15.10 ± 0.40 % of its stiffness in "after"',
+    ),
+    ("story_change", {"story": 3, "state": "after"}, 0.2, 0.01, 'story 3 is 20.0 ± 1.0 % stiffer in "after"'),
+    ("state_stiffness", {"state": "after"}, -0.0909, 0.005, 'all stories of "after" are 9.09 ± 0.50 % softer'),
+    ("state_mass", {"state": "after"}, 0.1, 0.005, 'all floors of "after" are 10.00 ± 0.50 % heavier'),
+    ("load_scale", {}, -0.1, 0.01, "the added masses are 10.0 ± 1.0 % lighter than declared"),
+    ("total_mass", {}, 0.07, 0.01, "the frame is 7.0 ± 1.0 % heavier than its declared total mass"),
+    ("bracing", {}, 0.4, 0.02, "braces make up 40.0 ± 2.0 % of the stiffness of every story"),
+    # One hinged end of two columns: the stiffness 1 - (rho / 4) / (1 + 2 rho / 3) of each.
+    (
+        "joint_release", {"floor": 2, "state": "after"}, 0.6, 0.1,
+        'the joints of floor 2 are loose in "after", which costs stories 2 and 3 about 10.7 ± 1.3 % of their stiffness',
+    ),
+    (
+        "joint_release", {"floor": 0, "state": "after"}, 0.6, 0.1,
+        'the feet of the columns are loose in "after", which costs story 1 12.5 ± 1.7 % of its stiffness',
+    ),
+    (
+        "joint_release", {"floor": 4, "state": "after"}, 0.6, 0.1,
+        'the joints of floor 4 are loose in "after", which costs story 4 12.5 ± 1.7 % of its stiffness',
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "place", "value", "std", "expected"), SAID)
+def test_an_effect_in_words(name, place, value, std, expected):
+    effect = one(name)
+    units = [item.unit for item in effect.parameters]
+    said = effect.phrase(Place(**place), np.array([value]), np.array([std]), SCALE, units)
+    assert expected in said
+    assert said[0].islower()
+
+
+def test_every_effect_is_said_in_words():
+    assert {item[0] for item in SAID} == set(ALL) - {"wrong_prior", *WITH_A_MOTION}
+    said = one("attached_mass").phrase(
+        Place(floor=3), np.array([1.2, 2.1]), np.array([0.1, 0.02]), SCALE, ["kg", "Hz"]
+    )
+    assert said == "a mass of 1.20 ± 0.10 kg swings on floor 3 at 2.100 ± 0.020 Hz of its own"
+
+
+def test_an_attached_mass_is_looked_for_about_the_measured_frequencies():
+    """And vanishes, but for a motion that no sensor shows, where it has no mass."""
+    tested = experiment()
+    (effect,) = named(["attached_mass"])
+    mass, frequency = effect.bound(tested).parameters
+    assert [(item.name, item.unit) for item in (mass, frequency)] == [("mass", "kg"), ("frequency", "Hz")]
+    assert (mass.lower, mass.null) == (0.0, 0.0)
+    assert frequency.lower < 2.0 < frequency.upper
+    for start in effect.bound(tested).starts:
+        for item, value in zip((mass, frequency), start, strict=True):
+            assert item.lower < value <= item.upper
+    assert effect.places(tested) == [Place(floor=floor) for floor in FOUR]
+    state = composed([placed("attached_mass", floor=2)], 0.0, 2.0)
+    np.testing.assert_allclose(state.system.K[:4, :4], shear_stiffness(STIFFNESS), rtol=0, atol=1e-2)
+    np.testing.assert_array_equal(state.system.M[:4, :4], np.diag(MASS))
+    np.testing.assert_array_equal(state.observation.matrix, np.eye(4, 5))
+
+
+def test_the_words_of_an_effect_of_ones_own():
+    said = Damper().phrase(Place(), np.array([2.0, 3e4]), np.array([0.1, 1e3]), SCALE, ["kg", "N/m"])
+    assert said == "locked damper is there (mass = 2.00 ± 0.10 kg, s = 30.0 ± 1.0 kN/m)"
+
+
+def test_a_loose_joint_costs_what_it_says():
+    """The stiffness of a story between fixed neighbors, in a frame of equal stories."""
+    tested = experiment(heights=False)
+    k = np.full(4, 2e4)
+    for floor, story in ((0, 1), (2, 2), (2, 3), (4, 4)):
+        effect = placed("joint_release", floor=floor, state="loaded")
+        state = compose(tested, tested.configurations[1], [effect], theta(0.6, stiffness=k))
+        drift = np.zeros(4)
+        drift[story - 1 :] = 1.0
+        lost = 1.0 - drift @ state.system.K @ drift / 2e4
+        said = effect.effect.phrase(effect.place, np.array([0.6]), np.array([0.1]), SCALE, [""])
+        assert f"{100 * lost:.1f} " in said

@@ -18,6 +18,12 @@ CASES = {
     "mass_coupling": (placed("mass_coupling"), 1.1),
     "sensor_gain": (placed("sensor_gain", floor=3), 0.2),
     "story_change": (placed("story_change", story=2, state="loaded"), -0.3),
+    "spring": (placed("spring", floor=1, to=3), 1800.0),
+    "state_stiffness": (placed("state_stiffness", state="loaded"), -0.12),
+    "state_mass": (placed("state_mass", state="loaded"), 0.15),
+    "load_scale": (placed("load_scale"), -0.1),
+    "joint_release": (placed("joint_release", floor=2, state="loaded"), 0.6),
+    "bracing": (placed("bracing"), 0.2),
 }
 SCALES = {
     "gravity": 1.0,
@@ -29,6 +35,12 @@ SCALES = {
     "mass_coupling": 1.0,
     "sensor_gain": 1.0,
     "story_change": 1.0,
+    "spring": 2500.0,
+    "state_stiffness": 1.0,
+    "state_mass": 1.0,
+    "load_scale": 1.0,
+    "joint_release": 1.0,
+    "bracing": 1.0,
 }
 """What a change of one means little to, so that steps are taken in parts of it."""
 STEP = 1e-4
@@ -41,6 +53,8 @@ SECOND_PLACES = [
     (placed("story_change", story=4, state="plain"), 0.25),
     (placed("story_change", story=2, state="loaded"), 0.15),
     (placed("added_mass", floor=4, state="loaded"), -0.5),
+    (placed("sensor_gain", floor=3, state="loaded"), 0.1),
+    (placed("joint_release", floor=0, state="loaded"), 0.3),
 ]
 
 
@@ -48,7 +62,9 @@ def quantities(effects, values, number):
     tested = experiment()
     state = compose(tested, tested.configurations[number], effects, values)
     system = state.system
-    return (system.M, system.K, state.gain), (system.dM, system.dK, state.d_gain)
+    seen = state.observation
+    d_seen = np.array([seen.slopes.get(p, np.zeros_like(seen.matrix)) for p in range(len(values))])
+    return (system.M, system.K, seen.matrix), (system.dM, system.dK, d_seen)
 
 
 def assert_derivatives(effects, own, number, scales):
@@ -97,6 +113,19 @@ def test_at_the_null_value(name):
     assert_derivatives([effect], [effect.effect.parameters[0].null], 1, [SCALES[name]])
 
 
+@pytest.mark.parametrize(("mass", "frequency"), [(0.0, 2.0), (0.7, 3.1), (0.7, 12.0)])
+@pytest.mark.parametrize("number", range(len(NAMES)))
+def test_an_attached_mass(mass, frequency, number):
+    """Two parameters and a motion of its own, alone and with everything else, a second attachment among them."""
+    there = placed("attached_mass", floor=3)
+    assert_derivatives([there], [mass, frequency], number, [1.0, 1.0])
+    more = placed("attached_mass", floor=1)
+    cases = [*CASES.values(), (there, mass), (more, 0.3)]
+    effects = [effect for effect, _ in cases]
+    own = [*(value for _, value in CASES.values()), mass, frequency, 0.3, 5.0]
+    assert_derivatives(effects, own, number, [*SCALES.values(), 1.0, 1.0, 1.0, 1.0])
+
+
 def test_derivatives_are_symmetric():
     tested = experiment()
     effects = [effect for effect, _ in CASES.values()]
@@ -106,6 +135,6 @@ def test_derivatives_are_symmetric():
 
 
 def test_every_effect_of_the_catalogue_is_tested():
-    """The total mass alone changes no matrix: it is a statement about the masses, tested with the others of them."""
-    assert {effect.name for effect in catalogue()} == {*CASES, "total_mass"}
+    """But statements about masses and priors, which change no matrix."""
+    assert {effect.name for effect in catalogue()} == {*CASES, "attached_mass", "total_mass", "wrong_prior"}
     assert set(CASES) == set(SCALES)

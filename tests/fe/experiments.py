@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tests.fe.elements import Floats
-from tests.fe.frame import Building, SwayModes, sway_modes
+from tests.fe.frame import Building, SwayModes, assemble, sway_modes
 
 FREQUENCY_STD = 0.001
 MODE_SHAPE_STD = 0.01
@@ -17,9 +17,10 @@ GRAVITY = 9.81
 HEIGHT = 0.39
 """m, of every story; the order of a laboratory frame, as are the masses and stiffnesses drawn below."""
 
-AT_FLOOR = ("ground_spring", "added_mass", "sensor_gain")
+AT_FLOOR = ("ground_spring", "added_mass", "sensor_gain", "joint_release")
+AT_TWO_FLOORS = ("spring",)
 AT_STORY = ("story_change",)
-IN_ONE_CONFIGURATION = ("added_mass", "story_change")
+IN_ONE_CONFIGURATION = ("added_mass", "story_change", "state_stiffness", "state_mass", "joint_release")
 
 
 def simulated(
@@ -66,7 +67,7 @@ def simulated(
     experiment : dict
         For `cvxshear.Experiment.from_dict`.
     truth : dict
-        `floor_mass`, `story_stiffness`, `effect`, `floor`, `story`, `configuration` (its name), `size`, and
+        `floor_mass`, `story_stiffness`, `effect`, `floor`, `to`, `story`, `configuration` (its name), `size`, and
         one entry a configuration of `frequencies` and `mode_shapes` (all modes, all floors, no noise; as the
         sensors would show them).
     """
@@ -150,6 +151,45 @@ def simulated_pair(
     return experiment, truth
 
 
+def simulated_attachment(
+    *, stories: int, configurations: int, rng: np.random.Generator, floor: int, part: float, tuning: float
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Test a frame that carries a mass on a spring, whose own mode nobody measured.
+
+    Parameters
+    ----------
+    stories, configurations : int
+    rng : numpy.random.Generator
+    floor : int
+    part : float
+        The mass, in parts of all floors' masses.
+    tuning : float
+        Its frequency on a floor that stands still, in parts of the first of the frame without it.
+
+    Returns
+    -------
+    experiment, truth : dict
+        As of `simulated`; of the truth `floor_mass`, `story_stiffness`, `mass`, `frequency`.
+    """
+    frame = _drawn(stories, rng)
+    mass, frequency = part * frame.floor_mass.sum(), tuning * sway_modes(frame).frequencies[0]
+    tests = []
+    for number, extra in enumerate(_default_added(stories, configurations), 1):
+        attached = (floor, mass, mass * (2 * np.pi * frequency) ** 2)
+        model = assemble(dataclasses.replace(frame, floor_mass=frame.floor_mass + extra, attached=(attached,)))
+        eigenvalues, shapes = model.modes()
+        seen = np.arange(stories + 1) != np.argmax(shapes[model.coordinates["attached", 0]] ** 2)
+        floors = shapes[[model.coordinates["sway", level] for level in range(1, stories + 1)]]
+        modes = SwayModes(np.sqrt(eigenvalues[seen]) / (2 * np.pi), floors[:, seen])
+        tests.append(measured(modes, rng, name=_name(number), added=extra))
+    declared = {"stories": stories, "story_heights": [HEIGHT] * stories, "total_mass": float(frame.floor_mass.sum())}
+    truth = {"mass": mass, "frequency": frequency, "floor_mass": frame.floor_mass}
+    return (
+        {"frame": declared, "configuration": tests},
+        {**truth, "story_stiffness": frame.story_stiffness},
+    )
+
+
 def _drawn(stories: int, rng: np.random.Generator) -> Building:
     """A laboratory frame: masses drawn first, then stiffnesses that fall with the height."""
     floor_mass = rng.uniform(9.0, 13.0, stories)
@@ -162,18 +202,15 @@ Put = tuple[str, float | None, dict[str, int | None]]
 def _all_tested(frame: Building, added: Floats, there: Sequence[Put]) -> list[SwayModes]:
     """What the sensors show of each configuration, with the effects that are in it."""
     return [
-        _tested(
-            dataclasses.replace(frame, floor_mass=frame.floor_mass + extra),
-            [item for item in there if item[2]["configuration"] in (None, number)],
-        )
+        _tested(frame, extra, [item for item in there if item[2]["configuration"] in (None, number)])
         for number, extra in enumerate(added, 1)
     ]
 
 
-def _put(name: str, where: dict[str, int | None]) -> tuple[str, int | None, int | None, str | None]:
+def _put(name: str, where: dict[str, int | None]) -> tuple[str, int | None, int | None, int | None, str | None]:
     """An effect and its place, the configuration by name."""
     number = where["configuration"]
-    return name, where["floor"], where["story"], None if number is None else _name(number)
+    return name, where["floor"], where["to"], where["story"], None if number is None else _name(number)
 
 
 def measured(
@@ -223,6 +260,12 @@ def practical_size(effect: str, frame: Building) -> float:
         "mass_coupling": 0.1 * float(np.mean(frame.floor_mass)),
         "sensor_gain": 0.1,
         "story_change": -0.1,
+        "state_stiffness": -0.1,
+        "state_mass": 0.1,
+        "load_scale": -0.1,
+        "bracing": 0.4,
+        "spring": 0.1 * float(np.mean(frame.story_stiffness)),
+        "joint_release": 0.5,
     }[effect]
 
 
@@ -273,6 +316,38 @@ def with_story_change(frame: Building, change: float, at: int) -> Building:
     return dataclasses.replace(frame, story_stiffness=changed)
 
 
+def with_softer_state(frame: Building, e: float, at: int | None = None) -> Building:
+    beams = None if frame.beam_bending is None else frame.beam_bending * (1.0 + e)
+    return dataclasses.replace(frame, story_stiffness=frame.story_stiffness * (1.0 + e), beam_bending=beams)
+
+
+def with_tie(frame: Building, spring: float, floors: tuple[int, int]) -> Building:
+    """A diagonal from column to column whose horizontal stiffness EA cos^2 / L is that of the spring."""
+    low, high = floors
+    run, rise = bay(frame), float(frame.heights[low:high].sum())
+    length = float(np.hypot(run, rise))
+    return dataclasses.replace(frame, ties=(*frame.ties, (low, high, spring * length**3 / run**2)))
+
+
+def with_braces(frame: Building, beta: float, at: int | None = None) -> Building:
+    """Two crossing diagonals a story, of EA cos^2 / L each, carry a part beta of its stiffness."""
+    run = bay(frame)
+    length = np.hypot(run, frame.heights)
+    return dataclasses.replace(
+        frame,
+        story_stiffness=(1.0 - beta) * frame.story_stiffness,
+        brace_axial=0.5 * beta * frame.story_stiffness * length**3 / run**2,
+    )
+
+
+def with_loose_joints(frame: Building, rho: float, at: int) -> Building:
+    """Springs of mean(k h^2) / rho in all between a floor and its columns, or under their feet."""
+    each = float(np.mean(frame.story_stiffness * frame.heights**2)) / rho / len(frame.column_x)
+    if at == 0:
+        return dataclasses.replace(frame, column_base=each)
+    return dataclasses.replace(frame, connections={**frame.connections, at: each})
+
+
 CHANGES: dict[str, Callable[..., Building]] = {
     "gravity": with_gravity,
     "joint_rotation": with_turning_joints,
@@ -282,18 +357,30 @@ CHANGES: dict[str, Callable[..., Building]] = {
     "added_mass": with_mass,
     "mass_coupling": with_heavy_columns,
     "story_change": with_story_change,
+    "state_stiffness": with_softer_state,
+    "joint_release": with_loose_joints,
+    "bracing": with_braces,
 }
 """What each effect makes of the frame; a sensor's gain changes the reading, not the frame."""
 
+OF_MASSES = ("state_mass", "load_scale")
+"""Effects on the frame's own masses, or on the added ones alone."""
 
-def _tested(frame: Building, there: Sequence[Put]) -> SwayModes:
+
+def _tested(frame: Building, added: Floats, there: Sequence[Put]) -> SwayModes:
     """What the sensors show of one configuration."""
     gain = np.ones(frame.stories)
+    sizes = {name: size for name, size, _ in there}
+    own = frame.floor_mass * (1.0 + sizes.get("state_mass", 0.0))
+    frame = dataclasses.replace(frame, floor_mass=own + added * (1.0 + sizes.get("load_scale", 0.0)))
     for name, size, place in there:
+        at = place["story"] if place["floor"] is None else place["floor"]
         if name == "sensor_gain":
-            gain = gain * (1.0 + size * (np.arange(1, frame.stories + 1) == place["floor"]))
-        else:
-            frame = CHANGES[name](frame, size, place["floor"] or place["story"])
+            gain = gain * (1.0 + size * (np.arange(1, frame.stories + 1) == at))
+        elif name == "spring":
+            frame = with_tie(frame, size, (at, place["to"]))
+        elif name not in OF_MASSES:
+            frame = CHANGES[name](frame, size, at)
     modes = sway_modes(frame)
     return SwayModes(modes.frequencies, gain[:, None] * modes.shapes)
 
@@ -309,10 +396,13 @@ def _placed(
     configuration: int | None,
 ) -> dict[str, int | None]:
     """Where the effect sits: where it was put, or anywhere it can be."""
-    lowest = 2 if effect == "ground_spring" else 1
+    lowest = 2 if effect == "ground_spring" else 0 if effect == "joint_release" else 1
     if lowest > stories:
         raise ValueError("a ground spring needs two stories")
-    place: dict[str, int | None] = {"floor": None, "story": None, "configuration": None}
+    place: dict[str, int | None] = {"floor": None, "to": None, "story": None, "configuration": None}
+    if effect in AT_TWO_FLOORS:
+        place["floor"] = int(rng.integers(1, stories - 1)) if floor is None else floor
+        place["to"] = int(rng.integers(place["floor"] + 2, stories + 1))
     if effect in AT_FLOOR:
         place["floor"] = int(rng.integers(lowest, stories + 1)) if floor is None else floor
     if effect in AT_STORY:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -54,6 +55,14 @@ class Building:
         Whether floor masses also move up and down, shared among the joints as the columns' shares are.
     pieces : int, optional
         Elements a column.
+    connections : mapping of int to float, optional
+        Of a floor: the spring between each column and that floor's beams, N m/rad; stiff where not named.
+    ties : tuple of (int, int, float), optional
+        Diagonals from the first column at a lower floor to the last column at a higher one: the floors and EA, N.
+    brace_axial : ndarray, shape (n,), optional
+        EA of each of the two crossing diagonals of a story, hinged between the first and the last column, N.
+    attached : tuple of (int, float, float), optional
+        Masses on springs that floors carry: floor, mass, kg, and the spring, N/m.
     """
 
     heights: Floats
@@ -71,6 +80,10 @@ class Building:
     on_frame: float = 1.0
     vertical_inertia: bool = False
     pieces: int = 1
+    connections: Mapping[int, float] = field(default_factory=dict)
+    ties: tuple[tuple[int, int, float], ...] = ()
+    brace_axial: Floats | None = None
+    attached: tuple[tuple[int, float, float], ...] = ()
 
     @property
     def stories(self) -> int:
@@ -132,8 +145,14 @@ def assemble(building: Building) -> Model:
     for floor, (below, above) in enumerate(pairwise(joints), 1):
         for column in range(len(building.column_x)):
             stand_column(model, building, (floor, column), below[column], above[column])
-        lay_beams(model, building, floor, above)
+        lay_beams(model, building, floor, held_joints(model, building, floor, above))
         load_floor(model, building, floor, above)
+        if building.brace_axial is not None:
+            section = Section(bending=0.0, axial=float(building.brace_axial[floor - 1]))
+            model.member(below[0], above[-1], section)
+            model.member(below[-1], above[0], section)
+    for low, high, axial in building.ties:
+        model.member(joints[low][0], joints[high][-1], Section(bending=0.0, axial=axial))
     hold_base(model, building, joints[0])
     return model
 
@@ -152,6 +171,8 @@ def joint(building: Building, floor: int, x: float) -> Node:
         return Node(x, y, {}, rises, foot)
     sway: Motion = {("sway", floor): 1.0}
     if building.beam_bending is None:
+        if floor in building.connections:
+            turns = {("turn", floor, x): 1.0}
         if building.column_axial is None:
             return Node(x, y, sway, rises, turns)
         return Node(x, y, sway, {("heave", floor): 1.0, ("tilt", floor): x}, {("tilt", floor): 1.0})
@@ -201,6 +222,19 @@ def lay_beams(model: Model, building: Building, floor: int, joints: list[Node]) 
         model.member(left, right, section)
 
 
+def held_joints(model: Model, building: Building, floor: int, joints: list[Node]) -> list[Node]:
+    """Where the beams of a floor end: at the columns, or behind the springs that connect them to these."""
+    if floor not in building.connections:
+        return joints
+    rigid = building.beam_bending is None
+    ends: list[Node] = []
+    for node in joints:
+        turn: Motion = {} if rigid else {("beam", floor, node.x): 1.0}
+        model.spring({**node.turn, **dict.fromkeys(turn, -1.0)}, building.connections[floor])
+        ends.append(dataclasses.replace(node, turn=turn))
+    return ends
+
+
 def load_floor(model: Model, building: Building, floor: int, joints: list[Node]) -> None:
     """A floor's mass, the spring that holds it, and the props that carry their part of the weight."""
     sway: Motion = {("sway", floor): 1.0}
@@ -213,6 +247,11 @@ def load_floor(model: Model, building: Building, floor: int, joints: list[Node])
             model.mass(node.uy, share * lumped)
     if floor in building.ground_springs:
         model.spring(sway, building.ground_springs[floor])
+    for number, (carrier, mass, spring) in enumerate(building.attached):
+        if carrier == floor:
+            own: Motion = {("attached", number): 1.0}
+            model.mass(own, mass)
+            model.spring({**own, ("sway", floor): -1.0}, spring)
     on_props = (1.0 - building.on_frame) * float(building.weight[floor - 1])
     if on_props:
         # A rigid prop that leans by d over its height h falls by d^2 / 2h.

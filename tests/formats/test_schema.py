@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.campaign import IdentifiedRecord, merged
 from cvxshear.cli.records import _said
-from cvxshear.files.template import template
+from cvxshear.files.measurement_template import template
+from cvxshear.files.modes import IdentifiedRecord, merged
 from cvxshear.modal import from_arrays, identify_modes
-from cvxshear.modal.simulate import PAPER_FRAME, base_record
+from cvxshear.records.simulate import PAPER_FRAME, base_record
 from cvxshear.util.errors import InputError
 from tests.frames import EXAMPLES, MEASURED
 

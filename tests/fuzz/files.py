@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import io
 
-from cvxshear.modal.simulate import PAPER_FRAME, base_record
+from cvxshear.records.simulate import PAPER_FRAME, base_record
 from tests.frames import EXAMPLES
 from tests.modal.shared import csv
 

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, Phase, assume, given, seed, settings
 from hypothesis import strategies as st
 
 from cvxshear.cli import main
-from cvxshear.files.record import read_record
+from cvxshear.files.record_file import read_record
 from cvxshear.files.toml import load
 from cvxshear.util.errors import CvxshearError
 from tests.fuzz import files

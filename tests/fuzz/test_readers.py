@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from cvxshear.files.columns import Columns
 from cvxshear.files.csv import read_csv
 from cvxshear.files.mat import read_mat
-from cvxshear.files.record import read_record
+from cvxshear.files.record_file import read_record
 from cvxshear.files.toml import load
 from cvxshear.files.uff import read_uff
 from cvxshear.util.errors import CvxshearError, InputError

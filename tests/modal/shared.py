@@ -10,7 +10,7 @@ import pytest
 
 DATA = Path(os.environ.get("CVXSHEAR_SHARED", Path(__file__).resolve().parents[3] / "shared")) / "data"
 SEEDS = int(os.environ.get("CVXSHEAR_SEEDS", "2"))
-"""Repetitions of the simulated records; `python -m cvxshear.modal.study` does twenty."""
+"""Repetitions of the simulated records; `python -m tests.benchmarks.records` does twenty."""
 
 needs_mini_table = pytest.mark.skipif(
     not (DATA / "mini-shake-table").is_dir(), reason="the measured records of shared/data/mini-shake-table are not here"

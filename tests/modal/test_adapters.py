@@ -11,7 +11,7 @@ import pytest
 
 import cvxshear
 from cvxshear.modal import from_arrays, from_pyoma, from_sdypy, identify_modes
-from cvxshear.modal.simulate import PAPER_FRAME, base_record
+from cvxshear.records.simulate import PAPER_FRAME, base_record
 from cvxshear.util.errors import InputError
 
 SHAPES = [[1.0, -0.6], [0.5, 1.0]]

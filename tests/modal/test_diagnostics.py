@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from cvxshear.modal import Channel, FrfRecord, FrfRun, Run, TimeRecord, identify_modes
-from cvxshear.modal.channels import channel_findings
-from cvxshear.modal.clock import offsets
-from cvxshear.modal.findings import Finding
-from cvxshear.modal.knowledge import SENSOR_STD, entry_std
-from cvxshear.modal.shift import shifted
-from cvxshear.modal.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
+from cvxshear.modal.result import SENSOR_STD, entry_std
+from cvxshear.records.clocks import offsets
+from cvxshear.records.record import Finding
+from cvxshear.records.sick_channels import channel_findings
+from cvxshear.records.signals import shifted
+from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
 from tests.modal.shared import TWO_STORY_FREQUENCIES, two_story_frf
 
 QUIET = {"clock offset", "sign", "swapped channels", "amplitude", "reciprocity", "dead channel", "clipped channel"}

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from cvxshear.modal import Channel, Run, TimeRecord, from_arrays, identify_modes
-from cvxshear.modal.functions import measured_functions
-from cvxshear.modal.simulate import PAPER_FRAME, ambient_record, hammer_record, shaker_record
-from cvxshear.modal.synthesis import band_of, synthesized
+from cvxshear.modal.functions import band_of, measured_functions, synthesized
+from cvxshear.records.simulate import PAPER_FRAME, ambient_record, hammer_record, shaker_record
 from cvxshear.util.errors import InputError
 
 
@@ -65,9 +64,7 @@ def test_coherence_is_the_share_of_the_response_that_the_input_makes(noise):
     random = np.random.default_rng(3)
     force = random.standard_normal(40_000)
     response = 2.0 * force + 2.0 * noise * random.standard_normal(len(force))
-    record = TimeRecord(
-        (Channel("a", 1),), runs=(Run(response[:, None], force, 1),), sampling_rate=50.0, input="force"
-    )
+    record = TimeRecord((Channel("a", 1),), runs=(Run(response[:, None], force, 1),), sampling_rate=50.0, input="force")
     seen = measured_functions(record, 20.0)
     assert np.mean(seen.coherence) == pytest.approx(1 / (1 + noise**2), abs=0.02)
     assert np.mean(seen.values.real) == pytest.approx(2.0, rel=0.02)

@@ -11,9 +11,9 @@ from scipy import integrate
 
 import cvxshear
 from cvxshear.modal import Channel, Run, TimeRecord, identify_modes
-from cvxshear.modal.shapes import possible_changes, sign_changes
-from cvxshear.modal.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
-from cvxshear.modal.study import scatter
+from cvxshear.records.shapes import possible_changes, sign_changes
+from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
+from tests.benchmarks.records import scatter
 from tests.modal.shared import SEEDS, TWO_STORY_FREQUENCIES, TWO_STORY_RATIOS
 
 PAPER_FREQUENCIES = [1.0336, 2.2099, 3.2812]

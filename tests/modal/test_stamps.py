@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cvxshear.files.columns import Columns, sampling_rate_of
-from cvxshear.files.stamps import rounding_of
+from cvxshear.files.columns import Columns, rounding_of, sampling_rate_of
 from cvxshear.util.errors import InputError
 
 

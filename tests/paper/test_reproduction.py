@@ -1,19 +1,17 @@
 """The whole reproduction: what is counted, what is shown, what the documentation says."""
 
-import io
 import json
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 from cvxshear import InputError
 from cvxshear.paper import Row, reproduce
-from cvxshear.paper.layout import markdown
-from cvxshear.paper.results import DIFFERS, EXACT, MISPRINT, ROUNDED, same_digits
-from cvxshear.paper.terminal import render
+from cvxshear.paper.tables import DIFFERS, MISPRINTED, ROUNDED, TO_THE_DIGIT, same_digits
+from cvxshear.report.describe.paper import printed_beside_recomputed
+from cvxshear.report.terminal import text
 
 DOCS = Path(__file__).parents[2] / "docs" / "paper.md"
 
@@ -21,9 +19,9 @@ DOCS = Path(__file__).parents[2] / "docs" / "paper.md"
 def test_every_printed_result_is_met_or_accounted_for(reproduction):
     counted = {
         name: sum(row.verdict == name for section in reproduction.sections if section.counted for row in section.rows)
-        for name in (EXACT, ROUNDED, MISPRINT, DIFFERS)
+        for name in (TO_THE_DIGIT, ROUNDED, MISPRINTED, DIFFERS)
     }
-    assert counted == {EXACT: 73, ROUNDED: 11, MISPRINT: 1, DIFFERS: 0}
+    assert counted == {TO_THE_DIGIT: 73, ROUNDED: 11, MISPRINTED: 1, DIFFERS: 0}
     assert "85 printed results" in reproduction.summary
 
 
@@ -42,11 +40,9 @@ def test_json_has_the_documented_fields(reproduction):
 
 
 def test_the_terminal_shows_every_section_with_brackets_and_signs(reproduction):
-    console = Console(width=140, record=True, file=io.StringIO())
-    console.print(render(reproduction))
-    shown = console.export_text()
-    for text in ("Ref. [17]", "Ref. [23]", "misprint", "-0.004", "0.11290", "about 5", reproduction.sections[-1].title):
-        assert text in shown
+    shown = text(reproduction, width=140)
+    for said in ("Ref. [17]", "Ref. [23]", "misprint", "-0.004", "0.11290", "about 5", reproduction.sections[-1].title):
+        assert said in shown
     assert "-0.00000 " not in shown
 
 
@@ -56,7 +52,9 @@ def test_the_documentation_has_the_tables_that_the_command_prints(reproduction):
     for section in reproduction.sections:
         if section.title.startswith(("Table 3", "Fig. 6")):
             continue
-        for line in markdown([section]).splitlines():
+        table = printed_beside_recomputed(section)
+        lines = [f"| {' | '.join(cells)} |" for cells in (table.head, *(row.cells for row in table.rows))]
+        for line in (f"## {section.title}", *lines, *section.notes):
             assert line in documented
     assert reproduction.summary in documented
 
@@ -69,10 +67,10 @@ def test_the_documentation_leaves_the_unexplained_to_the_loop():
 @pytest.mark.parametrize(
     ("row", "verdict"),
     [
-        (Row("x", "here", "1.50", 1.4961), EXACT),
+        (Row("x", "here", "1.50", 1.4961), TO_THE_DIGIT),
         (Row("x", "here", "1.50", 1.4886), DIFFERS),
         (Row("x", "here", "1.50", 1.4886, from_rounded=1.5), ROUNDED),
-        (Row("x", "here", "-0.004", 0.113, misprint=True), MISPRINT),
+        (Row("x", "here", "-0.004", 0.113, misprint=True), MISPRINTED),
         (Row("x", "here", "0.30", 0.10, std_error=0.05, chance=0.1), "-2.0 standard errors"),
         (Row("x", "here", "about 5", 4.5), ""),
     ],
@@ -100,8 +98,8 @@ def test_a_number_of_samples_that_is_none_is_refused():
         reproduce(samples=(0,))
 
 
-def test_neither_the_paper_nor_the_studies_load_the_terminal():
+def test_the_paper_does_not_load_the_terminal():
     loaded = "[name for name in ('rich', 'typer', 'matplotlib') if name in sys.modules]"
-    code = f"import sys, cvxshear.paper, cvxshear.studies; print({loaded})"
+    code = f"import sys, cvxshear.paper; print({loaded})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -6,8 +6,7 @@ from scipy import linalg
 
 from cvxshear import Configuration, Experiment, Frame, identify, load
 from cvxshear.paper import tables
-from cvxshear.paper.shapes import recovered_shapes
-from cvxshear.paper.steel_frame import SteelFrame
+from cvxshear.paper.steel_frame import SteelFrame, recovered_shapes
 
 
 @pytest.mark.parametrize("name", tables.STRUCTURES)

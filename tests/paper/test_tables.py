@@ -6,7 +6,7 @@ from scipy import linalg
 
 from cvxshear import backends
 from cvxshear.paper import steel_frame, tables, three_story
-from cvxshear.paper.results import EXACT, MISPRINT, same_digits
+from cvxshear.paper.tables import MISPRINTED, TO_THE_DIGIT, same_digits
 
 MASS, STIFFNESS = np.array([10.0, 7.5, 5.0]), np.array([1800.0, 1200.0, 600.0])
 BACKENDS = backends.available()
@@ -20,14 +20,14 @@ def rows(sections, *titles):
 def test_tables_1_and_2_and_the_iterations(backend):
     found = rows(three_story.sections(three_story.ThreeStory(backend)), "Table 1", "Table 2", "Section 5.1: iterations")
     assert len(found) == 24 + 18 + 2
-    assert {row.verdict for row in found if not row.misprint} == {EXACT}
+    assert {row.verdict for row in found if not row.misprint} == {TO_THE_DIGIT}
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_tables_6_and_7(backend):
     found = rows(steel_frame.sections(steel_frame.SteelFrame(backend)), "Table 6", "Table 7")
     assert len(found) == 18 + 6
-    assert {row.verdict for row in found} == {EXACT}
+    assert {row.verdict for row in found} == {TO_THE_DIGIT}
 
 
 def test_the_misprint_is_named_and_not_imitated():
@@ -35,7 +35,7 @@ def test_the_misprint_is_named_and_not_imitated():
     table_1 = next(three_story.sections(of))
     [row] = [row for row in table_1.rows if row.misprint]
     assert (row.where, row.what) == ("Table 1, Case 1, Ref. [17]", "mass matrix entry (2, 3), kg")
-    assert (row.printed, row.verdict, row.agrees) == ("-0.004", MISPRINT, False)
+    assert (row.printed, row.verdict, row.agrees) == ("-0.004", MISPRINTED, False)
     assert row.recomputed == pytest.approx(0.1129, abs=5e-5)
     [note] = table_1.notes
     assert "Entry (2, 3) of Ref. [17] in Case 1 is a misprint: the paper has -0.004, the formula gives 0.113" in note

@@ -1,10 +1,12 @@
 """Designs that the tests plan for, and their information made another way."""
 
+from itertools import combinations
+
 import numpy as np
 
 from cvxshear.planning.design import Design
+from cvxshear.planning.expected_noise import Declared
 from cvxshear.planning.model import TestModel
-from cvxshear.planning.noise import Declared
 from tests.frames import modes_of
 
 NOISE = Declared(frequency_std=0.002, mode_shape_std=0.02)
@@ -28,6 +30,13 @@ def tapered(stories, **keys):
 
 def frame_model(of, modes=3, noise=NOISE, quantities=("floor_mass", "story_stiffness")):
     return TestModel(of, (), quantities, np.arange(modes), noise)
+
+
+def exhaustive(of, number, by):
+    """The best value of all choices of so many candidates, each of them looked at by itself, and the choice."""
+    every = [list(each) for each in combinations(range(of.count), number)]
+    values = [float(by.value(of, of.subset(each))) for each in every]
+    return min(values), every[int(np.argmin(values))]
 
 
 def log_data(sizes, added, floors, modes):

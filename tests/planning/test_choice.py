@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from scipy.optimize import check_grad
 
-from cvxshear.planning.choice import choose, exchanged, exhaustive, values_of
+from cvxshear.planning.choice import choose, equally_spaced, exchanged, relaxed, values_of
 from cvxshear.planning.criteria import CRITERIA, criterion_named
-from cvxshear.planning.relaxation import relaxed
-from cvxshear.planning.study import OTHERS, beside_others, floors_of, random_frame
 from cvxshear.util.errors import InputError
-from tests.planning.common import frame_model, tapered
+from tests.benchmarks.planning import OTHERS, beside_others, floors_of, random_frame
+from tests.planning.common import exhaustive, frame_model, tapered
 
 NAMES = tuple(CRITERIA)
 
@@ -67,8 +66,8 @@ def test_the_program_finds_what_descent_with_every_direction_finds(name):
     of = floors(10, 4)
     by = CRITERIA[name]
     found = relaxed(of, 4, by)
-    assert found.shares.sum() == pytest.approx(4.0, abs=1e-4)
-    at_shares = float(by.value(of, of.information(found.shares)))
+    assert found.weights.sum() == pytest.approx(4.0, abs=1e-4)
+    at_shares = float(by.value(of, of.information(found.weights)))
     slack = 3e-2 if name in ("E", "worst") else 1e-3
     assert found.bound <= at_shares <= (1 + slack) * found.bound
 
@@ -78,6 +77,12 @@ def test_the_solvers_agree():
     for name in ("D", "A"):
         bounds = [relaxed(of, 3, CRITERIA[name], solver).bound for solver in ("clarabel", "scs")]
         assert bounds[0] == pytest.approx(bounds[1], rel=1e-3)
+
+
+def test_equal_distances_are_those_of_the_e_defense_frame():
+    """Eighteen stories with sensors at floors 3, 6, 9, 12, 15, 18; and of an odd number the top is one."""
+    assert [floor + 1 for floor in equally_spaced(18, 6)] == [3, 6, 9, 12, 15, 18]
+    assert equally_spaced(7, 2) == [3, 6]
 
 
 def test_every_floor_needs_no_program():

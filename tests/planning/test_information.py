@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from cvxshear.planning.candidates import candidates
+from cvxshear.planning.chances import target
 from cvxshear.planning.design import Design
 from cvxshear.planning.model import VAGUE
-from cvxshear.planning.targets import target
 from cvxshear.util.errors import InputError
 from tests.planning.common import NOISE, design, frame_model, slow_covariance, tapered
 
@@ -47,7 +47,7 @@ def test_one_test_more_can_be_a_candidate_as_well():
 def test_equal_shares_of_all_candidates_are_the_unit_of_information():
     model = frame_model(tapered(6))
     of = model.sensors([model.expected(np.zeros(6))], 2)
-    np.testing.assert_allclose(of.information(np.full(6, 2 / 6)), np.eye(len(of.base)), atol=1e-8)
+    np.testing.assert_allclose(of.information(np.full(6, 2 / 6)), np.eye(of.base.shape[1])[None], atol=1e-8)
 
 
 def test_a_single_sensor_tells_nothing_of_a_shape_whose_scale_is_free():
@@ -90,4 +90,4 @@ def test_what_is_told_of_effects_is_the_inverse_of_their_covariance():
     model = dataclasses.replace(frame_model(of), targets=targets, quantities=())
     tests, floors = [model.expected(np.zeros(3)), model.expected(np.array([0, 3.0, 0]))], np.array([0, 2])
     covariance = model.covariance(tests, floors)[6:, 6:]
-    np.testing.assert_allclose(model.told_of_effects(tests, floors), np.linalg.inv(covariance), rtol=1e-6)
+    np.testing.assert_allclose(model.of_targets(tests, floors), np.linalg.inv(covariance), rtol=1e-6)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.studies.noise import noise_study, paper_setups, six_story_study
+from cvxshear.paper.scatter import noise_study, paper_setups, six_story_study
 from tests.fe.experiments import simulated
 
 NASTY = '<img src="http://example.org/x" onerror="alert(1)"> $a_$ & 结构'

@@ -14,8 +14,8 @@ import cvxshear
 from cvxshear import backends
 from cvxshear.fit.efficient import efficient
 from cvxshear.modal import identify_modes
-from cvxshear.modal.motion import Drive, Motion
-from cvxshear.modal.simulate import PAPER_FRAME, base_record, hammer_record
+from cvxshear.records.motion import Drive, Motion
+from cvxshear.records.simulate import PAPER_FRAME, base_record, hammer_record
 from cvxshear.report.describe import describe
 from cvxshear.report.html import write_prediction_report, write_report
 from cvxshear.report.modal_html import write_modal_report
@@ -90,6 +90,11 @@ def opened(browser, reports):
     assert len([url for url in asked if url.startswith("file:")]) == len(pages)
 
 
+def visible(page, selector):
+    """The drawings that are shown: of a figure with two forms the one that fits the page."""
+    return [each for each in page.query_selector_all(selector) if each.is_visible()]
+
+
 EVERY = pytest.mark.parametrize("name", ["paper", "eight", "unexplained"])
 
 
@@ -112,19 +117,21 @@ def test_the_page_says_what_the_json_says(opened, reports, name):
             assert cell.inner_text() == written
     assert len(page.query_selector_all("#identified tbody tr")) == len(result["frame"]["floor_mass"])
     for effect in result["effects"]:
-        assert effect["size"].removesuffix(")") in page.inner_text("#headline")
+        assert effect["size"].removesuffix(")")[1:] in page.inner_text("#headline")
 
 
 @EVERY
 @pytest.mark.parametrize("viewport", [DESKTOP, PHONE], ids=["desktop", "phone"])
 def test_figures_have_size_and_the_page_does_not_run_over_its_edge(opened, name, viewport):
     page = opened(name, viewport)
-    drawings = page.query_selector_all(".drawing > svg, svg.mode")
+    drawings = visible(page, ".drawing svg, svg.mode")
     assert len(drawings) >= 6
     for drawing in drawings:
         box = drawing.bounding_box()
         assert box["width"] > 50
         assert box["height"] > 50
+    for part in page.query_selector_all(".has-narrow, .scroll:has(> .cards)"):
+        assert part.evaluate("each => each.scrollWidth <= each.clientWidth"), part.get_attribute("aria-label")
     assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
 
 
@@ -146,7 +153,7 @@ def test_a_prediction_does_not_run_over_its_edge(browser, tmp_path, viewport):
 @pytest.mark.parametrize("viewport", [DESKTOP, PHONE], ids=["desktop", "phone"])
 def test_the_report_of_modes_does_not_run_over_its_edge_and_can_be_read(opened, name, figures, viewport):
     page = opened(name, viewport)
-    drawings = page.query_selector_all(".drawing > svg")
+    drawings = visible(page, ".drawing svg")
     assert len(drawings) == figures
     for drawing in drawings:
         shown, natural = drawing.bounding_box()["width"], float(drawing.get_attribute("width"))
@@ -158,6 +165,25 @@ def test_the_report_of_modes_does_not_run_over_its_edge_and_can_be_read(opened, 
     if viewport is DESKTOP:
         for table in page.query_selector_all(".scroll"):
             assert table.evaluate("each => each.scrollWidth <= each.clientWidth")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_letters_and_lines_of_a_drawing_stand_out_from_the_page(opened, scheme):
+    page = opened("paper", color_scheme=scheme)
+    shades = page.evaluate(
+        """() => {
+            const shade = text => { const c = text.match(/\\d+/g).map(Number); return (c[0] + c[1] + c[2]) / 3; };
+            const svg = document.querySelector("#figure-residual svg");
+            const line = [...svg.querySelectorAll("path")].find(each => /stroke: var\\(--c0072b2/.test(each.outerHTML))
+                || svg.querySelector("use");
+            return [getComputedStyle(document.body).backgroundColor, getComputedStyle(svg).fill,
+                    getComputedStyle(line).stroke].filter(each => /rgb/.test(each)).map(shade);
+        }"""
+    )
+    paper, *inks = shades
+    assert (paper < 60) == (scheme == "dark")
+    assert inks
+    assert all(abs(ink - paper) > 80 for ink in inks)
 
 
 def test_modes_are_set_in_motion_and_stopped(opened):

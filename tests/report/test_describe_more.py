@@ -10,8 +10,8 @@ import pytest
 from rich.cells import cell_len
 
 import cvxshear
-from cvxshear.modal.findings import Finding
 from cvxshear.planning import plan
+from cvxshear.records.record import Finding
 from cvxshear.report.describe import Sentence, Table, describe
 from cvxshear.response import Drive, Motion, predict
 from cvxshear.screening import Screening

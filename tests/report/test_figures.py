@@ -4,23 +4,26 @@ import dataclasses
 import itertools
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from scipy import linalg
 
 import cvxshear
-from cvxshear.report import figures
-from cvxshear.report.figures.mac import written
-from cvxshear.report.figures.output import inline_svg
-from cvxshear.report.figures.style import letters, power_of_ten, spread
-from cvxshear.report.shapes import mac_tables, mode_shapes
+from cvxshear.cli import main
+from cvxshear.report import figures, html
+from cvxshear.report.figures import figure_table
+from cvxshear.report.figures.drawn_shapes import mac_tables, mode_shapes
+from cvxshear.report.figures.modal_figures import written
+from cvxshear.report.figures.style import for_narrow_page, inline_svg, letters, power_of_ten, spread
 from cvxshear.util.errors import InputError
 
 ODDS = [1.0] + [0.0] * 13
-OF_A_LOOP = [figures.frame, figures.shapes, figures.residual, figures.ranking, figures.mac]
+OF_A_LOOP = [figures.findings, figures.frame, figures.shapes, figures.residual, figures.ranking, figures.mac]
 
 
 def boxes(figure):
@@ -63,6 +66,16 @@ def assert_readable(figure):
 @pytest.mark.parametrize("result", ["paper", "twenty", "unexplained", "nine"])
 def test_no_text_of_a_loops_figure_overlaps_or_is_cut_off(draw, result, request):
     assert_readable(draw(request.getfixturevalue(result)))
+
+
+@pytest.mark.parametrize("result", ["paper", "eight", "ambiguous", "unexplained"])
+def test_no_text_of_a_narrow_figure_overlaps_or_is_cut_off(result, request):
+    found = request.getfixturevalue(result)
+    for entry in figure_table.applicable(found):
+        with for_narrow_page():
+            drawn = entry.draw(found)
+        assert drawn.get_figwidth() <= 3.7
+        assert_readable(drawn)
 
 
 def test_no_text_of_the_other_figures_overlaps_or_is_cut_off(paper, study, six_story, comparison, no_heights, eight):
@@ -131,15 +144,15 @@ def test_the_residual_is_drawn_in_the_noise_of_the_final_model(paper):
     measured = np.concatenate([each.frequencies for each in paper.experiment.configurations])
     # No noise is declared here: 0.2 % is the default, and the final model tells how many times that it is.
     noise = 0.002 * paper.noise.to_dict()["frequency"]["factor"]
-    for step, name in ((paper.before, "before"), (paper.after, "after")):
+    for step, name in ((paper.before, "shear model"), (paper.after, "with effects")):
         modelled = np.concatenate([each.frequencies for each in step.estimate.predictions])
         # The fit was made with the noise that the one before it spoke for; the two agree to a few percent.
         assert drawn[name] == pytest.approx(np.log(modelled / measured) / noise, rel=0.05)
-    ratio = drawn["before"] / np.log(
+    ratio = drawn["shear model"] / np.log(
         np.concatenate([p.frequencies for p in paper.before.estimate.predictions]) / measured
     )
     assert ratio == pytest.approx(ratio[0])
-    assert drawn["after"] == pytest.approx(np.log(modelled / measured) * ratio[0])
+    assert drawn["with effects"] == pytest.approx(np.log(modelled / measured) * ratio[0])
 
 
 def test_probabilities_are_drawn_as_log_odds_and_none_is_lost_at_the_edges(paper):
@@ -294,3 +307,125 @@ def test_powers_of_ten_are_written_so():
     assert [power_of_ten(value) for value in (1e-12, 1.0, 1000.0, -10.0, 2.0, 0.0)] == [
         "10⁻¹²", "1", "1000", "−10", "", "0",
     ]  # fmt: skip
+
+
+def test_what_was_found_is_marked_at_its_place_with_its_probability(nine):
+    """A mass that nobody declared in one of nine states: its floor is marked in that state's drawing alone."""
+    (effect,) = nine.effects
+    floor, state = effect.placed.place.floor, effect.placed.place.state
+    drawn = figures.findings(nine)
+    assert len(drawn.axes) == 2
+    z = nine.experiment.frame.elevations
+    for axes in drawn.axes:
+        marked = [patch for patch in axes.patches if mpl.colors.to_hex(patch.get_edgecolor()) == "#d55e00"]
+        said = " ".join(text.get_text().replace("\n", " ") for text in axes.texts)
+        if state in axes.get_title(loc="left"):
+            (mark,) = marked
+            assert mark.get_y() < z[floor - 1] < mark.get_y() + mark.get_height()
+            assert f"{100 * effect.probability:.1f} % probable" in said or "> 99.9 % probable" in said
+        else:
+            assert marked == []
+            assert "nothing was found here" in said
+
+
+def test_springs_that_stand_out_of_their_deviations_are_marked():
+    values, stds = np.full((6, 6), 1e3), np.full((6, 6), 1e3)
+    values[5, 2], stds[5, 2] = 746e3, 55e3
+    drawn = figures.springs_between_levels(values, stds)
+    assert_readable(drawn)
+    axes = drawn.axes[0]
+    (mark,) = axes.patches
+    column, row = mark.get_x() + mark.get_width() / 2, mark.get_y() + mark.get_height() / 2
+    assert (axes.get_xticklabels()[round(column)].get_text(), axes.get_yticklabels()[round(row)].get_text()) == (
+        "floor 2", "floor 5",
+    )  # fmt: skip
+    assert any("746" in text.get_text() and text.get_weight() == "bold" for text in axes.texts)
+
+
+def test_a_figure_shows_itself(paper):
+    figure = paper.figure("mac")
+    assert figure._repr_png_().startswith(b"\x89PNG")
+    assert "<svg" in figure._repr_svg_()
+    assert paper.figure().axes[0].get_title(loc="left") == "every state"
+    with pytest.raises(InputError, match="there is no figure 'pie' of this result; there are findings, frame"):
+        paper.figure("pie")
+    with pytest.raises(InputError, match="the figure 'convergence' needs a method that iterates"):
+        cvxshear.identify(paper.experiment).figure("convergence")
+
+
+def test_figures_drawn_in_threads_are_those_drawn_alone(paper, eight):
+    """The user draws too meanwhile, and every setting is as it was."""
+    settings = {key: value for key, value in mpl.rcParams.items() if key != "backend"}
+    wanted = {result: inline_svg(figures.residual(result), "a") for result in (paper, eight)}
+    narrow = {}
+    with for_narrow_page():
+        narrow |= {result: inline_svg(figures.residual(result), "a") for result in (paper, eight)}
+
+    def drawn(place):
+        result = (paper, eight)[place % 2]
+        if place % 3:
+            return inline_svg(figures.residual(result), "a") == wanted[result]
+        with for_narrow_page():
+            return inline_svg(figures.residual(result), "a") == narrow[result]
+
+    with ThreadPoolExecutor(6) as pool:
+        assert all(pool.map(drawn, range(12)))
+    assert {key: value for key, value in mpl.rcParams.items() if key != "backend"} == settings
+
+
+def test_a_figure_from_outside_is_found_everywhere(paper, comparison, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(figure_table, "_TABLE", {key: dict(value) for key, value in figure_table._TABLE.items()})
+
+    @figures.figure(
+        "pie", cvxshear.Closure, title="Where the mass is", caption="Each floor's share of the mass.",
+        alternative="A pie of masses.", applies=lambda result: len(result.frame.floor_mass) > 1, needs="two floors",
+    )  # fmt: skip
+    def pie(result):
+        drawn = Figure(figsize=(2, 2))
+        drawn.subplots().pie(result.frame.floor_mass)
+        return drawn
+
+    assert paper.figure("pie").get_figwidth() == 2
+    page = html.render(paper, "cvxshear", comparison)
+    assert 'id="figure-pie"' in page
+    for words in ("Where the mass is", "Each floor&#39;s share of the mass.", "A pie of masses."):
+        assert words in page
+    with pytest.raises(SystemExit) as ended:
+        main(["loop", "paper", "--figure", "list"])
+    assert ended.value.code in (0, None)
+    said = capsys.readouterr().out
+    for entry in figures.figures_of(cvxshear.Closure).values():
+        assert any(line.split()[:1] == [entry.name] and entry.title in line for line in said.splitlines())
+    with pytest.raises(SystemExit) as ended:
+        main(["loop", "paper", "--effects", "gravity", "--figure", f"pie:{tmp_path / 'pie.svg'}"])
+    assert ended.value.code in (0, None)
+    assert (tmp_path / "pie.svg").read_text().startswith("<?xml")
+
+
+def test_where_the_shear_model_fails_is_drawn_and_told():
+    """A brace from floor 1 to floor 4 of a five-story chain, which no effect that is looked for has: 6000 kN/m."""
+    rng, n, k = np.random.default_rng(4), 5, np.linspace(2.4e7, 1.6e7, 5)
+    across = np.array([-1.0, 0.0, 0.0, 1.0, 0.0])
+    K = np.diag(k + np.append(k[1:], 0)) - np.diag(k[1:], 1) - np.diag(k[1:], -1) + 6e6 * np.outer(across, across)
+    tests = []
+    for added in (0.0, 3e3):
+        mass = np.full(n, 1e4) + np.array([0, 0, 0, 0, added])
+        values, vectors = linalg.eigh(K, np.diag(mass))
+        shapes = vectors.T / np.abs(vectors.T).max(axis=1, keepdims=True)
+        tests.append({
+            "name": f"{added:g} kg", "state": "bare", "added_mass": (mass - 1e4).tolist(),
+            "frequencies": (np.sqrt(values) / (2 * np.pi) * (1 + 0.001 * rng.standard_normal(n))).tolist(),
+            "mode_shapes": (shapes + 0.01 * rng.standard_normal((n, n))).tolist(),
+            "frequency_std": 0.001, "mode_shape_std": 0.01,
+        })  # fmt: skip
+    declared = {"frame": {"story_heights": 3.0, "total_mass": 5e4}, "configuration": tests}
+    found = cvxshear.close_loop(cvxshear.Experiment.from_dict(declared), ["other_stiffness", "gravity", "base_rocking"])
+    assert found.verdict == "located"
+    assert "floors 1 and 4" in str(found).replace("\n", " ")
+    axes = found.figure("findings").axes[0]
+    ties = [line for line in axes.lines if mpl.colors.to_hex(line.get_color()) == "#d55e00"]
+    assert [list(line.get_ydata()) for line in ties] == [[3.0, 12.0]]
+    (said,) = [text.get_text() for text in found.figure("springs").axes[0].texts if text.get_weight() == "bold"]
+    value, std = map(float, said.split("\n± "))
+    assert abs(value - 6000) < 3 * std
+    assert_readable(found.figure("springs"))

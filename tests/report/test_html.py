@@ -1,5 +1,8 @@
 """The report as text: it stands by itself, says what the result says, and lets nothing of a file through as markup."""
 
+import base64
+import dataclasses
+import datetime
 import html
 import json
 import re
@@ -12,6 +15,9 @@ import pytest
 
 import cvxshear
 from cvxshear.effects import compose
+from cvxshear.loop.verdicts import VERDICTS
+from cvxshear.measurement.declaration import Heading
+from cvxshear.report import figures
 from cvxshear.report.describe.consequences import changes, consequences
 from cvxshear.report.html import render, write_report
 from cvxshear.util.errors import InputError
@@ -105,11 +111,41 @@ def contrast(foreground, background):
 
 
 def test_letters_stand_out_from_what_is_behind_them(text):
-    colours = dict(re.findall(r"--(\w+): (#[0-9a-f]+)", text))
-    grounds = ["#ffffff", *re.findall(r"background: (#[0-9a-f]{6})", text)]
-    for name in ("ink", "quiet", "link"):
-        colour = colours[name] if len(colours[name]) == 7 else "#" + "".join(2 * digit for digit in colours[name][1:])
-        assert min(contrast(colour, ground) for ground in grounds) > 4.5
+    """In light and in dark: letters on the page and on shaded parts, and the verdict's mark beside the page."""
+    themes = [dict(re.findall(r"--(\w+): (#[0-9a-f]{6})", part)) for part in re.findall(r":root {([^}]*)}", text)]
+    assert len(themes) == 2
+    for colours, tone in zip(themes, ("colour", "dark"), strict=True):
+        for name in ("ink", "quiet", "link", "warn"):
+            assert min(contrast(colours[name], colours[ground]) for ground in ("paper", "shade")) > 4.5
+        for verdict in VERDICTS.values():
+            assert contrast(getattr(verdict, tone), colours["paper"]) > 4.5
+
+
+def test_the_head_of_a_report_is_what_the_file_or_the_caller_says(paper, comparison, tmp_path):
+    declared = {**paper.experiment.to_dict(), "report": {"client": "A & B <Ltd>", "date": datetime.date(2026, 11, 20)}}
+    tested = cvxshear.Experiment.from_dict(declared)
+    assert cvxshear.Experiment.from_dict(tested.to_dict()).report == tested.report
+    page = render(dataclasses.replace(paper, experiment=tested), COMMAND, comparison)
+    assert "<dt>client</dt><dd>A &amp; B &lt;Ltd&gt;</dd>" in page
+    assert "<dt>date</dt><dd>2026-11-20</dd>" in page
+    picture = tmp_path / "test.png"
+    figures.save(figures.frame(paper), picture)
+    heading = Heading(title="Frame 7 after repair", photograph=str(picture))
+    page = render(paper, COMMAND, comparison, heading=heading)
+    assert "<h1>Frame 7 after repair</h1>" in page
+    assert base64.b64encode(picture.read_bytes()).decode() in page
+    picture.write_text("no picture")
+    with pytest.raises(InputError, match=r"photograph = .* must be a PNG or JPEG"):
+        render(paper, COMMAND, comparison, heading=heading)
+    with pytest.raises(InputError, match="report: title must be a text that is not empty, not 3"):
+        cvxshear.Experiment.from_dict({**declared, "report": {"title": 3}})
+
+
+def test_the_first_screen_is_the_picture_of_what_was_found(paper, comparison):
+    page = render(paper, COMMAND, comparison)
+    places = [page.index(each) for each in ('id="verdict"', 'id="headline"', 'id="figure-findings"', "<table")]
+    assert places == sorted(places)
+    assert page.index('id="appendix"') < page.index('id="backends"')
 
 
 def test_the_whole_result_and_measurement_stand_in_the_report(text, unexplained):
@@ -166,10 +202,11 @@ def test_a_report_is_written_whole(paper, comparison, tmp_path):
 
 def test_results_show_themselves_in_a_notebook(paper, unexplained, comparison):
     shown = paper._repr_html_()
-    assert "EXPLAINED: the shear model lacks the weight that the columns carry" in shown
+    assert paper.effects[0].size.removesuffix(")") in html.unescape(shown)
+    assert shown.count('<img src="data:image/png;base64,') == 1
     assert "26.35" in shown
     Page(shown)
-    assert "<img" not in unexplained._repr_html_()
+    assert '<img src="http' not in unexplained._repr_html_()
     identified = cvxshear.identify(paper.experiment, method="two-stage")._repr_html_()
     assert "stiffness, kN/m" in identified
     assert "25.517" in identified
@@ -185,13 +222,13 @@ def test_importing_the_library_loads_no_report():
 
 def test_the_animation_moves_the_drawing_that_was_made(text, unexplained):
     """The script's own numbers are those that the drawings were made with."""
-    from cvxshear.report import motion  # noqa: PLC0415
+    from cvxshear.report import html as report  # noqa: PLC0415
 
     script = text[text.index("<script>") :]
-    assert f"centre = {motion.WIDTH / 2:g}, half = {motion.HALF:g}, largest = {motion.SWAY:g}" in script
-    drawn = motion.drawings(unexplained)[0][1][0]
+    assert f"centre = {report.WIDTH / 2:g}, half = {report.HALF:g}, largest = {report.SWAY:g}" in script
+    drawn = report.moving_shapes(unexplained)[0][1][0]
     x = [float(point.split(",")[0]) for point in drawn.left.split()]
-    assert x == pytest.approx([motion.WIDTH / 2 - motion.HALF + motion.SWAY * sway for sway in drawn.sway], abs=0.01)
+    assert x == pytest.approx([report.WIDTH / 2 - report.HALF + report.SWAY * sway for sway in drawn.sway], abs=0.01)
 
 
 def test_compose_without_the_effect_is_the_plain_frame(paper):

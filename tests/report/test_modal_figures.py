@@ -9,10 +9,10 @@ import pytest
 
 import cvxshear
 from cvxshear.modal import from_arrays, identify_modes
-from cvxshear.modal.simulate import PAPER_FRAME, KnownFrame, base_record, hammer_record, shaker_record
+from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, base_record, hammer_record, shaker_record
 from cvxshear.report import figures
-from cvxshear.report.figures.residual import _decades
-from cvxshear.report.shapes import mode_shapes
+from cvxshear.report.figures.drawn_shapes import mode_shapes
+from cvxshear.report.figures.judged import _decades
 from cvxshear.util.errors import InputError
 from tests.frames import chain
 from tests.report.test_figures import assert_readable

@@ -6,7 +6,7 @@ import pytest
 import cvxshear
 from cvxshear import backends
 from cvxshear.fit.efficient import efficient
-from cvxshear.modal.motion import Drive, Motion
+from cvxshear.records.motion import Drive, Motion
 from cvxshear.report import figures
 from cvxshear.response import DampedModel, Fitted, Models, predict, response
 from tests.report.test_figures import assert_readable

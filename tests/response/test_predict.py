@@ -12,8 +12,8 @@ from cvxshear.effects import Placed
 from cvxshear.files.measurement import write_measurement
 from cvxshear.fit.efficient import efficient
 from cvxshear.modal import Channel, Run, TimeRecord
-from cvxshear.modal.motion import Drive, Motion
-from cvxshear.report.series import series
+from cvxshear.records.motion import Drive, Motion
+from cvxshear.report.series_files import series
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
 from cvxshear.response.compare import peak
 from cvxshear.util.errors import InputError

@@ -10,7 +10,7 @@ from cvxshear import backends
 from cvxshear.fit.efficient import efficient
 from cvxshear.measurement.declaration import Limits
 from cvxshear.modal import Channel, Run, TimeRecord
-from cvxshear.modal.motion import Drive, Motion
+from cvxshear.records.motion import Drive, Motion
 from cvxshear.response import DampedModel, Fitted, Models, reconstruct, response
 from cvxshear.response.dynamics import Noise, Setting, doubled_lyapunov, dynamics, recursion, settled_covariance
 from cvxshear.response.innovations import PredictionErrors, Stretch, Varied

@@ -11,7 +11,7 @@ import cvxshear
 from cvxshear import close_loop
 from cvxshear.cli import main
 from cvxshear.files.measurement import write_measurement
-from cvxshear.modal.motion import Drive, Motion
+from cvxshear.records.motion import Drive, Motion
 from cvxshear.report.describe import describe
 from cvxshear.report.figures import transfer_functions
 from cvxshear.report.html import render

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from cvxshear import Experiment
+from cvxshear.measurement.reading import repeated_configurations
 from cvxshear.screening import screen
-from cvxshear.screening.total_mass import implied_total
+from cvxshear.screening.doubts import implied_total
 from tests.frames import configuration, experiment
 
 MASS = np.array([2.1e5, 2.0e5, 1.9e5])
@@ -24,7 +25,6 @@ def building(*, frame=None, frequency=1.0, prior=()):
 def told(declared):
     items = screen(Experiment.from_dict(declared))
     assert not any(item.refuses for item in items)
-    assert all(item.configuration is None for item in items)
     return [item.name for item in items]
 
 
@@ -96,3 +96,85 @@ def test_the_total_implied_by_added_masses_is_the_frames():
     total, std = implied_total(Experiment.from_dict(building()))
     assert total == pytest.approx(MASS.sum(), rel=1e-3)
     assert 0 < std < 0.3
+
+
+@pytest.mark.parametrize(
+    ("heights", "names"),
+    [
+        ([3.2, 6.4, 9.6], ["elevations"]),
+        ([3.5, 6.6, 9.7], ["elevations"]),
+        ([4.0, 3.0, 3.0], []),
+        ([3.0, 3.2, 3.4], []),
+    ],
+)
+def test_heights_that_are_added_up_are_asked_about(heights, names):
+    assert told(building(frame={"story_heights": heights})) == names
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "names"),
+    [
+        ("frequency_std", 1e-9, ["deviations"]),
+        ("frequency_std", 0.1, ["deviations"]),
+        ("frequency_std", 1e-5, []),
+        ("frequency_std", [0.002, 0.004, 0.02], []),
+        ("mode_shape_std", 1e-30, ["deviations"]),
+        ("mode_shape_std", 1.0, ["deviations"]),
+        ("mode_shape_std", 0.1, []),
+    ],
+)
+def test_deviations_that_no_instrument_has_and_percent_are_asked_about(key, value, names):
+    declared = building()
+    declared["configuration"][1][key] = value
+    assert told(declared) == names
+
+
+def test_so_are_those_of_soft_statements():
+    prior = {"kind": "value", "quantity": "story_stiffness", "at": 1, "value": float(STIFFNESS[0])}
+    assert told(building(prior=[{**prior, "std": 1e-12}])) == ["deviations"]
+    assert told(building(prior=[{**prior, "std": 1e-3}])) == []
+    assert told(building(prior=[prior])) == []
+    assert told(building(frame={"total_mass_std": 1e-8})) == ["deviations"]
+
+
+def test_frequencies_of_a_record_whose_time_is_in_milliseconds_are_asked_about():
+    assert told(building(frequency=1e-3)) == ["time_unit"]
+
+
+def test_a_copied_configuration_is_found():
+    declared = building()
+    declared["configuration"] += [{**declared["configuration"][1], "name": f"copy {i}"} for i in (1, 2)]
+    assert repeated_configurations(Experiment.from_dict(declared)) == (("test 2", "copy 1", "copy 2"),)
+    assert told(declared) == ["repeated"]
+
+
+def test_tests_that_were_repeated_are_no_copies():
+    """Nor are two states of the same masses, or single frequencies that round alike."""
+    declared = building()
+    again = {**declared["configuration"][1], "name": "again"}
+    again["frequencies"] = [1.0001 * value for value in again["frequencies"]]
+    declared["configuration"].append(again)
+    assert repeated_configurations(Experiment.from_dict(declared)) == ()
+    alone = [{"name": f"test {i}", "frequencies": [2.5, 7.1]} for i in (1, 2)]
+    few = {"frame": {"stories": 2, "total_mass": 10.0}, "configuration": alone}
+    assert repeated_configurations(Experiment.from_dict(few)) == ()
+
+
+@pytest.mark.parametrize("factor", [2 * np.pi, 60.0, 1000.0])
+def test_one_configuration_in_another_unit_of_frequency_is_refused_until_it_is_accepted(factor):
+    declared = building()
+    third = configuration(MASS, STIFFNESS * [1.0, 0.7, 1.0])
+    declared["configuration"].append({"name": "after", **third})
+    assert told(declared) == []
+    declared["configuration"][1]["frequencies"] = [factor * f for f in declared["configuration"][1]["frequencies"]]
+    found = screen(Experiment.from_dict(declared))
+    assert [(item.name, item.configuration, item.refuses) for item in found] == [("frequency_unit", "test 2", True)]
+    declared["frame"]["accept"] = ["frequency_unit"]
+    assert [item.name for item in screen(Experiment.from_dict(declared)) if item.refuses] == []
+
+
+def test_a_story_that_lost_nearly_everything_changes_no_unit():
+    """The modes of a changed frame do not all change by one factor."""
+    declared = building()
+    declared["configuration"].append({"name": "after", **configuration(MASS, STIFFNESS * [0.02, 1.0, 1.0])})
+    assert "frequency_unit" not in {item.name for item in screen(Experiment.from_dict(declared))}

@@ -1,19 +1,17 @@
 """Results in words: one description each, which terminal, report, notebook and `print` arrange."""
 
 from cvxshear.report.describe import (
-    closure,
-    comparison,
-    damping,
-    experiment,
-    identification,
-    modal,
-    noise_study,
-    plan,
+    backends_compared,
+    before_after,
+    closed_loop,
+    from_records,
+    identified,
+    measured,
+    paper,
+    planned,
     prediction,
-    screening,
 )
-from cvxshear.report.describe.dispatch import describe, line
-from cvxshear.report.describe.vocabulary import Document, Facts, Points, Row, Section, Sentence, Table
+from cvxshear.report.describe.vocabulary import Document, Facts, Points, Row, Section, Sentence, Table, describe, line
 
 __all__ = [
     "Document",
@@ -23,16 +21,15 @@ __all__ = [
     "Section",
     "Sentence",
     "Table",
-    "closure",
-    "comparison",
-    "damping",
+    "backends_compared",
+    "before_after",
+    "closed_loop",
     "describe",
-    "experiment",
-    "identification",
+    "from_records",
+    "identified",
     "line",
-    "modal",
-    "noise_study",
-    "plan",
+    "measured",
+    "paper",
+    "planned",
     "prediction",
-    "screening",
 ]

@@ -11,7 +11,7 @@ from cvxshear.effects import Placed, compose
 from cvxshear.effects.state import State
 from cvxshear.fit.efficient import Estimate
 from cvxshear.measurement.experiment import Configuration
-from cvxshear.model.shear import modes
+from cvxshear.model.shear import frame_modes, modes
 from cvxshear.util.quantities import AUTOMATIC, Units, percent
 from cvxshear.util.typing import Floats
 
@@ -73,13 +73,14 @@ def changes(estimate: Estimate, placed: Placed) -> list[Change]:
 
 
 def _change(configuration: Configuration, before: State, after: State) -> Change:
-    stiff = _sway_stiffness(before.system.K), _sway_stiffness(after.system.K)
-    mass = before.system.M.sum(axis=1), after.system.M.sum(axis=1)
-    diagonal = np.diag(after.system.M) - np.diag(before.system.M)
+    n = len(after.story_stiffness)
+    stiff = _sway_stiffness(before), _sway_stiffness(after)
+    mass = before.system.M[:n, :n].sum(axis=1), after.system.M[:n, :n].sum(axis=1)
+    diagonal = np.diag(after.system.M)[:n] - np.diag(before.system.M)[:n]
     moved = mass[1] - mass[0]
     # What couples floors moves mass between them and off the diagonal; what is heavier is seen in the row's sum.
     added = np.where(np.abs(moved) > NOTHING * mass[0], moved, diagonal)
-    frequencies = [modes(state.system.M, state.system.K).frequencies for state in (before, after)]
+    frequencies = [_frame_frequencies(state) for state in (before, after)]
     return Change(
         configuration.name,
         stiff[1] - stiff[0],
@@ -91,11 +92,18 @@ def _change(configuration: Configuration, before: State, after: State) -> Change
     )
 
 
-def _sway_stiffness(K: Floats) -> Floats:
+def _frame_frequencies(state: State) -> Floats:
+    """Frequencies of the frame's modes, without those of masses attached to it, shape (N,), Hz."""
+    found = modes(state.system.M, state.system.K)
+    return found.frequencies[frame_modes(found, state.system.M, len(state.story_stiffness))]
+
+
+def _sway_stiffness(state: State) -> Floats:
     """A force at the top over the drift of each story under it, shape (N,), N/m: k_i of a shear frame."""
+    K, n = state.system.K, len(state.story_stiffness)
     force = np.zeros(len(K))
-    force[-1] = 1.0
-    stiffness: Floats = 1.0 / np.diff(np.linalg.solve(K, force), prepend=0.0)
+    force[n - 1] = 1.0
+    stiffness: Floats = 1.0 / np.diff(np.linalg.solve(K, force)[:n], prepend=0.0)
     return stiffness
 
 
@@ -129,7 +137,7 @@ def _stiffness(found: list[Change], units: Units) -> Iterator[str]:
         f"It {word} {abs(most.stiffness[story]) / factor:.3g} {unit}, {percent(abs(shares[worst, story]))} of the "
         f'story stiffness, {way} story {story + 1} in "{most.configuration}"'
     )
-    if (worst, story) != (least, other):
+    if (worst, story) != (least, other) and abs(shares[least, other]) > NOTHING:
         sentence += (
             f', where it does most; least in story {other + 1} in "{found[int(least)].configuration}": '
             f"{percent(abs(shares[least, other]))}"

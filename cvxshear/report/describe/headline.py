@@ -1,94 +1,192 @@
-"""The verdict on a frame in a sentence that an engineer would say."""
+"""The verdict on a frame in a sentence that an engineer would say, with the noise and the numbering behind it."""
 
 from __future__ import annotations
 
-from cvxshear.fit.quality import Quality
+from collections.abc import Iterator
+
+from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import Closure
+from cvxshear.loop.numbering import Changes
+from cvxshear.loop.residual import by_part
 from cvxshear.loop.results import AddedEffect
-from cvxshear.report.describe.noise import noise_in_words
-from cvxshear.report.describe.numbering import in_doubt, numbers_in_words, other_numbers
-from cvxshear.util.quantities import chance, listed, percents
+from cvxshear.loop.verdicts import VERDICTS, Verdict
+from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD, DEFAULT_MODE_SHAPE_STD
+from cvxshear.measurement.static_test import DEFAULT_DISPLACEMENT_STD
+from cvxshear.report.describe.vocabulary import Facts, Row, Section, Table
+from cvxshear.util.quantities import chance, listed, percent, percents, significant, with_std
+
+DOUBT = 0.05
+"""Probability of other numbers above which a reader is told of them in a sentence."""
+
+
+def numbers_in_words(changes: Changes) -> str:
+    """Such as 'the modes of "ambient" are 1, 2 and 4 of the frame'.
+
+    Parameters
+    ----------
+    changes : tuple of (str, tuple of int)
+    """
+    names: dict[tuple[int, ...], list[str]] = {}
+    for name, modes in changes:
+        names.setdefault(modes, []).append(f'"{name}"')
+    said = [f"the modes of {listed(who)} are {listed([str(mode) for mode in modes])}" for modes, who in names.items()]
+    return f"{listed(said)} of the frame"
+
+
+def in_doubt(result: Closure) -> bool:
+    """Whether other numbers of the modes are more than hardly probable."""
+    return len(result.numberings) > 1 and result.numberings[1].probability > DOUBT
+
+
+def other_numbers(result: Closure) -> str:
+    """The second most probable numbering in words."""
+    other = result.numberings[1]
+    return numbers_in_words(other.changes) if other.changes else "the modes are those given"
+
+
+def numbering_sections(result: Closure) -> Iterator[Section]:
+    """A table of the numberings that were weighed; nothing where the numbers were not in question."""
+    if len(result.numberings) == 1 and not result.numberings[0].changes:
+        return
+    rows = tuple(
+        Row(
+            (numbers_in_words(item.changes) if item.changes else "the modes are those given", chance(item.probability)),
+            exact=(item.probability,),
+        )
+        for item in result.numberings
+    )
+    table = Table("numberings", "Which modes of the frame were measured", ("numbering", "probability"), rows)
+    yield Section("numbering", "Which modes these are", (table,))
+
+
+DEFAULTS = {
+    "frequency": DEFAULT_FREQUENCY_STD,
+    "mode_shape": DEFAULT_MODE_SHAPE_STD,
+    "displacement": DEFAULT_DISPLACEMENT_STD,
+}
+"""Standard deviation that stands for an undeclared one, by kind of data; the estimated factor multiplies it."""
+
+
+def noise_facts(result: Closure) -> Facts:
+    """For each kind of data the noise that counts."""
+    return Facts(tuple(_facts(result)))
+
+
+def _facts(result: Closure) -> Iterator[tuple[str, str]]:
+    estimated = {kind: item for kind, item in result.noise.to_dict().items() if item is not None}
+    for kind in dict.fromkeys(datum.noise for datum in result.estimate.misfit.data):
+        name = f"noise of {plural_of(kind)}"
+        if kind not in estimated:
+            yield name, "as declared"
+            continue
+        factor, std = estimated[kind]["factor"], estimated[kind]["std"]
+        size = with_std(100 * factor * DEFAULTS[kind], 100 * std * DEFAULTS[kind], "%")
+        partly = any(datum.noise == kind and datum.declared for datum in result.estimate.misfit.data)
+        where = ", where it is not declared" if partly else ""
+        yield name, f"{size} (estimated: {with_std(factor, std)} times the default{where})"
+
+
+def noise_in_words(result: Closure) -> str:
+    """The estimated noise in a few words; empty where all of it was declared."""
+    found = result.noise.noise.factors
+    # Sizes of effects of many parameters are estimated with the noise, and are none.
+    said = [
+        f"{significant(100 * factor * DEFAULTS[kind], 2)} % of {plural_of(kind)}"
+        for kind, factor in found
+        if kind in DEFAULTS
+    ]
+    return f"an estimated noise of {listed(said)}" if said else ""
+
+
+def plural_of(kind: str) -> str:
+    """A kind of data in the plural: "mode shapes"."""
+    words = kind.replace("_", " ")
+    return f"{words[:-1]}ies" if words.endswith("y") else f"{words}s"
+
 
 NAMED = 2
 """Effects up to which a sentence names them all; more are a matter for the table."""
 
-FELL = 0.9
-"""Ratio of an error after to that before below which it fell."""
+SURE = 0.95
+"""Probability from which an effect counts as certainly there; a verdict "explained" needs it of each."""
+
+CARRIES = 0.6
+"""Share of the fall in chi-square from which one kind of data is said to have carried the verdict alone."""
 
 
-def headline(of: Closure) -> str:
-    """What was found, how probable it is, and what it does to the errors.
+def verdict_of(result: Closure) -> Verdict:
+    """The verdict with its words.
 
     Parameters
     ----------
-    of : Closure
+    result : Closure
     """
-    says = {"adequate": _adequate, "explained": _explained, "ambiguous": _ambiguous, "unexplained": _unexplained}
-    found = of.numberings[0]
-    if not found.changes:
-        return says[of.verdict](of)
-    numbers = f"{numbers_in_words(found.changes)} ({chance(found.probability)} probable)"
-    renumbered = change_in_words(of.before.estimate.quality, of.steps[1].estimate.quality)
-    if of.effects or of.verdict == "unexplained":
-        return f"{numbers}, and with these numbers {renumbered}; {says[of.verdict](of)}"
-    doubt = f"; but perhaps {other_numbers(of)} ({chance(of.numberings[1].probability)})" if in_doubt(of) else ""
-    return f"{numbers}; so numbered, {_model(of)} explains the data, and {renumbered}{doubt}."
+    return VERDICTS[result.verdict]
 
 
-def _adequate(of: Closure) -> str:
-    model = _model(of)
-    if of.estimate.dof <= 0:
-        return f"there is nothing to test: {model} has as many parameters as there are data."
-    noise = noise_in_words(of)
-    within = f" within {noise}" if noise else " within the declared noise"
-    best = of.candidates[0] if of.candidates else None
-    if best is None:
-        return f"{model} explains the data{within}."
-    likely = f"{best.placed.label} is the most probable ({chance(best.probability)})"
-    return f"{model} explains the data{within}; of what it might lack, {likely}."
+def headline(result: Closure) -> str:
+    """What was found, how probable it is, and what it does to the error that carried the verdict.
+
+    Parameters
+    ----------
+    result : Closure
+    """
+    verdict, found = verdict_of(result), result.numberings[0]
+    spread = "in no single part" if verdict.provisional else ""
+    added = bool(result.effects)
+    before = result.before
+    renumbered = ""
+    if found.changes:
+        before = result.steps[1]
+        numbers = f"{numbers_in_words(found.changes)} ({chance(found.probability)} probable)"
+        moved = change_in_words(result.before.estimate, before.estimate)
+        renumbered = f"{numbers}, and with these numbers {moved}; "
+    said = verdict.says(
+        added=added,
+        model=_model(result),
+        found=_effects(result.effects),
+        doubt=_doubt(result),
+        place=f"in {listed(result.remains[:2])}" if result.remains else spread,
+        change="" if found.changes and not added else change_in_words(before.estimate, result.estimate),
+        within=_within(result),
+    )
+    return f"{renumbered}{said}."
 
 
-def _explained(of: Closure) -> str:
-    return f"{_model(of)} lacks {_effects(of.effects)}; with {_them(of)} {_change(of)}."
+def _within(result: Closure) -> str:
+    if result.estimate.dof <= 0:
+        return "exactly, as it has as many parameters as there are data"
+    return f"within {noise_in_words(result) or 'the declared noise'}"
 
 
-def _ambiguous(of: Closure) -> str:
-    if not of.effects:
-        return f"{_model(of)} explains the data, but {_doubt(of)}."
-    return f"{_model(of)} lacks {_effects(of.effects)}, but {_doubt(of)}; with {_them(of)} {_change(of)}."
+def _doubt(result: Closure) -> str:
+    """Why the verdict is no surer than it is."""
+    doubtful = [item for item in result.effects if item.rivals]
+    said = ""
+    if result.verdict == "adequate" and result.candidates:
+        best = result.candidates[0]
+        said = f"of what it might lack, {best.placed.label} is the most probable ({chance(best.probability)})"
+    elif doubtful and len(result.effects) <= NAMED:
+        said = "; ".join(_rivals(item, several=len(result.effects) > 1) for item in doubtful)
+    elif doubtful:
+        said = f"in place of {len(doubtful)} of them something else would explain the data as well"
+    elif in_doubt(result):
+        said = f"perhaps {other_numbers(result)} ({chance(result.numberings[1].probability)})"
+    elif any(item.probability < SURE for item in result.effects):
+        said = f"that {'it' if len(result.effects) == 1 else 'each of them'} is there at all is less sure than 95 %"
+    return said
 
 
-def _doubt(of: Closure) -> str:
-    """Why the verdict is ambiguous."""
-    doubtful = [item for item in of.effects if item.rivals]
-    if not doubtful and in_doubt(of):
-        return f"perhaps {other_numbers(of)} ({chance(of.numberings[1].probability)})"
-    if not doubtful:
-        return f"whether {_them(of).replace('them', 'each')} is there at all is less sure than 95 %"
-    if len(of.effects) <= NAMED:
-        return "; ".join(_rivals(item, several=len(of.effects) > 1) for item in doubtful)
-    return f"in place of {len(doubtful)} of them something else would explain the data as well"
-
-
-def _unexplained(of: Closure) -> str:
-    where = listed(of.remains[:2])
-    left = f"a significant residual is left, most of all in {where}" if where else "a significant residual is left"
-    if not of.effects:
-        return f"{left}; no effect that was looked for accounts for it."
-    return f"{left}, though {_model(of)} is given {_effects(of.effects)}: with {_them(of)} {_change(of)}."
-
-
-def _model(of: Closure) -> str:
-    if not of.assumed:
+def _model(result: Closure) -> str:
+    if not result.assumed:
         return "the shear model"
-    return f"the shear model with {listed([placed.label for placed in of.assumed])}"
+    return f"the shear model with {listed([placed.label for placed in result.assumed])}"
 
 
 def _effects(effects: tuple[AddedEffect, ...]) -> str:
+    """The effects with their sizes and probabilities, or how many there are and the first."""
     said = [_sized(item) for item in effects]
-    if len(said) <= NAMED:
-        return listed(said)
-    return f"{len(said)} effects, such as {said[0]}"
+    return listed(said) if len(said) <= NAMED else f"{len(said)} effects were found, the first: {said[0]}"
 
 
 def _sized(item: AddedEffect) -> str:
@@ -97,42 +195,80 @@ def _sized(item: AddedEffect) -> str:
     return f"{item.size[:-1]}; {probable}" if item.size.endswith(")") else f"{item.size} ({probable}"
 
 
-def _them(of: Closure) -> str:
-    return "it" if len(of.effects) == 1 else "them"
-
-
 def _rivals(item: AddedEffect, *, several: bool) -> str:
-    """What else it may be: what no datum tells from it first, then what is less probable."""
+    """What else it may be: what no datum can distinguish from it first, then what is less probable."""
     twins = [rival.placed.label for rival in item.rivals if rival.twin]
     others = [f"{rival.placed.label} ({chance(rival.probability)})" for rival in item.rivals if not rival.twin]
     mine = item.placed.label if several else "it"
     said = []
     if twins:
-        said.append(f"these data cannot tell {mine} from {listed(twins, 'or')}")
+        said.append(f"these data cannot distinguish {mine} from {listed(twins, 'or')}")
     if others:
         place = f"in place of {mine}" if several else "in its place"
         said.append(f"{listed(others, 'or')} would explain them as well {place}")
     return ", and ".join(said)
 
 
-def _change(of: Closure) -> str:
-    """What the effects change; what other numbers of the modes do to the errors is said by itself."""
-    before = of.steps[1] if of.numberings[0].changes else of.before
-    return change_in_words(before.estimate.quality, of.after.estimate.quality)
-
-
-def change_in_words(before: Quality, after: Quality) -> str:
-    """What became of the error that changed: that of the frequencies, or else that of the shapes.
+def chi2_by_kind(estimate: Estimate) -> dict[str, float]:
+    """Chi-square of the residual of each kind of data, in the noise of the fit.
 
     Parameters
     ----------
-    before, after : Quality
+    estimate : Estimate
     """
-    frequency = (before.max_frequency_error, after.max_frequency_error)
-    shape = (before.max_shape_error or 0.0, after.max_shape_error or 0.0)
-    if frequency[1] > FELL * frequency[0] and shape[1] < FELL * shape[0]:
-        return _moves("the largest mode-shape error", *shape)
-    return _moves("the largest frequency error", *frequency)
+    sums: dict[str, float] = {}
+    for part in by_part(estimate):
+        sums[part.noise] = sums.get(part.noise, 0.0) + part.entries * part.deviations**2
+    return sums
+
+
+def carried_by(before: Estimate, after: Estimate) -> dict[str, float]:
+    """The share of each kind of data in the fall of chi-square, the largest first; empty where it does not fall.
+
+    Parameters
+    ----------
+    before, after : Estimate
+        In the same noise.
+    """
+    first, last = chi2_by_kind(before), chi2_by_kind(after)
+    falls = {kind: max(value - last.get(kind, 0.0), 0.0) for kind, value in first.items()}
+    total = sum(falls.values())
+    if total <= 0:
+        return {}
+    return {kind: falls[kind] / total for kind in sorted(falls, key=falls.__getitem__, reverse=True)}
+
+
+def evidence_in_words(result: Closure) -> str:
+    """Which kind of data speaks for the effects; empty where nothing was added.
+
+    Parameters
+    ----------
+    result : Closure
+    """
+    shares = carried_by(result.before.estimate, result.estimate) if result.effects else {}
+    if not shares:
+        return ""
+    first, share = next(iter(shares.items()))
+    kind = plural_of(first)
+    if len(shares) == 1:
+        return f"The evidence lies in the {kind}; nothing else was measured."
+    if share > CARRIES:
+        return f"The evidence lies in the {kind}: {percent(share, 0)} of the fall in chi-square is theirs."
+    said = [f"{plural_of(each)} ({percent(part, 0)})" for each, part in shares.items()]
+    return f"The evidence lies in {listed(said)} of the fall in chi-square."
+
+
+def change_in_words(before: Estimate, after: Estimate) -> str:
+    """What became of the largest error of the kind of data that carries the change, frequencies or shapes.
+
+    Parameters
+    ----------
+    before, after : Estimate
+    """
+    shares, first, last = carried_by(before, after), before.quality, after.quality
+    if shares.get("mode_shape", 0.0) > 0.5 and first.max_shape_error and last.max_shape_error is not None:
+        return _moves("the largest mode-shape error", first.max_shape_error, last.max_shape_error)
+    return _moves("the largest frequency error", first.max_frequency_error, last.max_frequency_error)
 
 
 def _moves(what: str, before: float, after: float) -> str:

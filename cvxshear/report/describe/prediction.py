@@ -6,9 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cvxshear.report.describe.damping import damping_section
-from cvxshear.report.describe.dispatch import describe
-from cvxshear.report.describe.vocabulary import Document, Row, Section, Sentence, Table, plain_rows
+from cvxshear.report.describe.identified import damping_section
+from cvxshear.report.describe.vocabulary import Document, Row, Section, Sentence, Table, describe, plain_rows
 from cvxshear.response import Peaks, Reconstruction, RecordComparison, RecordPrediction
 from cvxshear.util.quantities import AUTOMATIC, Units, percent, probability, ranged, scaled, significant, with_std
 

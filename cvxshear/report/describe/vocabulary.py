@@ -1,10 +1,13 @@
-"""The words that a description of a result is made of: plain data, which terminals, pages and notebooks arrange."""
+"""The parts that the description of a result is made of, and the functions that describe a result of any type."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import singledispatch
 from typing import ClassVar
+
+from cvxshear.util.quantities import AUTOMATIC, Units
 
 Exact = float | int | str | None
 
@@ -98,7 +101,6 @@ class Table:
     words: tuple[int, ...] = (0,)
     brief: int | None = None
 
-
     def folded(self, most: int) -> tuple[Table, ...]:
         """Several tables, each of the first column and as many of the others as a page has room for."""
         count = len(self.head)
@@ -178,3 +180,31 @@ def plain_rows(cells: Iterable[Sequence[str]]) -> tuple[Row, ...]:
 def columns(*texts: Sequence[str]) -> tuple[Row, ...]:
     """Rows from whole columns, all of one length."""
     return plain_rows(zip(*texts, strict=True))
+
+
+@singledispatch
+def describe(result: object, units: Units = AUTOMATIC) -> Document:
+    """The description of a result: its tables, sentences, and numbers with units.
+
+    Parameters
+    ----------
+    result : object
+    units : Units, optional
+        In which quantities are shown; what fits their size where not given.
+
+    Returns
+    -------
+    Document
+
+    Raises
+    ------
+    TypeError
+        Where nobody has said how a result of this type is described.
+    """
+    raise TypeError(f"a {type(result).__name__} has no description; register one with describe.register")
+
+
+@singledispatch
+def line(result: object) -> str:
+    """A result in one short line, such as a prompt shows; by default its description's headline."""
+    return f"<{type(result).__name__} {describe(result).headline}>"

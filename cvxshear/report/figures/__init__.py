@@ -1,19 +1,16 @@
 """Figures: each a function that takes a result and returns a matplotlib Figure, which no window or setting depends on.
 
-Needs matplotlib (`pip install matplotlib`).
+`figure_table` lists them; needs matplotlib (`pip install matplotlib`).
 """
 
-from cvxshear.report.figures.backends import backend_differences
-from cvxshear.report.figures.convergence import convergence
-from cvxshear.report.figures.frame import frame
-from cvxshear.report.figures.functions import coherence, functions
-from cvxshear.report.figures.mac import mac
-from cvxshear.report.figures.modal_shapes import modal_mac, modal_shapes
-from cvxshear.report.figures.noise import noise_boxes, noise_variation
-from cvxshear.report.figures.output import save
-from cvxshear.report.figures.plan import plan
-from cvxshear.report.figures.ranking import ranking
-from cvxshear.report.figures.residual import residual
+from cvxshear.report.figures.drawn_frame import findings, frame, springs, springs_between_levels
+from cvxshear.report.figures.drawn_shapes import shapes
+from cvxshear.report.figures.figure_table import FigureEntry, drawn_figure, figure, figures_of
+from cvxshear.report.figures.frequency_figures import coherence, functions, stabilization
+from cvxshear.report.figures.judged import ranking, residual
+from cvxshear.report.figures.modal_figures import mac, modal_mac, modal_shapes
+from cvxshear.report.figures.noise_scatter import noise_boxes, noise_variation
+from cvxshear.report.figures.planned_test import plan
 from cvxshear.report.figures.response import (
     floor_spectra,
     reconstructed_histories,
@@ -22,13 +19,18 @@ from cvxshear.report.figures.response import (
     story_drifts,
     transfer_functions,
 )
-from cvxshear.report.figures.shapes import shapes
-from cvxshear.report.figures.stabilization import stabilization
+from cvxshear.report.figures.solving import backend_differences, convergence
+from cvxshear.report.figures.style import save
 
 __all__ = [
+    "FigureEntry",
     "backend_differences",
     "coherence",
     "convergence",
+    "drawn_figure",
+    "figure",
+    "figures_of",
+    "findings",
     "floor_spectra",
     "frame",
     "functions",
@@ -45,6 +47,8 @@ __all__ = [
     "response_peaks",
     "save",
     "shapes",
+    "springs",
+    "springs_between_levels",
     "stabilization",
     "story_drifts",
     "transfer_functions",

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
 
+from cvxshear.report.figures.figure_table import figure
 from cvxshear.report.figures.style import (
     AFTER,
     BEFORE,
@@ -24,7 +25,6 @@ from cvxshear.report.figures.style import (
     logarithmic,
     new_figure,
     panels,
-    styled,
 )
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.response.compare import seen
@@ -50,7 +50,16 @@ def _floors(result: RecordPrediction) -> Ints:
     return np.asarray(floors[chosen][::-1], dtype=np.int64)
 
 
-@styled
+@figure(
+    "history",
+    RecordPrediction,
+    title="Accelerations over time",
+    caption="Total accelerations of the floors around the strongest motion: predicted (dashed), with the band that "
+    "holds 95\N{NO-BREAK SPACE}% by the deviations of masses, stiffnesses, effects and damping, and, where the record "
+    "has them, measured.",
+    alternative="Accelerations of the floors over time, predicted and measured.",
+    section="peaks",
+)
 def response_histories(result: RecordPrediction) -> Figure:
     """Accelerations of the floors over time around the strongest, predicted with a 95 % band, and measured.
 
@@ -99,7 +108,14 @@ def _legend(figure: Figure, axes: Axes) -> None:
     figure.legend(handles, labels, loc="outside upper left", ncols=max(len(labels), 1))
 
 
-@styled
+@figure(
+    "peaks",
+    RecordPrediction,
+    title="Peaks",
+    caption="Peaks over the height with error bars that hold 95\N{NO-BREAK SPACE}%; circles are measured.",
+    alternative="Peaks over the height; the numbers are in the table above.",
+    section="peaks",
+)
 def response_peaks(result: RecordPrediction) -> Figure:
     """Peaks of acceleration, drift and, where masses have a scale, shear over the height, with 95 % error bars.
 
@@ -155,7 +171,17 @@ def _measured_peaks(axes: Axes, result: RecordPrediction) -> None:
         axes.plot(top, result.motion.floors, color=MEASURED, marker="o", mfc="white", ls="none", label="measured")
 
 
-@styled
+@figure(
+    "transfer",
+    RecordPrediction,
+    title="Transfer functions",
+    caption="Size of each floor's transfer function: measured, of the shear model, and, where effects were added, of "
+    "the model with effects. All go through the same estimate.",
+    alternative="Sizes of the transfer functions from the excitation to the floors, measured and predicted.",
+    section="errors",
+    applies=lambda result: result.after.comparison is not None,
+    needs="measured accelerations of floors",
+)
 def transfer_functions(result: RecordPrediction) -> Figure:
     """Sizes of the transfer functions from the excitation to the floors: measured and predicted.
 
@@ -185,8 +211,8 @@ def transfer_functions(result: RecordPrediction) -> Figure:
         column = int(np.flatnonzero(after.floors == floor)[0])
         curves = [(after.measured, MEASURED, "-", "measured"), (after.predicted, AFTER, "--", "predicted")]
         if before is not None:
-            curves[1] = (after.predicted, AFTER, "--", "after")
-            curves.append((before.predicted, BEFORE, ":", "before: shear model"))
+            curves[1] = (after.predicted, AFTER, "--", "with effects")
+            curves.append((before.predicted, BEFORE, ":", "shear model"))
         for of, colour, dashes, label in curves:
             axes.semilogy(lines, np.abs(of.functions[shown, column]), color=colour, ls=dashes, lw=1.1, label=label)
         logarithmic(axes.yaxis, 5)
@@ -203,7 +229,14 @@ def transfer_functions(result: RecordPrediction) -> Figure:
     return figure
 
 
-@styled
+@figure(
+    "spectra",
+    RecordPrediction,
+    title="Floor spectra",
+    caption="Peak acceleration of an oscillator on each floor: what equipment there has to bear.",
+    alternative="Response spectra of the floors.",
+    section="peaks",
+)
 def floor_spectra(result: RecordPrediction) -> Figure:
     """Response spectra of the floors.
 
@@ -235,7 +268,16 @@ def floor_spectra(result: RecordPrediction) -> Figure:
     return figure
 
 
-@styled
+@figure(
+    "drifts",
+    Reconstruction,
+    title="Drift of every story",
+    caption="Left: the frame, each story coloured by its peak drift, with its standard deviation; * marks a story that "
+    "changed, triangles the floors with sensors. Right: the same with bars that hold 95\N{NO-BREAK SPACE}%, the "
+    "prediction that looks at no sensor, and the limits.",
+    alternative="The frame with the peak drift of each story; the numbers are in the table above.",
+    section="motion",
+)
 def story_drifts(result: Reconstruction) -> Figure:
     """The frame with its stories coloured by peak drift, and the peaks with 95 % bars beside it.
 
@@ -285,7 +327,14 @@ def story_drifts(result: Reconstruction) -> Figure:
     return figure
 
 
-@styled
+@figure(
+    "histories",
+    Reconstruction,
+    title="Drifts over time",
+    caption="Drifts around the strongest motion, with the band that holds 95\N{NO-BREAK SPACE}%.",
+    alternative="Drifts of the stories over time.",
+    section="frame",
+)
 def reconstructed_histories(result: Reconstruction) -> Figure:
     """Drifts of the stories over time around the strongest motion, with 95 % bands.
 

@@ -1,14 +1,19 @@
-"""The house style of the figures: colours and marks that part in black and white, and fonts that have every letter.
+"""The house style of the figures, and figures as files and as parts of a page.
 
-Colours are of the set of Okabe and Ito, which the colour-blind can tell apart; whatever a colour says, a marker, a
+Colours are of the set of Okabe and Ito, which the colour-blind can distinguish; whatever a colour says, a marker, a
 line style or a hatch says as well.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache, wraps
+from io import BytesIO
 from itertools import cycle, islice
+from pathlib import Path
+from threading import RLock
 from typing import Any, ParamSpec
 
 import matplotlib as mpl
@@ -16,11 +21,13 @@ import numpy as np
 from matplotlib import font_manager
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ft2font import FT2Font
 from matplotlib.ticker import FuncFormatter, LogLocator
 
 from cvxshear.util.typing import Floats
+from cvxshear.util.writing import ending_of, write_file
 
 P = ParamSpec("P")
 
@@ -35,7 +42,10 @@ HATCHES = ("", "////", "....", "xxxx", "\\\\\\\\", "oo")
 LINES = ("-", "--", "-.", ":")
 
 PAGE_WIDTH = 7.2
-"""inch, what an A4 page has between its margins."""
+"""Width of a figure on an A4 page between its margins, inch."""
+
+NARROW_WIDTH = 3.6
+"""Width of a figure on a telephone of 390 pixels, inch: letters are as large as on a wide page."""
 
 LONGEST = 26
 """Letters of a name that a figure shows."""
@@ -72,6 +82,13 @@ SETTINGS = {
 }
 
 
+_SETTINGS_LOCK = RLock()
+"""Held while a figure is drawn or written: matplotlib has one set of settings for all threads."""
+
+_narrow: list[bool] = []
+"""Not empty while a figure is drawn for a telephone; only changed by the thread that holds the lock."""
+
+
 def settings() -> dict[Any, Any]:
     """What to set for as long as a figure is made or written."""
     return {**SETTINGS, "font.family": list(families())}
@@ -89,14 +106,42 @@ def _fonts() -> tuple[FT2Font, ...]:
     return tuple(font_manager.get_font(font_manager.findfont(name, fallback_to_default=True)) for name in families())
 
 
+@contextmanager
+def house_settings() -> Iterator[None]:
+    """The house's settings of matplotlib for one thread at a time; the user's are restored at the end."""
+    with _SETTINGS_LOCK, mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(settings())
+        yield
+
+
+@contextmanager
+def for_narrow_page() -> Iterator[None]:
+    """Draw figures for a telephone: panels below one another rather than side by side."""
+    with _SETTINGS_LOCK:
+        _narrow.append(True)
+        try:
+            yield
+        finally:
+            _narrow.pop()
+
+
+def narrow_page() -> bool:
+    """Whether the figure that is drawn now is for a telephone."""
+    return bool(_narrow)
+
+
+def page_width() -> float:
+    """Width of the page that the figure is drawn for, inch."""
+    return NARROW_WIDTH if narrow_page() else PAGE_WIDTH
+
+
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     """Make a figure in the house style, and leave the user's settings as they were."""
 
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with mpl.rc_context():
-            mpl.rcdefaults()
-            mpl.rcParams.update(settings())
+        with house_settings():
             figure = draw(*args, **kwargs)
             # The layout is found once; what is drawn later, under whichever settings, stays where it is.
             figure.draw_without_rendering()
@@ -107,9 +152,19 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     return drawn
 
 
+class ShownFigure(Figure):
+    """A matplotlib figure that a notebook shows as the last expression of a cell, without pyplot or a magic."""
+
+    def _repr_png_(self) -> bytes:
+        return encoded(self, "png")
+
+    def _repr_svg_(self) -> str:
+        return encoded(self, "svg").decode("utf-8")
+
+
 def new_figure(width: float, height: float, *, fixed: bool = False) -> Figure:
     """An empty figure, inch, whose parts make room for each other unless their places are fixed."""
-    return Figure(figsize=(width, height), layout=None if fixed else "constrained")
+    return ShownFigure(figsize=(width, height), layout=None if fixed else "constrained")
 
 
 def grid_of(panels: int, columns: int) -> tuple[int, int]:
@@ -213,3 +268,79 @@ def spread(positions: Floats, gap: float, low: float, high: float) -> Floats:
     for i in reversed(range(len(placed))):
         placed[i] = min(placed[i], high if i == len(placed) - 1 else placed[i + 1] - gap)
     return placed
+
+
+KINDS = ("svg", "png", "pdf")
+ENLARGED = 1.4
+"""Pixels of a page a point of a figure: letters of the size of the text around them."""
+
+RESOLUTION = 200
+"""Dots an inch of a PNG."""
+
+
+_COLOUR = re.compile(r"(?<=[: ])#([0-9A-Fa-f]{6})(?=[;\"])")
+"""A colour in a style of an SVG drawing; a page that is dark gives its own for it."""
+
+
+def save(figure: Figure, path: str | Path) -> None:
+    """Write a figure into a file, in one piece.
+
+    Parameters
+    ----------
+    figure : Figure
+    path : str or Path
+        Ending in .svg, .png or .pdf; a device is written SVG to.
+
+    Raises
+    ------
+    InputError
+        Where the ending is another, or the file cannot be written.
+    """
+    write_file(path, encoded(figure, kind_of(path)))
+
+
+def kind_of(path: str | Path) -> str:
+    """The kind of figure that a file name asks for.
+
+    Raises
+    ------
+    InputError
+        Where it ends in something else.
+    """
+    return ending_of(path, KINDS, "a figure is written as")
+
+
+def encoded(figure: Figure, kind: str, *, transparent: bool = False) -> bytes:
+    """A figure as the content of a file; the same figure gives the same bytes."""
+    no_date = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
+    out = BytesIO()
+    with house_settings():
+        FigureCanvasAgg(figure)
+        figure.savefig(out, format=kind, dpi=RESOLUTION, metadata=no_date, transparent=transparent)
+    # matplotlib puts every text into a comment beside its outlines, where a name would stand as it is.
+    return re.sub(rb"<!--.*?-->", b"", out.getvalue(), flags=re.DOTALL) if kind == "svg" else out.getvalue()
+
+
+def inline_svg(figure: Figure, name: str) -> str:
+    """A figure as an SVG element to stand in a page.
+
+    Parameters
+    ----------
+    figure : Figure
+    name : str
+        Sets its ids apart from those of the other figures of the page; a plain word.
+    """
+    # The page shows through, and with it the shade at an edge beyond which a drawing goes on.
+    text = encoded(figure, "svg", transparent=True).decode("utf-8")
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r'\bid="', f'id="{name}-', text)
+    text = re.sub(r'href="#', f'href="#{name}-', text)
+    text = text.replace("url(#", f"url(#{name}-")
+    # The page says what a figure shows; the drawing itself is nothing to be read out.
+    width = ENLARGED * 72 * figure.get_figwidth()
+    head = re.sub(r' (width|height)="[\d.]+pt"', "", text[: text.index(">")])
+    size = f'width="{width:.0f}" style="--width: {width:.0f}px"'
+    body = _COLOUR.sub(lambda found: f"var(--c{found[1].lower()}, #{found[1]})", text[text.index(">") :])
+    head = head.replace("<svg ", f'<svg aria-hidden="true" focusable="false" {size} ', 1)
+    return head + body

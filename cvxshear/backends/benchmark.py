@@ -1,0 +1,296 @@
+"""Every backend on the same programs: how far their answers are apart, their certificates and their times."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from cvxshear.backends.base import Backend
+from cvxshear.backends.certificate import Assembled, Solution
+from cvxshear.backends.installed import available, get
+from cvxshear.programs import LeastSquares
+from cvxshear.util import checks
+from cvxshear.util.errors import CvxshearError
+from cvxshear.util.showing import Shown
+from cvxshear.util.typing import Floats, Json
+
+REPEATS = 3
+MOST_REPEATS = 10_000
+OPEN_DIRECTION = 1e-12
+"""Ratio of the smallest to the largest singular value below which rows leave a direction open."""
+
+
+@dataclass(frozen=True, eq=False)
+class BenchmarkProgram:
+    """A program that backends are compared on, and the quantity that its unknown changes.
+
+    Parameters
+    ----------
+    kind : str
+        Programs of one kind are reported together.
+    program : LeastSquares
+    origin : ndarray, shape (n,)
+        The quantity itself is origin + x; differences are relative to it.
+    """
+
+    kind: str
+    program: LeastSquares
+    origin: Floats
+
+
+@dataclass(frozen=True)
+class ProgramKind:
+    """What the programs of one kind are like; the largest of them, where there are several.
+
+    Parameters
+    ----------
+    kind : str
+    programs : int
+        How many there are.
+    unknowns, rows, equalities, inequalities : int
+        Inequalities are rows of G and finite bounds.
+    condition : float or None
+        Condition number of the weighted rows, their columns scaled to unit length, on the null space of the
+        equalities; None where they leave a direction open.
+    """
+
+    kind: str
+    programs: int
+    unknowns: int
+    rows: int
+    equalities: int
+    inequalities: int
+    condition: float | None
+
+
+@dataclass(frozen=True)
+class BackendResult:
+    """One backend on all programs of one kind.
+
+    Parameters
+    ----------
+    kind, backend : str
+    programs : int
+        How many programs of the kind there were.
+    difference : float or None
+        Largest relative difference from the reference; None where the backend did not solve them all.
+    reference : str
+        "closed form", or "consensus" (the median of the backends) where the closed form does not apply.
+    primal_residual, dual_residual, duality_gap, error_bound : float or None
+        The worst of the certificates.
+    iterations : int or None
+        Sum over the programs; None where the backend does not tell.
+    seconds : float or None
+        Sum over the programs, of each the fastest of a few solves; scaling and certificate are part of it.
+    relative_time : float or None
+        `seconds` over that of the closed form on the same programs (on the programs of the same kind without bounds,
+        where bounds are active); None where it solves neither.
+    tolerance : float or None
+        The loosest accuracy that the solver is told to reach; None where it takes none.
+    failure : str
+        Why a program was not solved; empty where all were.
+    """
+
+    kind: str
+    backend: str
+    programs: int
+    difference: float | None
+    reference: str
+    primal_residual: float | None
+    dual_residual: float | None
+    duality_gap: float | None
+    error_bound: float | None
+    iterations: int | None
+    seconds: float | None
+    relative_time: float | None
+    tolerance: float | None
+    failure: str
+
+
+@dataclass(frozen=True, repr=False)
+class Comparison(Shown):
+    """Backends on the same programs.
+
+    Parameters
+    ----------
+    experiment : str
+        Name of what the programs are of.
+    kinds : tuple of ProgramKind
+    rows : tuple of BackendResult
+    left_out : str
+        Why the programs of the paper are not among them; empty where they are.
+    """
+
+    experiment: str
+    kinds: tuple[ProgramKind, ...]
+    rows: tuple[BackendResult, ...]
+    left_out: str = ""
+
+    def to_dict(self) -> Json:
+        """The kinds and the rows as dicts."""
+        return {
+            "experiment": self.experiment,
+            "left_out": self.left_out,
+            "kinds": [asdict(kind) for kind in self.kinds],
+            "rows": [asdict(row) for row in self.rows],
+        }
+
+
+def compare(
+    programs: Sequence[BenchmarkProgram],
+    names: Sequence[str | Backend] | None = None,
+    *,
+    repeats: int = REPEATS,
+    tolerance: float | None = None,
+    experiment: str = "",
+    left_out: str = "",
+) -> Comparison:
+    """Solve the same programs with every backend.
+
+    Parameters
+    ----------
+    programs : sequence of BenchmarkProgram
+    names : sequence of str or Backend, optional
+        Backends; all that are installed where not given.
+    repeats : int, optional
+        Solves of each program of which the fastest counts.
+    tolerance : float, optional
+        Accuracy that the solvers are told to reach, in place of their own settings here. A certificate's limit stays.
+    experiment, left_out : str, optional
+        As in `Comparison`.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    InputError
+        Where a named backend is not installed, or a number makes no sense.
+    """
+    checks.whole(repeats, "repeat", least=1, most=MOST_REPEATS)
+    chosen = [get(name) for name in (available() if names is None else names)]
+    if tolerance is not None:
+        tolerance = checks.number(tolerance, "tolerance", above=0.0)
+        chosen = [backend.with_tolerance(tolerance) for backend in chosen]
+    kinds, rows = [], []
+    for kind in dict.fromkeys(each.kind for each in programs):
+        of_kind = [each for each in programs if each.kind == kind]
+        kinds.append(_described(kind, of_kind))
+        rows += _compared(kind, of_kind, chosen, repeats)
+    return Comparison(experiment, tuple(kinds), tuple(rows), left_out)
+
+
+def _described(kind: str, programs: Sequence[BenchmarkProgram]) -> ProgramKind:
+    conditions = [condition_number(each.program) for each in programs]
+    return ProgramKind(
+        kind,
+        len(programs),
+        max(each.program.unknowns for each in programs),
+        max(len(each.program.R) for each in programs),
+        max(len(each.program.equalities[1]) for each in programs),
+        max(len(each.program.inequalities[1]) for each in programs),
+        None if None in conditions else max(value for value in conditions if value is not None),
+    )
+
+
+def condition_number(program: LeastSquares) -> float | None:
+    """Condition number of a program's weighted rows, see `ProgramKind`; None where they leave a direction open."""
+    of = Assembled(program)
+    rows = of.R / of.lengths
+    if len(of.A):
+        # The right singular vectors beyond the rank of A span its null space.
+        _, values, directions = np.linalg.svd(of.A / of.lengths)
+        rank = int(np.sum(values > OPEN_DIRECTION * values.max(initial=0.0)))
+        rows = rows @ directions[rank:].T
+    if not rows.shape[1]:
+        return 1.0
+    values = np.linalg.svd(rows, compute_uv=False)
+    if len(values) < rows.shape[1] or not values[-1] > OPEN_DIRECTION * values[0]:
+        return None
+    return float(values[0] / values[-1])
+
+
+def _compared(
+    kind: str, programs: Sequence[BenchmarkProgram], chosen: Sequence[Backend], repeats: int
+) -> list[BackendResult]:
+    """One row a backend, for the programs of one kind."""
+    answers = {backend.name: _Answers.of(backend, programs, repeats) for backend in chosen}
+    closed = answers.get("kkt") or _Answers.of(get("kkt"), programs, repeats)
+    if not closed.failure:
+        return [
+            item.result(kind, backend, len(programs), closed.values, closed.seconds, "closed form")
+            for backend, item in zip(chosen, answers.values(), strict=True)
+        ]
+    solved = [item for item in answers.values() if not item.failure]
+    reference = [np.median([item.values[i] for item in solved], axis=0) for i in range(len(programs))] if solved else []
+    free = [BenchmarkProgram(kind, each.program.replace(lower=None, upper=None), each.origin) for each in programs]
+    unit = _Answers.of(get("kkt"), free, repeats).seconds
+    return [
+        item.result(kind, backend, len(programs), reference, unit, "consensus")
+        for backend, item in zip(chosen, answers.values(), strict=True)
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Answers:
+    """What one backend made of some programs."""
+
+    values: list[Floats]
+    solutions: list[Solution]
+    seconds: float | None
+    failure: str
+
+    @staticmethod
+    def of(backend: Backend, programs: Sequence[BenchmarkProgram], repeats: int) -> _Answers:
+        values, solutions, seconds = [], [], 0.0
+        for each in programs:
+            try:
+                solution = backend.solve(each.program)
+                seconds += min(_timed(backend, each.program) for _ in range(repeats))
+            except CvxshearError as error:
+                return _Answers([], [], None, str(error))
+            values.append(each.origin + solution.x)
+            solutions.append(solution)
+        return _Answers(values, solutions, seconds, "")
+
+    def result(
+        self, kind: str, backend: Backend, programs: int, reference: list[Floats], unit: float | None, said: str
+    ) -> BackendResult:
+        certificates = [item.certificate for item in self.solutions]
+        iterations = [item.iterations for item in self.solutions]
+        return BackendResult(
+            kind=kind,
+            backend=backend.name,
+            programs=programs,
+            difference=None if self.failure else _difference(self.values, reference),
+            reference=said,
+            primal_residual=_largest([item.primal_residual for item in certificates]),
+            dual_residual=_largest([item.dual_residual for item in certificates]),
+            duality_gap=_largest([item.duality_gap for item in certificates]),
+            error_bound=_largest([item.to_dict()["error_bound"] for item in certificates]),
+            iterations=None if self.failure or None in iterations else sum(item or 0 for item in iterations),
+            seconds=self.seconds,
+            relative_time=self.seconds / unit if self.seconds is not None and unit else None,
+            tolerance=backend.tolerance,
+            failure=self.failure,
+        )
+
+
+def _difference(values: Sequence[Floats], reference: Sequence[Floats]) -> float:
+    return max(float(np.max(np.abs(a - b) / np.abs(b))) for a, b in zip(values, reference, strict=True))
+
+
+def _largest(values: Sequence[float | None]) -> float | None:
+    """The largest; None where there is none, or one is None."""
+    known = [float(value) for value in values if value is not None]
+    return max(known) if known and len(known) == len(values) else None
+
+
+def _timed(backend: Backend, program: LeastSquares) -> float:
+    start = time.perf_counter()
+    backend.solve(program)
+    return time.perf_counter() - start

@@ -1,0 +1,277 @@
+"""The optimality certificate of a fit: computed at its final point, from the problem alone, whatever solved the steps.
+
+At a minimum of the sum of squares |r|^2 over theta with A theta = b and G theta <= h no step lowers the linearised
+
+    |J d + r|^2 + |w D d|^2,        A d = 0,  G_a d <= 0,
+
+G_a the inequalities that hold with equality, D the lengths of J's columns and w a small weight that decides along
+directions which no residual sees. With the triangular factor R'R = J'J + w^2 D^2 and the gradient R'c the best step
+has the length |R d| of the smallest
+
+    |c + R'^-1 (A' y + G_a' v)|        over y and v >= 0,
+
+a nonnegative least-squares problem with one unknown a constraint (the dual of the program). The length is in standard
+deviations of the residuals; its square is what the step promises of the sum of squares.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+import numpy as np
+from scipy import linalg, optimize
+
+from cvxshear.fit.domain import Domain
+from cvxshear.fit.uncertainty import TOUCHING
+from cvxshear.programs import LeastSquares
+from cvxshear.programs.statements import constrained
+from cvxshear.util.errors import NoModesError
+from cvxshear.util.typing import Floats
+
+KEPT_TO = 1e-9
+"""Largest violation of an exact statement, relative to the sizes of its terms. Steps are solved to 1e-6 of their own
+length, and the last of them are short: what is left is far below this unless a step was wrong."""
+
+DERIVATIVE_ERROR = 1e-3
+"""Largest relative difference of a derivative along a direction from its difference quotient. Right derivatives agree
+to some 1e-7, a column that is wrong by a factor of two shows as 1e-2 among a thousand others."""
+
+CHANGES = (1e-5, 1e-6, 1e-4, 1e-3)
+"""Relative changes of the parameters for central difference quotients where that comparison fails, tried in turn: which
+one suits depends on the curvature and on how many digits of the residuals the eigenvalue problem leaves; one that
+agrees is enough."""
+
+AWAY = 0.1
+"""Change of the residuals, in standard deviations all together, over which their derivatives are compared first."""
+
+AGREEMENT = 0.1
+"""Difference of two difference quotients, relative to that from the derivative, below which both are taken as right."""
+
+DIRECTIONS_SEED = 20
+"""Of the random directions, so that a fit is certified alike each time."""
+
+
+class Residuals(Protocol):
+    """Standardized residuals and their derivatives at one point, as Gauss-Newton needs them."""
+
+    @property
+    def r(self) -> Floats:
+        """Residuals, shape (d,)."""
+
+    @property
+    def J(self) -> Floats:  # noqa: N802
+        """Derivatives of the residuals, shape (d, P)."""
+
+    @property
+    def objective(self) -> float:
+        """Sum of squares of the residuals."""
+
+    @property
+    def triangle(self) -> tuple[Floats, Floats]:
+        """U and c with |J x + r|^2 = |U x + c|^2 + constant for every x, at most P rows."""
+
+
+E = TypeVar("E", bound=Residuals)
+E_co = TypeVar("E_co", bound=Residuals, covariant=True)
+
+
+class Problem(Protocol[E_co]):
+    """A sum of squares to minimize: `fit.misfit.Misfit`, or anything else with residuals and derivatives."""
+
+    def evaluate(self, theta: Floats, /, *, derivatives: bool = True) -> E_co:
+        """Residuals at theta, shape (P,), with their derivatives unless these are not asked for.
+
+        Raises
+        ------
+        NoModesError
+            Where the problem has no residuals there.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class PlainResiduals:
+    """Residuals with nothing but what Gauss-Newton needs.
+
+    Parameters
+    ----------
+    r : ndarray, shape (d,)
+    J : ndarray, shape (d, P)
+    """
+
+    r: Floats
+    J: Floats
+
+    @property
+    def objective(self) -> float:
+        """Sum of squares of the residuals."""
+        return float(self.r @ self.r)
+
+    @property
+    def triangle(self) -> tuple[Floats, Floats]:
+        """Triangular factor U of J and the residual c turned with it, see `Residuals`."""
+        return triangular(self.J, self.r)
+
+
+def triangular(J: Floats, r: Floats) -> tuple[Floats, Floats]:
+    """U and c with |J x + r|^2 = |U x + c|^2 + constant for every x, by one QR factorization."""
+    whole = np.asarray(np.linalg.qr(np.column_stack([J, r]), mode="r"))
+    P = J.shape[1]
+    return whole[:P, :P], whole[:P, P]
+
+
+@dataclass(frozen=True)
+class Optimality:
+    """How well a point meets the conditions of a constrained minimum, computed from the problem alone.
+
+    Parameters
+    ----------
+    violation : float
+        Largest violation of an exact statement, relative to the sizes of its terms.
+    step : float
+        Length of the best linearised step from here that keeps the active constraints, in standard deviations of the
+        residuals.
+    derivative_error : float
+        Largest relative difference of the derivatives along two random directions from their difference quotients; zero
+        where the problem has no residuals beside this point.
+    """
+
+    violation: float
+    step: float
+    derivative_error: float
+
+
+def optimality(problem: Problem[Residuals], theta: Floats, at: Residuals, domain: Domain, weight: float) -> Optimality:
+    """Compute the optimality certificate of a point.
+
+    Parameters
+    ----------
+    problem : Problem
+    theta : ndarray, shape (P,)
+    at : Residuals
+        At theta.
+    domain : Domain
+    weight : float
+        w above, relative to the sensitivity of the residuals to each parameter.
+
+    Returns
+    -------
+    Optimality
+    """
+    return Optimality(
+        violation(theta, at, domain),
+        float(np.linalg.norm(best_step(theta, at, domain, weight)[1])),
+        derivative_error(problem, theta, at, domain),
+    )
+
+
+def violation(theta: Floats, at: Residuals, domain: Domain) -> float:
+    """Largest violation of an exact statement, relative to the sizes of its terms.
+
+    The size of a parameter is its absolute value and the change of it that changes the residuals by one.
+    """
+    here = constrained(LeastSquares(np.zeros((0, len(theta))), np.zeros(0)), domain.statements, theta)
+    size = np.abs(theta) + _units(theta, at, domain)
+    worst = 0.0
+    for rows, off in ((here.equalities[0], np.abs(here.equalities[1])), (here.inequalities[0], -here.inequalities[1])):
+        reach = np.abs(rows) @ size
+        worst = max(worst, float(np.max(np.maximum(off, 0.0) / np.where(reach > 0, reach, 1.0), initial=0.0)))
+    return worst
+
+
+def best_step(theta: Floats, at: Residuals, domain: Domain, weight: float) -> tuple[Floats, Floats]:
+    """The best linearised step d that keeps the active constraints, and R d, each of shape (P,)."""
+    U, c = at.triangle
+    lengths = np.linalg.norm(U, axis=0)
+    damping = np.diag(weight * np.where(lengths > 0, lengths, 1.0))
+    # The right side as a further column: Q'[c; 0] is the last column of the triangle.
+    stacked = np.column_stack([np.concatenate([U, damping]), np.concatenate([c, np.zeros(len(theta))])])
+    whole = np.asarray(np.linalg.qr(stacked, mode="r"))
+    R, gradient = whole[: len(theta), : len(theta)], whole[: len(theta), -1]
+    here = constrained(LeastSquares(U, c), domain.statements, theta)
+    A, _ = here.equalities
+    G, slack = here.inequalities
+    whitened = linalg.solve_triangular(R, np.concatenate([A, G]).T, trans="T", check_finite=False).T
+    equalities, inequalities = whitened[: len(A)], whitened[len(A) :]
+    active = inequalities[slack <= TOUCHING * np.linalg.norm(inequalities, axis=1)]
+    step = -_unopposed(gradient, equalities, active)
+    return np.asarray(linalg.solve_triangular(R, step, check_finite=False)), step
+
+
+def _unopposed(gradient: Floats, equalities: Floats, active: Floats) -> Floats:
+    """What is left of a gradient that multipliers cannot cancel, those of inequalities not negative."""
+    left = gradient
+    if len(equalities):
+        # Statements that follow from others leave the rank below the number of rows.
+        _, values, basis = np.linalg.svd(_unit(equalities), full_matrices=False)
+        basis = basis[values > 1e-12 * values[0]]
+        left = left - basis.T @ (basis @ left)
+        active = active - (active @ basis.T) @ basis
+    if len(active):
+        unit = _unit(active)
+        multipliers, _ = optimize.nnls(unit.T, -left)
+        left = left + unit.T @ multipliers
+    return np.asarray(left)
+
+
+def _unit(rows: Floats) -> Floats:
+    lengths = np.linalg.norm(rows, axis=1, keepdims=True)
+    return np.asarray(rows / np.where(lengths > 0, lengths, 1.0))
+
+
+def _sizes(theta: Floats, domain: Domain) -> Floats:
+    """Size of each parameter: its value or, where it is near zero, a thousandth of what it can be expected to be."""
+    return np.asarray(np.maximum(np.abs(theta), 1e-3 * domain.scale))
+
+
+def _units(theta: Floats, at: Residuals, domain: Domain) -> Floats:
+    """The change of each parameter that changes the residuals by one, at most its size."""
+    lengths = np.linalg.norm(at.triangle[0], axis=0)
+    return np.asarray(1.0 / np.maximum(lengths, 1.0 / _sizes(theta, domain)))
+
+
+def derivative_error(problem: Problem[Residuals], theta: Floats, at: Residuals, domain: Domain) -> float:
+    """Largest relative difference of the gradient along two random directions from difference quotients.
+
+    At a minimum the gradient is zero and any derivatives could pass. So it is compared beside theta, where it shows the
+    curvature as well: over a step the quotient of |r|^2 is the mean of the slopes at both ends, but for terms of third
+    order. What is compared is the derivative of |r|^2, and not of r: where the scale of a shape is eliminated J leaves
+    out a part to which r is orthogonal (Kaufman 1975).
+    """
+    rng = np.random.default_rng(DIRECTIONS_SEED)
+    units, sizes = _units(theta, at, domain), _sizes(theta, domain)
+    # Of large residuals a change by a tenth would be lost in rounding; no parameter changes by more than a hundredth.
+    change = max(AWAY, AWAY * 1e-2 * float(np.linalg.norm(at.r)))
+    worst = 0.0
+    for direction in units * rng.standard_normal((2, len(theta))):
+        seen, relative = float(np.linalg.norm(at.J @ direction)), float(np.max(np.abs(direction) / sizes))
+        d = direction * min(change / seen if seen > 0 else np.inf, 1e-2 / relative)
+        for sign in (1.0, -1.0):
+            try:
+                worst = max(worst, _slope_error(problem, theta, at, sign * d, sizes))
+                break
+            except NoModesError:
+                continue
+    return worst
+
+
+def _slope_error(problem: Problem[Residuals], theta: Floats, at: Residuals, d: Floats, sizes: Floats) -> float:
+    """Relative difference of the slope of |r|^2 along d from difference quotients, of the best of some."""
+    there = problem.evaluate(theta + d)
+    seen = there.J @ d
+    here, slope = 2.0 * float(at.r @ (at.J @ d)), 2.0 * float(there.r @ seen)
+    size = max(abs(slope), 2.0 * float(seen @ seen)) or 1.0
+    whole = abs(there.objective - at.objective - 0.5 * (here + slope)) / size
+    if whole <= DERIVATIVE_ERROR:
+        return whole
+    relative = float(np.max(np.abs(d) / sizes))
+    off: list[float] = []
+    for change in CHANGES:
+        h = change / relative
+        ends = [problem.evaluate(theta + (1 + step) * d, derivatives=False).objective for step in (h, -h)]
+        off.append((ends[0] - ends[1]) / (2.0 * h) - slope)
+        if abs(off[-1]) <= DERIVATIVE_ERROR * size:
+            return abs(off[-1]) / size
+    # Quotients that do not agree with each other are lost in rounding, and say nothing of the derivative.
+    settled = np.abs(np.diff(off)) < AGREEMENT * np.abs(off[1:])
+    return float(np.min(np.abs(off)) / size) if settled.any() else 0.0

@@ -1,0 +1,109 @@
+"""What no datum tells: effects whose place in a model another effect can take without any change of the data.
+
+Two effects are twins where the derivatives of the data by the one lie in the span of those by the frame and by the
+other, to rounding: a direction in which nothing that was measured changes. Where all floor masses of a state grow by
+a factor, for one, every frequency falls as if all its stories were softer. That is a property of the model and of what
+was measured, not of the sets that a search happened to visit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.effects import Placed
+from cvxshear.effects.composition import slices
+from cvxshear.fit.efficient import Estimate
+from cvxshear.fit.expectation import Expectation
+from cvxshear.loop.evidence import free_basis
+from cvxshear.loop.linear import Linearised
+from cvxshear.util.typing import Floats
+
+EXACT = 1e-5
+"""Share of an effect's derivatives that nothing else can make, below which that is rounding."""
+
+SEEN = 1e-3
+"""Share that must be left without the twin: what the frame alone can make has no need of a twin."""
+
+
+@dataclass(frozen=True)
+class Invariances:
+    """The derivatives of all data at a fit, as far as twins need them.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    free : ndarray, shape (d, f)
+        Derivatives by the directions that the declarations leave free.
+    owner : tuple of (Placed or None)
+        The effect that each of these directions belongs to; None for the frame.
+    lacking : dict
+        Derivatives by the parameters of each effect that the model lacks, shape (d, p).
+    """
+
+    estimate: Estimate
+    free: Floats
+    owner: tuple[Placed | None, ...]
+    lacking: dict[Placed, Floats]
+
+    def twins(self, placed: Placed) -> list[Placed]:
+        """The effects that can take the place of one in the model, whatever was measured."""
+        own = np.array([owner is placed for owner in self.owner])
+        if not own.any():
+            return []
+        rest = self.free[:, ~own]
+        seen = _beyond(rest, self.free[:, own])
+        return [
+            other
+            for other, columns in self.lacking.items()
+            if 0 < columns.shape[1] <= int(own.sum())
+            and seen > SEEN
+            and _beyond(np.hstack([rest, columns]), self.free[:, own]) < EXACT
+        ]
+
+    def untold(self, placed: Placed, others: Sequence[Placed]) -> bool:
+        """Whether what an effect does could be done by the frame, the effects there are, and those others."""
+        columns = self.lacking[placed]
+        if not columns.shape[1]:
+            return False
+        more = [self.lacking[other] for other in others if other is not placed]
+        return _beyond(np.hstack([self.free, *more]), columns) < EXACT
+
+
+def invariances(estimate: Estimate, lacking: Sequence[Placed], expectation: Expectation) -> Invariances:
+    """The derivatives of all data, soft priors among them, at a fit.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    lacking : sequence of Placed
+        Effects that its model lacks.
+    expectation : Expectation
+    """
+    measured = estimate.fit.at.measured
+    basis = free_basis(estimate, expectation)
+    n2 = 2 * estimate.experiment.stories
+    free_effects = [
+        placed for placed, own in slices(estimate.effects, n2) if not placed.fixed for _ in range(own.start, own.stop)
+    ]
+    frame: list[Placed | None] = [None] * (basis.shape[1] - len(free_effects))
+    linear = Linearised(estimate, lacking, expectation)
+    return Invariances(
+        estimate,
+        estimate.fit.at.J[:measured] @ basis,
+        (*frame, *free_effects),
+        {placed: linear.columns(placed)[:measured] for placed in lacking},
+    )
+
+
+def _beyond(columns: Floats, wanted: Floats) -> float:
+    """The largest share of a wanted column that a combination of others cannot make."""
+    lengths = np.linalg.norm(columns, axis=0)
+    unit = columns[:, lengths > 0] / lengths[lengths > 0]
+    left, values, _ = np.linalg.svd(unit, full_matrices=False)
+    basis = left[:, values > EXACT * values[0]] if len(values) else left
+    size = np.linalg.norm(wanted, axis=0)
+    beyond = np.linalg.norm(wanted - basis @ (basis.T @ wanted), axis=0)
+    return float(np.max(beyond / np.where(size > 0, size, 1.0), initial=0.0))

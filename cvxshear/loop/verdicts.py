@@ -1,0 +1,135 @@
+"""What closing the loop can conclude: each verdict with its words, in one table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+FIELDS = ("model", "found", "doubt", "place", "change", "within")
+"""What a headline may name in braces.
+
+model: the model that the loop began with; found: the effects in clauses, each with its probability; doubt: why the
+verdict is not certain; place: where the residual that is left sits; change: what became of the error that carried the
+verdict; within: the noise that the residual stays within.
+"""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A verdict in words.
+
+    Parameters
+    ----------
+    name : str
+        As it stands in the JSON.
+    sentence : str
+        What it means of a result with effects, or of any result where `plain` is empty.
+    plain : str
+        What it means of a result without effects.
+    headline : str
+        Sentence for a result with effects, with `FIELDS` in braces. A semicolon separates its parts; a part whose
+        fields are all empty is left out.
+    bare : str
+        The same for a result without effects.
+    advice : str
+        What to do with such a result; stands in the help of `cvxshear loop` and at the end of a report.
+    colour, dark : str
+        CSS colour of its mark on a light and on a dark page.
+    provisional : bool
+        Whether the effects of such a result are provisional: none of them is reported as found.
+    certain : bool
+        Whether the result may be used as it stands; `cvxshear loop --strict` ends with status 3 where not.
+    """
+
+    name: str
+    sentence: str
+    plain: str
+    headline: str
+    bare: str
+    advice: str
+    colour: str
+    dark: str
+    provisional: bool = False
+    certain: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse a headline that names what no result has, rather than failing in the first report."""
+        nothing = dict.fromkeys(FIELDS, "")
+        for text in (self.headline, self.bare):
+            try:
+                text.format(**nothing)
+            except (KeyError, IndexError, ValueError) as error:
+                raise ValueError(f"verdict {self.name!r}: {text!r} may name {', '.join(FIELDS)} in braces") from error
+
+    def says(self, *, added: bool, **fields: str) -> str:
+        """The headline of a result, without the full stop.
+
+        Parameters
+        ----------
+        added : bool
+            Whether the result has effects.
+        **fields : str
+            What stands for each of `FIELDS`; empty where the result has no such thing.
+        """
+        parts = (self.headline if added else self.bare).split("; ")
+        given = [part for part in parts if "{" not in part or any(fields[n] for n in FIELDS if f"{{{n}}}" in part)]
+        return "; ".join(" ".join(part.format(**fields).split()) for part in given)
+
+
+_ALL = (
+    Verdict(
+        "adequate",
+        "The shear model explains the data; nothing was added.",
+        "",
+        "{model} explains the data {within}; {doubt}",
+        "{model} explains the data {within}; {doubt}",
+        "Use the masses and stiffnesses with the standard deviations that stand beside them.",
+        "#00664a",
+        "#4fc3a1",
+        certain=True,
+    ),
+    Verdict(
+        "explained",
+        "The shear model alone does not explain the data; with the effects that were added it does.",
+        "The shear model explains the data once the modes are numbered otherwise; nothing was added.",
+        "{found}; {change}",
+        "{model} explains the data; {change}",
+        "Use the masses and stiffnesses of the final model; look at the remaining candidates before you rely on it.",
+        "#00664a",
+        "#4fc3a1",
+        certain=True,
+    ),
+    Verdict(
+        "ambiguous",
+        "The data are explained with the effects that were added, but something else would explain them as well.",
+        "The shear model explains the data; which modes of the frame were measured is in question.",
+        "{found}; but {doubt}; {change}",
+        "{model} explains the data; but {doubt}; {change}",
+        "Take what was found and its rivals as possible causes until a test distinguishes them.",
+        "#8a5a00",
+        "#e0b04a",
+    ),
+    Verdict(
+        "located",
+        "No cause in the catalogue explains the data, but where the shear model fails is known.",
+        "",
+        "{found}; no cause in the catalogue accounts for it; {doubt}; {change}",
+        "where the shear model fails is known; no cause in the catalogue accounts for it; {change}",
+        "Look at the place that is named; a cause of your own can be added as an effect.",
+        "#5a3f94",
+        "#b39ddb",
+    ),
+    Verdict(
+        "unexplained",
+        "A significant residual is left that no effect of the catalogue accounts for.",
+        "",
+        "a significant residual is left {place}; provisionally, {found}; {change}",
+        "a significant residual is left {place}; no effect that was looked for accounts for it",
+        "Check the measurement where the residual sits first; what is named is provisional.",
+        "#a33a00",
+        "#ff9a6b",
+        provisional=True,
+    ),
+)
+
+VERDICTS = {each.name: each for each in _ALL}
+"""Every verdict that a loop can end with, by name; another one is added as another entry."""

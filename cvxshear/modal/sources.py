@@ -1,0 +1,332 @@
+"""From records in blocks to a matrix whose columns span those of the extended observability matrix, by three methods.
+
+Observer/Kalman filter identification: the responses are regressed on past inputs and past responses, an observer whose
+Markov parameters are finite in number although the structure's are not (Juang, Phan, Horta, Longman 1993,
+"Identification of observer/Kalman filter Markov parameters", J. Guidance 16(2)):
+
+    y_k = D u_k + sum_{i=1}^{p} (B_i u_{k-i} + A_i y_{k-i}) + e_k.
+
+The system's Markov parameters follow by Y_0 = D, Y_k = B_k + sum_{i=1}^{k} A_i Y_{k-i}, with A_i and B_i zero beyond p.
+
+Input-output subspace identification with past inputs and outputs as instruments (PO-MOESP): with block Hankel matrices
+of past (p) and future (f) data, the extended observability matrix spans the columns of the future outputs from which
+the future inputs have been projected out, correlated with the past data (Verhaegen 1994, "Identification of the
+deterministic part of MIMO state space models", Automatica 30(1)): in the triangle of [U_f | U_p Y_p | Y_f], the block
+of Y_f against the past.
+
+Covariance-driven stochastic subspace identification: the covariances R_k = E[y_{t+k} y_t'] of the response to white
+noise are Markov parameters, R_k = C A^{k-1} G (Peeters and De Roeck 1999, "Reference-based stochastic subspace
+identification for output-only modal analysis", MSSP 13(6)), so their block Hankel matrix factors as an impulse
+response's does. It is weighted by the inverse square roots of the covariances of future and past, the canonical
+variates (Arun and Kung 1990, "Balanced approximation of stochastic systems", SIAM J. Matrix Anal. Appl. 11(1)):
+unweighted, the chance scatter of a strong mode's covariances drowns a weak one.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import linalg
+
+from cvxshear.modal.realization import Impulse, block_hankel, left_factor
+from cvxshear.records.record import Complexes
+from cvxshear.util.errors import NoSolutionError
+from cvxshear.util.typing import Bools, Floats, Ints
+
+LAGS, LAGS_A_STATE = 20, 7.0
+"""Lags of the observer: so many at least, and as many as give seven past responses for each state of the frame. Under
+noise an observer of few outputs forgets slowly; cut short, it bends the high modes by ten of their deviations."""
+
+MOST_UNKNOWNS = 0.1
+"""Of the samples: more of them an observer of that many lags would not average over."""
+
+LARGEST_GROWTH = 1.002
+"""A sample; a lightly damped pole may come out that much unstable by chance."""
+OKID_ROWS = 60
+OKID_COLUMNS = 600
+
+
+def lags_for(stories: int, outputs: int, samples: int) -> int:
+    """The lags of an observer of a frame's responses.
+
+    Parameters
+    ----------
+    stories : int
+        The frame has twice as many states.
+    outputs : int
+    samples : int
+        In the whole record.
+    """
+    wanted = int(np.ceil(LAGS_A_STATE * 2 * stories / outputs))
+    return max(LAGS, min(wanted, int(MOST_UNKNOWNS * samples / (1 + outputs))))
+
+
+def rows_for(stories: int, outputs: int) -> int:
+    """The block rows of past and future that hold three samples a state of a frame of so many stories."""
+    return max(SUBSPACE_ROWS, int(np.ceil(SAMPLES_A_STATE * 2 * stories / outputs)))
+
+
+class OkidSource:
+    """A record with measured input, in blocks, for OKID followed by the eigensystem realization algorithm.
+
+    Parameters
+    ----------
+    pieces : sequence of (array, shape (samples, inputs); array, shape (samples, outputs))
+        Blocks of input and output; each carries `lags` samples of what came before it.
+    sampling_rate : float
+        Hz.
+    floor : int, optional
+        Where a force acts; 0 for a base acceleration.
+    lags : int, optional
+        p above.
+    """
+
+    unit = "block"
+
+    def __init__(
+        self, pieces: Sequence[tuple[Floats, Floats]], sampling_rate: float, floor: int = 0, lags: int = LAGS
+    ) -> None:
+        self.sampling_rate = sampling_rate
+        self.floor = floor
+        self.lags = lags
+        self.inputs = pieces[0][0].shape[1]
+        self.outputs = pieces[0][1].shape[1]
+        self.groups: Ints = np.zeros(len(pieces), dtype=np.int64)
+        self.energies: Floats = np.array([float(np.mean(response**2)) for _, response in pieces])
+        # Poles and residues of the same pieces are asked for one after the other.
+        self._latest: tuple[bytes | None, Floats] | None = None
+        # Triangles, not products: a product would square the condition number of the regression.
+        self._triangles = [_okid_triangle(_regression(u, y, lags)) for u, y in pieces]
+
+    def markov(self, keep: Bools | None = None) -> Floats:
+        """Markov parameters, shape (samples, outputs, inputs), the first one D."""
+        pieces = None if keep is None else keep.tobytes()
+        if self._latest is None or self._latest[0] != pieces:
+            self._latest = (pieces, self._regressed(keep))
+        return self._latest[1]
+
+    def _regressed(self, keep: Bools | None) -> Floats:
+        chosen = self._triangles if keep is None else [t for t, k in zip(self._triangles, keep, strict=True) if k]
+        triangle = _okid_triangle(np.vstack(chosen))
+        split = triangle.shape[1] - self.outputs
+        weights = linalg.lstsq(triangle[:split, :split], triangle[:split, split:], check_finite=False)[0]
+        direct = weights[: self.inputs].T
+        lagged = weights[self.inputs :].reshape(self.lags, self.inputs + self.outputs, self.outputs)
+        past = lagged.transpose(0, 2, 1)
+        return _system_markov(direct, past[:, :, : self.inputs], past[:, :, self.inputs :], OKID_ROWS + OKID_COLUMNS)
+
+    def factor(self, keep: Bools | None = None) -> Floats:
+        """Left factor of the block Hankel matrix of the Markov parameters."""
+        return left_factor(block_hankel(self.markov(keep), OKID_ROWS, OKID_COLUMNS))
+
+    def data(self) -> Floats:
+        """The same: the data are not weighted."""
+        return self.factor()
+
+    def impulse(self, keep: Bools | None = None) -> Impulse:
+        """The Markov parameters, from the first that the direct term is not part of."""
+        return Impulse(self.markov(keep), 1, np.full(self.inputs, self.floor, dtype=np.int64))
+
+
+def _regression(excitation: Floats, response: Floats, lags: int) -> Floats:
+    """Rows [u_k, u_{k-1}, y_{k-1}, ..., u_{k-p}, y_{k-p} | y_k], shape (samples - lags, ...)."""
+    both = np.hstack([excitation, response])
+    windows = np.lib.stride_tricks.sliding_window_view(both, lags + 1, axis=0)
+    past = windows[:, :, lags - 1 :: -1].transpose(0, 2, 1).reshape(len(windows), -1)
+    return np.hstack([excitation[lags:], past, response[lags:]])
+
+
+def _okid_triangle(matrix: Floats) -> Floats:
+    width = matrix.shape[1]
+    return np.asarray(linalg.qr(matrix, mode="r", check_finite=False)[0][:width])
+
+
+def _system_markov(direct: Floats, inputs: Floats, outputs: Floats, count: int) -> Floats:
+    """Markov parameters 0 to `count` of the system behind the observer, without what in it explodes.
+
+    With x the observer's state in its canonical form, x' = F x + G u, y = x_1 + D u, the parameters are
+    Y_k = C F^{k-1} G, summed over the eigenvalues of F. One well outside the unit circle is no structure: it
+    stands for what comes before its cause at the edge of the band, and would swamp the others.
+    """
+    lags, rows, columns = inputs.shape
+    transition = np.eye(lags * rows, k=rows)
+    transition[:, :rows] = outputs.reshape(lags * rows, rows)
+    drive = (inputs + outputs @ direct).reshape(lags * rows, columns)
+    values, vectors = linalg.eig(transition)
+    weights = _in_vectors(vectors, drive.astype(np.complex128))
+    kept = np.abs(values) < LARGEST_GROWTH
+    powers = np.cumprod(np.vstack([np.ones(kept.sum()), np.tile(values[kept], (count - 1, 1))]), axis=0)
+    later = np.einsum("ks,os,si->koi", powers, vectors[:rows, kept], weights[kept], optimize=True)
+    return np.concatenate([direct[None], later.real])
+
+
+def _in_vectors(vectors: Complexes, drive: Complexes) -> Complexes:
+    """The drive in the eigenvectors of F; where these fall together the powers of F are no sum over eigenvalues."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", linalg.LinAlgWarning)
+        try:
+            return np.asarray(linalg.solve(vectors, drive))
+        except (linalg.LinAlgError, linalg.LinAlgWarning):
+            raise NoSolutionError(
+                "okid",
+                "the observer of this record has no separate poles; is one channel a copy of another, or constant?",
+            ) from None
+
+
+SUBSPACE_ROWS, SAMPLES_A_STATE = 30, 3.0
+"""Block rows of past and of future: so many at least, and as many as give three samples for each state of the frame."""
+
+
+class SubspaceSource:
+    """A record with measured input, in blocks, for PO-MOESP.
+
+    The poles and shapes are those of the projection, whose instruments no noise is correlated with. What is asked of
+    impulse responses, residues for these poles, is had from an observer's Markov parameters of the same blocks.
+
+    Parameters
+    ----------
+    pieces : sequence of (array, shape (samples, inputs); array, shape (samples, outputs))
+        Blocks of input and output; each carries 2 * rows - 1 samples of what came before it.
+    sampling_rate : float
+        Hz.
+    floor : int, optional
+        Where a force acts; 0 for a base acceleration.
+    rows : int, optional
+        Block rows of past and of future.
+    lags : int, optional
+        Of the observer.
+    """
+
+    unit = "block"
+
+    def __init__(
+        self,
+        pieces: Sequence[tuple[Floats, Floats]],
+        sampling_rate: float,
+        floor: int = 0,
+        rows: int = SUBSPACE_ROWS,
+        lags: int = LAGS,
+    ) -> None:
+        self.sampling_rate = sampling_rate
+        self._observer = OkidSource(pieces, sampling_rate, floor, min(lags, 2 * rows - 1))
+        self.rows = rows
+        self.inputs = pieces[0][0].shape[1]
+        self.outputs = pieces[0][1].shape[1]
+        self.groups: Ints = np.zeros(len(pieces), dtype=np.int64)
+        self.energies: Floats = np.array([float(np.mean(response**2)) for _, response in pieces])
+        self._triangles = [_triangle(_data(u, y, rows)) for u, y in pieces]
+
+    def factor(self, keep: Bools | None = None) -> Floats:
+        """Left factor of the future outputs as the past explains them."""
+        chosen = self._triangles if keep is None else [t for t, k in zip(self._triangles, keep, strict=True) if k]
+        triangle = _triangle(np.vstack(chosen)).T
+        future_inputs = self.rows * self.inputs
+        past = future_inputs + self.rows * (self.inputs + self.outputs)
+        return left_factor(triangle[past:, future_inputs:past])
+
+    def data(self) -> Floats:
+        """The same: the data are not weighted."""
+        return self.factor()
+
+    def impulse(self, keep: Bools | None = None) -> Impulse:
+        """The observer's Markov parameters, from the first that the direct term is not part of."""
+        return self._observer.impulse(keep)
+
+
+def _data(excitation: Floats, response: Floats, rows: int) -> Floats:
+    """Rows [u_f | u_p y_p | y_f], one a starting sample."""
+    count = len(response) - 2 * rows + 1
+
+    def windows(values: Floats, start: int) -> Floats:
+        view = np.lib.stride_tricks.sliding_window_view(values, rows, axis=0)[start : start + count]
+        return view.transpose(0, 2, 1).reshape(count, -1)
+
+    return np.hstack([windows(excitation, rows), windows(excitation, 0), windows(response, 0), windows(response, rows)])
+
+
+def _triangle(matrix: Floats) -> Floats:
+    width = matrix.shape[1]
+    triangle = linalg.qr(matrix, mode="r", check_finite=False)[0][:width]
+    # A block of fewer samples than columns makes a shorter triangle; rows of zeros change no sum of squares.
+    return np.vstack([triangle, np.zeros((width - len(triangle), width))])
+
+
+SSI_ROWS = 40
+SSI_COLUMNS = 40
+LEAST_NOISE = 1e-8
+"""Of the largest variance, added to every channel's: an oversampled record's covariances are nearly singular."""
+
+
+class CovarianceSource:
+    """An ambient record, in blocks, for covariance-driven SSI.
+
+    Parameters
+    ----------
+    pieces : sequence of array, shape (samples, outputs)
+        Blocks; each carries `rows + columns` samples of what comes after it, which its lags reach into.
+    sampling_rate : float
+        Hz.
+    rows, columns : int, optional
+        Block rows and columns of the Hankel matrix.
+    """
+
+    unit = "block"
+
+    def __init__(
+        self, pieces: Sequence[Floats], sampling_rate: float, rows: int = SSI_ROWS, columns: int = SSI_COLUMNS
+    ) -> None:
+        self.sampling_rate = sampling_rate
+        self.rows, self.columns = rows, columns
+        self.outputs = pieces[0].shape[1]
+        self.groups: Ints = np.zeros(len(pieces), dtype=np.int64)
+        self.energies: Floats = np.array([float(np.mean(piece**2)) for piece in pieces])
+        self._covariances = np.array([_covariances(piece, rows + columns) for piece in pieces])
+        self._counts = np.array([len(piece) - rows - columns for piece in pieces], dtype=np.float64)
+
+    def markov(self, keep: Bools | None = None) -> Floats:
+        """Covariances at lags 0, 1, ..., shape (lags, outputs, outputs)."""
+        used = np.ones(len(self._counts), dtype=bool) if keep is None else keep
+        total = np.tensordot(self._counts[used], self._covariances[used], axes=1)
+        return np.asarray(total / self._counts[used].sum())
+
+    def factor(self, keep: Bools | None = None) -> Floats:
+        """Left factor of the weighted block Hankel matrix of the covariances from lag 1 on, weight undone."""
+        covariances = self.markov(keep)
+        future = _root(_toeplitz(covariances, self.rows))
+        past = _root(_toeplitz(covariances.transpose(0, 2, 1), self.columns))
+        hankel = block_hankel(covariances, self.rows, self.columns)
+        half = linalg.solve_triangular(future, hankel, lower=True, check_finite=False)
+        weighted = linalg.solve_triangular(past, half.T, lower=True, check_finite=False).T
+        return np.asarray(future @ left_factor(weighted))
+
+    def data(self) -> Floats:
+        """Left factor of the block Hankel matrix as it is."""
+        return left_factor(block_hankel(self.markov(), self.rows, self.columns))
+
+    def impulse(self, keep: Bools | None = None) -> None:
+        """None: covariances decay as impulse responses do, but of an input that nobody measured."""
+
+
+def _covariances(response: Floats, lags: int) -> Floats:
+    count = len(response) - lags
+    first = response[:count]
+    return np.array([response[lag : lag + count].T @ first for lag in range(lags + 1)]) / count
+
+
+def _toeplitz(covariances: Floats, count: int) -> Floats:
+    """Covariance of col(y_t, y_{t+1}, ...), blocks R_{i-j}, with R_{-k} = R_k'."""
+    lags = np.arange(count)[:, None] - np.arange(count)[None, :]
+    blocks = np.where(
+        (lags >= 0)[:, :, None, None], covariances[np.abs(lags)], covariances.transpose(0, 2, 1)[np.abs(lags)]
+    )
+    outputs = covariances.shape[1]
+    return np.asarray(blocks.transpose(0, 2, 1, 3).reshape(count * outputs, count * outputs))
+
+
+def _root(matrix: Floats) -> Floats:
+    """Lower triangular square root of a covariance that sampling may have left slightly indefinite."""
+    scale = float(np.max(np.diag(matrix)))
+    lift = LEAST_NOISE * scale - min(0.0, float(linalg.eigvalsh(matrix, subset_by_index=[0, 0])[0]))
+    return np.asarray(linalg.cholesky(matrix + lift * np.eye(len(matrix)), lower=True))

@@ -1,0 +1,293 @@
+"""The noise study: how far identified masses and stiffnesses scatter, beside the least that is possible.
+
+The same seeded samples go to every method. The paper's study (its Section 5.2, Table 3, Figs. 5 and 6) reports
+bias and coefficient of variation; beside them stand the root-mean-square error, the Cramer-Rao bound of the
+same data, and how often a stated 95 % interval holds the truth.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from cvxshear.fit.results import plain
+from cvxshear.methods import METHODS, identify
+from cvxshear.paper.batch import one_shot_batch, two_stage_batch
+from cvxshear.paper.setups import Setup, bound, six_story, three_story
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError, NoSolutionError
+from cvxshear.util.parallel import Progress, each
+from cvxshear.util.showing import Shown
+from cvxshear.util.typing import Bools, Floats, Json
+
+SIGMAS = (0.01, 0.02, 0.03, 0.04, 0.05)
+"""The paper's noise levels."""
+
+SAMPLES = 2000
+SEED = 2023
+MOST_SAMPLES = 1_000_000
+LARGEST_SEED = 2**63
+COMPARED = ("two-stage", "one-shot", "efficient")
+
+NORMAL_95 = 1.959964
+"""Half width of a 95 % interval in standard deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """One method on the samples of one noise level.
+
+    Parameters
+    ----------
+    setup : Setup
+    method : str
+    estimates : ndarray, shape (S, 2N)
+        Floor masses, then story stiffnesses, kg and N/m; nan where there was no answer.
+    stated_std : ndarray, shape (S, 2N) or None
+        What the method says of its own accuracy; None where it says nothing.
+    bound : ndarray, shape (2N,)
+        Cramer-Rao bound of the standard deviations, kg and N/m.
+    seconds : float
+    """
+
+    setup: Setup
+    method: str
+    estimates: Floats
+    stated_std: Floats | None
+    bound: Floats
+    seconds: float
+
+    @property
+    def answered(self) -> Bools:
+        """Which samples have an answer, shape (S,); every figure is of these."""
+        return np.asarray(np.isfinite(self.estimates).all(axis=1), dtype=np.bool_)
+
+    @property
+    def errors(self) -> Floats:
+        """Estimate less truth, relative to the truth, shape (answered, 2N)."""
+        return self.estimates[self.answered] / self.setup.truth - 1.0
+
+    @property
+    def mean(self) -> Floats:
+        """Mean estimate, shape (2N,), kg and N/m."""
+        return np.asarray(self.estimates[self.answered].mean(axis=0))
+
+    @property
+    def bias(self) -> Floats:
+        """Error of the mean, relative, shape (2N,): Table 3."""
+        return np.asarray(self.errors.mean(axis=0))
+
+    @property
+    def bias_error(self) -> Floats:
+        """Standard error of `bias`, shape (2N,)."""
+        return np.asarray(self.errors.std(axis=0, ddof=1) / np.sqrt(len(self.errors)))
+
+    @property
+    def variation(self) -> Floats:
+        """Coefficient of variation (Eq. 28), shape (2N,): Fig. 6."""
+        return np.asarray(self.estimates[self.answered].std(axis=0, ddof=1) / self.mean)
+
+    @property
+    def rmse(self) -> Floats:
+        """Root-mean-square error, relative to the truth, shape (2N,)."""
+        return np.asarray(np.sqrt(np.mean(self.errors**2, axis=0)))
+
+    @property
+    def relative_bound(self) -> Floats:
+        """Cramer-Rao bound, relative to the truth, shape (2N,)."""
+        return self.bound / self.setup.truth
+
+    @property
+    def ratio(self) -> Floats:
+        """Root-mean-square error over the Cramer-Rao bound, shape (2N,); nan where nothing is left to estimate."""
+        free = self.bound > 0
+        return np.where(free, self.rmse / np.where(free, self.relative_bound, 1.0), np.nan)
+
+    @property
+    def coverage(self) -> Floats | None:
+        """Share of the samples whose stated 95 % interval holds the truth, shape (2N,)."""
+        if self.stated_std is None:
+            return None
+        distance = np.abs(self.estimates - self.setup.truth)[self.answered]
+        return np.asarray(np.mean(distance <= NORMAL_95 * self.stated_std[self.answered], axis=0))
+
+    def to_dict(self) -> Json:
+        """The figures, errors relative and not in percent."""
+        coverage = self.coverage
+        return {
+            "setup": self.setup.to_dict(),
+            "method": self.method,
+            "samples": len(self.estimates),
+            "failures": int(np.sum(~self.answered)),
+            "seconds": self.seconds,
+            "mean": self.mean.tolist(),
+            "bias": self.bias.tolist(),
+            "bias_error": self.bias_error.tolist(),
+            "variation": self.variation.tolist(),
+            "rmse": self.rmse.tolist(),
+            "bound": self.relative_bound.tolist(),
+            "ratio": plain(self.ratio),
+            "coverage": None if coverage is None else coverage.tolist(),
+        }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NoiseStudy(Shown):
+    """What `noise_study` returns.
+
+    Parameters
+    ----------
+    scatters : tuple of Scatter
+        One a setup and method.
+    samples, seed : int
+    backend : str
+    """
+
+    scatters: tuple[Scatter, ...]
+    samples: int
+    seed: int
+    backend: str
+
+    def of(self, method: str, mode_shape_std: float | None = None) -> Scatter:
+        """The first scatter of a method, at one noise level if given."""
+        for scatter in self.scatters:
+            if scatter.method == method and mode_shape_std in (None, scatter.setup.mode_shape_std):
+                return scatter
+        level = "" if mode_shape_std is None else f" at mode_shape_std {mode_shape_std:g}"
+        raise InputError(f"the study has no method {method!r}{level}")
+
+    def to_dict(self) -> Json:
+        """The documented JSON."""
+        return {
+            "samples": self.samples,
+            "seed": self.seed,
+            "backend": self.backend,
+            "scatters": [scatter.to_dict() for scatter in self.scatters],
+        }
+
+
+def noise_study(
+    setups: Sequence[Setup],
+    methods: Sequence[str] = COMPARED,
+    samples: int = SAMPLES,
+    seed: int = SEED,
+    *,
+    backend: str = "auto",
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> NoiseStudy:
+    """Identify many noisy measurements of known frames.
+
+    Parameters
+    ----------
+    setups : sequence of Setup
+        One a noise level, say; `paper_setups()` are the paper's.
+    methods : sequence of str, optional
+        As `identify` names them.
+    samples : int, optional
+        Of each setup.
+    seed : int, optional
+        Of the noise. Each setup draws from its own stream, the same for all methods.
+    backend : str, optional
+        For the methods that solve their programs sample by sample; two-stage and one-shot on complete data are
+        done in closed form, all samples at once.
+    jobs : int, optional
+        Processes for those methods, -1 for every core; the figures do not depend on it.
+    progress : callable, optional
+        Called with the number of identifications done and to do.
+
+    Returns
+    -------
+    NoiseStudy
+
+    Raises
+    ------
+    UnsuitableError
+        Where a method cannot use a setup's data.
+    """
+    checks.whole(samples, "samples", least=2, most=MOST_SAMPLES)
+    checks.whole(seed, "seed", least=0, most=LARGEST_SEED)
+    for method in methods:
+        checks.choice(method, METHODS, "method")
+    total = len(setups) * len(methods) * samples
+    scatters: list[Scatter] = []
+    for setup, stream in zip(setups, np.random.SeedSequence(seed).spawn(len(setups)), strict=True):
+        measured = setup.draw(np.random.default_rng(stream), samples)
+        least = bound(setup)
+        for method in methods:
+            shown = None if progress is None else _from(progress, len(scatters) * samples, total)
+            began = time.perf_counter()
+            estimates, std = _estimates(setup, measured, method, backend, jobs, shown)
+            scatters.append(Scatter(setup, method, estimates, std, least, time.perf_counter() - began))
+    return NoiseStudy(tuple(scatters), samples, seed, backend)
+
+
+def paper_setups(sigmas: Sequence[float] = SIGMAS) -> tuple[Setup, ...]:
+    """The paper's three-story frame at several noise levels."""
+    return tuple(three_story(sigma) for sigma in sigmas)
+
+
+def six_story_study(
+    samples: int = SAMPLES, seed: int = SEED, *, backend: str = "auto", jobs: int = 1, progress: Progress | None = None
+) -> NoiseStudy:
+    """The efficient method on incomplete data: six stories, four modes at five floors, noise on everything.
+
+    Parameters
+    ----------
+    samples, seed : int, optional
+    backend : str, optional
+    jobs : int, optional
+    progress : callable, optional
+        As for `noise_study`.
+    """
+    return noise_study([six_story()], ("efficient",), samples, seed, backend=backend, jobs=jobs, progress=progress)
+
+
+def _from(progress: Progress, before: int, total: int) -> Progress:
+    """Progress of one part as progress of the whole."""
+    return lambda done, _: progress(before + done, total)
+
+
+def _estimates(
+    setup: Setup, measured: tuple[Floats, Floats], method: str, backend: str, jobs: int, progress: Progress | None
+) -> tuple[Floats, Floats | None]:
+    """Estimates and, where the method states any, standard deviations, shape (samples, 2N) each."""
+    frequencies, shapes = measured
+    samples = len(shapes)
+    both = np.full((samples, 2, 2 * setup.stories), np.nan)
+    one_by_one = np.arange(samples)
+    if setup.complete and method in ("two-stage", "one-shot"):
+        total = float(setup.floor_mass.sum())
+        closed_form = two_stage_batch if method == "two-stage" else one_shot_batch
+        batch = closed_form(shapes, frequencies, total)
+        both[:, 0] = np.hstack([batch.floor_mass, batch.story_stiffness])
+        one_by_one = np.flatnonzero(~batch.positive)
+    before = samples - len(one_by_one)
+    identified = each(
+        partial(_identified, setup, method, backend),
+        [(frequencies[place], shapes[place]) for place in one_by_one],
+        jobs=jobs,
+        progress=None if progress is None else lambda done, _: progress(before + done, samples),
+    )
+    both[one_by_one] = np.reshape(identified, (len(one_by_one), *both.shape[1:]))
+    if progress is not None:
+        progress(samples, samples)
+    return both[:, 0], both[:, 1] if method == "efficient" else None
+
+
+def _identified(setup: Setup, method: str, backend: str, measured: tuple[Floats, Floats]) -> Floats:
+    """Masses and stiffnesses of one sample and their standard deviations, shape (2, 2N), nan where there are none."""
+    result = np.full((2, 2 * setup.stories), np.nan)
+    try:
+        found = identify(setup.experiment(*measured), method, backend).frame
+    except NoSolutionError:
+        return result  # counted: a row of nan is a sample without an answer
+    if found is not None:
+        result[0] = np.concatenate([found.floor_mass, found.story_stiffness])
+        if found.floor_mass_std is not None and found.story_stiffness_std is not None:
+            result[1] = np.concatenate([found.floor_mass_std, found.story_stiffness_std])
+    return result

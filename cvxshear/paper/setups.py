@@ -1,0 +1,262 @@
+"""Known frames with noisy measurements, and the Cramer-Rao bound of what can be identified from them.
+
+No unbiased estimator of the masses and stiffnesses scatters less than the bound. Nothing in it comes from the
+estimator: the modes are those of M^-1/2 K M^-1/2, the derivatives central differences, and the unknown scale of each
+measured mode is a parameter of its own that the information matrix carries. The total mass is known, so that the bound
+is that of the constrained problem, Z (Z' I Z)^-1 Z' with Z spanning the changes that keep the total (Stoica and Ng,
+1998).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import linalg
+
+from cvxshear.measurement.experiment import Configuration, Experiment, Frame
+from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
+from cvxshear.util import checks
+from cvxshear.util.typing import Floats, Ints, Json
+
+SMALL_STEP = 1e-5
+"""Relative step of the bound's central differences, whose error is of its square."""
+
+
+def _none() -> Ints:
+    return np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """A known frame and a noisy measurement of it.
+
+    Parameters
+    ----------
+    floor_mass : array_like, shape (N,)
+        True floor masses, kg. Their sum is declared as the known total.
+    story_stiffness : array_like, shape (N,)
+        True story stiffnesses, N/m.
+    mode_shape_std : float
+        Standard deviation of a shape entry, in the sense of `mode_shape_noise`.
+    mode_shape_noise : str, optional
+        "multiplicative": times the entry itself (Eq. 27); "additive": times the mode's largest entry.
+    frequency_std : float, optional
+        Declared relative standard deviation of the frequencies.
+    exact_frequencies : bool, optional
+        Whether the frequencies are exact all the same, as the paper has them (its Section 5.2).
+    modes : array_like of int, shape (m,), optional
+        Which modes are measured, 1 the lowest; all where empty.
+    measured_floors : array_like of int, shape (n,), optional
+        All where empty.
+    name : str, optional
+
+    Raises
+    ------
+    InputError
+        Where the frame, the noise or the selection is not one.
+    """
+
+    floor_mass: Floats
+    story_stiffness: Floats
+    mode_shape_std: float
+    mode_shape_noise: str = "multiplicative"
+    frequency_std: float = 1e-5
+    exact_frequencies: bool = True
+    modes: Ints = field(default_factory=_none)
+    measured_floors: Ints = field(default_factory=_none)
+    name: str = "frame"
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        mass = checks.vector(self.floor_mass, "floor_mass", above=0.0)
+        n = len(mass)
+        put(self, "floor_mass", mass)
+        put(self, "story_stiffness", checks.vector(self.story_stiffness, "story_stiffness", length=n, above=0.0))
+        put(self, "mode_shape_std", checks.number(self.mode_shape_std, "mode_shape_std", above=0.0))
+        put(self, "frequency_std", checks.number(self.frequency_std, "frequency_std", above=0.0))
+        checks.choice(self.mode_shape_noise, ("multiplicative", "additive"), "mode_shape_noise")
+        for key in ("modes", "measured_floors"):
+            value = getattr(self, key)
+            every = not len(value)
+            put(self, key, np.arange(1, n + 1) if every else checks.ascending_whole(value, key, most=n))
+
+    @property
+    def stories(self) -> int:
+        """Number of stories N."""
+        return len(self.floor_mass)
+
+    @property
+    def truth(self) -> Floats:
+        """Floor masses, then story stiffnesses, shape (2N,)."""
+        return np.concatenate([self.floor_mass, self.story_stiffness])
+
+    @property
+    def complete(self) -> bool:
+        """Whether all modes are measured at all floors."""
+        return len(self.modes) == len(self.measured_floors) == self.stories
+
+    def exact(self) -> tuple[Floats, Floats]:
+        """What would be measured without noise.
+
+        Returns
+        -------
+        frequencies : ndarray, shape (m,)
+            Hz.
+        mode_shapes : ndarray, shape (m, n)
+            One row a mode, largest measured entry 1.
+        """
+        found = modes(mass_matrix(self.floor_mass), stiffness_matrix(self.story_stiffness))
+        which = self.modes - 1
+        shapes = found.shapes[np.ix_(which, self.measured_floors - 1)]
+        largest = shapes[np.arange(len(shapes)), np.argmax(np.abs(shapes), axis=1)]
+        return found.frequencies[which], shapes / largest[:, None]
+
+    def draw(self, rng: np.random.Generator, samples: int) -> tuple[Floats, Floats]:
+        """Noisy measurements.
+
+        Parameters
+        ----------
+        rng : Generator
+        samples : int
+
+        Returns
+        -------
+        frequencies : ndarray, shape (samples, m)
+            Hz.
+        mode_shapes : ndarray, shape (samples, m, n)
+        """
+        frequencies, shapes = self.exact()
+        noise = self.mode_shape_std * rng.standard_normal((samples, *shapes.shape))
+        # Additive noise goes with the largest entry of a mode, which `exact` scales to 1.
+        noisy = shapes + noise * (shapes if self.mode_shape_noise == "multiplicative" else 1.0)
+        if self.exact_frequencies:
+            return np.tile(frequencies, (samples, 1)), noisy
+        return frequencies * (1.0 + self.frequency_std * rng.standard_normal((samples, len(frequencies)))), noisy
+
+    def experiment(self, frequencies: Floats, mode_shapes: Floats) -> Experiment:
+        """One measurement with what is declared of it: the noise, and the total mass.
+
+        Parameters
+        ----------
+        frequencies : ndarray, shape (m,)
+        mode_shapes : ndarray, shape (m, n)
+        """
+        # Noise can swap two close frequencies; the shapes then tell which mode is which.
+        order = np.argsort(frequencies)
+        configuration = Configuration(
+            frequencies=frequencies[order],
+            mode_shapes=mode_shapes[order],
+            measured_floors=self.measured_floors,
+            modes=self.modes,
+            frequency_std=np.full(len(frequencies), self.frequency_std),
+            mode_shape_std=np.full(mode_shapes.shape, self.mode_shape_std),
+            mode_shape_noise=self.mode_shape_noise,
+        )
+        frame = Frame(stories=self.stories, total_mass=float(self.floor_mass.sum()))
+        return Experiment(frame, (configuration,), name=self.name)
+
+    def to_dict(self) -> Json:
+        """The fields as plain values."""
+        return {
+            "name": self.name,
+            "floor_mass": self.floor_mass.tolist(),
+            "story_stiffness": self.story_stiffness.tolist(),
+            "modes": self.modes.tolist(),
+            "measured_floors": self.measured_floors.tolist(),
+            "mode_shape_std": self.mode_shape_std,
+            "mode_shape_noise": self.mode_shape_noise,
+            "frequency_std": self.frequency_std,
+            "exact_frequencies": self.exact_frequencies,
+        }
+
+
+def three_story(mode_shape_std: float) -> Setup:
+    """The paper's three-story frame (its Section 5.2): every mode at every floor, the frequencies exact."""
+    return Setup(
+        floor_mass=np.array([10.0, 7.5, 5.0]),
+        story_stiffness=np.array([1800.0, 1200.0, 600.0]),
+        mode_shape_std=mode_shape_std,
+        name="three stories, all modes at all floors",
+    )
+
+
+def six_story(mode_shape_std: float = 0.01) -> Setup:
+    """A six-story frame as tests meet it: the four lowest modes, floor 3 without a sensor, frequencies to 0.1 %."""
+    return Setup(
+        floor_mass=np.array([10.0, 10.0, 9.0, 9.0, 8.0, 6.0]),
+        story_stiffness=np.array([24e3, 22e3, 19e3, 16e3, 12e3, 8e3]),
+        mode_shape_std=mode_shape_std,
+        mode_shape_noise="additive",
+        frequency_std=1e-3,
+        exact_frequencies=False,
+        modes=np.array([1, 2, 3, 4]),
+        measured_floors=np.array([1, 2, 4, 5, 6]),
+        name="six stories, four modes at five floors",
+    )
+
+
+def cramer_rao(setup: Setup) -> Floats:
+    """Smallest covariance of floor masses and story stiffnesses.
+
+    Parameters
+    ----------
+    setup : Setup
+
+    Returns
+    -------
+    ndarray, shape (2N, 2N)
+        Floor masses first, then story stiffnesses; kg and N/m.
+
+    Notes
+    -----
+    The standard deviation of multiplicative noise depends on the parameters itself. What that tells of them, a
+    part 2 sigma^2 of what the entries tell (half a percent at sigma = 5 %), is left out: the declared standard
+    deviations are taken as numbers.
+    """
+    truth = setup.truth
+    unit = np.diag(truth)
+    frequencies, shapes = _modal_data(setup, truth)
+    spread = np.abs(shapes)
+    if setup.mode_shape_noise == "additive":
+        spread = np.max(spread, axis=1, keepdims=True)
+    std = np.concatenate([
+        np.full(len(frequencies), setup.frequency_std),
+        np.broadcast_to(setup.mode_shape_std * spread, shapes.shape).ravel(),
+    ])  # fmt: skip
+    slopes = [
+        (_stacked(setup, truth + SMALL_STEP * row) - _stacked(setup, truth - SMALL_STEP * row)) / (2 * SMALL_STEP)
+        for row in unit
+    ]  # of relative changes, so that kg and N/m share one size
+    scales = linalg.block_diag(*shapes.reshape(len(shapes), -1, 1))
+    J = np.hstack([np.array(slopes).T, np.vstack([np.zeros((len(frequencies), len(shapes))), scales])])
+    total = np.concatenate([setup.floor_mass, np.zeros(J.shape[1] - setup.stories)])
+    Z = linalg.null_space(total[None])
+    root = np.linalg.inv(np.linalg.qr((J / std[:, None]) @ Z, mode="r"))
+    relative = (Z @ root)[: len(truth)]
+    covariance: Floats = unit @ relative @ relative.T @ unit
+    return covariance
+
+
+def bound(setup: Setup) -> Floats:
+    """Smallest standard deviation of each floor mass and story stiffness, shape (2N,), kg and N/m."""
+    result: Floats = np.sqrt(np.diag(cramer_rao(setup)))
+    return result
+
+
+def _modal_data(setup: Setup, theta: Floats) -> tuple[Floats, Floats]:
+    """Logarithms of the measured frequencies, shape (m,), and measured shapes of unit modal mass, shape (m, n)."""
+    n = setup.stories
+    root = np.sqrt(theta[:n])
+    drift = np.eye(n) - np.eye(n, k=-1)
+    eigenvalues, vectors = np.linalg.eigh((drift.T * theta[n:]) @ drift / np.outer(root, root))
+    shapes = vectors / root[:, None]
+    # The largest entry of a mode does not change its sign over a step of the differences.
+    shapes = shapes * np.sign(shapes[np.argmax(np.abs(shapes), axis=0), np.arange(n)])
+    which = setup.modes - 1
+    return 0.5 * np.log(eigenvalues[which]), shapes[np.ix_(setup.measured_floors - 1, which)].T
+
+
+def _stacked(setup: Setup, theta: Floats) -> Floats:
+    frequencies, shapes = _modal_data(setup, theta)
+    return np.concatenate([frequencies, shapes.ravel()])

@@ -1,0 +1,209 @@
+"""Exact statements and priors as rows and constraints of a program, and whether they can all be true."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linprog
+
+from cvxshear.measurement.experiment import Frame
+from cvxshear.priors import Constraints, Prior
+from cvxshear.programs.least_squares import LeastSquares, remaining
+from cvxshear.util.errors import InfeasibleError
+from cvxshear.util.typing import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class NamedConstraints:
+    """Exact statements about one vector, and their name for a message."""
+
+    name: str
+    constraints: Constraints
+
+
+def statements(
+    priors: Sequence[Prior], quantity: str, stories: int, frame: Frame | None = None, least: float = 0.0
+) -> list[NamedConstraints]:
+    """The exact statements about one quantity: its positivity, what the frame declares, and the priors.
+
+    Parameters
+    ----------
+    priors : sequence of Prior
+    quantity : str
+        "floor_mass" (without added mass) or "story_stiffness".
+    stories : int
+    frame : Frame, optional
+        For floor masses: whose declared total or floor masses hold.
+    least : float, optional
+        What counts as positive, kg or N/m: a mass or stiffness of zero has no modes.
+    """
+    result = [NamedConstraints(f"{quantity} is positive", Constraints(lower=np.full(stories, least)))]
+    if quantity == "floor_mass" and frame is not None:
+        if frame.floor_masses is not None:
+            result.append(NamedConstraints("floor_masses", Constraints(A=np.eye(stories), b=frame.floor_masses)))
+        elif frame.total_mass is not None:
+            known = Constraints(A=np.ones((1, stories)), b=np.array([frame.total_mass]))
+            result.append(NamedConstraints(f"total_mass = {frame.total_mass:g} kg", known))
+    return result + [
+        NamedConstraints(f"prior: {prior.describe()}", prior.constraints(stories))
+        for prior in priors
+        if prior.quantity == quantity
+    ]
+
+
+def constrained(program: LeastSquares, parts: Sequence[NamedConstraints], origin: Floats) -> LeastSquares:
+    """The program, its unknown x being a change of a quantity from `origin`, kept within the statements.
+
+    Parameters
+    ----------
+    program : LeastSquares
+    parts : sequence of NamedConstraints
+        About origin + x.
+    origin : ndarray, shape (n,)
+    """
+    G, h, A, b = _shared(program)
+    lower, upper = np.full(program.unknowns, -np.inf), np.full(program.unknowns, np.inf)
+    for part in parts:
+        said = part.constraints
+        if said.G is not None and said.h is not None:
+            G.append(said.G)
+            h.append(remaining(said.h, said.G, origin))
+        if said.A is not None and said.b is not None:
+            A.append(said.A)
+            b.append(remaining(said.b, said.A, origin))
+        if said.lower is not None:
+            lower = np.maximum(lower, said.lower - origin)
+        if said.upper is not None:
+            upper = np.minimum(upper, said.upper - origin)
+    return program.replace(
+        G=np.concatenate(G), h=np.concatenate(h), A=np.concatenate(A), b=np.concatenate(b), lower=lower, upper=upper
+    )
+
+
+def _shared(program: LeastSquares) -> tuple[list[Floats], list[Floats], list[Floats], list[Floats]]:
+    A, b = program.equalities
+    if program.G is None or program.h is None:
+        return [np.zeros((0, program.unknowns))], [np.zeros(0)], [A], [b]
+    return [program.G], [program.h], [A], [b]
+
+
+def softened(
+    program: LeastSquares, priors: Sequence[Prior], quantity: str, at: Floats, row_std: float, *, step: bool
+) -> LeastSquares:
+    """The program with the soft priors as further rows, linearised at the values `at`.
+
+    Parameters
+    ----------
+    program : LeastSquares
+        Its unknown is the quantity itself or, with `step`, its change from `at`.
+    priors : sequence of Prior
+    quantity : str
+    at : ndarray, shape (n,)
+    row_std : float
+        Standard deviation of the program's own rows, against which the soft priors weigh.
+    step : bool
+    """
+    soft = [prior.residual(at) for prior in priors if prior.quantity == quantity]
+    r = np.concatenate([np.zeros(0), *(part[0] for part in soft)])
+    if not r.size:
+        return program
+    J = np.concatenate([part[1] for part in soft])
+    R, s = program.weighted
+    return program.replace(
+        R=np.concatenate([R / row_std, J]),
+        s=np.concatenate([s / row_std, -r if step else J @ at - r]),
+        W=None,
+    )
+
+
+def _stacked(parts: Sequence[NamedConstraints], size: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """G, h, A, b of all the statements, bounds as rows of G."""
+    eye = np.eye(size)
+    G, h, A, b = [np.zeros((0, size))], [np.zeros(0)], [np.zeros((0, size))], [np.zeros(0)]
+    for part in parts:
+        said = part.constraints
+        if said.G is not None and said.h is not None:
+            G.append(said.G)
+            h.append(said.h)
+        if said.A is not None and said.b is not None:
+            A.append(said.A)
+            b.append(said.b)
+        for bound, sign in ((said.lower, -1.0), (said.upper, 1.0)):
+            if bound is not None:
+                finite = np.isfinite(bound)
+                G.append(sign * eye[finite])
+                h.append(sign * bound[finite])
+    return *_scaled(np.concatenate(G), np.concatenate(h)), *_scaled(np.concatenate(A), np.concatenate(b))
+
+
+def _scaled(rows: Floats, sides: Floats) -> tuple[Floats, Floats]:
+    """The rows with a largest coefficient of 1 each: HiGHS judges by absolute tolerances and drops tiny ones."""
+    largest = np.max(np.abs(rows), axis=1, initial=0.0)
+    largest[largest == 0] = 1.0
+    return rows / largest[:, None], sides / largest
+
+
+def feasible(parts: Sequence[NamedConstraints], size: int) -> bool:
+    """Whether some vector keeps every statement."""
+    G, h, A, b = _stacked(parts, size)
+    scale = max(1e-300, float(np.max(np.abs(np.concatenate([h, b])), initial=0.0)))
+    found = linprog(
+        np.zeros(size),
+        A_ub=G if len(G) else None,
+        b_ub=h / scale if len(G) else None,
+        A_eq=A if len(A) else None,
+        b_eq=b / scale if len(A) else None,
+        bounds=(None, None),
+        method="highs",
+    )
+    return bool(found.status != 2)
+
+
+def _plainly_feasible(parts: Sequence[NamedConstraints], size: int) -> bool:
+    """Whether the statements are lower bounds and at most one weighted sum that is greater than theirs.
+
+    Then a point that keeps them all is at hand, and no linear program need be solved.
+    """
+    lower = np.full(size, -np.inf)
+    sums: list[tuple[Floats, float]] = []
+    for part in parts:
+        said = part.constraints
+        if said.upper is not None or said.G is not None:
+            return False
+        if said.lower is not None:
+            lower = np.maximum(lower, said.lower)
+        if said.A is not None and said.b is not None:
+            sums += [(row, float(side)) for row, side in zip(said.A[:2], said.b[:2], strict=True)]
+        if len(sums) > 1:
+            return False
+    if not sums:
+        return True
+    row, side = sums[0]
+    return bool(np.all(row > 0) and np.all(np.isfinite(lower)) and row @ lower < side)
+
+
+def refuse_contradictions(parts: Sequence[NamedConstraints], size: int) -> None:
+    """Raise where the statements cannot all be true.
+
+    A statement that the others contradict without each other's help is kept, the rest are dropped one by
+    one (the deletion filter of Chinneck and Dravnieks, 1991), so that the message names a smallest set.
+
+    Raises
+    ------
+    InfeasibleError
+        Naming the statements that contradict each other.
+    InputError
+        Where a statement is not about a vector of `size` numbers.
+    """
+    for part in parts:
+        part.constraints.check(size, part.name)
+    if _plainly_feasible(parts, size) or feasible(parts, size):
+        return
+    core = list(parts)
+    for part in parts:
+        without = [other for other in core if other is not part]
+        if without and not feasible(without, size):
+            core = without
+    raise InfeasibleError("these cannot all be true: " + "; ".join(part.name for part in core))

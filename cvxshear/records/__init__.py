@@ -1,0 +1,1 @@
+"""A record, what its file says of it, and what it gets wrong."""

@@ -1,0 +1,350 @@
+"""Clocks of the channels: late by a constant, or by more and more.
+
+A channel whose clock is late by tau shows every component of angular frequency w turned by -w tau. Between two
+channels of a lightly damped frame the phase is otherwise nearly nought or half a turn, at the modes and in the band
+between them: over the whole band the delay is the one straight line through the origin that leaves no more than that
+(`band_clocks`), and the modes' own phases make it finer (`offsets`). A damper turns single modes, not the band.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from cvxshear.records.record import Complexes, TimeRecord
+from cvxshear.records.signals import impulsive
+from cvxshear.util.typing import Floats, Ints
+
+SEGMENT = 20.0
+"""s; long beside the longest delay, short enough that a record has many."""
+LONGEST_DELAY = 2.6
+"""s; longer delays are looked for with the eyes."""
+FASTEST_DRIFT = 1e-3
+"""s a second; crystals differ by a tenth of that at most."""
+GROUPS = 12
+"""Parts of a record in which the delay is estimated by itself."""
+FINER = 4
+"""Steps of the search in the time that a quarter of a sample makes."""
+NOISE_FLOOR = 10.0
+"""Times the tenth of a channel's lines that hold least: below it a line counts little."""
+MAINS = (50.0, 60.0)
+"""Hz; lines at these and twice and three times as much, folded, say nothing of a frame."""
+NO_DRIFT = 0.97
+"""Of the agreement with a drift: reached without one, there is none."""
+DRIFT_CHANCE = 1e-5
+"""Probability that chance makes a slope so steep of the delays in the parts of a record."""
+STEADY = 0.01
+"""Samples that the delay of a sound clock may seem to change by, as modes ring with other weights."""
+DRIFT_SHORTEST = 0.08
+"""Samples from the middle of the record to its end that a drift must make."""
+AS_GOOD = 0.97
+"""Of the largest agreement: of delays that reach it the smallest is taken, which a sidelobe of a few modes is not."""
+
+
+@dataclass(frozen=True)
+class BandClock:
+    """How late one channel's clock is against another's.
+
+    Parameters
+    ----------
+    seconds : float
+        At the start of the record.
+    drift : float
+        Seconds more in each second after; 0 where there is none that could be told.
+    std, drift_std : float
+        Of the delay in the middle of the record, and of the drift.
+    agreement : float
+        1 where the delay makes all lines agree in phase, 0 where the channels have nothing in common.
+    chance : float
+        Agreement that channels with nothing in common reach by chance.
+    middle : float
+        The delay in the middle of the record, s.
+    """
+
+    seconds: float
+    drift: float
+    std: float
+    drift_std: float
+    agreement: float
+    chance: float
+    middle: float
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """Spectra of a record in overlapping segments.
+
+    Parameters
+    ----------
+    spectra : array of complex, shape (segments, lines, clocks)
+        The channels, then the input where there is one.
+    weights : array, shape (segments, lines, clocks)
+        Between 0 and 1: how far a line stands out of what may be noise.
+    times : array, shape (segments,)
+        Middle of each, s.
+    length : int
+        Samples.
+    rate : float
+        Hz.
+    """
+
+    spectra: Complexes
+    weights: Floats
+    times: Floats
+    length: int
+    rate: float
+
+    @staticmethod
+    def of(record: TimeRecord) -> Segments:
+        """The segments of a record."""
+        rate = record.sampling_rate
+        length = min(int(SEGMENT * rate), *(run.samples for run in record.runs)) // 2 * 2
+        window = _window(length, decaying=record.input == "free_decay" or all(map(impulsive, record.runs)))
+        spectra, times, started = [], [], 0
+        for run in record.runs:
+            both = [run.responses] if run.excitation is None else [run.responses, run.excitation[:, None]]
+            values = np.column_stack(both)
+            values = values - np.median(values, axis=0)
+            for start in range(0, run.samples - length + 1, length // 2):
+                spectra.append(np.fft.rfft(values[start : start + length] * window, axis=0))
+                times.append((started + start + length / 2) / rate)
+            started += run.samples
+        found = np.array(spectra)
+        power = np.abs(found) ** 2
+        floor = NOISE_FLOOR * np.quantile(power.mean(axis=0)[2:], 0.1, axis=0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            weights = np.nan_to_num(power / (power + floor)) ** 2
+        weights[:, mains_lines(length, rate)] = 0.0
+        weights[:, :2] = 0.0
+        return Segments(found, weights, np.array(times), length, rate)
+
+    def agreement(self, first: int, second: int) -> tuple[Complexes, Floats, Floats, float]:
+        """What two clocks agree in: squared phasors and their weights by groups, mean times, and the chance level.
+
+        Squared, the phasors of nought and half a turn are the same.
+        """
+        cross = self.spectra[:, :, first] * np.conj(self.spectra[:, :, second])
+        size = np.abs(cross)
+        weight = self.weights[:, :, first] * self.weights[:, :, second]
+        square = weight * np.divide(cross, size, out=np.zeros_like(cross), where=size > 0) ** 2
+        groups = np.array_split(np.arange(len(self.times)), min(GROUPS, len(self.times)))
+        many = weight.sum() ** 2 / max(float((weight**2).sum()), 1e-300)
+        return (
+            np.array([square[group].sum(axis=0) for group in groups]),
+            np.array([weight[group].sum() for group in groups]),
+            np.array([self.times[group].mean() for group in groups]),
+            float(1.0 / np.sqrt(2.0 * max(many, 1.0))),
+        )
+
+
+def _window(length: int, *, decaying: bool) -> Floats:
+    """Hann's window, its rise cut to a tenth where what comes first is loudest, shape (length, 1)."""
+    if not decaying:
+        return np.hanning(length)[:, None]
+    rise = max(length // 10, 2)
+    return np.concatenate([np.hanning(2 * rise)[:rise], np.hanning(2 * (length - rise))[length - rise :]])[:, None]
+
+
+def mains_lines(length: int, rate: float) -> Ints:
+    """The lines of a spectrum of so many samples at mains frequencies, folded where they lie beyond its end."""
+    places = [
+        round(abs((multiple * mains + rate / 2) % rate - rate / 2) * length / rate) + near
+        for mains in MAINS
+        for multiple in (1, 2, 3)
+        for near in (-1, 0, 1)
+    ]
+    return np.array([place for place in places if 0 <= place <= length // 2], dtype=np.int64)
+
+
+def band_clock(segments: Segments, first: int, second: int) -> BandClock:
+    """How late the first clock is against the second, by the phases of the whole band.
+
+    The agreement sum w z exp(2 i w t), z the squared phasors, is searched over delay and drift on a grid and then, in
+    each part of the record, climbed to its top; a straight line through the tops is the delay and its drift.
+    """
+    squares, weights, times, chance = segments.agreement(first, second)
+    total = float(weights.sum())
+    if total <= 0:
+        return BandClock(0.0, 0.0, np.inf, np.inf, 0.0, 1.0, 0.0)
+    samples = FINER * segments.length
+    grid = (np.arange(samples) - samples // 2) * segments.length / (2 * segments.rate * samples)
+    near = np.abs(grid) <= LONGEST_DELAY
+    table = np.fft.fftshift(np.fft.ifft(squares, n=samples, axis=1).real * samples, axes=1)[:, near]
+    grid, step = grid[near], float(grid[1] - grid[0])
+    around = times - np.average(times, weights=weights)
+    place, turns = _best_line(table, around, step, grid)
+    half = max(float(np.abs(around).max()), 1e-9)
+    drift = turns * step / half
+    line = grid[place] + drift * around
+    tops, heights = _climbed(squares, line, segments, step)
+    agreement = float(heights.sum()) / total
+    sound = (heights > 0.3 * np.median(heights / np.maximum(weights, 1e-300)) * weights) & (
+        np.abs(tops - line) < step * 2
+    )
+    if np.count_nonzero(sound) < 3:
+        return BandClock(float(grid[place]), 0.0, step, np.inf, agreement, chance, float(grid[place]))
+    middle, slope, std, slope_std = _line(around[sound], tops[sound], heights[sound])
+    slope_std = float(np.hypot(slope_std, STEADY / segments.rate / half))
+    certain = float(stats.t.isf(DRIFT_CHANCE, max(int(np.count_nonzero(sound)) - 2, 1)))
+    if abs(slope) < certain * slope_std or abs(slope) * half < DRIFT_SHORTEST / segments.rate:
+        return BandClock(middle, 0.0, std, slope_std, agreement, chance, middle)
+    start = middle - slope * float(np.average(times, weights=weights))
+    return BandClock(start, slope, std, slope_std, agreement, chance, middle)
+
+
+def _best_line(table: Floats, around: Floats, step: float, grid: Floats) -> tuple[int, int]:
+    """Place on the grid, and steps of drift from the middle to the end, at which the agreement is largest."""
+    half = max(float(np.abs(around).max()), 1e-9)
+    most = int(FASTEST_DRIFT * half / step) if len(table) > 2 else 0
+    best, without = (-np.inf, 0, 0), (-np.inf, 0)
+    for turns in range(-most, most + 1):
+        total = np.zeros(table.shape[1])
+        for row, shift in zip(table, np.round(turns * around / half).astype(int), strict=True):
+            total[max(0, -shift) : len(total) - max(0, shift)] += row[max(0, shift) : len(row) - max(0, -shift)]
+        tops = np.flatnonzero((total[1:-1] >= total[:-2]) & (total[1:-1] >= total[2:])) + 1
+        if not tops.size:
+            continue
+        high = tops[total[tops] >= AS_GOOD * total[tops].max()]
+        place = int(high[np.argmin(np.abs(grid[high]))])
+        if turns == 0:
+            without = (float(total[place]), place)
+        if total[place] > best[0]:
+            best = (float(total[place]), place, turns)
+    return (without[1], 0) if without[0] >= NO_DRIFT * best[0] else (best[1], best[2])
+
+
+def _climbed(squares: Complexes, line: Floats, segments: Segments, step: float) -> tuple[Floats, Floats]:
+    """The top of the agreement near a line, for each part of the record, and its height."""
+    omega = 2 * np.pi * np.arange(squares.shape[1]) * segments.rate / segments.length
+    tops, heights = [], []
+    for square, start in zip(squares, line, strict=True):
+        top = float(start)
+        for _ in range(4):
+            turned = square * np.exp(2j * omega * top)
+            slope, bend = -2 * np.sum(omega * turned.imag), -4 * np.sum(omega**2 * turned.real)
+            if bend >= 0:
+                break
+            top -= float(np.clip(slope / bend, -step, step))
+        tops.append(top)
+        heights.append(max(0.0, float(np.sum((square * np.exp(2j * omega * top)).real))))
+    return np.array(tops), np.array(heights)
+
+
+def _line(times: Floats, tops: Floats, heights: Floats) -> tuple[float, float, float, float]:
+    """Weighted straight line: value at 0, slope and their standard deviations from the scatter."""
+    weight = heights / heights.mean()
+    rows = np.column_stack([np.ones(len(times)), times])
+    normal = (rows * weight[:, None]).T @ rows
+    value, slope = np.linalg.solve(normal, (rows * weight[:, None]).T @ tops)
+    scatter = np.sum(weight * (tops - value - slope * times) ** 2) / max(len(times) - 2, 1)
+    spread = np.sqrt(np.diag(np.linalg.inv(normal)) * scatter)
+    return float(value), float(slope), float(spread[0]), float(spread[1])
+
+
+STEPS = 4001
+LONGEST = 0.05
+"""s; a longer offset is looked for with the eyes."""
+FOLDED = 0.85
+"""Of half the sampling rate, above which what folds back from beyond it turns the phases of a resonance."""
+
+
+@dataclass(frozen=True, eq=False)
+class Offsets:
+    """Estimated clock offsets.
+
+    Parameters
+    ----------
+    seconds : array, shape (clocks,)
+        Positive where a channel's record is late, against the clock that is nearest to all the others; the
+        channels in order of floor, then the input where its clock is seen.
+    unexplained : array, shape (clocks,)
+        Root mean square angle, degrees, that the offset leaves, over the modes, weighted as the fit.
+    before : array, shape (clocks,)
+        The same angle without the offset.
+    reference : int
+        The clock that the offsets count from.
+    """
+
+    seconds: Floats
+    unexplained: Floats
+    before: Floats
+    reference: int
+
+
+def offsets(
+    eigenvalues: Complexes,
+    shapes: Complexes,
+    participations: Complexes | None = None,
+    reference: int | None = None,
+    sampling_rate: float = np.inf,
+) -> Offsets:
+    """Estimate the offset of every channel's clock.
+
+    Parameters
+    ----------
+    eigenvalues : array of complex, shape (modes,)
+        1/s.
+    shapes : array of complex, shape (modes, channels)
+    participations : array of complex, shape (modes,), optional
+        What turns each shape into a residue that is real for a real mode and clocks that agree; the input's
+        clock is then estimated as well.
+    reference : int, optional
+        The clock to count from; the one nearest to all the others where None.
+    sampling_rate : float, optional
+        Hz. Modes above `FOLDED` of its half do not count, where two others are left.
+
+    Returns
+    -------
+    Offsets
+    """
+    omega = np.abs(eigenvalues.imag)
+    heard = omega <= FOLDED * np.pi * sampling_rate
+    if 2 <= np.count_nonzero(heard) < len(omega):
+        omega, shapes = omega[heard], shapes[heard]
+        participations = None if participations is None else participations[heard]
+    if participations is not None:
+        phasors = shapes * participations[:, None]
+    else:
+        floor = int(np.argmax(np.min(np.abs(shapes), axis=0)))
+        phasors = shapes * np.conj(shapes[:, [floor]])
+    phasors = phasors / np.maximum(np.linalg.norm(phasors, axis=1, keepdims=True), 1e-300)
+    fitted = [_slope(omega, column) for column in phasors.T]
+    seconds = np.array([item[0] for item in fitted])
+    left = np.array([item[1] for item in fitted])
+    before = np.array([_angle(column, np.zeros(len(omega))) for column in phasors.T])
+    if participations is not None:
+        seconds, left, before = np.append(seconds, 0.0), np.append(left, 0.0), np.append(before, 0.0)
+    if reference is None:
+        reference = int(np.argmin(np.sum(np.abs(seconds[:, None] - seconds[None, :]), axis=1)))
+    return Offsets(seconds - seconds[reference], left, before, reference)
+
+
+def undone(eigenvalues: Complexes, shapes: Complexes, seconds: Floats) -> Complexes:
+    """The shapes with the offsets' turns taken back, shape (modes, channels)."""
+    turn = np.exp(1j * np.abs(eigenvalues.imag)[:, None] * seconds[None, : shapes.shape[1]])
+    return np.asarray(shapes * turn)
+
+
+def _slope(omega: Floats, phasors: Complexes) -> tuple[float, float]:
+    """The offset that makes the phasors most nearly real, the smallest where several do equally, and what is left."""
+    longest = min(LONGEST, 0.5 * np.pi / float(omega.min()))
+    grid = np.linspace(-longest, longest, STEPS)
+    turned = phasors[None, :] * np.exp(1j * grid[:, None] * omega[None, :])
+    cost = np.sum(turned.imag**2, axis=1) / np.sum(np.abs(phasors) ** 2)
+    start = grid[int(np.argmin(cost + 1e-3 * np.abs(grid) / longest))]
+    # On the line the remaining angles are small, and least squares in the angle is a division.
+    for _ in range(5):
+        now = phasors * np.exp(1j * start * omega)
+        angle = np.angle(now * np.where(now.real < 0, -1.0, 1.0))
+        weight = np.abs(phasors) ** 2
+        start -= float(np.sum(weight * omega * angle) / np.sum(weight * omega**2))
+    return float(start), _angle(phasors, omega * start)
+
+
+def _angle(phasors: Complexes, turn: Floats) -> float:
+    now = phasors * np.exp(1j * turn)
+    angle = np.angle(now * np.where(now.real < 0, -1.0, 1.0))
+    weight = np.abs(phasors) ** 2
+    return float(np.degrees(np.sqrt(np.sum(weight * angle**2) / np.sum(weight))))

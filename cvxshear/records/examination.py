@@ -1,0 +1,302 @@
+"""What is done to a record before anything is identified: sick channels out, clocks set right, signs and units judged.
+
+Every step that changes the record is said in a finding; a record with nothing wrong comes back as it went in.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from scipy import signal
+
+from cvxshear.records.clocks import BandClock, Segments, band_clock
+from cvxshear.records.floors import one_a_floor, turning
+from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord
+from cvxshear.records.sick_channels import channel_findings, without_sick, without_spikes
+from cvxshear.records.signals import detrended, impulsive, in_step, only, scaled
+from cvxshear.util.quantities import significant
+from cvxshear.util.typing import Floats
+
+SILENT = 6.0
+"""Times the agreement that chance makes at one delay, which the search over delays and drifts brings it to."""
+LEAST_AGREEMENT, MOST_CHANCE = 0.08, 0.55
+"""Bounds of that limit: hum has a little in common with everything; few lines leave much to chance."""
+AGREED = 0.25
+"""Agreement of a channel's phases with the others' from which on its clock can be told."""
+LATE = 0.5
+"""Samples; a delay of less is left to the phases of the modes, which tell it finer."""
+CERTAIN = 4.0
+"""Standard deviations of a delay that is taken out."""
+QUIET = 0.5
+"""Of the frequency at which the motion of some floor is twice the base's: below it the floors move with the base."""
+FEWEST_LINES = 3
+"""Lines below the first resonance that the signs of a record with base motion are told by."""
+COHERENT = 0.8
+"""Coherence with the base of lines that count."""
+GRAVITY = 9.80665
+UNITS = {
+    "g": GRAVITY, "mm/s2": 1e-3, "cm/s2": 1e-2, "mg": 1e-3 * GRAVITY, "in/s2": 0.0254, "ft/s2": 0.3048,
+}  # fmt: skip
+"""Units of acceleration in m/s2."""
+ALIKE = 0.2
+"""Relative; how near a ratio of levels must come to that of two units."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Examined:
+    """A record that can be identified, and what was found on the way.
+
+    Parameters
+    ----------
+    record : TimeRecord or FrfRecord
+        One channel a floor, none of them dead, clocks within half a sample of each other.
+    findings : tuple of Finding
+    turning : callable or None
+        The share of rotation at a frequency, Hz, where some floor has several sensors.
+    late : dict
+        What was taken out of the clocks of channels, and of "input": (s at the start, s a second).
+    """
+
+    record: Record
+    findings: tuple[Finding, ...]
+    late: dict[str, tuple[float, float]]
+    turning: Callable[[float], float] | None = None
+
+
+def examined(record: Record) -> Examined:
+    """Look at a record before anything is identified.
+
+    Parameters
+    ----------
+    record : TimeRecord or FrfRecord
+
+    Returns
+    -------
+    Examined
+
+    Raises
+    ------
+    InputError
+        Where no channel is left, or two on one floor contradict each other.
+    """
+    findings = channel_findings(record)
+    record = without_sick(record, findings)
+    if isinstance(record, FrfRecord):
+        record, of_floors = one_a_floor(record)
+        return Examined(record, (*findings, *of_floors), {})
+    steady, of_clocks, late = _in_step(without_spikes(record, findings))
+    share = turning(steady)
+    steady, of_floors = one_a_floor(steady)
+    findings += [*of_clocks, *of_floors]
+    if steady.input == "base":
+        steady, of_signs = _with_the_base(steady)
+        findings += of_signs
+    return Examined(steady, tuple(findings), late, share)
+
+
+def _in_step(record: TimeRecord) -> tuple[TimeRecord, list[Finding], dict[str, tuple[float, float]]]:
+    """Channels that share nothing with the others out; clocks that are late set right."""
+    names = [channel.name for channel in record.channels]
+    driven = record.runs[0].excitation is not None
+    clocks = [*names, "input"] if driven else names
+    if len(clocks) < 3 or min(run.samples for run in record.runs) < 4 * record.sampling_rate:
+        return record, [], {}
+    segments = Segments.of(record)
+    plain = np.array([[_in_common(segments, i, j) for j in range(len(clocks))] for i in range(len(clocks))])
+    reference = int(np.argmax(np.median(plain, axis=0) if len(clocks) > 3 else plain.sum(axis=0)))
+    against = {i: band_clock(segments, i, reference) for i in range(len(clocks)) if i != reference}
+    heard = [item.agreement for item in against.values() if item.agreement > AGREED]
+    if len(heard) < len(against) / 2:
+        # Nothing is sure where most have little in common: a few sine waves, a record of noise.
+        return record, [], {}
+    limits = {i: min(max(SILENT * item.chance, LEAST_AGREEMENT), MOST_CHANCE) for i, item in against.items()}
+    silent = [i for i, item in against.items() if item.agreement < limits[i] and names[i : i + 1]]
+    findings = [_silent(record, i, against[i]) for i in silent]
+    late = {reference: (0.0, 0.0, 0.0)}
+    late |= {i: (item.seconds, item.drift, item.middle) for i, item in against.items() if item.agreement > AGREED}
+    # The clock that is nearest to all others counts as right.
+    middles = {i: values[2] for i, values in late.items()}
+    right = min(middles, key=lambda i: (sum(abs(middles[i] - other) for other in middles.values()), i))
+    zero = late[right]
+    wrong: dict[str, tuple[float, float]] = {}
+    limit = LATE / record.sampling_rate
+    for i, (start, drift, middle) in late.items():
+        spread = [against[k] for k in (i, right) if k in against]
+        std = float(np.hypot.reduce([item.std for item in spread])) if spread else 0.0
+        slope = drift - zero[1]
+        if i == right or (abs(middle - zero[2]) < max(limit, CERTAIN * std) and not slope):
+            continue
+        if not slope and not _confirmed(segments, i, right, middle - zero[2], 2 * limit, clocks):
+            continue
+        wrong[clocks[i]] = (start - zero[0], slope)
+        findings.append(_late(clocks[i], clocks[right], middle - zero[2], start - zero[0], slope, std, against, i))
+    kept = [column for column in range(len(names)) if column not in silent]
+    record = only(record, kept) if silent else record
+    return (in_step(record, wrong) if wrong else record), findings, wrong
+
+
+def _in_common(segments: Segments, first: int, second: int) -> float:
+    """The largest agreement of two clocks over all delays, over what chance makes; 0 of a clock with itself."""
+    if first == second:
+        return 0.0
+    squares, weights, _, _ = segments.agreement(first, second)
+    total = float(weights.sum())
+    if total <= 0:
+        return 0.0
+    delays = np.fft.ifft(squares.sum(axis=0), n=2 * segments.length).real * 2 * segments.length
+    return float(delays.max()) / total
+
+
+def _confirmed(segments: Segments, late: int, right: int, seconds: float, within: float, clocks: list[str]) -> bool:
+    """Whether most other clocks say the same of this one."""
+    others = [k for k in range(len(clocks)) if k not in (late, right)]
+    said = [band_clock(segments, late, k).middle - band_clock(segments, right, k).middle for k in others]
+    return not said or sum(abs(each - seconds) < within for each in said) >= len(said) / 2
+
+
+def _silent(record: TimeRecord, column: int, clock: BandClock) -> Finding:
+    channel = record.channels[column]
+    return Finding(
+        "dead channel",
+        f"{channel} carries no motion: nothing in it, from one end of the band to the other, goes with any other "
+        f"channel (agreement of phases {clock.agreement:.2f}, chance makes {clock.chance:.2f}); left out. Is its cable "
+        "cut, or its sensor off?",
+        {"channel": channel.name, "floor": channel.floor, "agreement": clock.agreement, "out": True},
+    )
+
+
+def _late(
+    name: str,
+    reference: str,
+    middle: float,
+    start: float,
+    slope: float,
+    std: float,
+    against: dict[int, BandClock],
+    place: int,
+) -> Finding:
+    if slope:
+        spread = against[place].drift_std if place in against else std
+        return Finding(
+            "clock drift",
+            f'the clock of "{name}" runs {"slow" if slope > 0 else "fast"} by {1e6 * abs(slope):.1f} ppm '
+            f'(std {significant(1e6 * spread, 2)}) against that of "{reference}", {1e3 * abs(start):.2f} ms '
+            f"{'late' if start > 0 else 'early'} at the start of the record; taken out",
+            {"channel": name, "seconds": start, "drift": slope, "drift_std": spread, "corrected": True},
+        )
+    return clock_offset(name, reference, middle, std)
+
+
+def clock_offset(name: str, reference: str, seconds: float, std: float) -> Finding:
+    """A clock that was late, or early, by the phases of the whole band, and has been set right."""
+    return Finding(
+        "clock offset",
+        f'the clock of "{name}" is {1e3 * abs(seconds):.2f} ms {"late" if seconds > 0 else "early"} '
+        f'(std {significant(1e3 * std, 2)} ms) against that of "{reference}", by the phases of the whole band; taken '
+        "out",
+        {"channel": name, "reference": reference, "seconds": seconds, "std": std, "corrected": True},
+    )
+
+
+def _with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
+    """Signs and units by the motion at low frequency, where every floor moves with the base."""
+    gains = floor_over_base(record)
+    if gains is None:
+        return record, []
+    level, std = gains
+    findings, factors = [], {}
+    reversed_ = level < -CERTAIN * std
+    if reversed_.sum() > len(level) / 2:
+        reversed_, level = ~reversed_, -level
+        findings.append(
+            Finding(
+                "sign",
+                "the input channel is reversed: at low frequency most floors move against it; turned round",
+                {"channel": "input", "corrected": True},
+            )
+        )
+        factors["input"] = -1.0
+    for channel, value, spread, wrong in zip(record.channels, level, std, reversed_, strict=True):
+        factor = 1.0
+        if wrong:
+            factor = -1.0
+            findings.append(
+                Finding(
+                    "sign",
+                    f"{channel} is reversed: at low frequency it moves {value:.3f} ± {spread:.3f} times as much as the "
+                    "base, where every floor moves with it; turned round, check its sign in the record file",
+                    {"channel": channel.name, "gain": float(value), "corrected": True},
+                )
+            )
+        unit = unit_of(abs(float(value)))
+        if unit is not None and abs(value) > CERTAIN * spread:
+            factor *= UNITS[unit] if value * UNITS[unit] else 1.0
+            findings.append(
+                in_unit(
+                    str(channel),
+                    channel.name,
+                    channel.floor,
+                    unit,
+                    f"it moves {abs(value):.3g} times as much as the base at low frequency",
+                )
+            )
+        if factor != 1.0:
+            factors[channel.name] = factor
+    return (scaled(record, factors) if factors else record), findings
+
+
+def unit_of(gain: float) -> str | None:
+    """The unit of a channel that shows so many times what one in m/s2 would; None where it is m/s2 or no unit."""
+    fits = [name for name, size in UNITS.items() if abs(np.log(gain * size)) < ALIKE]
+    return fits[0] if fits and abs(np.log(gain)) > 3 * ALIKE else None
+
+
+def in_unit(channel: str, name: str, floor: int, unit: str, why: str) -> Finding:
+    """A channel recorded in another unit than the others."""
+    return Finding(
+        "unit",
+        f"floor {floor} looks like {unit}, the others like m/s2: {channel}, {why}; multiplied by {UNITS[unit]:.6g}. "
+        f'Write unit = "{unit}" in the record file',
+        {"channel": name, "floor": floor, "unit": unit, "factor": UNITS[unit], "corrected": True},
+    )
+
+
+def floor_over_base(record: TimeRecord) -> tuple[Floats, Floats] | None:
+    """The motion of each floor over that of the base towards 0 Hz, and its standard deviation; None if not recorded.
+
+    Below the first resonance the transmissibility is T(f) = T(0) (1 + c f^2 + ...), with T(0) = 1 for a sensor that is
+    right; T(0) is fitted to the real parts of H1 below half the frequency at which some |T| reaches 2.
+    """
+    rate = record.sampling_rate
+    if record.quantity != "acceleration" or any(run.excitation is None or impulsive(run) for run in record.runs):
+        return None
+    length = min(int(20 * rate), min(run.samples for run in record.runs) // 4) // 2 * 2
+    if length < 64:
+        return None
+    record = detrended(record)
+    lines_of = length // 2 + 1
+    cross = np.zeros((lines_of, len(record.channels)), dtype=np.complex128)
+    power, base, frequencies = np.zeros(cross.shape), np.zeros((lines_of, 1)), np.zeros(lines_of)
+    for run in record.runs:
+        assert run.excitation is not None
+        both = np.column_stack([run.excitation, run.responses])
+        weight = run.samples
+        frequencies, each = signal.csd(both[:, [0]], both, rate, nperseg=length, axis=0)
+        _, own = signal.welch(both, rate, nperseg=length, axis=0)
+        cross, power, base = cross + weight * each[:, 1:], power + weight * own[:, 1:], base + weight * own[:, [0]]
+    transfer, coherence = cross / base, np.abs(cross) ** 2 / (base * power)
+    usual = np.median(np.abs(transfer[2:]), axis=0)
+    relative = np.abs(transfer) / np.maximum(np.abs(transfer[2:4]).mean(axis=0), 0.05 * usual)
+    amplified = np.flatnonzero((relative > 2.0).any(axis=1) & (frequencies > 2 * frequencies[1]))
+    if not amplified.size:
+        return None
+    lines = np.flatnonzero((frequencies < QUIET * frequencies[amplified[0]]) & (np.arange(len(frequencies)) > 1))
+    lines = lines[(coherence[lines] > COHERENT).mean(axis=1) > 0.5]
+    if len(lines) < FEWEST_LINES:
+        return None
+    rows = np.column_stack([np.ones(len(lines)), (frequencies[lines] / frequencies[amplified[0]]) ** 2])
+    fit, left, *_ = np.linalg.lstsq(rows, transfer[lines].real, rcond=None)
+    scatter = left / (len(lines) - 2) if left.size else np.var(transfer[lines].real, axis=0)
+    return fit[0], np.sqrt(scatter * np.linalg.inv(rows.T @ rows)[0, 0])

@@ -1,0 +1,186 @@
+"""What drove a frame, base motion or a force, and what its floors did where that was recorded."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cvxshear.measurement.experiment import MOST_STORIES
+from cvxshear.records.floors import one_a_floor
+from cvxshear.records.record import Record, TimeRecord
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Bools, Floats, Ints
+
+DRIVEN = ("base", "force")
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """One uninterrupted stretch of excitation, from rest.
+
+    Parameters
+    ----------
+    excitation : array_like, shape (samples,)
+        m/s2 for a base acceleration, N for a force; a straight line between samples.
+    floor : int, optional
+        Where the force acts; 0 for a base acceleration.
+    responses : array_like, shape (samples, floors), optional
+        Total accelerations of the floors that `Motion.floors` names, m/s2; nan where a piece is missing.
+    name : str, optional
+    """
+
+    excitation: Floats
+    floor: int = 0
+    responses: Floats | None = None
+    name: str = "run 1"
+
+    def __post_init__(self) -> None:
+        excitation = checks.vector(self.excitation, f"{self.name}: excitation")
+        if len(excitation) < 2:
+            raise InputError(f"{self.name}: the excitation has one sample; at least two make a line")
+        object.__setattr__(self, "excitation", excitation)
+        if self.responses is not None:
+            responses = np.array(self.responses, dtype=np.float64)
+            if responses.ndim != 2 or len(responses) != len(excitation) or np.isinf(responses).any():
+                raise InputError(
+                    f"{self.name}: responses must be a table of {len(excitation)} samples by floors, one row a "
+                    f"sample of the excitation, not of shape {responses.shape}"
+                )
+            object.__setattr__(self, "responses", checks.frozen(responses))
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return len(self.excitation)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A recorded base motion or force, in one stretch or several.
+
+    Parameters
+    ----------
+    drives : sequence of Drive
+    sampling_rate : float
+        Hz.
+    input : str, optional
+        "base" (base acceleration) or "force".
+    floors : array_like of int, shape (n,), optional
+        Whose accelerations were recorded, ascending; none where empty.
+    added_mass : array_like, shape (N,), optional
+        kg on each floor while this was recorded; None where nothing says so.
+    name : str, optional
+    state : str, optional
+        The state of the frame while this was recorded; None where nothing says so.
+
+    Raises
+    ------
+    InputError
+        Naming the stretch, and what would be right.
+    """
+
+    drives: tuple[Drive, ...]
+    sampling_rate: float
+    input: str = "base"
+    floors: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    added_mass: Floats | None = None
+    name: str = "record"
+    state: str | None = None
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        put(self, "drives", tuple(self.drives))
+        put(self, "sampling_rate", checks.number(self.sampling_rate, "record: sampling_rate", above=0.0))
+        checks.choice(self.input, DRIVEN, "record: input")
+        put(self, "floors", np.asarray(self.floors, dtype=np.int64))
+        if not self.drives:
+            raise InputError("record: at least one run is needed")
+        for drive in self.drives:
+            if not np.any(drive.excitation):
+                raise InputError(f"{drive.name}: the input channel is zero throughout")
+            if self.input == "force":
+                checks.whole(drive.floor, f"{drive.name}: input_floor", least=1, most=MOST_STORIES)
+            if drive.responses is not None and drive.responses.shape[1] != len(self.floors):
+                raise InputError(
+                    f"{drive.name}: the responses have {drive.responses.shape[1]} columns, {len(self.floors)} floors "
+                    "are named; give one a floor"
+                )
+
+    @property
+    def step(self) -> float:
+        """Time between samples, s."""
+        return 1.0 / self.sampling_rate
+
+    def detrended(self) -> Motion:
+        """Without the straight line through base and floor accelerations, which is what sensors add; a force stays."""
+        drives = tuple(
+            dataclasses.replace(
+                drive,
+                excitation=drive.excitation - trend(drive.excitation) if self.input == "base" else drive.excitation,
+                responses=None if drive.responses is None else drive.responses - trend(drive.responses),
+            )
+            for drive in self.drives
+        )
+        return dataclasses.replace(self, drives=drives)
+
+    @staticmethod
+    def of(record: Record, added_mass: Sequence[float] | None = None, state: str | None = None) -> Motion:
+        """The motion that a record holds.
+
+        Parameters
+        ----------
+        record : TimeRecord
+            Driven by base motion or a force. Responses other than accelerations are left out; of several sensors on
+            one floor the mean is taken.
+        added_mass : sequence of float, shape (N,), optional
+        state : str, optional
+
+        Raises
+        ------
+        InputError
+            Where the record does not say what drove the frame.
+        """
+        if not isinstance(record, TimeRecord) or record.input not in DRIVEN:
+            found = f'input = "{record.input}"' if isinstance(record, TimeRecord) else "frequency response functions"
+            raise InputError(
+                f'{record.name} has {found}; a prediction needs what drove the frame in time: input = "base" with a '
+                'channel on floor 0, or input = "force" with a channel of the force'
+            )
+        found, _ = one_a_floor(record)
+        measured = found.quantity == "acceleration"
+        drives = tuple(
+            Drive(
+                run.excitation,
+                run.floor if found.input == "force" else 0,
+                run.responses if measured else None,
+                run.name,
+            )
+            for run in found.runs
+            if run.excitation is not None
+        )
+        floors = found.floors if measured else np.zeros(0, dtype=np.int64)
+        added = None if added_mass is None else np.asarray(added_mass, dtype=np.float64)
+        return Motion(drives, found.sampling_rate, found.input, floors, added, found.name, state)
+
+
+def trend(values: Floats, there: Bools | None = None) -> Floats:
+    """Straight line through each column by least squares, of the same shape.
+
+    Parameters
+    ----------
+    values : ndarray, shape (samples,) or (samples, columns)
+    there : ndarray of bool, shape (samples,), optional
+        The samples that count; those that are not nan where not given.
+    """
+    columns = values.reshape(len(values), -1)
+    time = np.linspace(-1.0, 1.0, len(values))
+    lines = np.zeros_like(columns)
+    for j, column in enumerate(columns.T):
+        own = np.isfinite(column) if there is None else there
+        if own.sum() > 1:
+            lines[:, j] = np.polyval(np.polyfit(time[own], column[own], 1), time)
+    return lines.reshape(values.shape)

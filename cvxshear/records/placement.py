@@ -1,0 +1,264 @@
+"""Reversed and exchanged channels, and channels in another unit, as hypotheses weighed by the modes.
+
+The modes of a shear frame on the ground are a Markov system (its flexibility matrix is oscillatory: Gantmacher and
+Krein 1950, "Oscillation matrices and kernels"), and stay one at any choice of floors: the first mode has one sign and
+grows with height, the second over the first falls with height. The first does not hold for a reversed channel; neither
+holds for two exchanged ones; a factor on a channel spoils the first alone. Against each stands that the lowest mode was
+not found, or the second: what is then called the first has another shape, and another ratio of frequencies to the next.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.records.examination import GRAVITY, UNITS, in_unit
+from cvxshear.records.record import Channel, Finding
+from cvxshear.util.quantities import listed
+from cvxshear.util.typing import Floats, Ints
+
+REVERSED = 0.02
+"""Probability beforehand that a channel is reversed: one in fifty."""
+EXCHANGED = 0.02
+"""Probability beforehand that a channel is in another's place."""
+OTHER_UNIT = 0.005
+"""Probability beforehand that one channel is in g where the others are in m/s2, or the other way round."""
+MISSED = 0.03
+"""Probability beforehand that the lowest mode found is the second, and that the next one found is the third."""
+SPREAD_OF_STIFFNESS = 0.7
+"""Standard deviation of the logarithm of a story's flexibility about the median story's: a factor of two either way."""
+SHAPE_ERROR = 0.03
+"""Of a mode's largest entry: what noise, a sensor askew and what no shear frame has do to an entry."""
+FREQUENCY_RATIOS = {(1, 2): (2.85, 0.2), (1, 3): (4.6, 0.25), (2, 3): (1.62, 0.15)}
+"""Ratio of the frequencies of two modes of a shear frame, and the standard deviation of its logarithm: uniform frames
+of 4 to 12 stories have 2.9 to 3.0, 4.4 to 4.9 and 1.5 to 1.65, those with a soft or a stiff story spread about it."""
+WORST = 10.0
+"""Largest loss of log likelihood for one rule broken: no rule is as certain as its Gaussian says far out."""
+NEAR_TOP = 0.9
+"""Of the height: the second mode's node lies below it."""
+UNUSUAL = 3.0
+"""Loss of log likelihood for a second mode whose node is beyond the sensors."""
+SURE = 0.95
+"""Probability from which on a channel is taken to be what a hypothesis says."""
+DOUBTFUL = 0.3
+"""Probability of a hypothesis from which on it is said beside that the channels are as declared."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """What may be wrong with the channels.
+
+    Parameters
+    ----------
+    kind : str
+        "sound", "sign", "swapped channels" or "unit".
+    places : tuple of int
+        Of the channels, in their order.
+    factor : float
+        By which a channel in another unit is multiplied.
+    probability : float
+        After the modes have been seen.
+    missed : float
+        Probability of a missed mode, given the hypothesis.
+    """
+
+    kind: str
+    places: tuple[int, ...] = ()
+    factor: float = 1.0
+    probability: float = 0.0
+    missed: float = 0.0
+
+    def undone(self, shapes: Floats) -> Floats:
+        """The shapes as they are where the hypothesis is true, shape (m, n)."""
+        result = np.array(shapes, dtype=np.float64)
+        if self.kind == "swapped channels":
+            result[:, list(self.places)] = result[:, list(self.places[::-1])]
+        elif self.kind == "sign":
+            result[:, list(self.places)] *= -1.0
+        elif self.kind == "unit":
+            result[:, list(self.places)] *= self.factor
+        return result
+
+
+def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> list[Hypothesis]:
+    """The hypotheses with their probabilities, the most probable first.
+
+    Parameters
+    ----------
+    frequencies : ndarray, shape (m,)
+        Hz, ascending, of the modes found; two at least.
+    shapes : ndarray, shape (m, n)
+        As recorded.
+    floors : ndarray of int, shape (n,)
+    stories : int
+    """
+    count = len(floors)
+    pairs = list(itertools.combinations(range(count), 2))
+    prior: list[tuple[Hypothesis, float]] = [(Hypothesis("sound"), 1.0)]
+    # All channels but some reversed is the same as those reversed.
+    prior += [(Hypothesis("sign", (i,)), REVERSED) for i in range(count if count > 2 else 1)]
+    prior += [(Hypothesis("sign", pair), REVERSED**2) for pair in (pairs if count > 4 else ())]
+    prior += [(Hypothesis("swapped channels", pair), EXCHANGED / (count - 1)) for pair in pairs]
+    prior += [
+        (Hypothesis("unit", (i,), factor), OTHER_UNIT) for i in range(count) for factor in (GRAVITY, 1.0 / GRAVITY)
+    ]
+    scores = np.array(
+        [
+            [
+                np.log(before * (1.0 if numbers == (1, 2) else MISSED))
+                + _likelihood(frequencies, item.undone(shapes), floors, stories, numbers)
+                for numbers in FREQUENCY_RATIOS
+            ]
+            for item, before in prior
+        ]
+    )
+    shares = np.exp(scores - scores.max())
+    shares /= shares.sum()
+    each = shares.sum(axis=1)
+    found = [
+        Hypothesis(item.kind, item.places, item.factor, float(p), float(row[1:].sum() / max(p, 1e-300)))
+        for (item, _), p, row in zip(prior, each, shares, strict=True)
+    ]
+    return sorted(found, key=lambda item: -item.probability)
+
+
+def _likelihood(frequencies: Floats, shapes: Floats, floors: Ints, stories: int, numbers: tuple[int, int]) -> float:
+    """Log likelihood of the two lowest modes found, where these are their numbers."""
+    ratio, spread = FREQUENCY_RATIOS[numbers]
+    off = (np.log(frequencies[1] / frequencies[0]) - np.log(ratio)) / spread
+    result = -min(0.5 * off**2, WORST)
+    low, high = (shape / np.abs(shape).max() for shape in shapes[:2])
+    if numbers[0] == 1:
+        low = low * np.sign(low[np.argmax(np.abs(low))])
+        result -= _unlike_a_first_mode(low, floors, stories)
+    else:
+        # Its node lies in the upper half: sensors below and at the top are on both sides of it.
+        around = floors[0] <= stories / 2 and floors[-1] > NEAR_TOP * stories
+        result -= WORST * max(0, _changes(low) - 1) + (WORST if around else UNUSUAL) * (_changes(low) == 0)
+    if numbers == (1, 2):
+        result -= _rises(low, high)
+    else:
+        whole = len(floors) == stories
+        result -= WORST * (abs(_changes(high) - 2) if whole else max(0, _changes(high) - 2))
+    return float(result)
+
+
+def _unlike_a_first_mode(shape: Floats, floors: Ints, stories: int) -> float:
+    """How far stories, by the drifts of a first mode under its own inertia, differ in flexibility."""
+    levels = np.arange(stories + 1)
+    everywhere = np.interp(levels, np.concatenate([[0], floors]), np.concatenate([[0.0], shape]))
+    shear = np.cumsum(everywhere[::-1])[::-1]
+    bounds = np.concatenate([[0], floors])
+    drifts = np.diff(np.concatenate([[0.0], shape]))
+    forces = np.array([shear[low + 1 : high + 1].sum() for low, high in itertools.pairwise(bounds)])
+    if np.any(forces <= 0):
+        return 2.0 * WORST
+    flexible = drifts / forces
+    typical = np.median(flexible)
+    if typical <= 0:
+        return 2.0 * WORST
+    with np.errstate(invalid="ignore", divide="ignore"):
+        logarithmic = 0.5 * (np.log(np.maximum(flexible / typical, 1e-6)) / SPREAD_OF_STIFFNESS) ** 2
+    additive = 0.5 * ((drifts - typical * forces) / (np.sqrt(2.0) * SHAPE_ERROR)) ** 2
+    return float(np.minimum(np.minimum(logarithmic, additive), WORST).sum())
+
+
+def _rises(low: Floats, high: Floats) -> float:
+    """How far the second mode over the first rises with height anywhere, where it should fall."""
+    steady = np.abs(low) > SHAPE_ERROR
+    low, high = low[steady], high[steady]
+    if len(low) < 2:
+        return 0.0
+    ratio = high / low
+    if ratio[0] < ratio[-1]:
+        ratio = -ratio
+    error = SHAPE_ERROR * np.hypot(1.0 / np.abs(low), high / low**2)
+    worst = 0.0
+    for i, j in itertools.combinations(range(len(ratio)), 2):
+        rise = max(0.0, float(ratio[j] - ratio[i])) / np.hypot(error[i], error[j])
+        worst = max(worst, 0.5 * rise**2)
+    return min(worst, 2.0 * WORST)
+
+
+def _changes(shape: Floats) -> int:
+    sure = shape[np.abs(shape) > SHAPE_ERROR]
+    return int(np.sum(np.sign(sure[1:]) != np.sign(sure[:-1])))
+
+
+def findings_of(hypotheses: Sequence[Hypothesis], channels: Sequence[Channel], first: Floats) -> list[Finding]:
+    """What the hypotheses say of the channels: nothing, one thing that is sure, or several that may be.
+
+    Parameters
+    ----------
+    hypotheses : sequence of Hypothesis
+        The most probable first.
+    channels : sequence of Channel
+    first : ndarray, shape (n,)
+        The lowest mode found, as recorded.
+    """
+    best = hypotheses[0]
+    sound = next(item.probability for item in hypotheses if item.kind == "sound")
+    if best.kind != "sound" and best.probability >= SURE:
+        return [_said(best, channels, first, sound)]
+    rivals = [item for item in hypotheses if item.kind != "sound" and item.probability > best.probability / 3]
+    if not rivals or rivals[0].probability < DOUBTFUL:
+        return []
+    names = [channels[place].name for item in rivals for place in item.places]
+    options = [f"{_in_words(item, channels)} ({100 * item.probability:.0f} %)" for item in rivals]
+    missed = next(item.missed for item in hypotheses if item.kind == "sound")
+    otherwise = "a mode was missed and " if missed > 0.5 else ""
+    return [
+        Finding(
+            rivals[0].kind,
+            f"the lowest modes cannot tell what is wrong: {listed(options)}, or {otherwise}the channels are as "
+            f"declared ({100 * sound:.0f} %); look at the cables. The record is taken as declared",
+            {"channels": names, "probabilities": [item.probability for item in rivals], "corrected": False},
+        )
+    ]
+
+
+def _in_words(item: Hypothesis, channels: Sequence[Channel]) -> str:
+    named = listed([str(channels[place]) for place in item.places])
+    if item.kind == "sign":
+        return f"{named} {'is' if len(item.places) == 1 else 'are'} reversed"
+    if item.kind == "unit":
+        return f"{named} is in {'g' if item.factor > 1 else 'm/s2 and the others in g'}"
+    return f"{named} are in each other's place"
+
+
+def _said(item: Hypothesis, channels: Sequence[Channel], first: Floats, sound: float) -> Finding:
+    shape = "(" + ", ".join(f"{entry:.3f}" for entry in first / first[np.argmax(np.abs(first))]) + ")"
+    odds = f"odds {min(item.probability / max(sound, 1e-9), 1e9):.2g} to 1 against a mode that was missed"
+    names = [channels[place].name for place in item.places]
+    numbers = {"channels": names, "probability": item.probability, "first_mode": first.tolist()}
+    if item.kind == "unit":
+        channel = channels[item.places[0]]
+        if item.factor > 1:
+            return in_unit(
+                str(channel), channel.name, channel.floor, "g", f"its entry in the lowest mode, {shape}, {odds}"
+            )
+        return Finding(
+            "unit",
+            f"floor {channel.floor} looks like m/s2 and the others like g: {channel}, by the lowest mode, {shape}, "
+            f"{odds}; divided by {UNITS['g']:.6g}",
+            {"channel": channel.name, "factor": item.factor, "corrected": True},
+        )
+    if item.kind == "sign":
+        one = len(item.places) == 1
+        more = {"channel": names[0]} if one else {}
+        return Finding(
+            "sign",
+            f"{_in_words(item, channels)}: the lowest mode is {shape} from the ground up, and a shear frame's has one "
+            f"sign ({odds}); turned round, check {'its sign' if one else 'their signs'} in the record file",
+            {**numbers, **more, "corrected": True},
+        )
+    low, high = (channels[place] for place in item.places)
+    return Finding(
+        "swapped channels",
+        f"{low} and {high} look swapped: the lowest mode is {shape} from the ground up, which no shear frame has "
+        f"({odds}). Exchange their floors in the record file",
+        {**numbers, "corrected": False},
+    )

@@ -1,0 +1,508 @@
+"""A record: channels and runs with their sampling and input. Time histories or frequency response functions.
+
+A record holds physical values: sign and calibration have been applied. Its arrays are read-only.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cvxshear.measurement.experiment import MOST_STORIES
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats, Ints, Json
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong with a record, or that it cannot tell.
+
+    Parameters
+    ----------
+    kind : str
+        "clock offset", "dead channel", "clipped channel", "held samples", "drift", "aliasing", "sign",
+        "swapped channels", "resolution", "reciprocity", "amplitude", "split mode", "missing mode",
+        "other mode", "overlooked mode", "complex mode", "leakage", "scale", "std".
+    message : str
+        For people, with the numbers and their units.
+    numbers : dict, optional
+        The same numbers for programs.
+    """
+
+    kind: str
+    message: str
+    numbers: Json = field(default_factory=dict)
+
+    def to_dict(self) -> Json:
+        """The finding as plain values."""
+        return {"kind": self.kind, "message": self.message, "numbers": dict(self.numbers)}
+
+
+Complexes = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One measured response: where the sensor sits and which way it points.
+
+    Parameters
+    ----------
+    name : str
+        The column or data set it was read from.
+    floor : int
+        0 the ground, 1 the first floor above it.
+    axis : str, optional
+        Direction of shaking, any name ("x").
+    place : str, optional
+        Where the channel was declared, for messages ('line 12 of record.toml'); the name where empty.
+    unit : str, optional
+        The unit in which the sensor was recorded ("g", "mm/s2"); the record's values have been converted from it.
+    position : (float, float), optional
+        Where the sensor sits on its floor, m: along the direction of test, and across it.
+    direction : float, optional
+        Degrees from the direction of test to the sensor's axis, counter-clockwise; 0 where not given.
+    """
+
+    name: str
+    floor: int
+    axis: str = "x"
+    place: str = ""
+    unit: str | None = None
+    position: tuple[float, float] | None = None
+    direction: float | None = None
+
+    def __post_init__(self) -> None:
+        checks.text(self.name, "channel: name")
+        checks.whole(self.floor, f'channel "{self.name}": floor', least=0, most=MOST_STORIES)
+        checks.text(self.axis, f'channel "{self.name}": axis')
+        if self.unit is not None:
+            checks.text(self.unit, f'channel "{self.name}": unit')
+        if self.position is not None:
+            x, y = checks.vector(self.position, f'channel "{self.name}": position (m, along and across)', length=2)
+            object.__setattr__(self, "position", (float(x), float(y)))
+        if self.direction is not None:
+            degrees = checks.number(self.direction, f'channel "{self.name}": direction (degrees)')
+            object.__setattr__(self, "direction", degrees)
+
+    def __str__(self) -> str:
+        spot = f"floor {self.floor}" if self.floor else "ground"
+        return f'channel "{self.name}" ({spot}{", " + self.place if self.place else ""})'
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One uninterrupted stretch of time: a hit, a release, an earthquake, an hour of wind.
+
+    Parameters
+    ----------
+    responses : array_like, shape (samples, channels)
+        m/s2, m/s or m, one column a channel of the record.
+    excitation : array_like, shape (samples,), optional
+        N for a force, m/s2 for a base acceleration.
+    floor : int, optional
+        Where the force acts; 0 for a base acceleration or none.
+    name : str, optional
+    start, end : float, optional
+        s; the part of the file that this run is. The arrays hold that part alone.
+    """
+
+    responses: Floats
+    excitation: Floats | None = None
+    floor: int = 0
+    name: str = "run 1"
+    start: float | None = None
+    end: float | None = None
+
+    def __post_init__(self) -> None:
+        responses = _matrix(self.responses, f"{self.name}: responses", np.float64)
+        object.__setattr__(self, "responses", responses)
+        if self.excitation is not None:
+            excitation = np.asarray(_matrix([self.excitation], f"{self.name}: excitation", np.float64)[0])
+            if excitation.shape != (len(responses),):
+                raise InputError(
+                    f"{self.name}: excitation has {excitation.size} samples, the responses have {len(responses)}"
+                )
+            object.__setattr__(self, "excitation", checks.frozen(excitation))
+        for key in ("start", "end"):
+            if getattr(self, key) is not None:
+                value = checks.number(getattr(self, key), f"{self.name}: {key} (s)")
+                object.__setattr__(self, key, value)
+        if self.start is not None and self.end is not None and self.end <= self.start:
+            raise InputError(f"{self.name}: end = {self.end:g} s must come after start = {self.start:g} s")
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return len(self.responses)
+
+
+@dataclass(frozen=True, eq=False)
+class FrfRun:
+    """The responses to a unit force at one floor, by frequency.
+
+    Parameters
+    ----------
+    responses : array_like of complex, shape (lines, channels)
+        Response over force: accelerance (m/s2)/N, mobility (m/s)/N or receptance m/N.
+    floor : int
+        Where the force acts.
+    name : str, optional
+    """
+
+    responses: Complexes
+    floor: int
+    name: str = "run 1"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "responses", _matrix(self.responses, f"{self.name}: responses", np.complex128))
+        checks.whole(self.floor, f"{self.name}: input_floor", least=1, most=MOST_STORIES)
+
+
+def _matrix(value: Any, where: str, dtype: type) -> Any:
+    try:
+        result: NDArray[Any] = np.array(value, dtype=dtype)
+    except (TypeError, ValueError):
+        raise InputError(f"{where} must be a table of numbers, samples by channels") from None
+    if result.ndim != 2 or 0 in result.shape:
+        raise InputError(f"{where} must be a table of samples by channels, not of shape {result.shape}")
+    return checks.frozen(result)
+
+
+INPUTS = ("none", "free_decay", "force", "base")
+QUANTITIES = ("acceleration", "velocity", "displacement")
+FEWEST_SAMPLES = 128
+"""A run with fewer has too few periods for any of the methods."""
+FEWEST_LINES = 32
+"""A frequency response with fewer lines has too few across any resonance."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Recorded:
+    """What time histories and frequency response functions have in common."""
+
+    channels: tuple[Channel, ...]
+    stories: int = 0
+    quantity: str = "acceleration"
+    band: tuple[float, float] | None = None
+    exponential_window: float | None = None
+    name: str = "record"
+
+    def _check_common(self) -> None:
+        put = object.__setattr__
+        put(self, "channels", tuple(self.channels))
+        checks.choice(self.quantity, QUANTITIES, "record: quantity")
+        if not self.channels:
+            raise InputError("record: at least one response channel on a floor is needed")
+        seen: dict[int, Channel] = {}
+        for channel in self.channels:
+            if channel.floor == 0:
+                raise InputError(f'{channel} is on the ground: it can only be the input, with input = "base"')
+            if channel.axis != self.channels[0].axis:
+                raise InputError(
+                    f"{channel} points along {channel.axis}, {self.channels[0]} along {self.channels[0].axis}; "
+                    "the channels of a record share one axis"
+                )
+            seen[channel.floor] = channel
+        highest = max(seen)
+        if self.stories == 0:
+            put(self, "stories", highest)
+        checks.whole(self.stories, "record: stories", least=highest, most=MOST_STORIES)
+        if self.exponential_window is not None:
+            put(
+                self,
+                "exponential_window",
+                checks.number(self.exponential_window, "record: exponential_window (time constant, s)", above=0.0),
+            )
+        if self.band is not None:
+            low, high = checks.vector(self.band, "record: band", length=2, least=0.0)
+            if high <= low:
+                raise InputError(f"record: band = [{low:g}, {high:g}] must be ascending, in Hz")
+            put(self, "band", (float(low), float(high)))
+
+    @property
+    def floors(self) -> Ints:
+        """The floor of each channel, shape (channels,)."""
+        return np.array([channel.floor for channel in self.channels], dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class TimeRecord(_Recorded):
+    """Time histories.
+
+    Parameters
+    ----------
+    channels : sequence of Channel
+        The responses, one a floor or several; ordered by floor on construction.
+    stories : int, optional
+        Stories of the frame; the highest measured floor where 0.
+    quantity : str, optional
+        What the responses are: "acceleration", "velocity", "displacement".
+    band : (float, float), optional
+        Hz; where natural frequencies are looked for. The record is decimated to it.
+    exponential_window : float, optional
+        s; time constant of an exponential window that had been applied to the responses.
+    name : str, optional
+    runs : sequence of Run
+    sampling_rate : float
+        Hz.
+    input : str
+        "none" (ambient), "free_decay", "force" or "base" (base acceleration).
+
+    Raises
+    ------
+    InputError
+        Naming the channel or the run, and what would be right.
+    """
+
+    runs: tuple[Run, ...] = ()
+    sampling_rate: float = 0.0
+    input: str = "none"
+
+    def __post_init__(self) -> None:
+        self._check_common()
+        object.__setattr__(self, "runs", tuple(self.runs))
+        rate = checks.number(self.sampling_rate, "record: sampling_rate", above=0.0)
+        object.__setattr__(self, "sampling_rate", rate)
+        checks.choice(self.input, INPUTS, "record: input")
+        if not self.runs:
+            raise InputError("record: at least one run is needed")
+        for run in self.runs:
+            self._check_run(run)
+        if self.band is not None and self.band[0] >= rate / 2:
+            raise InputError(f"record: band starts at {self.band[0]:g} Hz, above half the sampling rate {rate:g} Hz")
+        _order_by_floor(self)
+
+    def _check_run(self, run: Run) -> None:
+        if run.responses.shape[1] != len(self.channels):
+            raise InputError(f"{run.name} has {run.responses.shape[1]} channels, the record {len(self.channels)}")
+        if run.samples < FEWEST_SAMPLES:
+            raise InputError(
+                f"{run.name} has {run.samples} samples; at least {FEWEST_SAMPLES} are needed to find a mode in it"
+            )
+        for column, channel in enumerate(self.channels):
+            _refuse_nonfinite(run.responses[:, column], f"{run.name}: {channel}")
+        driven = self.input in ("force", "base")
+        if driven and run.excitation is None:
+            raise InputError(f'{run.name} lacks the input channel that input = "{self.input}" asks for')
+        if run.excitation is not None:
+            _refuse_nonfinite(run.excitation, f"{run.name}: the input channel")
+            if driven and not np.any(run.excitation):
+                raise InputError(f"{run.name}: the input channel is zero throughout")
+        if self.input == "force":
+            checks.whole(run.floor, f"{run.name}: input_floor", least=1, most=self.stories)
+
+    @staticmethod
+    def of(
+        table: Any,
+        *,
+        floors: Mapping[str, int] | Sequence[int] | None = None,
+        excitation: str | ArrayLike | None = None,
+        drive: str | None = None,
+        input_floor: int = 0,
+        sampling_rate: float | None = None,
+        **options: Any,
+    ) -> TimeRecord:
+        """The record of one run in a table: an array, a pandas DataFrame or an xarray DataArray.
+
+        Parameters
+        ----------
+        table : array_like, shape (samples, channels), or pandas.DataFrame or xarray.DataArray
+            m/s2, m/s or m. A data frame has one column a channel and the time as its index; a data array has two
+            dimensions, the first of them time, the second one named coordinate a channel.
+        floors : mapping of str to int, or sequence of int, optional
+            The floor of each channel used, by its name or in the order of the columns; 1, 2, ... where None.
+        excitation : str or array_like, shape (samples,), optional
+            The input: the name of its column, or its samples; N for a force, m/s2 for a base acceleration.
+        drive : str, optional
+            `input` of the record; where None "base" with an excitation, "force" where `input_floor` is given too, and
+            "none" without.
+        input_floor : int, optional
+            Where a force acts.
+        sampling_rate : float, optional
+            Hz; from the index or the coordinate of time where None.
+        **options
+            Of `TimeRecord`: stories, quantity, band, name, ....
+
+        Returns
+        -------
+        TimeRecord
+
+        Raises
+        ------
+        InputError
+            Where a channel is not in the table, or nothing tells the sampling rate.
+        """
+        values, names, times = _columns_of(table)
+        force: Any = excitation
+        if isinstance(excitation, str):
+            force = values[:, _place(excitation, names)]
+        left = [name for name in names if not (isinstance(excitation, str) and name == excitation)]
+        if isinstance(floors, Mapping):
+            chosen = dict(floors)
+        else:
+            chosen = dict(zip(left, range(1, len(left) + 1) if floors is None else floors, strict=False))
+            if floors is not None and len(floors) != len(left):
+                raise InputError(f"floors must have {len(left)} entries, one a channel, not {len(floors)}")
+        if sampling_rate is None:
+            if times is None or len(times) < 2:
+                raise InputError("give sampling_rate, in Hz: the table has no time that tells it")
+            steps = np.diff(times)
+            sampling_rate = 1.0 / float(np.median(steps))
+            uneven = np.flatnonzero(np.abs(steps * sampling_rate - 1.0) > UNEVEN)
+            if uneven.size:
+                raise InputError(
+                    f"the table's time steps from {times[uneven[0]]:g} s to {times[uneven[0] + 1]:g} s, where its step "
+                    f"is {1 / sampling_rate:g} s; samples must be evenly spaced"
+                )
+        if drive is None:
+            drive = "none" if force is None else "force" if input_floor else "base"
+        columns = [_place(name, names) for name in chosen]
+        channels = tuple(Channel(name, floor) for name, floor in chosen.items())
+        run = Run(values[:, columns], force, input_floor)
+        return TimeRecord(channels, runs=(run,), sampling_rate=sampling_rate, input=drive, **options)
+
+    @property
+    def duration(self) -> float:
+        """Length of all runs together, s."""
+        return sum(run.samples for run in self.runs) / self.sampling_rate
+
+
+@dataclass(frozen=True, eq=False)
+class FrfRecord(_Recorded):
+    """Frequency response functions on one common, evenly spaced frequency axis.
+
+    Parameters
+    ----------
+    channels, stories, quantity, band, exponential_window, name
+        As for `TimeRecord`.
+    runs : sequence of FrfRun
+        One a driving point, or several repetitions of one.
+    frequencies : array_like, shape (lines,)
+        Hz, ascending by one step, starting at zero or at a whole multiple of the step.
+    truncated : bool, optional
+        Whether the functions were computed from responses cut off at the end of the window before they had
+        decayed (leakage), rather than being samples of the true functions. None: told from the phases of the
+        residues, where it matters.
+
+    Raises
+    ------
+    InputError
+        Naming the channel or the run, and what would be right.
+    """
+
+    runs: tuple[FrfRun, ...] = ()
+    frequencies: Floats = field(default_factory=lambda: np.zeros(0))
+    truncated: bool | None = None
+
+    def __post_init__(self) -> None:
+        self._check_common()
+        object.__setattr__(self, "runs", tuple(self.runs))
+        frequencies = checks.vector(self.frequencies, "record: frequencies", least=0.0)
+        object.__setattr__(self, "frequencies", frequencies)
+        if self.truncated is not None:
+            checks.flag(self.truncated, "record: truncated")
+        if not self.runs:
+            raise InputError("record: at least one run is needed")
+        if len(frequencies) < FEWEST_LINES:
+            raise InputError(f"record: {len(frequencies)} frequency lines; at least {FEWEST_LINES} are needed")
+        _check_even_lines(frequencies)
+        for run in self.runs:
+            if run.responses.shape != (len(frequencies), len(self.channels)):
+                raise InputError(
+                    f"{run.name} has {run.responses.shape[0]} lines of {run.responses.shape[1]} channels, the record "
+                    f"{len(frequencies)} of {len(self.channels)}"
+                )
+            checks.whole(run.floor, f"{run.name}: input_floor", least=1, most=self.stories)
+            for column, channel in enumerate(self.channels):
+                _refuse_nonfinite(run.responses[:, column], f"{run.name}: {channel}")
+        _order_by_floor(self)
+
+    @property
+    def step(self) -> float:
+        """Spacing of the lines, Hz."""
+        return float(self.frequencies[-1] - self.frequencies[0]) / (len(self.frequencies) - 1)
+
+    @property
+    def sampling_rate(self) -> float:
+        """Twice the highest line: the rate of the impulse responses, Hz."""
+        return 2.0 * float(self.frequencies[-1])
+
+    @property
+    def duration(self) -> float:
+        """Length of the impulse responses that the step allows, s."""
+        return 1.0 / self.step
+
+
+Record = TimeRecord | FrfRecord
+
+
+UNEVEN = 0.01
+"""Of a step; time stamps are rounded, and a gap is at least one step."""
+
+
+def _columns_of(table: Any) -> tuple[Floats, list[str], Floats | None]:
+    """The values of a table, shape (samples, channels), the names of its columns, and its times, s, if it has any."""
+    names: Sequence[object] | None = None
+    times = None
+    if hasattr(table, "columns") and hasattr(table, "index"):
+        names, times = list(table.columns), np.asarray(table.index)
+    elif hasattr(table, "dims") and hasattr(table, "coords"):
+        if len(table.dims) != 2:
+            raise InputError(f"the data array has the dimensions {tuple(table.dims)}; it needs two, time and channels")
+        time, channel = table.dims
+        names = list(table.coords[channel].values) if channel in table.coords else None
+        times = np.asarray(table.coords[time].values) if time in table.coords else None
+    values = _matrix(getattr(table, "values", table), "the table", np.float64)
+    if times is not None and times.dtype.kind in "mM":
+        times = (times - times[0]) / np.timedelta64(1, "s")
+    # A plain count of rows is no time.
+    if times is not None and (times.dtype.kind not in "f" or len(times) != len(values)):
+        times = None
+    if names is None:
+        names = [f"channel {place}" for place in range(1, values.shape[1] + 1)]
+    return values, [str(name) for name in names], times
+
+
+def _place(name: str, names: Sequence[str]) -> int:
+    if name not in names:
+        raise InputError(f'there is no channel "{name}" in the table; there are {", ".join(names)}')
+    return names.index(name)
+
+
+def _refuse_nonfinite(values: NDArray[Any], where: str) -> None:
+    bad = np.flatnonzero(~(np.abs(values) <= checks.LARGEST))
+    if bad.size:
+        raise InputError(f"{where} holds {values[bad[0]]} at sample {bad[0] + 1} ({bad.size} such in all)")
+
+
+def _check_even_lines(frequencies: Floats) -> None:
+    steps = np.diff(frequencies)
+    step = float(np.median(steps))
+    uneven = np.flatnonzero(np.abs(steps - step) > 0.01 * step)
+    if step <= 0 or uneven.size:
+        place = int(uneven[0]) if uneven.size else 0
+        raise InputError(
+            f"record: the frequency lines must ascend by one step; after {frequencies[place]:g} Hz comes "
+            f"{frequencies[place + 1]:g} Hz where the step is {step:g} Hz"
+        )
+    if not math.isclose(frequencies[0] / step, round(frequencies[0] / step), abs_tol=0.02):
+        raise InputError(
+            f"record: the first line, {frequencies[0]:g} Hz, must be a whole multiple of the step, {step:g} Hz"
+        )
+
+
+def _order_by_floor(record: TimeRecord | FrfRecord) -> None:
+    """Put the channels and the columns of every run into ascending order of floors."""
+    order = np.argsort(record.floors, kind="stable")
+    if np.all(np.diff(order) > 0):
+        return
+    put = object.__setattr__
+    put(record, "channels", tuple(record.channels[place] for place in order))
+    for run in record.runs:
+        put(run, "responses", checks.frozen(run.responses[:, order].copy()))

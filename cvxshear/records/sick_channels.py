@@ -1,0 +1,326 @@
+"""What single channels of a record get wrong, seen before any mode is looked for."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy import linalg, ndimage, signal
+
+from cvxshear.records.clocks import mains_lines
+from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord
+from cvxshear.records.signals import AnyRecord, impulsive, only
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Bools, Floats
+
+DEAD = 1e-4
+"""Share of the median channel's standard deviation; a channel below it measures nothing."""
+CLIPPED_RUN = 3
+"""Consecutive samples at the extreme value that make a clip, not a peak."""
+CLIPPED_COUNT = 5
+"""Samples at the extreme value, and times as many as at the next, that make a clip where no three follow each other."""
+DRIFTED = 0.2
+"""Change of the mean along the record, in standard deviations of the channel."""
+NEAR_NYQUIST = 0.05
+"""Share of a channel's power in the top tenth of its band that points to aliasing."""
+STUCK = 0.5
+"""s, and at least 20 samples, for which a converter that works does not repeat one value while the others move."""
+STUCK_SHARE = 0.02
+"""Share of a record; a channel that sticks for longer is left out."""
+SPIKE = 10.0
+"""Local deviations; noise has 5 at most in a record of an hour, and what the frame does the other channels show too."""
+MANY_SPIKES = 0.01
+"""Share of the samples; more is no accident."""
+AR_ORDER = 24
+"""Coefficients of the model that spikes stand out of: two for each mode of a dozen stories."""
+PASSES = 8
+"""Times that spikes are looked for; so many may stand within reach of each other."""
+WINSORIZED = 4.0
+"""Local deviations that samples are cut to where the model is fitted, lest spikes make it."""
+BEGINNING = 15
+"""Samples on either side of a spike, which are alike; where motion begins they are not."""
+NO_SPIKES = ("clipped channel", "stuck channel", "held samples")
+"""Kinds of findings whose corners would be taken for spikes."""
+HUM_SHARE = 0.3
+"""Share of a channel's power in the lines of the mains that is worth a word."""
+LEFT_OUT = ("dead channel", "stuck channel")
+"""Kinds of findings whose channel is left out, by name."""
+
+
+def channel_findings(record: Record) -> list[Finding]:
+    """Dead, stuck, clipped, held, drifting, humming and aliased channels and spikes, each with its numbers."""
+    if isinstance(record, FrfRecord):
+        levels = np.sqrt(np.mean([np.mean(np.abs(run.responses) ** 2, axis=0) for run in record.runs], axis=0))
+        return _dead(record, levels)
+    levels = np.sqrt(np.mean([np.var(run.responses, axis=0) for run in record.runs], axis=0))
+    found = _dead(record, levels)
+    for run in record.runs:
+        spikes = np.zeros(run.responses.shape, dtype=bool) if impulsive(run) else spikes_in(run.responses)[0]
+        for column, channel in enumerate(record.channels):
+            if levels[column] > DEAD * np.median(levels):
+                where = f"{run.name}: {channel}"
+                of_channel = _of_series(run.responses[:, column], where, channel.name, record)
+                of_channel += _stuck(run.responses, column, where, channel.name, record.sampling_rate)
+                if not any(finding.kind in NO_SPIKES for finding in of_channel):
+                    of_channel += _spiked(spikes[:, column], where, channel.name)
+                found += of_channel
+        if run.excitation is not None:
+            found += _of_series(run.excitation, f"{run.name}: input channel", "input", record)
+    return found
+
+
+def without_sick(record: AnyRecord, findings: list[Finding]) -> AnyRecord:
+    """The record without the channels that measure nothing.
+
+    Raises
+    ------
+    InputError
+        Where none is left.
+    """
+    dead = {finding.numbers["channel"] for finding in findings if finding.kind in LEFT_OUT and finding.numbers["out"]}
+    if not dead:
+        return record
+    kept = [column for column, channel in enumerate(record.channels) if channel.name not in dead]
+    if not kept:
+        raise InputError(f"every channel is dead: {', '.join(sorted(dead))}")
+    return only(record, kept)
+
+
+def without_spikes(record: TimeRecord, findings: list[Finding]) -> TimeRecord:
+    """The record with each spike replaced by what the samples on both sides of it say."""
+    hit = {finding.numbers["channel"] for finding in findings if finding.kind == "spikes"}
+    columns = [column for column, channel in enumerate(record.channels) if channel.name in hit]
+    if not columns:
+        return record
+    runs = []
+    for run in record.runs:
+        responses = run.responses.copy()
+        if not impulsive(run):
+            responses[:, columns] = spikes_in(run.responses)[1][:, columns]
+        runs.append(dataclasses.replace(run, responses=responses))
+    return dataclasses.replace(record, runs=tuple(runs))
+
+
+def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
+    """Samples that stand out of their own channel's neighbours and of no other's, and the responses without them.
+
+    With the coefficients a of an autoregressive model, the difference of a sample from what all others make of it is
+    (a * reversed a * x) / (a'a): white where the model holds, and largest at the sample itself.
+    """
+    cleaned, found = np.array(responses), np.zeros(responses.shape, dtype=bool)
+    # One spike throws the errors around it off: the largest in reach is taken first, and those beside it after.
+    for _ in range(PASSES):
+        off, scale = np.zeros(responses.shape), np.full(responses.shape, np.inf)
+        for column, values in enumerate(cleaned.T):
+            if values.std() > 0:
+                off[:, column] = _interpolation_errors(values - values.mean())
+                scale[:, column] = _local_scale(off[:, column])
+        ratio = np.abs(off) / scale
+        near = ndimage.maximum_filter1d(ratio, 5, axis=0)
+        now = (ratio > SPIKE) & (ratio >= ndimage.maximum_filter1d(ratio, 2 * AR_ORDER + 1, axis=0))
+        for hit in np.flatnonzero(now.any(axis=0)).tolist():
+            others = np.delete(near, hit, axis=1)
+            if others.shape[1]:
+                now[:, hit] &= others.max(axis=1) < SPIKE / 2
+        for place, hit in np.argwhere(now).tolist():
+            now[place, hit] = not _begins(cleaned[:, hit], place)
+        if not now.any():
+            break
+        found |= now
+        cleaned[now] -= off[now]
+    # More than one in a hundred is no accident of a cable, but what this channel records.
+    many = found.mean(axis=0) > MANY_SPIKES
+    found[:, many], cleaned[:, many] = False, responses[:, many]
+    return found, cleaned
+
+
+def _begins(values: Floats, place: int) -> bool:
+    """Whether motion begins at a sample, and goes on as strongly after it."""
+    # The model looks so many samples ahead: it errs before the first sample that moves.
+    later = place + AR_ORDER + 1
+    before, after = np.abs(values[max(0, place - BEGINNING) : place]), np.abs(values[later : later + BEGINNING])
+    if not len(before) or not len(after):
+        return True
+    return bool(np.median(after) > 3.0 * np.median(before) and abs(values[place]) < 4.0 * after.max())
+
+
+def _interpolation_errors(values: Floats) -> Floats:
+    """Each sample less what an autoregressive model makes of those around it; nought at the ends."""
+    order = min(AR_ORDER, len(values) // 8)
+    limit = WINSORIZED * np.minimum(_local_scale(values), 1e300)
+    spectrum = np.abs(np.fft.rfft(np.clip(values, -limit, limit), 2 * len(values))) ** 2
+    covariances = np.fft.irfft(spectrum)[: order + 1]
+    covariances[0] *= 1.0 + 1e-6
+    model = np.concatenate([[1.0], -linalg.solve_toeplitz(covariances[:-1], covariances[1:])])
+    errors = np.convolve(values, np.convolve(model, model[::-1]), mode="same") / (model @ model)
+    errors[:order] = errors[-order:] = 0.0
+    return np.asarray(errors)
+
+
+def _local_scale(errors: Floats) -> Floats:
+    """Standard deviation of errors around each sample, from the medians of their sizes in blocks."""
+    blocks = np.array_split(np.abs(errors), max(1, len(errors) // 200))
+    medians = np.array([np.median(block) for block in blocks]) / 0.6745
+    # The louder of a block and its neighbours: an onset is no spike.
+    medians = ndimage.maximum_filter1d(medians, 3)
+    ends = np.cumsum([len(block) for block in blocks])
+    middles = ends - 0.5 * np.array([len(block) for block in blocks])
+    scale = np.interp(np.arange(len(errors)), middles, medians)
+    return np.asarray(np.where(scale > 0, scale, np.inf))
+
+
+def _spiked(spikes: Bools, where: str, name: str) -> list[Finding]:
+    count = int(spikes.sum())
+    if not count:
+        return []
+    return [
+        Finding(
+            "spikes",
+            f"{where} has {count} spike{'s' if count > 1 else ''} that no other channel shows, the first at sample "
+            f"{int(np.argmax(spikes)) + 1}; replaced by what the samples around them say",
+            {"channel": name, "samples": count},
+        )
+    ]
+
+
+def _stuck(responses: Floats, column: int, where: str, name: str, rate: float) -> list[Finding]:
+    """A value repeated for long while the other channels move as they do elsewhere."""
+    values = responses[:, column]
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], np.diff(values) == 0, [False]]).astype(np.int8)))
+    starts, stops = edges[::2], edges[1::2] + 1
+    long = (stops - starts) >= max(20, int(STUCK * rate))
+    others = np.delete(responses, column, axis=1)
+    if not long.any() or not others.shape[1]:
+        return []
+    usual, count, longest, first = others.std(axis=0), 0, 0, -1
+    for start, stop in zip(starts[long], stops[long], strict=True):
+        moved = np.median(others[start:stop].std(axis=0) / np.maximum(usual, 1e-300)) > 0.3
+        # Where all is quiet, converters of few bits repeat themselves; the others then do as well.
+        if moved or np.median(np.mean(np.diff(others[start:stop], axis=0) == 0, axis=0)) < 0.2:
+            count, longest = int(count + stop - start), max(longest, int(stop - start))
+            first = int(start) if first < 0 else first
+    if not count:
+        return []
+    out = bool(count > STUCK_SHARE * len(values))
+    return [
+        Finding(
+            "stuck channel",
+            f"{where} sticks at {values[first]:.4g} from sample {first + 1} on: {count} of {len(values)} samples "
+            f"repeat the last, up to {longest / rate:.3g} s on end, while the others move"
+            + ("; left out" if out else ""),
+            {"channel": name, "samples": int(count), "share": float(count / len(values)), "out": out},
+        )
+    ]
+
+
+def _dead(record: Record, levels: Floats) -> list[Finding]:
+    typical = float(np.median(levels[levels > 0])) if np.any(levels > 0) else 0.0
+    return [
+        Finding(
+            "dead channel",
+            f"{channel} measures nothing: standard deviation {level:.3g} where the median channel has {typical:.3g}; "
+            "left out",
+            {"channel": channel.name, "floor": channel.floor, "std": float(level), "median_std": typical, "out": True},
+        )
+        for channel, level in zip(record.channels, levels, strict=True)
+        if level <= DEAD * typical
+    ]
+
+
+def _of_series(values: Floats, where: str, name: str, record: TimeRecord) -> list[Finding]:
+    found = [_clipped(values, where, name), _held(values, where, name)]
+    if record.input != "free_decay" and name != "input":
+        found.append(_drift(values, where, name))
+    found += [_aliased(values, where, name, record.sampling_rate), _humming(values, where, name, record.sampling_rate)]
+    return [finding for finding in found if finding is not None]
+
+
+def _clipped(values: Floats, where: str, name: str) -> Finding | None:
+    for extreme in (values.max(), values.min()):
+        flat = values == extreme
+        starts = np.flatnonzero(np.diff(np.concatenate([[0], flat.astype(np.int8), [0]])))
+        lengths = starts[1::2] - starts[::2]
+        count = int(lengths[lengths >= CLIPPED_RUN].sum())
+        levels, times = np.unique(values, return_counts=True)
+        edge = times[[-1, -2]] if extreme == levels[-1] and len(times) > 1 else times[:2]
+        if len(edge) > 1 and edge[0] >= CLIPPED_COUNT * max(1, edge[1]):
+            count = max(count, int(edge[0]))
+        if count and values.std() > 0 and count < 0.5 * len(values) and abs(extreme - np.median(values)) > values.std():
+            return Finding(
+                "clipped channel",
+                f"{where} is clipped at {extreme:.4g}: {count} of {len(values)} samples stand there, the first at "
+                f"sample {int(np.argmax(flat)) + 1}",
+                {"channel": name, "level": float(extreme), "samples": count, "share": count / len(values)},
+            )
+    return None
+
+
+def _held(values: Floats, where: str, name: str) -> Finding | None:
+    """Samples repeated at a fixed pace: a channel of a lower rate, filled up."""
+    same = np.diff(values) == 0
+    for pace in (2, 3, 4, 5):
+        repeats = [np.mean(same[phase::pace]) for phase in range(pace)]
+        if sum(share > 0.95 for share in repeats) == pace - 1 and min(repeats) < 0.5:
+            return Finding(
+                "held samples",
+                f"{where} repeats every value {pace} times: it was sampled at a {pace}th of the rate and filled up",
+                {"channel": name, "repeats": pace},
+            )
+    return None
+
+
+def _drift(values: Floats, where: str, name: str) -> Finding | None:
+    tenth = max(1, len(values) // 10)
+    change = float(values[-tenth:].mean() - values[:tenth].mean())
+    around = signal.detrend(values)
+    level = float(around.std())
+    # The mean of a tenth scatters by itself; only a change well beyond that is a drift.
+    pieces = [float(part.mean()) for part in np.array_split(around, 20)]
+    scatter = float(np.std(pieces))
+    if level > 0 and abs(change) > DRIFTED * level and abs(change) > 4 * scatter:
+        return Finding(
+            "drift",
+            f"{where} drifts by {change:.3g} from its first tenth to its last, {abs(change) / level:.2g} of its "
+            "standard deviation; a straight line was taken off",
+            {"channel": name, "change": change, "over_std": abs(change) / level},
+        )
+    return None
+
+
+def _aliased(values: Floats, where: str, name: str, rate: float) -> Finding | None:
+    _, power = signal.welch(values, fs=rate, nperseg=min(1024, len(values)))
+    top = power[int(0.9 * len(power)) :]
+    below = power[int(0.7 * len(power)) : int(0.9 * len(power))]
+    share = float(top.sum() / power.sum()) if power.sum() > 0 else 0.0
+    # White noise has a tenth of its power up there, and as much just below; a folded line stands out.
+    if share > NEAR_NYQUIST and top.max() > 10 * np.median(below):
+        return Finding(
+            "aliasing",
+            f"{where} has {100 * share:.0f} % of its power in the top tenth of the band up to {rate / 2:g} Hz; what "
+            "lies beyond is folded back into it",
+            {"channel": name, "share": share},
+        )
+    return None
+
+
+def _humming(values: Floats, where: str, name: str, rate: float) -> Finding | None:
+    """Power in lines of the mains, each narrower than a resonance."""
+    length = min(len(values), int(20 * rate)) // 2 * 2
+    if length < 4 * rate:
+        return None
+    frequencies, power = signal.welch(values, fs=rate, nperseg=length)
+    lines = mains_lines(length, rate)
+    near = np.isin(np.arange(len(power)), (lines[:, None] + np.arange(-8, 9)).ravel())
+    # A resonance spreads over the neighbouring lines; hum does not.
+    if not power.sum() > 0 or power[lines].sum() < 0.9 * power[near].sum():
+        return None
+    share = float(power[lines].sum() / power.sum())
+    if share < HUM_SHARE:
+        return None
+    loudest = float(frequencies[lines[np.argmax(power[lines])]])
+    return Finding(
+        "mains hum",
+        f"{where} hums: {100 * share:.0f} % of its power stands in a line at {loudest:.4g} Hz, where the mains' 50 or "
+        "60 Hz, or a multiple, shows at this sampling rate",
+        {"channel": name, "share": share, "frequency": loudest},
+    )

@@ -1,0 +1,174 @@
+"""Records of a known shear frame, integrated exactly, for studies of the identification."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg, signal
+
+from cvxshear.records.record import Channel, Run, TimeRecord
+from cvxshear.util.typing import Floats
+
+OVERSAMPLING = 8
+"""The load is a straight line between samples this many times denser than the record's."""
+
+
+@dataclass(frozen=True, eq=False)
+class KnownFrame:
+    """A shear frame with modal damping.
+
+    Parameters
+    ----------
+    masses : array_like, shape (N,)
+        kg.
+    stiffnesses : array_like, shape (N,)
+        N/m, story 1 the lowest.
+    damping : float
+        Fraction of critical, every mode.
+    """
+
+    masses: Floats
+    stiffnesses: Floats
+    damping: float
+
+    def modes(self) -> tuple[Floats, Floats]:
+        """Natural frequencies, Hz, shape (N,), and mass-normalized shapes, one a row, shape (N, N)."""
+        squares, shapes = linalg.eigh(self.stiffness, np.diag(self.masses))
+        return np.sqrt(squares) / (2 * np.pi), shapes.T
+
+    @property
+    def stiffness(self) -> Floats:
+        """Stiffness matrix, N/m, shape (N, N)."""
+        drift = np.eye(len(self.masses)) - np.eye(len(self.masses), k=-1)
+        return np.asarray(drift.T @ np.diag(self.stiffnesses) @ drift)
+
+    def accelerations(self, forces: Floats, step: float) -> Floats:
+        """Accelerations under forces that are straight lines between samples, m/s2, shape (samples, N).
+
+        The state is carried from sample to sample by the matrix exponential of the first-order hold, which
+        is exact for such forces.
+
+        Parameters
+        ----------
+        forces : array, shape (samples, N)
+            N.
+        step : float
+            s.
+        """
+        count = len(self.masses)
+        frequencies, shapes = self.modes()
+        mass = np.diag(self.masses)
+        damper = mass @ shapes.T @ np.diag(4 * np.pi * self.damping * frequencies) @ shapes @ mass
+        inverse = np.diag(1 / np.asarray(self.masses))
+        system = np.block([[np.zeros((count, count)), np.eye(count)], [-inverse @ self.stiffness, -inverse @ damper]])
+        load = np.vstack([np.zeros((count, count)), inverse])
+        a, b, c, d, _ = signal.cont2discrete((system, load, system[count:], inverse), step, method="foh")
+        # The modes of the discrete system decouple, so each is one recursive filter.
+        values, vectors = np.linalg.eig(a)
+        drive = forces @ np.linalg.solve(vectors, b.astype(complex)).T
+        output = forces @ d.T
+        for place, value in enumerate(values):
+            state = signal.lfilter([0.0, 1.0], [1.0, -value], drive[:, place])
+            output = output + np.real(np.outer(state, c @ vectors[:, place]))
+        return np.asarray(output)
+
+
+PAPER_FRAME = KnownFrame(np.array([10.0, 7.5, 5.0]), np.array([1800.0, 1200.0, 600.0]), 0.01)
+"""The three-story frame of the paper's section 5, with 1 % damping."""
+
+
+def hammer_record(
+    frame: KnownFrame,
+    seed: int,
+    *,
+    noise: float,
+    floors: tuple[int, ...] = (1, 2, 3),
+    hits: int = 5,
+    duration: float = 60.0,
+    sampling_rate: float = 20.0,
+) -> TimeRecord:
+    """Blows of a soft hammer, a half sine of 0.1 s and 50 to 150 N, so many at each of the floors.
+
+    Noise is white, of standard deviation `noise` times each channel's own, on every sensor and the hammer.
+    """
+    random = np.random.default_rng(seed)
+    step = 1 / (sampling_rate * OVERSAMPLING)
+    count = int(duration * sampling_rate) * OVERSAMPLING
+    runs = []
+    for floor in floors:
+        for hit in range(hits):
+            time = np.arange(count) * step - 1.0 - random.uniform(0, 1 / sampling_rate)
+            blow = np.where((time > 0) & (time < 0.1), np.sin(np.pi * time / 0.1), 0.0) * random.uniform(50, 150)
+            forces = np.zeros((count, len(frame.masses)))
+            forces[:, floor - 1] = blow
+            both = np.column_stack([blow, frame.accelerations(forces, step)])
+            runs.append(_sensed(both, noise, random, floor, f"hit {hit + 1} at floor {floor}"))
+    return _record(frame, runs, sampling_rate, "force")
+
+
+def base_record(
+    frame: KnownFrame, seed: int, *, noise: float, duration: float = 1200.0, sampling_rate: float = 20.0
+) -> TimeRecord:
+    """White base acceleration of 1 m/s2, absolute accelerations of the floors; noise on every sensor."""
+    random = np.random.default_rng(seed)
+    step = 1 / (sampling_rate * OVERSAMPLING)
+    ground = _white(int(duration * sampling_rate) * OVERSAMPLING, random)
+    relative = frame.accelerations(-ground[:, None] * np.asarray(frame.masses), step)
+    run = _sensed(np.column_stack([ground, relative + ground[:, None]]), noise, random, 0, "shaking")
+    return _record(frame, [run], sampling_rate, "base")
+
+
+def shaker_record(
+    frame: KnownFrame,
+    seed: int,
+    *,
+    noise: float,
+    floor: int,
+    duration: float = 240.0,
+    sampling_rate: float = 20.0,
+    name: str = "shaker",
+) -> TimeRecord:
+    """A shaker's white force of 10 N at one floor, measured, and the accelerations of all; noise on every sensor."""
+    random = np.random.default_rng(seed)
+    step = 1 / (sampling_rate * OVERSAMPLING)
+    force = 10.0 * _white(int(duration * sampling_rate) * OVERSAMPLING, random)
+    forces = np.zeros((len(force), len(frame.masses)))
+    forces[:, floor - 1] = force
+    run = _sensed(np.column_stack([force, frame.accelerations(forces, step)]), noise, random, floor, name)
+    return _record(frame, [run], sampling_rate, "force")
+
+
+def ambient_record(
+    frame: KnownFrame, seed: int, *, noise: float, duration: float = 1200.0, sampling_rate: float = 20.0
+) -> TimeRecord:
+    """Independent white forces on all floors, of 1 N; nothing but the floors' accelerations is recorded."""
+    random = np.random.default_rng(seed)
+    step = 1 / (sampling_rate * OVERSAMPLING)
+    count = int(duration * sampling_rate) * OVERSAMPLING
+    forces = np.column_stack([_white(count, random) for _ in frame.masses])
+    sensed = _sensed(frame.accelerations(forces, step), noise, random, 0, "wind", driven=False)
+    return _record(frame, [sensed], sampling_rate, "none")
+
+
+def _white(count: int, random: np.random.Generator) -> Floats:
+    """Noise that is white up to 0.8 of half the record's sampling rate, of unit standard deviation."""
+    lowpass = signal.butter(6, 0.8 / OVERSAMPLING, output="sos")
+    values = signal.sosfiltfilt(lowpass, random.standard_normal(count))
+    return np.asarray(values / values.std())
+
+
+def _sensed(
+    values: Floats, noise: float, random: np.random.Generator, floor: int, name: str, *, driven: bool = True
+) -> Run:
+    """Filtered against aliasing, sampled, disturbed; the first column is the input where there is one."""
+    sampled = signal.decimate(values, OVERSAMPLING, ftype="fir", axis=0)
+    disturbed = sampled + noise * sampled.std(axis=0) * random.standard_normal(sampled.shape)
+    if not driven:
+        return Run(disturbed, name=name)
+    return Run(disturbed[:, 1:], disturbed[:, 0], floor, name)
+
+
+def _record(frame: KnownFrame, runs: list[Run], sampling_rate: float, kind: str) -> TimeRecord:
+    channels = tuple(Channel(f"floor{floor}", floor) for floor in range(1, len(frame.masses) + 1))
+    return TimeRecord(channels, runs=tuple(runs), sampling_rate=sampling_rate, input=kind, name=f"simulated {kind}")

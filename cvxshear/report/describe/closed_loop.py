@@ -1,0 +1,342 @@
+"""What closing the loop found: the verdict, how probable everything is, what is left open, what to test next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from cvxshear.loop import Closure
+from cvxshear.loop.next_test import NextTest
+from cvxshear.loop.results import AddedEffect, Candidate, EffectSet
+from cvxshear.report.describe.before_after import before_after, residual_section, steps_section
+from cvxshear.report.describe.consequences import consequences
+from cvxshear.report.describe.headline import (
+    NAMED,
+    evidence_in_words,
+    headline,
+    in_doubt,
+    numbering_sections,
+    numbers_in_words,
+    verdict_of,
+)
+from cvxshear.report.describe.identified import frame_table, in_words
+from cvxshear.report.describe.measured import declared, measured_modes, units_for
+from cvxshear.report.describe.vocabulary import (
+    Block,
+    Document,
+    Facts,
+    Points,
+    Row,
+    Section,
+    Sentence,
+    Table,
+    describe,
+    line,
+)
+from cvxshear.util.quantities import (
+    AUTOMATIC,
+    Units,
+    capital,
+    chance,
+    counted,
+    listed,
+    per_force,
+    probability,
+    significant,
+    significants,
+    with_std,
+)
+
+BRIEF_SETS = 6
+"""Sets of effects that a terminal shows."""
+
+BRIEF_CANDIDATES = 8
+"""Candidates that a terminal shows."""
+
+SPELLED_OUT = 3
+"""Effects of a set up to which all are named; of a larger one, in what it differs from the most probable set."""
+
+
+MOST_QUESTIONS = 4
+"""Open questions on the first screen of a report; all stand further below."""
+
+GAIN = 1.0
+"""Fall in chi-square that one free number makes on average by chance alone."""
+
+UNMOVED = 2.0
+"""Ratio of the probability with the data to that before up to which an effect counts as no more probable."""
+
+
+def effects_section(result: Closure) -> Section:
+    """What was added, most probable first, each with what may be there in its place."""
+    if not result.effects:
+        return Section("effects", "Effects added", (Sentence("None was added to the model."),))
+    rows = tuple(row for item in result.effects for row in _with_rivals(item))
+    remarks = tuple(f"{item.placed.label}: {remark}" for item in result.effects for remark in item.remarks)
+    title = "The effect found" if len(result.effects) == 1 else "Effects found"
+    caption = "Effects that were added to the shear model"
+    parts: list[Block] = []
+    if verdict_of(result).provisional:
+        title, caption = "Provisional effects", "Effects that survive while a residual is left"
+        parts.append(Sentence("None of them counts as found, as long as a residual is left.", "warning"))
+    parts.append(Table("effects-table", caption, ("effect", "probability"), rows))
+    return Section("effects", title, (*parts, *([Points("remarks", remarks)] if remarks else [])))
+
+
+def _with_rivals(item: AddedEffect) -> Iterator[Row]:
+    yield Row((item.size, chance(item.probability)), exact=(item.probability,))
+    for rival in item.rivals:
+        words = "cannot be distinguished from" if rival.twin else "or in its place"
+        yield Row((f"   {words}: {rival.placed.label}", chance(rival.probability)), exact=(rival.probability,))
+    if not item.rivals:
+        yield Row(("   rivals: none", ""))
+
+
+def effect_sections(result: Closure, units: Units) -> Iterator[Section]:
+    """Each effect in full: what it is, its formula, its parameters, what it does."""
+    for place, item in enumerate(result.effects, 1):
+        kind = item.placed.effect
+        facts = Facts(
+            (
+                ("formula", kind.formula),
+                *_parameters(result, item),
+                ("probability", chance(item.probability)),
+                ("source of the formula", kind.source),
+            )
+        )
+        parts: tuple[Block, ...] = (
+            Sentence(kind.summary),
+            facts,
+            Points(f"size-{place}", tuple(consequences(result.judged, item.placed, units))),
+        )
+        yield Section(f"effect-{place}", capital(item.placed.label), parts, detail=True, below=True)
+
+
+def _parameters(result: Closure, item: AddedEffect) -> Iterator[tuple[str, str]]:
+    units = item.placed.units(result.experiment)
+    for parameter, unit in zip(item.placed.effect.parameters, units, strict=True):
+        name = parameter.name
+        written = per_force if "N" in unit.partition("/")[2] else with_std
+        yield name.replace("_", " "), written(item.parameters[name], item.std[name], unit)
+
+
+def sets_section(result: Closure) -> Section:
+    """The sets of effects with their probabilities."""
+    chi2 = significants([item.chi2 for item in result.models])
+    rows = tuple(
+        Row((_label(item, result), chance(item.probability), shown), exact=(item.probability, item.chi2))
+        for item, shown in zip(result.models, chi2, strict=True)
+    )
+    head = ("set", "probability", "chi-square")
+    table = Table("models", "Sets of effects, the most probable first", head, rows, brief=BRIEF_SETS)
+    return Section("sets", "Which effects together", (table,) if rows else (), below=True)
+
+
+def _label(item: EffectSet, result: Closure) -> str:
+    """Its effects, and how its modes are numbered where that is other than in the verdict's set."""
+    label = _set_label(item, result.models[0])
+    if item.changes == result.numberings[0].changes:
+        return label
+    return f"{label}, {numbers_in_words(item.changes) if item.changes else 'the modes as given'}"
+
+
+def _set_label(effects: EffectSet, first: EffectSet) -> str:
+    """Its effects, or what it has in place of some of the most probable set's."""
+    if not effects.effects:
+        return "the shear model alone"
+    if len(effects.effects) <= SPELLED_OUT or effects is first:
+        return " + ".join(placed.label for placed in effects.effects)
+    come = listed([placed.label for placed in effects.effects if placed not in first.effects])
+    gone = listed([placed.label for placed in first.effects if placed not in effects.effects])
+    if come and gone:
+        return f"the first, with {come} in place of {gone}"
+    return f"the first, and {come}" if come else f"the first, without {gone}"
+
+
+def candidates_section(result: Closure) -> Section:
+    """All that was looked for, before the data and with them."""
+    if not result.candidates:
+        return Section("candidates", "What was looked for", (), below=True)
+    count = len(result.candidates)
+    # A linearised model may promise a fit better than perfect.
+    chi2 = significants([max(item.chi2, 0.0) for item in result.candidates])
+    table = Table(
+        "candidates-table",
+        f"The most probable first (p: of such a gain in chi-square by chance, counting that {count} were tried)",
+        ("effect", "before", "with the data", "chi-square", "dof", "p of gain"),
+        tuple(_candidate_row(item, shown) for item, shown in zip(result.candidates, chi2, strict=True)),
+        brief=BRIEF_CANDIDATES,
+    )
+    said = tuple(_confounded(item) for item in result.candidates if item.confounded_with)
+    parts: tuple[Block, ...] = (table, *_unmoved(result), *([Points("confounded", said)] if said else []))
+    return Section("candidates", "What was looked for, and how probable it is", parts, below=True)
+
+
+def _unmoved(result: Closure) -> Iterator[Sentence]:
+    """Why effects that improve chi-square may be no more probable than before."""
+    added = {item.placed for item in result.effects}
+    final = result.estimate.chi2
+    seen = [
+        item.placed.label
+        for item in result.candidates
+        if item.placed not in added and final - max(item.chi2, 0.0) > GAIN and item.probability < UNMOVED * item.prior
+    ]
+    if seen:
+        names = listed(seen if len(seen) <= SPELLED_OUT else [*seen[:SPELLED_OUT], f"{len(seen) - SPELLED_OUT} more"])
+        yield Sentence(
+            f"With {names} chi-square would be lower, yet the probability hardly rises: any free number improves a fit "
+            "a little, and a cause gains only by what it improves beyond that; the column p of gain says how often "
+            "chance alone does as well."
+        )
+
+
+def _candidate_row(item: Candidate, chi2: str) -> Row:
+    return Row(
+        (
+            item.placed.label,
+            chance(item.prior),
+            chance(item.probability),
+            chi2,
+            str(item.dof),
+            probability(item.p_value),
+        ),
+        exact=(item.prior, item.probability, item.chi2, item.dof, item.p_value),
+    )
+
+
+def _confounded(item: Candidate) -> str:
+    return f"{capital(item.placed.label)} cannot be distinguished from {in_words(item.confounded_with)}."
+
+
+@describe.register
+def _closure(result: Closure, units: Units = AUTOMATIC) -> Document:
+    units = units_for(result.experiment, units)
+    sections = (
+        verdict_section(result),
+        *numbering_sections(result),
+        effects_section(result),
+        sets_section(result),
+        candidates_section(result),
+        *effect_sections(result, units),
+        before_after(result),
+        residual_section(result),
+        steps_section(result),
+        frame_section(result, units),
+        limits_section(result),
+        next_section(result, units),
+        declared(result.experiment, units),
+        measured_modes(result.experiment, units),
+        Section("effort", "Effort", (Sentence(_effort(result)),)),
+    )
+    return Document(result.experiment.name, f"{result.verdict.upper()}: {headline(result)}", sections)
+
+
+@line.register
+def _line(result: Closure) -> str:
+    found = [f"{item.placed.label} ({chance(item.probability)})" for item in result.effects]
+    if len(found) > NAMED:
+        found[NAMED:] = [f"{len(found) - NAMED} more"]
+    return f"<Closure {result.experiment.name}: {result.verdict}, {listed(found) or 'nothing added'}>"
+
+
+def verdict_section(result: Closure) -> Section:
+    """What the verdict means, what it rests on, and which data carried it."""
+    verdict = verdict_of(result)
+    meaning = verdict.sentence if result.effects or not verdict.plain else verdict.plain
+    noise, *granted = result.rests_on
+    said = [meaning, f"It rests on {noise}.", evidence_in_words(result)]
+    if granted:
+        said.append(f"No datum tells, and it takes for granted, {'; '.join(text.rstrip('.') for text in granted)}.")
+    if result.assumed:
+        said.append(f"In the model from the start: {', '.join(placed.label for placed in result.assumed)}.")
+    return Section("verdict", "Verdict", (Sentence(" ".join(each for each in said if each)),))
+
+
+def frame_section(result: Closure, units: Units) -> Section:
+    """The frame of the verdict's set, and the one averaged over all sets."""
+    title = "Masses without added mass; averaged: over all sets of effects, each as probable as it is"
+    parts: tuple[Block, ...] = (frame_table(result.frame, title, units, averaged=result.averaged),)
+    if not result.estimate.fit.converged:
+        parts = (*parts, Sentence(f"NOT CONVERGED ({result.estimate.fit.reason}).", "warning"))
+    return Section("frame", "The identified frame", parts)
+
+
+def limits_section(result: Closure) -> Section:
+    """Where a residual is left, what the data leave open, what was not looked for."""
+    parts: list[Block] = []
+    if result.remains:
+        parts += [Sentence("The residual sits in:", "warning"), Points("remains", result.remains)]
+    known = tuple(_limits(result))
+    if known:
+        parts.append(Points("untold", known))
+    return Section("limits", "What is left open", tuple(parts))
+
+
+def _limits(result: Closure) -> Iterator[str]:
+    for names in result.estimate.uncertainty.null_directions:
+        yield f"Not determined: {in_words(names)}."
+    for text in result.information:
+        yield f"{capital(text)}."
+    for name, lacking in result.not_considered.items():
+        yield f"{capital(name.replace('_', ' '))} was not looked for: that needs {lacking.replace('_', ' ')}."
+
+
+def open_questions(result: Closure) -> tuple[str, ...]:
+    """What a reader must know that the data cannot decide, the most important first, at most `MOST_QUESTIONS`.
+
+    Parameters
+    ----------
+    result : Closure
+    """
+    said = []
+    for item in result.effects:
+        if item.rivals:
+            first = item.rivals[0]
+            how = "cannot be distinguished from" if first.twin else "may in truth be"
+            said.append(f"{capital(item.placed.label)} {how} {first.placed.label} ({chance(first.probability)}).")
+    if in_doubt(result):
+        said.append("The numbers of the measured modes are in question.")
+    said += [f"Not determined: {in_words(names)}." for names in result.estimate.uncertainty.null_directions]
+    said += [f"{capital(text)}." for text in result.information]
+    more = len(said) - MOST_QUESTIONS
+    return (*said[:MOST_QUESTIONS], *([f"{more} more below."] if more > 0 else []))
+
+
+def next_section(result: Closure, units: Units) -> Section:
+    """The test that would distinguish the rivals."""
+    return Section("next", "What to test next", (Sentence(_next(result, units)),))
+
+
+def _next(result: Closure, units: Units) -> str:
+    test = result.next_test
+    if test is not None:
+        factor, unit = units.of_mass([test.added_mass])
+        return (
+            f'Put {significant(test.added_mass / factor, 3)} {unit} more on floor {test.floor} of "{test.state}" and '
+            f"measure again{_with_sensors(result, test)}: the rivals would then differ by "
+            f"{test.standard_deviations:.1f} standard deviations."
+        )
+    verdict = verdict_of(result)
+    if verdict.certain:
+        return f"Nothing: no rival is left that another test would have to rule out. {verdict.advice}"
+    if any(item.rivals for item in result.effects):
+        return f"No added mass up to that of a floor would distinguish the rivals. {verdict.advice}"
+    if in_doubt(result):
+        return (
+            "Sensors at more floors: the changes of sign of a shape that is known at every floor show which mode it is."
+        )
+    return verdict.advice
+
+
+def _with_sensors(result: Closure, test: NextTest) -> str:
+    """Which floors are to be measured too."""
+    if test.measured_floors is None:
+        return ""
+    first = next(each for each in result.experiment.configurations if each.state == test.state)
+    more = [str(floor) for floor in test.measured_floors if floor not in first.measured_floors]
+    return (
+        f", with {'a sensor' if len(more) == 1 else 'sensors'} at floor{'s' * (len(more) > 1)} {' and '.join(more)} too"
+    )
+
+
+def _effort(result: Closure) -> str:
+    return f"Backend {result.backend}: {counted(result.fits, 'fit')}, {counted(result.programs, 'step program')}."

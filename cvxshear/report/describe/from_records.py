@@ -1,0 +1,175 @@
+"""The modes found in a record, and what looks wrong in a record or a measurement file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from cvxshear.modal import ModalResult
+from cvxshear.report.describe.vocabulary import (
+    Block,
+    Document,
+    Facts,
+    Section,
+    Sentence,
+    Table,
+    columns,
+    describe,
+    line,
+)
+from cvxshear.screening import Finding, Screening
+from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import AUTOMATIC, Units, capital, counted, listed, percent, percents, ranged, with_stds
+from cvxshear.util.typing import Floats
+
+METHOD_WORDS = {
+    "era": "eigensystem realization (era)",
+    "okid": "observer identification and eigensystem realization (okid)",
+    "subspace": "subspace identification (subspace)",
+    "ssi": "stochastic subspace identification (ssi)",
+    "given": "modes found elsewhere",
+}
+"""The methods of `identify_modes` in words; another library's name stands as it is."""
+
+
+def method_in_words(result: ModalResult) -> str:
+    """How the modes were found."""
+    return METHOD_WORDS.get(result.method, result.method)
+
+
+def scale_in_words(result: ModalResult) -> str:
+    """In what the shapes are given."""
+    return "1/√kg" if result.mass_normalized else "the largest entry is 1"
+
+
+def shape_deviations(result: ModalResult) -> Floats:
+    """Standard deviations of the shapes' entries, in the unit of the shapes, shape (m, n)."""
+    largest = np.abs(result.mode_shapes).max(axis=1, keepdims=True)
+    return np.asarray(result.written_entry_std * largest)
+
+
+@describe.register
+def _modes(result: ModalResult, units: Units = AUTOMATIC) -> Document:
+    parts: list[Block] = [
+        Sentence(f"{capital(method_in_words(result))}; standard deviations: {result.uncertainty}."),
+        _table(result),
+        _shapes(result),
+        *(Sentence(f"{finding.kind}: {finding.message}", "warning") for finding in result.findings),
+    ]
+    return Document(
+        result.name, f"{result.name}: {_modes_headline(result)}", (Section("modes", "Modes", tuple(parts)),)
+    )
+
+
+@line.register
+def _line(result: ModalResult) -> str:
+    found = ", ".join(f"{frequency:.4g}" for frequency in result.frequencies[:4])
+    more = ", ..." if len(result.frequencies) > 4 else ""
+    return f"<ModalResult {result.name}: {_modes_headline(result)}, {found}{more} Hz>"
+
+
+def _modes_headline(result: ModalResult) -> str:
+    floors = ranged(result.floors.tolist())
+    return f"{counted(len(result.frequencies), 'mode')} at floor{'s' if len(result.floors) > 1 else ''} {floors}"
+
+
+def _table(result: ModalResult) -> Table:
+    # A ratio of nothing at all is one that nobody gave, and so is a standard deviation.
+    damping, spread = (
+        [value or None for value in each.tolist()] for each in (result.damping_ratios, result.damping_std)
+    )
+    rows = columns(
+        [str(mode) for mode in result.modes],
+        [f"{frequency:.4f}" for frequency in result.frequencies],
+        percents(result.written_frequency_std.tolist()),
+        percents(damping),
+        percents(spread),
+        [f"{value:.4f}" for value in result.phase_collinearity.tolist()],
+        [f"{value:.1f}°" for value in result.lost_phase],
+    )
+    head = ("mode", "frequency, Hz", "std", "damping", "std", "MPC", "lost phase")
+    title = "Modes. MPC: phase collinearity, 1 where all floors move in step; lost phase: 0° where they do"
+    return Table("identified-modes", title, head, rows)
+
+
+def poles_table(result: ModalResult) -> Table:
+    """The clusters of stable poles of a record by number, which of them are the modes, and why the others are not.
+
+    Parameters
+    ----------
+    result : ModalResult
+        With the order sweep that it was identified by.
+
+    Raises
+    ------
+    InputError
+        Where it holds none.
+    """
+    if result.sweep is None:
+        raise InputError(f"{result.name}: not identified from a record here, so there are no poles to choose from")
+    chosen = {item.members for item in result.sweep.chosen}
+    rows = columns(
+        [str(number) for number in range(1, len(result.sweep.candidates) + 1)],
+        [f"{item.frequency:.4f}" for item in result.sweep.candidates],
+        [percent(item.persistence, 0) for item in result.sweep.candidates],
+        [percent(item.energy, 1) for item in result.sweep.candidates],
+        ["mode" if item.members in chosen else item.reason for item in result.sweep.candidates],
+    )
+    head = ("pole", "frequency, Hz", "orders it is stable in", "share of energy", "taken")
+    return Table("poles", f"{result.name}: --pick with the frequencies, commas between", head, rows, words=(0, 4))
+
+
+def _shapes(result: ModalResult) -> Table:
+    """The shapes side by side, the top of the frame first."""
+    shapes, stds = result.mode_shapes.tolist(), shape_deviations(result).tolist()
+    rows = columns(
+        [str(floor) for floor in result.floors],
+        *(with_stds(values, std) for values, std in zip(shapes, stds, strict=True)),
+    )
+    title = f"Mode shapes ± standard deviation ({scale_in_words(result)})"
+    return Table(
+        "identified-shapes", title, ("floor", *(f"mode {mode}" for mode in result.modes)), tuple(reversed(rows))
+    )
+
+
+@describe.register
+def _screening(result: Screening, units: Units = AUTOMATIC) -> Document:
+    accepted = [Sentence(f"accepted beforehand: {', '.join(result.accepted)}")] if result.accepted else []
+    parts = [*accepted, *(part for item in result.findings for part in _finding(item)), *_record(result)]
+    return Document(
+        result.name, f"{result.name}: {_screening_headline(result)}", (Section("findings", "", tuple(parts)),)
+    )
+
+
+def _screening_headline(result: Screening) -> str:
+    mistakes = sum(item.refuses for item in result.findings)
+    numbers = {"mistake": mistakes, "doubt": len(result.findings) - mistakes, "remark": len(result.record)}
+    return listed([counted(number, noun) for noun, number in numbers.items() if number]) or "nothing looks wrong"
+
+
+def _finding(item: Finding) -> Iterator[Block]:
+    """A finding with what to change."""
+    word, tone = ("MISTAKE", "mistake") if item.refuses else ("WARNING", "warning")
+    where = f' in configuration "{item.configuration}"' if item.configuration else ""
+    yield Sentence(f"{word}: {' or '.join((item.name, *item.rivals))}{where}", tone)
+    yield Facts(
+        (
+            ("  found", item.found),
+            ("  change", item.change),
+            ("  accept", f"{item.how_to_accept}, if it is right as it is"),
+        )
+    )
+
+
+def _record(result: Screening) -> Iterator[Block]:
+    """What a record's own diagnostics say."""
+    for item in result.record:
+        yield Sentence(f"RECORD: {item.kind}", "warning")
+        yield Facts((("  found", item.message),))
+
+
+def doubts_section(found: Sequence[Finding]) -> Section:
+    """Doubts above a result that was computed all the same, a line each."""
+    said = (f"WARNING: {item.found}; {item.change} ({item.how_to_accept} silences this)" for item in found)
+    return Section("doubts", "", tuple(Sentence(each, "warning") for each in said))

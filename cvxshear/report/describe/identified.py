@@ -1,0 +1,263 @@
+"""An identified frame: its masses and stiffnesses, its damping, and how well each configuration fits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+
+import numpy as np
+
+from cvxshear.methods import Identification, IdentifiedFrame, SingleIdentification
+from cvxshear.report.describe import vocabulary
+from cvxshear.report.describe.measured import declared, units_for
+from cvxshear.report.describe.vocabulary import (
+    Block,
+    Document,
+    Row,
+    Section,
+    Sentence,
+    Table,
+    columns,
+    describe,
+    line,
+    plain_rows,
+)
+from cvxshear.response import IdentifiedDamping
+from cvxshear.util.quantities import (
+    AUTOMATIC,
+    EXACT,
+    UNKNOWN,
+    Units,
+    capital,
+    counted,
+    equals,
+    listed,
+    percent,
+    percents,
+    ranged,
+    significant,
+    significants,
+    with_std,
+)
+from cvxshear.util.typing import Floats
+
+PLURALS = {"floor_mass": "floor masses", "story_stiffness": "story stiffnesses"}
+"""Of what a frame has one at each floor or story."""
+
+
+def in_words(names: Iterable[str]) -> str:
+    """Names of parameters as people say them: "story stiffnesses 1 to 4 and floor mass 2".
+
+    Parameters
+    ----------
+    names : iterable of str
+        Such as "story_stiffness 3"; others, such as "gravity: gamma", stand as they are.
+    """
+    places: dict[str, list[int]] = {}
+    for name in names:
+        kind, _, place = name.rpartition(" ")
+        known = kind in PLURALS and place.isdecimal()
+        places.setdefault(kind if known else name, []).extend([int(place)] if known else [])
+    said = []
+    for kind, at in places.items():
+        plain = (PLURALS[kind] if len(at) > 1 else kind).replace("_", " ")
+        said.append(f"{plain} {ranged(sorted(at))}" if at else plain)
+    return listed(said)
+
+
+def frame_table(
+    frame: IdentifiedFrame,
+    title: str,
+    units: Units,
+    *,
+    key: str = "identified",
+    averaged: IdentifiedFrame | None = None,
+) -> Table:
+    """Floor masses and story stiffnesses, the top of the frame first, and beside them those averaged over models."""
+    mass_factor, mass_unit = units.of_mass(frame.floor_mass.tolist())
+    factor, unit = units.of_stiffness(frame.story_stiffness.tolist())
+    head = ["floor / story", f"mass, {mass_unit}", f"stiffness, {unit}"]
+    shown = [frame] if averaged is None else [frame, averaged]
+    if averaged is not None:
+        head += [f"averaged mass, {mass_unit}", f"averaged stiffness, {unit}"]
+    cells = [[str(i) for i in range(1, len(frame.floor_mass) + 1)]]
+    for each in shown:
+        for quantity, values, std, size in (
+            ("floor_mass", each.floor_mass, each.floor_mass_std, mass_factor),
+            ("story_stiffness", each.story_stiffness, each.story_stiffness_std, factor),
+        ):
+            stopped = each.stopped(quantity)
+            written = _column(values, std, size)
+            cells.append([
+                f"{significant(value / size, 2)} (at a bound)" if at_bound else text
+                for value, text, at_bound in zip(values.tolist(), written, stopped, strict=True)
+            ])  # fmt: skip
+    return Table(key, title, tuple(head), tuple(reversed(columns(*cells))))
+
+
+def in_one_unit(
+    values: Floats, stds: Floats | None, unit_of: Callable[[Iterable[float]], tuple[float, str]]
+) -> tuple[list[str], str]:
+    """Values, with their standard deviations where there are any, in one unit and, where there are none, one format.
+
+    Parameters
+    ----------
+    values, stds : ndarray, shape (N,)
+    unit_of : callable
+        The size and the name of the unit that fits values, such as `Units.of_mass`.
+
+    Returns
+    -------
+    written : list of str
+    unit : str
+    """
+    factor, unit = unit_of(values.tolist())
+    return _column(values, stds, factor), unit
+
+
+def _column(values: Floats, stds: Floats | None, factor: float) -> list[str]:
+    if stds is None or np.all(np.isnan(stds)):
+        written = significants((values / factor).tolist(), 5)
+        return [UNKNOWN if np.isnan(value) else text for value, text in zip(values, written, strict=True)]
+    fast = ~np.isnan(values) & ~(stds > EXACT * np.abs(values))
+    # What is held fast has no deviation, and one format.
+    shown = _short(significants((values[fast] / factor).tolist(), 5))
+    held = dict(zip(np.flatnonzero(fast).tolist(), shown, strict=True))
+    return [
+        UNKNOWN if np.isnan(value) else held[place] if place in held else with_std(value, std, factor=factor)
+        for place, (value, std) in enumerate(zip(values.tolist(), stds.tolist(), strict=True))
+    ]
+
+
+def _short(written: list[str]) -> list[str]:
+    """Decimals of one number, without those that are 0 in all."""
+    while written and all("." in text and text.endswith(("0", ".")) for text in written):
+        written = [text[:-1] for text in written]
+    return written
+
+
+@describe.register
+def _damping(result: IdentifiedDamping, units: Units = AUTOMATIC) -> Document:
+    remarks = tuple(Sentence(each, "warning") for each in result.remarks)
+    headline = f"{result.kind} damping of {counted(len(result.ratios), 'mode')}"
+    return Document("damping", headline, (damping_section(result), Section("remarks", "", remarks)))
+
+
+def damping_section(result: IdentifiedDamping) -> Section:
+    """Damping ratios of the modes, and the dashpots or Rayleigh's factors where there are such."""
+    return Section("damping", "Damping", tuple(_damping_parts(result)))
+
+
+def _damping_parts(result: IdentifiedDamping) -> Iterator[Block]:
+    measured = np.full(len(result.ratios), np.nan) if result.measured is None else result.measured
+    ratios = plain_rows(
+        (str(mode), with_std(float(ratio), float(std), factor=0.01), significant(100 * float(seen), 3))
+        for mode, (ratio, std, seen) in enumerate(zip(result.ratios, result.ratios_std, measured, strict=True), 1)
+    )
+    yield Table("damping-ratios", f"damping ({result.kind})", ("mode", "ratio, %", "measured, %"), ratios)
+    if result.story_dashpot is not None and result.story_dashpot_std is not None:
+        dashpots = plain_rows(
+            (str(story), with_std(float(dashpot), float(std)))
+            for story, (dashpot, std) in enumerate(zip(result.story_dashpot, result.story_dashpot_std, strict=True), 1)
+        )
+        yield Table("story-dashpots", "story dashpots", ("story", "N s/m"), dashpots[::-1])
+    if result.rayleigh is not None:
+        a, b = result.rayleigh
+        yield Sentence(f"C = a M + b K, a = {significant(float(a))} 1/s, b = {significant(float(b))} s")
+
+
+RULED_OUT = 1e-3
+"""Probability of a chi-square so large below which the model is said to be ruled out."""
+
+
+@describe.register
+def _identification(result: Identification, units: Units = AUTOMATIC) -> Document:
+    units = units_for(result.experiment, units)
+    sections = [declared(result.experiment, units)]
+    sections += [part_section(result, part, place, units) for place, part in enumerate(result.parts, 1)]
+    if result.undetermined:
+        open_ones = [Sentence(f"Not determined: {in_words(names)}.", "warning") for names in result.undetermined]
+        sections.append(Section("undetermined", "What these data cannot tell", tuple(open_ones)))
+    return Document(result.experiment.name, _headline(result), tuple(sections))
+
+
+@line.register
+def _line(result: Identification) -> str:
+    worst = max(part.fit.max_frequency_error for part in result.parts)
+    ended = "" if result.converged else ", not converged"
+    return (
+        f"<Identification {result.experiment.name}: {result.method}, {counted(result.experiment.stories, 'story')}, "
+        f"largest frequency error {percent(worst)}{ended}>"
+    )
+
+
+def _headline(result: Identification) -> str:
+    """Whose frame it is and how it was found; a warning before it where the declared noise rules the model out."""
+    how = f"method {result.method}, backend {result.backend}"
+    fit = result.parts[0].fit
+    if not result.joint or fit.p_value is None or fit.p_value >= RULED_OUT:
+        return f"{result.experiment.name}: {how}"
+    return (
+        f"RULED OUT: with the declared noise a shear frame would hardly give these data (chi-square "
+        f"{significant(fit.chi2)} on {counted(fit.dof, 'degree')} of freedom, {equals(fit.p_value)}): the "
+        "masses and stiffnesses below are those of a wrong model, and their standard deviations too small. 'cvxshear "
+        f"loop' on the same file looks for what the model lacks. ({result.experiment.name}: {how})"
+    )
+
+
+def part_section(result: Identification, part: SingleIdentification, place: int, units: Units) -> Section:
+    """The frame that one configuration, or all together, speak for, and how well it fits."""
+    title = "All configurations together" if result.joint else part.name
+    parts = [
+        frame_table(part.frame, "Identified frame (masses without added mass)", units, key=f"identified-{place}"),
+        *_bounds(part),
+        *how_it_ended(part),
+        *([] if part.mass_matrix is None else [_matrix(part.mass_matrix, place, units)]),
+        Sentence(_fit(part)),
+    ]
+    return Section(f"part-{place}", title, tuple(parts))
+
+
+def _bounds(part: SingleIdentification) -> Iterator[Sentence]:
+    """What would have gone on but for a bound."""
+    held = part.frame.at_bounds
+    if held:
+        are, them = ("is", "it") if len(held) == 1 else ("are", "them")
+        yield Sentence(
+            f"{capital(in_words(held))} {are} at a bound, a declared one or the least that counts as positive; the "
+            f"data alone would have {them} beyond it. That is no measurement, and the other standard deviations "
+            "hold only as far as the bound is true.",
+            "warning",
+        )
+
+
+def how_it_ended(part: SingleIdentification) -> Iterator[Sentence]:
+    """How many iterations there were and why they ended; a warning where they did not converge."""
+    said = f"{counted(part.iterations, 'iteration')}: {part.reason}."
+    yield (
+        Sentence(said)
+        if part.converged
+        else Sentence(f"NOT CONVERGED. {said} The numbers are where it stopped.", "warning")
+    )
+
+
+def _fit(part: SingleIdentification) -> str:
+    fit = part.fit
+    largest, rms = percents([fit.max_frequency_error, fit.rms_frequency_error])
+    said = [f"Frequency errors: largest {largest}, root mean square {rms}"]
+    if fit.min_mac is not None:
+        said.append(f"smallest MAC {significant(fit.min_mac, 6)}")
+    if fit.max_displacement_error is not None:
+        said.append(f"largest displacement error {percent(fit.max_displacement_error)}")
+    test = "" if fit.p_value is None else f" ({equals(fit.p_value)})"
+    said.append(f"chi-square {significant(fit.chi2)} on {counted(fit.dof, 'degree')} of freedom{test}")
+    return f"{'; '.join(said)}."
+
+
+def _matrix(matrix: Floats, place: int, units: Units) -> vocabulary.Block:
+    factor, unit = units.of_mass(np.diag(matrix).tolist())
+    head = ("floor", *(str(i) for i in range(1, len(matrix) + 1)))
+    largest = float(np.max(np.abs(matrix))) / factor
+    # Beside the largest entry, so that all have one format.
+    written = [significants([*row, largest], 5)[:-1] for row in (matrix / factor).tolist()]
+    rows = tuple(Row((str(i), *cells)) for i, cells in enumerate(written, 1))
+    return Table(f"mass-matrix-{place}", f"Corrected mass matrix, {unit}", head, rows)

@@ -1,0 +1,125 @@
+"""The paper's figures beside recomputed ones, and the noise study: their tables and sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import groupby
+
+import numpy as np
+
+from cvxshear.paper.reproduce import Reproduction
+from cvxshear.paper.scatter import NoiseStudy, Scatter
+from cvxshear.paper.setups import Setup
+from cvxshear.paper.tables import Row, decimals
+from cvxshear.paper.tables import Section as Printed
+from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, describe, line, plain_rows
+from cvxshear.util.quantities import AUTOMATIC, Units, counted
+from cvxshear.util.typing import Floats
+
+MORE_DIGITS = 2
+"""Decimals that a recomputed figure of the paper shows beyond the printed ones: enough to see how it was rounded."""
+
+Cells = tuple[str, ...]
+
+
+@describe.register
+def _reproduction(result: Reproduction, units: Units = AUTOMATIC) -> Document:
+    parts = tuple(
+        Section(f"section-{place}", section.title, (printed_beside_recomputed(section), *map(Sentence, section.notes)))
+        for place, section in enumerate(result.sections, 1)
+    )
+    summary = Section("summary", "", (Sentence(result.summary),))
+    return Document("the paper's figures", "The paper's figures beside recomputed ones.", (*parts, summary))
+
+
+def printed_beside_recomputed(section: Printed) -> Table:
+    """One section of the paper as a table; a place in the paper is named once."""
+    random = any(row.std_error is not None for row in section.rows)
+    errors = ("its standard error",) if random else ()
+    head = ("where", "what", section.printed_in, "recomputed", *errors, "difference", "agreement")
+    rows = [
+        (row.where if place == 0 or row.where != section.rows[place - 1].where else "", *_cells(row, random=random))
+        for place, row in enumerate(section.rows)
+    ]
+    return Table(section.title, "", head, plain_rows(rows), words=(0, 1, len(head) - 1))
+
+
+def _cells(row: Row, *, random: bool) -> Cells:
+    if row.printed.startswith("about"):
+        return row.what, row.printed, f"{row.recomputed:.2f}", f"{row.std_error or 0.0:.2f}", "", row.verdict
+    count = decimals(row.printed)
+    # A count of iterations has no decimals.
+    more = 0 if row.what == "iterations" or random else MORE_DIGITS
+    error = (f"{row.std_error:.{count}f}" if row.std_error is not None else "",) if random else ()
+    return (
+        row.what, row.printed, _number(row.recomputed, count + more), *error,
+        _number(row.difference, count + more, sign=True), row.verdict,
+    )  # fmt: skip
+
+
+def _number(value: float, count: int, *, sign: bool = False) -> str:
+    # Adding zero turns the -0.0 of a rounded number into 0.0.
+    rounded = round(value, count) + 0.0
+    return f"{rounded:+.{count}f}" if sign and rounded else f"{rounded:.{count}f}"
+
+
+@describe.register
+def _study(result: NoiseStudy, units: Units = AUTOMATIC) -> Document:
+    levels = [list(alike) for _, alike in groupby(result.scatters, key=lambda each: each.setup)]
+    tables = tuple(noise_level(alike, place) for place, alike in enumerate(levels, 1))
+    levels_section = Section("levels", "Scatter", (*tables, Sentence(note(result))))
+    return Document("noise study", _headline(result), (levels_section,))
+
+
+@line.register
+def _line(result: NoiseStudy) -> str:
+    return f"<NoiseStudy {_headline(result)}>"
+
+
+def _headline(result: NoiseStudy) -> str:
+    setups = counted(len({id(each.setup) for each in result.scatters}), "setup")
+    methods = ", ".join(dict.fromkeys(each.method for each in result.scatters))
+    return f"{setups}, {counted(result.samples, 'sample')} each, by {methods}"
+
+
+def noise_level(scatters: list[Scatter], place: int) -> Table:
+    """Every method at one noise level, the Cramer-Rao bound first."""
+    setup = scatters[0].setup
+    numbers = range(1, setup.stories + 1)
+    head = ("method", "figure", *(f"m{i}" for i in numbers), *(f"k{i}" for i in numbers))
+    bound = ("least possible", "Cramér-Rao bound, %", *in_percent(scatters[0].relative_bound))
+    rows = [bound, *(row for scatter in scatters for row in _lines(scatter))]
+    return Table(f"level-{place}", _title(setup), head, plain_rows(rows), words=(0, 1))
+
+
+def _title(setup: Setup) -> str:
+    exact = "exact" if setup.exact_frequencies else f"with {100 * setup.frequency_std:g} %"
+    noise = f"{setup.mode_shape_noise} shape noise {100 * setup.mode_shape_std:g} %"
+    return f"{setup.name}; {noise}, frequencies {exact}"
+
+
+def _lines(scatter: Scatter) -> Iterator[Cells]:
+    lost = int(np.sum(~scatter.answered))
+    method = f"{scatter.method} ({lost} without an answer)" if lost else scatter.method
+    yield method, "bias, %", *in_percent(scatter.bias, 3)
+    yield "", "its standard error, %", *in_percent(scatter.bias_error, 3)
+    yield "", "coefficient of variation, %", *in_percent(scatter.variation)
+    yield "", "error, root mean square, %", *in_percent(scatter.rmse)
+    yield "", "error / bound", *("" if np.isnan(value) else f"{value:.2f}" for value in scatter.ratio)
+    if scatter.coverage is not None:
+        yield "", "truth in the 95 % interval, %", *in_percent(scatter.coverage, 1)
+
+
+def in_percent(values: Floats, digits: int = 2) -> Cells:
+    """Relative values in percent."""
+    return tuple(f"{100 * value:.{digits}f}" for value in values)
+
+
+def note(result: NoiseStudy) -> str:
+    """The deviations that chance alone gives these figures."""
+    ratio = 100 / np.sqrt(2 * result.samples)
+    covered = 100 * np.sqrt(0.95 * 0.05 / result.samples)
+    return (
+        f"{result.samples} samples a noise level, seed {result.seed}. Chance alone moves error / bound by "
+        f"±{ratio:.1f} % and the share of intervals by ±{covered:.1f} (one standard deviation)."
+    )

@@ -1,0 +1,211 @@
+"""A planned test: where to put the sensors and the masses, what that will tell, and what one sensor more would."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cvxshear.planning.chances import SUFFICES
+from cvxshear.planning.design import UNKNOWN_STD
+from cvxshear.planning.results import Outlook, Plan
+from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, describe, plain_rows
+from cvxshear.util.quantities import AUTOMATIC, Units, counted, percent, significant
+from cvxshear.util.typing import Floats
+
+PROVEN = 1e-9
+"""Gap below which a choice is the best there is."""
+
+
+@describe.register
+def _plan(result: Plan, units: Units = AUTOMATIC) -> Document:
+    design = result.model.design
+    noise = f"{design.name}: {design.stories} stories; expected noise: {result.model.noise.describe()}"
+    sections = [
+        Section("choice", "", (Sentence(sure(result)), *cautions(result), Sentence(noise))),
+        Section("tests", "The tests", (expected_modes(result), added_masses(result, units), *grid(result))),
+    ]
+    if result.apart:
+        sections.append(Section("apart", "Which effects they will show", (verdicts(result), *conclusions(result))))
+    sections.append(Section("accuracy", "What they will determine", (accuracy(result, units), counts(result))))
+    return Document(design.name, headline(result), tuple(sections))
+
+
+def headline(result: Plan) -> str:
+    """The choice in a sentence."""
+    floors = ", ".join(map(str, result.sensors))
+    everywhere = len(result.sensors) == result.model.design.stories
+    where = "every floor" if everywhere else f"floor{'s' * (len(result.sensors) > 1)} {floors}"
+    return f"Measure {where} in {counted(len(result.tests), 'test')}, for {result.goal}."
+
+
+def sure(result: Plan) -> str:
+    """The objective, and how far from the best the choice can be."""
+    unit = "of the effects' sizes" if result.apart else "relative"
+    said = f"{result.measure} ({result.criterion}): {percent(result.objective)} {unit}"
+    if result.objective >= UNKNOWN_STD:
+        said = f"{result.measure} ({result.criterion}): open, {percent(UNKNOWN_STD, 0)} {unit} or more"
+    if len(result.sensors) == result.model.design.stories:
+        return said
+    if result.chosen.arbitrary:
+        return f"{said}; every choice of as many floors gives the same within 1 %: the floors named are arbitrary"
+    if result.gap < PROVEN:
+        return f"{said}; every choice of as many floors was looked at, none is better"
+    if not np.isfinite(result.gap):
+        return f"{said}; the convex program gives no bound"
+    if result.bound >= UNKNOWN_STD:
+        return f"{said}; no choice of as many floors is better than open"
+    gap = "" if result.objective >= UNKNOWN_STD else f" (gap {percent(result.gap, 1)})"
+    return f"{said}; no choice of as many floors is below {percent(result.bound)}{gap}"
+
+
+def cautions(result: Plan) -> list[Sentence]:
+    """What the promise is an average over, and where the frame of the plan is not the one that was measured."""
+    said = []
+    if result.frames > 1:
+        said.append(
+            f"The design values are vague: what is promised is an average over {result.frames} frames that they allow."
+        )
+    if result.model.design.effects:
+        labels = ", ".join(placed.label for placed in result.model.design.effects)
+        state = "" if result.model.design.state is None else f' in state "{result.model.design.state}"'
+        said.append(f"The frame is tested{state} with what was found in it: {labels}.")
+    worst = result.misfit
+    if worst is not None:
+        said.append(
+            f'The frame of this plan has mode {worst.mode} of "{worst.configuration}" at {significant(worst.expected)} '
+            f"Hz; {significant(worst.measured)} Hz were measured ({percent(worst.error)}). The shear model lacks "
+            "something: --loop plans for the frame with the effects that the loop finds."
+        )
+    return [Sentence(each) for each in said]
+
+
+def grid(result: Plan) -> list[Sentence]:
+    """What no tests of the grid of added masses can beat, where the masses were chosen."""
+    if result.grid_bound is None:
+        return []
+    if result.arbitrary_masses:
+        return [Sentence("Every choice of added masses gives the same within 1 %: the masses named are arbitrary.")]
+    return [
+        Sentence(
+            "With these sensors no tests with the masses of a grid (nothing, each floor alone, all floors, either "
+            f"half; at the limit and at half of it) are below {_value(result.grid_bound)}."
+        )
+    ]
+
+
+def expected_modes(result: Plan) -> Table:
+    """The modes of the first test, and how well they will be known."""
+    rows = plain_rows(
+        (
+            str(each.mode),
+            significant(each.frequency),
+            percent(each.frequency_std, 4),
+            percent(each.mode_shape_std, 3),
+            percent(each.damping_std, 1),
+        )
+        for each in result.expected_modes
+    )
+    head = ("mode", "frequency, Hz", "std", "std of a shape's entry", "std of damping")
+    return Table("expected-modes", f"expected modes ({result.names[0]})", head, rows)
+
+
+def added_masses(result: Plan, units: Units) -> Table:
+    """Added mass of each test, the top floor first."""
+    # They are laid on floors by hand, and asked for in kg, whatever their size.
+    factor, unit = (1.0, "kg") if units.mass is None else units.of_mass(np.concatenate(result.tests).tolist())
+    rows = plain_rows(
+        (
+            str(floor),
+            *(significant(float(test[floor - 1]) / factor) for test in result.tests),
+            "x" if floor in result.sensors else "",
+        )
+        for floor in range(result.model.design.stories, 0, -1)
+    )
+    return Table("added-mass", f"tests: added mass, {unit}", ("floor", *result.names, "sensor"), rows)
+
+
+def verdicts(result: Plan) -> Table:
+    """How far each effect is told from none and from the others."""
+    rows = plain_rows(
+        (
+            each.label,
+            significant(each.size, 3) + (f" {each.unit}" if each.unit else ""),
+            significant(each.distance, 3),
+            each.nearest or "–",
+            significant(each.nearest_distance, 3),
+            percent(each.probability, 0),
+        )
+        for each in result.apart
+    )
+    head = ("if it is", "expected size", "std from none", "most like", "std from that", "right verdict")
+    return Table("verdicts", "probability of the right verdict", head, rows, words=(0, 3))
+
+
+def conclusions(result: Plan) -> list[Sentence]:
+    """Whether the tests suffice, in words, one sentence an effect."""
+    return [
+        Sentence(
+            f"{each.label}: these tests {'can' if each.suffices else 'cannot'} show it; the right verdict comes with "
+            f"{percent(each.probability, 0)} probability, {percent(SUFFICES, 0)} are needed"
+        )
+        for each in result.apart
+        if each.size is not None
+    ]
+
+
+def accuracy(result: Plan, units: Units) -> Table:
+    """Expected standard deviations of every mass and stiffness: as planned, one sensor less and more, all floors."""
+    design = result.model.design
+    options = (
+        ("as planned", result.chosen),
+        ("one less", result.fewer),
+        ("one more", result.more),
+        ("all floors", result.everywhere),
+    )
+    shown = [(name, each) for name, each in options if each is not None]
+    names = tuple(name for name, _ in shown)
+    mass_factor, mass_unit = units.of_mass(design.floor_mass.tolist())
+    factor, unit = units.of_stiffness(design.story_stiffness.tolist())
+    rows = plain_rows(
+        (
+            str(i + 1),
+            significant(float(design.floor_mass[i]) / mass_factor),
+            *(_std(each.floor_mass_std, i, float(design.floor_mass[i])) for _, each in shown),
+            significant(float(design.story_stiffness[i]) / factor),
+            *(_std(each.story_stiffness_std, i, float(design.story_stiffness[i])) for _, each in shown),
+        )
+        for i in reversed(range(design.stories))
+    )
+    head = ("floor / story", f"mass, {mass_unit}", *names, f"stiffness, {unit}", *names)
+    return Table("accuracy-table", "expected standard deviations (of the shear model)", head, rows)
+
+
+def _std(std: Floats, at: int, value: float) -> str:
+    """A standard deviation, relative."""
+    if np.isnan(std[at]):
+        return "open"
+    return "exact" if std[at] < 1e-9 * value else percent(float(std[at]) / value)
+
+
+def _value(objective: float) -> str:
+    """The criterion's standard deviation, relative."""
+    return "open" if objective >= UNKNOWN_STD else percent(objective)
+
+
+def counts(result: Plan) -> Table:
+    """The objective against the number of sensors."""
+    outlooks: dict[int, Outlook] = {
+        len(each.floors): each
+        for each in (result.fewer, result.chosen, result.more, result.everywhere)
+        if each is not None
+    }
+    rows = plain_rows(
+        (
+            str(count),
+            "all" if count == result.model.design.stories else ", ".join(map(str, each.floors)),
+            _value(each.objective),
+            _value(each.bound),
+        )
+        for count, each in sorted(outlooks.items())
+    )
+    head = ("sensors", "floors", "value", "no choice below")
+    return Table("counts", f"{result.measure}, by number of sensors", head, rows)

@@ -1,0 +1,480 @@
+"""The frame drawn to scale: what was found on it at its place, its identified masses and stiffnesses, its springs."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from cvxshear.effects import Placed
+from cvxshear.effects.open_class import named_pair, pairs
+from cvxshear.loop import Closure
+from cvxshear.loop.results import AddedEffect
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.methods import Identification, IdentifiedFrame
+from cvxshear.report.describe.headline import verdict_of
+from cvxshear.report.describe.identified import in_one_unit
+from cvxshear.report.figures import style
+from cvxshear.report.figures.figure_table import figure
+from cvxshear.util.quantities import AUTOMATIC, Units, capital, chance, counted, with_std
+from cvxshear.util.typing import Floats
+
+LINE = 0.17
+"""Height of a line of text, inch."""
+
+SLAB = 0.3
+"""Thickness of the heaviest floor as a part of the lowest story height."""
+
+PANEL_WIDTH = 6.8
+"""Width of a frame with its numbers, inch: room for the widest label on either side."""
+
+GAP = 0.07
+"""Distance of a label from a column, as a part of the panel's width."""
+
+NEARLY_NOTHING = 1e-300
+"""Stands for a largest mass or stiffness of nothing at all, kg or N/m: thicknesses are divided by it."""
+
+THINNEST, THICKEST = 1.0, 7.0
+"""Widths of the columns of a vanishing and of the largest story stiffness, points."""
+
+MOST_PANELS = 4
+"""States drawn side by side; those in which most was found come first."""
+
+MOST_MARKS = 6
+"""Effects marked in one state; the table has them all."""
+
+MOST_RIVALS = 2
+"""Rivals of an effect that are drawn; the table has them all."""
+
+WRAPPED = 30
+"""Letters of a line beside a frame."""
+
+MOST_TIES = 3
+"""Springs between levels that are drawn in the frame; the matrix of springs has them all."""
+
+STANDS_OUT = 3.0
+"""Standard deviations from zero from which a spring is marked: among 100 springs noise alone makes 0.3 such."""
+
+MOST_LEVELS = 9
+"""Levels up to which a matrix of springs has its numbers written in."""
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """The columns of a drawn frame: their places as parts of the panel's width."""
+
+    left: float
+    right: float
+
+
+def elevations(experiment: Experiment) -> tuple[Floats, str]:
+    """Elevations of the floors, shape (N,), and what they are called; equal stories where no heights are declared."""
+    declared = experiment.frame.elevations
+    if declared is None:
+        return np.arange(1.0, experiment.stories + 1), "floor (no story heights declared)"
+    return declared, "elevation, m"
+
+
+def _structure(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns) -> None:
+    """Ground, columns as wide as stories are stiff, and slabs as thick as floors are heavy."""
+    heights, total = np.diff(z, prepend=0.0), float(z[-1])
+    mass, stiffness = (np.nan_to_num(values) for values in (found.floor_mass, found.story_stiffness))
+    slabs = SLAB * float(heights.min()) * mass / max(float(mass.max()), NEARLY_NOTHING)
+    strokes = THINNEST + (THICKEST - THINNEST) * stiffness / max(float(stiffness.max()), NEARLY_NOTHING)
+    wide = at.right - at.left
+    axes.add_patch(
+        Rectangle(
+            (at.left - 0.04, -0.04 * total), wide + 0.08, 0.04 * total, fc="none", ec=style.QUIET, hatch="////", lw=0
+        )
+    )
+    axes.plot([at.left - 0.04, at.right + 0.04], [0, 0], color="black", lw=1.0)
+    for low, high, stroke in zip(z - heights, z, strokes, strict=True):
+        for side in (at.left, at.right):
+            axes.plot([side, side], [low, high], color=style.AFTER, lw=stroke, solid_capstyle="butt")
+    for level, slab in zip(z, slabs, strict=True):
+        axes.add_patch(
+            Rectangle(
+                (at.left - 0.02, level - slab / 2), wide + 0.04, slab, fc=style.PALE, ec="black", lw=0.8, zorder=3
+            )
+        )
+    axes.set_xlim(0, 1)
+    axes.set_ylim(-0.045 * total, total + float(slabs.max()))
+    axes.set_xticks([])
+    axes.spines["bottom"].set_visible(False)
+
+
+def _leader(axes: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
+    axes.plot(*zip(start, end, strict=True), color=style.QUIET, lw=0.5)
+
+
+# What was found, at its place.
+
+
+def _findings_caption(result: Closure) -> str:
+    shown, tested = len(_shown_states(result)), len(result.experiment.states)
+    more = f" Of {tested} states those are drawn in which something was found." if 1 < shown < tested else ""
+    marks = "Orange: what was found, with its size and probability; dashed: what may be there in its place. "
+    return (
+        "The frame, heights to scale; a slab is the thicker the heavier its floor, a column the wider the stiffer its "
+        f"story. {marks if result.effects else ''}Triangles: floors with a sensor.{more}"
+    )
+
+
+def _findings_alternative(result: Closure) -> str:
+    return (
+        f"The frame to scale, one drawing a state; {counted(len(result.effects), 'effect')} marked at the places where "
+        "they act. The sentences above and the table of effects say the same."
+    )
+
+
+@figure(
+    "findings",
+    Closure,
+    title="What was found, and where",
+    caption=_findings_caption,
+    alternative=_findings_alternative,
+    section="verdict",
+    narrow=True,
+)
+def findings(result: Closure) -> Figure:
+    """The frame of each state to scale, with what was found at its place, its size, its probability and its rivals.
+
+    Parameters
+    ----------
+    result : Closure
+
+    Returns
+    -------
+    Figure
+        One panel a state in which something was found, beside one of the frame itself.
+    """
+    states = _shown_states(result)
+    narrow = style.narrow_page()
+    rows, columns = style.grid_of(len(states), 1 if narrow else 2)
+    marks = [_marks(result, state, first=not place) for place, state in enumerate(states)]
+    lines = max(sum(mark.lines for mark in each) for each in marks)
+    height = float(np.clip(max(result.experiment.stories * 0.36, lines * LINE), 1.9, 6.5))
+    width = style.page_width() if narrow or columns > 1 else 5.4
+    drawn = style.new_figure(width, rows * (height + 0.7))
+    every = style.panels(drawn, len(states), columns, sharey=True)
+    for place, (axes, state, each) in enumerate(zip(every, states, marks, strict=True)):
+        _state(axes, result, state, each, height)
+        if place % columns:
+            axes.set_ylabel("")
+            axes.tick_params(axis="y", labelleft=False)
+    return drawn
+
+
+def _shown_states(result: Closure) -> list[str | None]:
+    """The states that have a drawing; None alone where nothing concerns a single state."""
+    every = [item.placed.place.state for item in result.effects]
+    every += [rival.placed.place.state for item in result.effects for rival in item.rivals[:MOST_RIVALS]]
+    concerned = [state for state in every if state is not None]
+    if not concerned:
+        return [None]
+    states = result.experiment.states
+    most = sorted(set(concerned), key=lambda state: (-concerned.count(state), states.index(state)))
+    free = [state for state in (result.experiment.frame.reference, *states) if state is not None and state not in most]
+    shown = {*most[: MOST_PANELS - bool(free)], *free[:1]}
+    return [state for state in states if state in shown]
+
+
+@dataclass(frozen=True)
+class _Mark:
+    """Something that was found, or may be there in its place, with what is written beside it."""
+
+    placed: Placed
+    text: str
+    sure: bool
+    joined: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def lines(self) -> int:
+        """Lines of text, with a free one below."""
+        return self.text.count("\n") + 2
+
+
+def _marks(result: Closure, state: str | None, *, first: bool) -> list[_Mark]:
+    """What is marked in the drawing of a state; what concerns every state is marked in the first one."""
+    sure = not verdict_of(result).provisional
+    tied = {id(item): _standing_out(item, places) for item, places in networks(result)}
+    found = []
+    for item in result.effects:
+        place, rivals = item.placed.place, item.rivals[:MOST_RIVALS]
+        if place.state == state or (first and place.state is None):
+            said = [item.size if sure else f"provisional: {item.size}", f"{chance(item.probability)} probable"]
+            said += [f"or: {rival.placed.label} ({chance(rival.probability)})" for rival in rivals]
+            found.append(_Mark(item.placed, _wrapped(said), sure, tied.get(id(item), ())))
+        else:
+            found += [
+                _Mark(each.placed, _wrapped([f"or here: {each.placed.label} ({chance(each.probability)})"]), sure=False)
+                for each in rivals
+                if each.placed.place.state == state
+            ]
+    return found[:MOST_MARKS]
+
+
+def _standing_out(item: AddedEffect, places: Sequence[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
+    """The pairs of levels whose springs stand out of their deviations, at most `MOST_TIES` of them."""
+    sizes = {
+        place: abs(item.parameters[name]) / (item.std[name] or np.inf)
+        for place, name in zip(places, item.parameters, strict=True)
+    }
+    largest = sorted(sizes, key=sizes.__getitem__, reverse=True)[:MOST_TIES]
+    return tuple(place for place in largest if sizes[place] > STANDS_OUT)
+
+
+def _wrapped(texts: Sequence[str]) -> str:
+    lines = [line for text in texts for line in textwrap.wrap(text, WRAPPED)]
+    return "\n".join(style.letters(line, WRAPPED + 2) for line in lines)
+
+
+def _state(axes: Axes, result: Closure, state: str | None, marks: Sequence[_Mark], height: float) -> None:
+    z, label = elevations(result.experiment)
+    at = _Columns(0.10, 0.34)
+    _structure(axes, result.frame, z, at)
+    tests = [each for each in result.experiment.configurations if state in (None, each.state)]
+    sensors = sorted({int(floor) for each in tests for floor in each.measured_floors})
+    axes.plot(
+        [at.left - 0.06] * len(sensors), z[np.array(sensors, dtype=int) - 1], ls="none", marker=">", color=style.QUIET
+    )
+    total = float(axes.get_ylim()[1])
+    order = sorted(marks, key=lambda mark: _middle(mark.placed, z))
+    room = max((mark.lines for mark in marks), default=1) * LINE * total / height
+    levels = style.spread(np.array([_middle(mark.placed, z) for mark in order]), room, room / 2, total - room / 2)
+    for mark, level in zip(order, levels, strict=True):
+        if mark.joined:
+            for low, high in mark.joined:
+                _tie(axes, low, high, z, at, sure=mark.sure)
+        else:
+            _mark(axes, mark.placed, z, at, sure=mark.sure)
+        _leader(axes, (at.right + 0.05, _middle(mark.placed, z)), (at.right + GAP + 0.02, level))
+        axes.text(at.right + GAP + 0.03, level, mark.text, ha="left", va="center", color="black", fontsize=8)
+    if not marks:
+        words = "nothing was added" if state is None else "nothing was found here"
+        axes.text(at.right + GAP, total / 2, words, ha="left", va="center", color=style.QUIET, style="italic")
+    found = sum(mark.placed.place.state == state for mark in marks if mark.sure)
+    heading = "every state" if state is None else f"state {style.letters(state, 18)}"
+    axes.set_title(heading if state is None or not found else f"{heading}: {counted(found, 'finding')}", weight="bold")
+    axes.set_ylabel(label)
+
+
+def _middle(placed: Placed, z: Floats) -> float:
+    """The elevation of what an effect acts on."""
+    place, base = placed.place, np.concatenate([[0.0], z])
+    if place.story is not None:
+        return float(base[place.story - 1 : place.story + 1].mean())
+    if place.floor is None:
+        return float(z[-1] / 2)
+    return float(base[place.floor] if place.to is None else (base[place.floor] + base[place.to]) / 2)
+
+
+def _mark(axes: Axes, placed: Placed, z: Floats, at: _Columns, *, sure: bool) -> None:
+    """Colour what an effect acts on: a story, a floor, what joins two floors, or the whole frame."""
+    place, base = placed.place, np.concatenate([[0.0], z])
+    left, wide = at.left - 0.035, at.right - at.left + 0.07
+    if place.floor is not None and place.to is not None:
+        _tie(axes, place.floor, place.to, z, at, sure=sure)
+        return
+    thick = 0.16 * float(np.diff(base).min())
+    low, high = 0.0, float(z[-1])
+    if place.story is not None:
+        low, high = float(base[place.story - 1]) + thick, float(base[place.story]) - thick
+    elif place.floor is not None:
+        low, high = float(base[place.floor]) - thick, float(base[place.floor]) + thick
+    else:
+        # The whole frame: a bracket beside it leaves the frame to be seen.
+        axes.plot([at.right + 0.03, at.right + 0.05, at.right + 0.05, at.right + 0.03], [low, low, high, high],
+                  color=style.BEFORE, lw=1.6, ls="-" if sure else "--")  # fmt: skip
+        return
+    band = Rectangle((left, low), wide, high - low, fc="none", ec=style.BEFORE, lw=1.0, ls="--", zorder=4)
+    if sure:
+        band.set(facecolor="#D55E0033", linewidth=1.6, linestyle="-")
+    axes.add_patch(band)
+    if sure and place.story is not None:
+        for side in (at.left, at.right):
+            axes.plot([side, side], [low, high], color=style.BEFORE, lw=4.0, solid_capstyle="butt", zorder=5)
+
+
+def _tie(axes: Axes, low: int, high: int, z: Floats, at: _Columns, *, sure: bool) -> None:
+    """Draw what joins two levels, 0 the ground."""
+    base = np.concatenate([[0.0], z])
+    dashes = "-" if sure else "--"
+    axes.plot([at.left, at.right], [base[low], base[high]], color=style.BEFORE, lw=2.6, ls=dashes, zorder=5)
+
+
+# The identified frame with its numbers.
+
+
+@figure(
+    "frame",
+    Closure,
+    Identification,
+    title="The identified frame",
+    caption="The frame, heights to scale; a slab is the thicker the heavier its floor, a column the wider the stiffer "
+    "its story.",
+    alternative="The frame to scale with its identified masses and stiffnesses; the numbers are in the table above.",
+    section="frame",
+    narrow=True,
+)
+def frame(result: Closure | Identification) -> Figure:
+    """The identified frame: heights to scale, slabs as thick as floors are heavy, columns as wide as stories are stiff.
+
+    Parameters
+    ----------
+    result : Closure or Identification
+        Of an identification of each configuration by itself every one has its panel.
+
+    Returns
+    -------
+    Figure
+    """
+    frames = _frames(result)
+    rows, columns = style.grid_of(len(frames), 2)
+    height = float(np.clip(result.experiment.stories * 2 * LINE, 2.2, 8.0))
+    drawn = style.new_figure(
+        style.page_width() if style.narrow_page() else PANEL_WIDTH * columns, rows * (height + 0.75)
+    )
+    for axes, (title, found) in zip(style.panels(drawn, len(frames), columns), frames, strict=True):
+        _numbered(axes, result.experiment, found, title, height)
+    return drawn
+
+
+def _frames(result: Closure | Identification) -> list[tuple[str, IdentifiedFrame]]:
+    if isinstance(result, Closure):
+        return [("", result.frame)]
+    return [(style.letters(part.name) if len(result.parts) > 1 else "", part.frame) for part in result.parts]
+
+
+def _numbered(axes: Axes, experiment: Experiment, found: IdentifiedFrame, title: str, inches: float) -> None:
+    z, label = elevations(experiment)
+    at = _Columns(0.46, 0.57)
+    _structure(axes, found, z, at)
+    _numbers(axes, found, z, at, float(z[-1]) * LINE / inches)
+    axes.set_ylabel("" if style.narrow_page() else label)
+    if style.narrow_page():
+        # The numbers need the room of the axis.
+        axes.set_yticks([])
+        axes.spines["left"].set_visible(False)
+    for x, text, std, align in (
+        (at.left - GAP, "story stiffness", found.story_stiffness_std, "right"),
+        (at.right + GAP, "floor mass", found.floor_mass_std, "left"),
+    ):
+        # A value that a bound holds has no deviation of its own.
+        heading = text if std is None or not np.isfinite(std).any() else f"{text} ± std"
+        axes.text(x, 1.02, heading, ha=align, va="bottom", weight="bold", transform=axes.transAxes)
+    if title:
+        axes.set_title(title, pad=20)
+
+
+def _numbers(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns, gap: float) -> None:
+    """Stiffnesses to the left at the stories, masses to the right at the floors, apart from one another."""
+    stiffnesses, unit = in_one_unit(found.story_stiffness, found.story_stiffness_std, AUTOMATIC.of_stiffness)
+    masses, mass_unit = in_one_unit(found.floor_mass, found.floor_mass_std, AUTOMATIC.of_mass)
+    top, middle = float(z[-1]), z - np.diff(z, prepend=0.0) / 2
+    word, other = ("", "") if style.narrow_page() else ("story ", "floor ")
+    for i, (level, shown) in enumerate(zip(middle, style.spread(middle, gap, 0.0, top), strict=True)):
+        _leader(axes, (at.left, level), (at.left - GAP + 0.01, shown))
+        axes.text(at.left - GAP, shown, f"{word}{i + 1}:  {stiffnesses[i]} {unit}", ha="right", va="center")
+    for i, (level, shown) in enumerate(zip(z, style.spread(z, gap, 0.0, top), strict=True)):
+        _leader(axes, (at.right + 0.02, level), (at.right + GAP - 0.01, shown))
+        axes.text(at.right + GAP, shown, f"{other}{i + 1}:  {masses[i]} {mass_unit}", ha="left", va="center")
+
+
+# Springs between all pairs of levels.
+
+
+def networks(result: Closure) -> list[tuple[AddedEffect, list[tuple[int, int]]]]:
+    """The effects that are springs between pairs of levels, each with the pairs of its parameters in their order."""
+    known = {named_pair(i, j): (i, j) for i, j in pairs(result.experiment.stories, ground=True)}
+    return [
+        (item, [known[name] for name in item.parameters])
+        for item in result.effects
+        if set(item.parameters) <= set(known) and set(item.placed.units(result.experiment)) == {"N/m"}
+    ]
+
+
+@figure(
+    "springs",
+    Closure,
+    title="Springs between levels",
+    caption="Every symmetric stiffness is a network of springs between levels. Shown is what the stories do not have: "
+    "stiffness and standard deviation of each spring; a heavy outline marks what stands out of its deviation.",
+    alternative="Matrix of the springs between all pairs of levels; the largest are named in the table of effects.",
+    section="effects",
+    applies=lambda result: bool(networks(result)),
+    needs="springs between levels that no story joins",
+    narrow=True,
+)
+def springs(result: Closure) -> Figure:
+    """The matrix of springs between levels of the effect that has them.
+
+    Parameters
+    ----------
+    result : Closure
+
+    Returns
+    -------
+    Figure
+    """
+    item, places = networks(result)[0]
+    values, stds = np.full((2, result.experiment.stories + 1, result.experiment.stories + 1), np.nan)
+    for (low, high), name in zip(places, item.parameters, strict=True):
+        std = item.std[name]
+        values[high, low], stds[high, low] = item.parameters[name], np.nan if std is None else std
+    return _springs(values, stds, AUTOMATIC)
+
+
+def springs_between_levels(values: Floats, stds: Floats, units: Units = AUTOMATIC) -> Figure:
+    """The matrix of springs between all pairs of levels, those marked that stand out of their deviations.
+
+    Parameters
+    ----------
+    values, stds : array_like, shape (N + 1, N + 1)
+        Stiffness of the spring between two levels and its standard deviation, N/m; level 0 is the ground. The lower
+        triangle is read; nan where there is no such spring.
+    units : Units, optional
+        In which stiffnesses are shown.
+
+    Returns
+    -------
+    Figure
+        Colour and number say the same: orange is stiffer than the shear frame has it, purple softer; a heavy outline
+        marks what is more than `STANDS_OUT` standard deviations from zero.
+    """
+    return style.styled(_springs)(np.asarray(values, dtype=float), np.asarray(stds, dtype=float), units)
+
+
+def _springs(values: Floats, stds: Floats, units: Units) -> Figure:
+    count = len(values)
+    lower = np.tril(np.ones((count, count), dtype=bool), -1) & np.isfinite(values)
+    factor, unit = units.of_stiffness(np.where(lower, values, 0.0).ravel().tolist())
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sizes = np.where(lower, values / stds, np.nan)
+    side = style.page_width() if count > MOST_LEVELS // 2 else 4.2
+    drawn = style.new_figure(side, 0.55 * side + 0.6)
+    axes = drawn.subplots()
+    most = max(float(np.nanmax(np.abs(sizes), initial=0.0)), STANDS_OUT)
+    image = axes.imshow(sizes[1:, :-1], cmap="PuOr_r", vmin=-most, vmax=most, aspect="auto")
+    for row, column in zip(*np.nonzero(lower), strict=True):
+        marked = abs(sizes[row, column]) > STANDS_OUT
+        if marked:
+            axes.add_patch(Rectangle((column - 0.47, row - 1.47), 0.94, 0.94, fc="none", ec="black", lw=2.0, zorder=4))
+        if count <= MOST_LEVELS or marked:
+            said = with_std(values[row, column], stds[row, column], factor=factor)
+            dark = abs(sizes[row, column]) > 0.6 * most
+            axes.text(column, row - 1, said.replace(" ± ", "\n± "), ha="center", va="center", fontsize=6.5,
+                      color="white" if dark else "#010101", weight="bold" if marked else "normal")  # fmt: skip
+    names = ["ground", *(f"floor {floor}" for floor in range(1, count))]
+    axes.set_xticks(range(count - 1), names[:-1], rotation=90 if count > MOST_LEVELS else 0)
+    axes.set_yticks(range(count - 1), names[1:])
+    axes.tick_params(length=0)
+    axes.spines[["left", "bottom"]].set_visible(False)
+    axes.set_title(f"{capital(f'springs between levels, {unit}')}")
+    drawn.colorbar(image, ax=axes, label="standard deviations from zero", shrink=0.8)
+    return drawn

@@ -1,0 +1,242 @@
+"""Measured mode shapes beside those of a model, at all floors and in one scale, as data and as displaced frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from cvxshear.data import Model, Shapes
+from cvxshear.data.pairing import mac
+from cvxshear.fit.efficient import Estimate
+from cvxshear.loop import Closure
+from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.methods import Identification
+from cvxshear.report.figures import style
+from cvxshear.report.figures.drawn_frame import elevations
+from cvxshear.report.figures.figure_table import figure
+from cvxshear.util.typing import Floats, Ints
+
+
+@dataclass(frozen=True, eq=False)
+class ModeShape:
+    """One measured mode beside the model's.
+
+    Parameters
+    ----------
+    configuration : str
+    mode : int
+        1 the lowest.
+    floors : ndarray of int, shape (n,)
+        Where it was measured, 1 the lowest.
+    measured : ndarray, shape (n,)
+        Scaled to a largest entry of 1; nan where not measured.
+    std : ndarray, shape (n,)
+        Of the entries, in the same scale.
+    modelled : ndarray, shape (N,)
+        At all floors as sensors would show them, scaled to the measured ones as the fit does.
+    measured_frequency, modelled_frequency : float
+        Hz.
+    """
+
+    configuration: str
+    mode: int
+    floors: Ints
+    measured: Floats
+    std: Floats
+    modelled: Floats
+    measured_frequency: float
+    modelled_frequency: float
+
+
+def mode_shapes(estimate: Estimate) -> list[ModeShape]:
+    """Every measured mode of every configuration beside what the fit makes of it, a mode with one sign in all."""
+    models = {id(model.state.tested): model for model in estimate.fit.at.models}
+    laid = {id(datum.tested): datum for datum in estimate.misfit.data if isinstance(datum, Shapes)}
+    facing: dict[int, Floats] = {}
+    result = []
+    for configuration in estimate.experiment.configurations:
+        model, datum = models[id(configuration)], laid.get(id(configuration))
+        modelled = _modelled(configuration, model, datum)
+        noise = estimate.misfit.noise.of(Shapes.noise) if datum is not None and not datum.declared else 1.0
+        for j, mode in enumerate(configuration.modes.tolist()):
+            unit = _unit(configuration, j)
+            # Which entry is largest may change with the configuration; the mode keeps its sign.
+            unit = -unit if facing.setdefault(mode, modelled[j] / unit) @ modelled[j] / unit < 0 else unit
+            result.append(
+                ModeShape(
+                    configuration.name,
+                    mode,
+                    configuration.measured_floors,
+                    np.where(configuration.measured[j], configuration.mode_shapes[j] / unit, np.nan),
+                    noise * configuration.entry_std[j] / abs(unit),
+                    modelled[j] / unit,
+                    float(configuration.frequencies[j]),
+                    float(model.modes.frequencies[model.paired[j]]),
+                )
+            )
+    return result
+
+
+def _modelled(configuration: Configuration, model: Model, datum: Shapes | None) -> Floats:
+    """The shapes at all floors as sensors would show them, on the measured ones' scale, shape (m, N).
+
+    The factor that lays a shape on the measured entries holds at the floors without a sensor too.
+    """
+    full = model.state.observation.shown(model.modes.shapes[model.paired])
+    factor = 1.0 / full[np.arange(len(full)), np.argmax(np.abs(full), axis=1)]
+    if datum is not None:
+        at_sensors = full[datum.kept][:, configuration.measured_floors - 1]
+        length = np.sum(at_sensors**2, axis=1)
+        factor[datum.kept] = np.where(length > 0, np.sum(datum.seen(model) * at_sensors, axis=1) / length, 1.0)
+    laid: Floats = factor[:, None] * full
+    return laid
+
+
+def _unit(configuration: Configuration, j: int) -> float:
+    """The largest measured entry of a mode, with its sign; 1 where none was measured."""
+    entries = configuration.mode_shapes[j, configuration.measured[j]]
+    return float(entries[np.argmax(np.abs(entries))]) if entries.size else 1.0
+
+
+def mac_tables(result: Closure | Identification) -> list[tuple[str, Floats]]:
+    """For each configuration its name and the MAC of every measured mode (rows) with every modelled one (columns).
+
+    A row of nan belongs to a mode that has no shape at two floors or more.
+    """
+    if isinstance(result, Closure):
+        found = result.estimate.predictions
+        gains = {model.state.tested.name: model.state.gain for model in result.estimate.fit.at.models}
+    else:
+        found, gains = tuple(item for part in result.parts for item in part.predictions), {}
+    experiment = result.experiment
+    return [
+        (
+            item.configuration,
+            _mac(experiment, item.configuration, item.mode_shapes * gains.get(item.configuration, 1.0)),
+        )
+        for item in found
+    ]
+
+
+def _mac(experiment: Experiment, name: str, modelled: Floats) -> Floats:
+    configuration = next(each for each in experiment.configurations if each.name == name)
+    model = modelled[:, configuration.measured_floors - 1]
+    table = np.full((len(configuration.frequencies), len(model)), np.nan)
+    for row, (shape, known) in enumerate(zip(configuration.mode_shapes, configuration.measured, strict=True)):
+        if known.sum() >= 2:
+            measured = shape[known] / np.max(np.abs(shape[known]))
+            table[row] = [mac(measured, each[known]) if each[known].any() else 0.0 for each in model]
+    return table
+
+
+SHAPES_A_ROW = 5
+"""Panels of mode shapes side by side on a page."""
+
+ABOVE, BELOW, TITLE = 0.3, 0.55, 0.5
+"""Room, inch, for the legend, the common label, and the two lines of title of a panel."""
+
+HALF_WIDTH = 0.16
+"""Of the drawn frame, where the largest entry of a shape is 1."""
+
+
+@figure(
+    "shapes",
+    Closure,
+    title="Mode shapes",
+    caption="Each measured mode: dots with error bars are measured, the dashed line is the shear model, the frame is "
+    "the final model.",
+    alternative="Measured mode shapes with error bars beside those of the shear model and of the final model.",
+    section="shapes",
+    narrow=True,
+)
+def shapes(result: Closure) -> Figure:
+    """Every measured mode with its error bars, the final model's as a displaced frame, and the first model's as a line.
+
+    Parameters
+    ----------
+    result : Closure
+
+    Returns
+    -------
+    Figure
+        One panel a configuration and measured mode.
+    """
+    before, after = mode_shapes(result.before.estimate), mode_shapes(result.estimate)
+    most = max(len(each.frequencies) for each in result.experiment.configurations)
+    fitting = 2 if style.narrow_page() else SHAPES_A_ROW
+    columns = style.even_columns(most, fitting)
+    stories = result.experiment.stories
+    tall = float(np.clip(0.16 * stories, 1.6, 3.0))
+    counts = [len(each.frequencies) for each in result.experiment.configurations]
+    rows = sum(-(-count // columns) for count in counts)
+    above = 3 * ABOVE if style.narrow_page() else ABOVE
+    width = style.page_width() if style.narrow_page() else max(style.page_width() * columns / fitting, 5.6)
+    height = rows * (tall + TITLE) + above + BELOW
+    # Panels of one size need no search for a layout, which takes long for many of them.
+    figure = style.new_figure(width, height, fixed=True)
+    figure.subplots_adjust(
+        left=0.6 / width, right=1 - 0.12 / width, bottom=BELOW / height, top=1 - (above + TITLE) / height,
+        hspace=TITLE / tall, wspace=0.08,
+    )  # fmt: skip
+    z, label = elevations(result.experiment)
+    groups = style.panels_by_group(figure, counts, columns, sharex=True, sharey=True)
+    drawn = [(axes, place) for group in groups for place, axes in enumerate(group)]
+    for (axes, place), first, last in zip(drawn, before, after, strict=True):
+        _displaced_frame(axes, z, first, last)
+        if place % columns == 0:
+            axes.set_ylabel(label)
+    figure.text(0.5, 0.08 / height, "sway (largest measured entry = 1)", ha="center", va="bottom")
+    figure.legend(
+        handles=_legend(changed=len(result.steps) > 1), loc="upper center", ncols=1 if style.narrow_page() else 3
+    )
+    return figure
+
+
+def _displaced_frame(axes: Axes, z: Floats, before: ModeShape, after: ModeShape) -> None:
+    base = np.concatenate([[0.0], z])
+    sway = np.concatenate([[0.0], after.modelled])
+    axes.axvline(0, color="#C8C8C8", lw=0.5)
+    for side in (-HALF_WIDTH, HALF_WIDTH):
+        axes.plot(sway + side, base, color=style.AFTER, lw=1.0)
+    axes.hlines(z, after.modelled - HALF_WIDTH, after.modelled + HALF_WIDTH, color=style.AFTER, lw=1.6)
+    axes.plot(
+        np.concatenate([[0.0], before.modelled]),
+        base,
+        color=style.BEFORE,
+        ls="--",
+        marker="D",
+        mfc="white",
+        ms=3.6,
+        lw=1.0,
+    )
+    axes.errorbar(
+        after.measured,
+        z[after.floors - 1],
+        xerr=after.std,
+        fmt="o",
+        color=style.MEASURED,
+        ms=3.0,
+        capsize=2.0,
+        lw=0.9,
+        zorder=5,
+    )
+    axes.axhline(0, color=style.QUIET, lw=0.8)
+    axes.set_xlim(-1.45, 1.45)
+    axes.set_xticks([-1, 0, 1])
+    axes.set_ylim(0, 1.07 * float(z[-1]))
+    axes.set_title(
+        f"{style.letters(after.configuration, 16)}\nmode {after.mode}: {after.measured_frequency:#.4g} Hz", fontsize=7.5
+    )
+
+
+def _legend(*, changed: bool) -> list[Line2D]:
+    first = "shear model" if changed else "the same model"
+    return [
+        Line2D([], [], color=style.MEASURED, marker="o", ms=3.0, lw=0.9, label="measured ± one std"),
+        Line2D([], [], color=style.BEFORE, ls="--", marker="D", mfc="white", ms=3.6, lw=1.0, label=first),
+        Line2D([], [], color=style.AFTER, lw=1.6, label="with effects" if changed else "shear model"),
+    ]

@@ -1,0 +1,306 @@
+"""What records show: poles over model order, measured functions beside those of the identified modes, coherence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from cvxshear.modal import ModalResult
+from cvxshear.modal.functions import Functions, band_of, synthesized
+from cvxshear.modal.picking import Sweep
+from cvxshear.report.describe.from_records import method_in_words
+from cvxshear.report.figures import style
+from cvxshear.report.figures.figure_table import figure
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats
+
+LABEL = 0.14
+"""inch, what a label standing on end needs in width."""
+BAND = 0.42
+"""Of the orders' height: the room for the labels above them."""
+HIGHEST = 1.3
+"""Times the highest natural frequency: where the axis ends."""
+POLES: dict[str, dict[str, Any]] = {
+    "pole": {"marker": ".", "color": "#B5B5B5", "ms": 3.0},
+    "stable": {"marker": "+", "color": style.BEFORE, "ms": 4.5, "mew": 0.8},
+    "of a mode": {"marker": "o", "color": style.AFTER, "ms": 3.4},
+}
+
+
+@figure(
+    "stabilization",
+    ModalResult,
+    title="Stabilization diagram",
+    caption="Poles of models of growing order. A pole that comes back from order to order is stable; the values of a "
+    "mode are medians over its poles. The grey curve is the mode indicator function, logarithmic.",
+    alternative="Poles over model order; the modes are in the table above.",
+    applies=lambda *results: all(result.sweep is not None for result in results),
+    needs="an order sweep: modes that were identified from a record here",
+)
+def stabilization(*results: ModalResult) -> Figure:
+    """Poles over model order: all of them, the stable ones, and those the modes rest on.
+
+    Parameters
+    ----------
+    *results : ModalResult
+        Of `identify_modes`; a panel each. With `functions` kept, the mode indicator function stands behind the poles.
+
+    Returns
+    -------
+    Figure
+
+    Raises
+    ------
+    InputError
+        Where a result holds no order sweep.
+    """
+    most = max(len(result.frequencies) for result in results)
+    figure = style.new_figure(max(style.PAGE_WIDTH, LABEL * most + 1.4), 3.4 * len(results) + 0.5)
+    for axes, result in zip(style.panels(figure, len(results), 1), results, strict=True):
+        if result.sweep is None:
+            raise InputError(f"{result.name}: not identified from a record here, so there is no order sweep to draw")
+        if result.functions is not None:
+            _indicator(axes, result)
+        _poles(axes, result.sweep)
+        top = max(poles.order for poles in result.sweep.poles)
+        axes.set_xlim(0.0, HIGHEST * float(result.frequencies[-1]))
+        axes.set_ylim(0, (1 + BAND) * top)
+        axes.set_yticks(range(0, top + 1, max(2, top // 6 // 2 * 2)))
+        _labels(axes, result, top, figure.get_figwidth() - 1.0)
+        axes.set_xlabel("frequency, Hz")
+        axes.set_ylabel("model order (states)", y=0.5 / (1 + BAND))
+        axes.set_title(f"{style.letters(result.name)}: {method_in_words(result)}")
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=4)
+    return figure
+
+
+def _poles(axes: Axes, sweep: Sweep) -> None:
+    chosen = {place for item in sweep.chosen for place in item.members}
+    points: dict[str, list[tuple[float, int]]] = {label: [] for label in POLES}
+    for i, poles in enumerate(sweep.poles):
+        stable = set(sweep.stable[i])
+        for j, frequency in enumerate(poles.frequencies):
+            kind = "of a mode" if (i, j) in chosen else "stable" if j in stable else "pole"
+            points[kind].append((float(frequency), poles.order))
+    for label, look in POLES.items():
+        frequencies, orders = [x for x, _ in points[label]], [y for _, y in points[label]]
+        axes.plot(frequencies, orders, ls="none", label=label, **look)
+
+
+def _indicator(axes: Axes, result: ModalResult) -> None:
+    """The singular values of the functions, logarithmic, over the height of the orders; their size does not matter."""
+    assert result.functions is not None
+    behind = axes.twinx()
+    lines = result.functions.frequencies
+    values = result.functions.indicator[:, :2]
+    shown = (lines > 0.2 * result.frequencies[0]) & (lines < HIGHEST * result.frequencies[-1])
+    for place, column in enumerate(values.T):
+        behind.plot(lines[shown], column[shown], color=style.QUIET, lw=0.9, ls=":" if place else "-", alpha=0.8)
+    behind.set_yscale("log")
+    low, high = float(values[shown, 0].min()), float(values[shown, 0].max())
+    behind.set_ylim(low, low * (high / low) ** (1 + BAND))
+    behind.yaxis.set_visible(False)
+    behind.spines["right"].set_visible(False)
+    axes.set_zorder(behind.get_zorder() + 1)
+    axes.patch.set_visible(False)
+    axes.plot([], [], color=style.QUIET, lw=0.9, alpha=0.8, label="mode indicator function")
+
+
+def _labels(axes: Axes, result: ModalResult, top: int, inches: float) -> None:
+    """Mode and frequency on end above the poles, apart from one another, each with a line to its pole."""
+    frequencies: Floats = result.frequencies
+    end = axes.get_xlim()[1]
+    gap = end * LABEL / inches
+    for mode, frequency, x in zip(
+        result.modes, frequencies, style.spread(frequencies, gap, gap / 2, end - gap / 2), strict=True
+    ):
+        axes.plot([frequency, frequency, x], [0, 1.03 * top, 1.1 * top], color=style.AFTER, lw=0.6, alpha=0.6)
+        axes.text(x, 1.12 * top, f"{mode}: {frequency:#.4g} Hz", rotation=90, ha="center", va="bottom", fontsize=7)
+
+
+FUNCTIONS = {
+    "acceleration": "accelerance, (m/s²)/N",
+    "velocity": "mobility, (m/s)/N",
+    "displacement": "receptance, m/N",
+}
+"""What a response over a force is called."""
+
+
+@figure(
+    "functions",
+    ModalResult,
+    title="Measured and synthesized functions",
+    caption="What was measured, and what the identified poles and shapes make of it, residual terms included. Where "
+    "the curves differ, a mode is missing or its shape is wrong. Grey lines: the natural frequencies.",
+    alternative="Measured and synthesized functions over frequency, floor by floor.",
+    applies=lambda *results: all(result.functions is not None for result in results),
+    needs="the functions of the record (identify_modes: functions=True)",
+    narrow=True,
+)
+def functions(*results: ModalResult) -> Figure:
+    """Measured functions beside those that the identified modes make, floor by floor.
+
+    Parameters
+    ----------
+    *results : ModalResult
+        Of `identify_modes` with `functions`.
+
+    Returns
+    -------
+    Figure
+        One panel a record and floor; of several driving points the one that the floor answers most.
+
+    Raises
+    ------
+    InputError
+        Where a result holds no functions.
+    """
+    figure, groups = _panels_of(results, 1.75)
+    for result, drawn in zip(results, groups, strict=True):
+        seen, made = _functions_of(result), synthesized(result)
+        shown = band_of(seen.frequencies, result.frequencies)
+        strongest = np.argmax(np.sum(np.abs(seen.values[shown]) ** 2, axis=0), axis=1)
+        lines = seen.frequencies[shown]
+        for output, (axes, column) in enumerate(zip(drawn, strongest, strict=True)):
+            axes.plot(lines, np.abs(seen.values[shown, output, column]), color="black", lw=0.8, label="measured")
+            axes.plot(
+                lines, np.abs(made[shown, output, column]), color=style.BEFORE, ls="--", lw=1.1, label="of the modes"
+            )
+            axes.set_yscale("log")
+            style.logarithmic(axes.yaxis, most=5)
+            _dress(axes, result, f"floor {seen.floors[output]}{_against(seen, int(column))}", several=len(results) > 1)
+    _label_units(figure, groups, [_named(_functions_of(result)) for result in results])
+    figure.legend(*groups[0][0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    return figure
+
+
+@figure(
+    "coherence",
+    ModalResult,
+    title="Coherence",
+    caption="The share of each response that is due to the input; where no input was measured, what it has in common "
+    "with the highest floor. Low values beside a resonance are usual, low values at one are not.",
+    alternative="Coherence over frequency, floor by floor.",
+    applies=lambda *results: all(
+        result.functions is not None and result.functions.coherence is not None for result in results
+    ),
+    needs="two hits or more at each floor, or a continuous record",
+    narrow=True,
+)
+def coherence(*results: ModalResult) -> Figure:
+    """The coherence of each floor's response with what drove it.
+
+    Parameters
+    ----------
+    *results : ModalResult
+        Of `identify_modes` with `functions`.
+
+    Returns
+    -------
+    Figure
+        One panel a record and floor, one line a driving point. Where no input was measured, the coherence with the
+        highest floor, which has no panel of its own.
+
+    Raises
+    ------
+    InputError
+        Where a result holds no functions, or they are no averages.
+    """
+    figure, groups = _panels_of(results, 1.35, reference=False)
+    looks = _looks([_functions_of(result) for result in results])
+    for result, drawn in zip(results, groups, strict=True):
+        seen = _functions_of(result)
+        if seen.coherence is None:
+            raise InputError(f"{result.name}: coherence takes two hits or more at each floor, or a continuous record")
+        shown = band_of(seen.frequencies, result.frequencies)
+        for axes, output in zip(drawn, _outputs(seen, reference=False), strict=True):
+            for column in range(len(seen.inputs)):
+                values = seen.coherence[shown, output, column]
+                axes.plot(seen.frequencies[shown], values, **looks[_driver(seen, column)])
+            axes.set_ylim(0, 1.04)
+            axes.set_yticks([0, 0.5, 1])
+            _dress(axes, result, f"floor {seen.floors[output]}", several=len(results) > 1)
+    figure.supylabel("coherence", fontsize=8.5)
+    handles = [Line2D([], [], label=label, **look) for label, look in looks.items()]
+    figure.legend(handles=handles, loc="outside upper center", ncols=4)
+    return figure
+
+
+def _label_units(figure: Figure, groups: Sequence[Sequence[Axes]], names: Sequence[str]) -> None:
+    """What the functions are: once where they all are the same, else at each record."""
+    if len(set(names)) == 1:
+        figure.supylabel(names[0], fontsize=8.5)
+        return
+    for drawn, name in zip(groups, names, strict=True):
+        drawn[0].set_ylabel(name, fontsize=7)
+
+
+def _looks(seen: Sequence[Functions]) -> dict[str, dict[str, Any]]:
+    """One look for each that drives, the lowest floor first, whichever records it is in."""
+    drivers = {_driver(each, column): int(floor) for each in seen for column, floor in enumerate(each.inputs)}
+    labels = sorted(drivers, key=drivers.__getitem__)
+    marks = zip(
+        labels, style.assorted(style.COLOURS, len(labels)), style.assorted(style.LINES, len(labels)), strict=True
+    )
+    return {label: {"color": colour, "ls": line, "lw": 0.9} for label, colour, line in marks}
+
+
+def _driver(seen: Functions, column: int) -> str:
+    return _against(seen, column).removeprefix(", ") or "base motion"
+
+
+def _functions_of(result: ModalResult) -> Functions:
+    if result.functions is None:
+        raise InputError(f"{result.name}: the functions of the record were not kept (identify_modes: functions=True)")
+    return result.functions
+
+
+def _outputs(seen: Functions, *, reference: bool) -> list[int]:
+    """The floors that have a panel; the coherence of a reference with itself is no news."""
+    return [
+        place
+        for place, floor in enumerate(seen.floors)
+        if reference or seen.driven or len(seen.floors) == 1 or floor not in seen.inputs
+    ]
+
+
+def _panels_of(
+    results: Sequence[ModalResult], height: float, *, reference: bool = True
+) -> tuple[Figure, list[list[Axes]]]:
+    """The panels of each record, on rows of its own."""
+    counts = [len(_outputs(_functions_of(result), reference=reference)) for result in results]
+    most = max(counts)
+    columns = style.even_columns(most, 1 if style.narrow_page() else 4 if most > 9 else 3)
+    figure = style.new_figure(style.page_width(), height * sum(-(-count // columns) for count in counts) + 0.7)
+    figure.supxlabel("frequency, Hz", fontsize=8.5)
+    return figure, style.panels_by_group(figure, counts, columns)
+
+
+def _dress(axes: Axes, result: ModalResult, title: str, *, several: bool) -> None:
+    for frequency in result.frequencies:
+        axes.axvline(float(frequency), color=style.QUIET, lw=0.5, alpha=0.6, zorder=0)
+    axes.set_title(f"{style.letters(result.name, 20)}\n{title}" if several else title, fontsize=7.5)
+    axes.grid(axis="y")
+    axes.tick_params(labelsize=7)
+
+
+def _against(seen: Functions, column: int) -> str:
+    """What a function is taken against, in words; nothing for the ground."""
+    floor = int(seen.inputs[column])
+    if not seen.driven:
+        return f", with floor {floor}"
+    return f", force at floor {floor}" if floor else ""
+
+
+def _named(seen: Functions) -> str:
+    if not seen.driven:
+        return "half-spectrum"
+    if not seen.inputs[0]:
+        return f"{seen.quantity} / base acceleration"
+    return FUNCTIONS[seen.quantity]

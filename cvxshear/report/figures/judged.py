@@ -1,0 +1,227 @@
+"""How probable each effect is, and how far the model is from each part of the measurement."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
+
+from cvxshear.data import Deviation
+from cvxshear.loop import Closure
+from cvxshear.loop.residual import by_part
+from cvxshear.loop.results import Candidate
+from cvxshear.report.figures import style
+from cvxshear.report.figures.figure_table import figure
+from cvxshear.util.quantities import chance
+from cvxshear.util.typing import Floats
+
+MOST_BARS = 14
+"""Effects that are drawn, the most probable first; those that were added always are."""
+
+LONGEST_LABEL = 44
+"""Letters of an effect's name beside its dots; on two lines on a telephone."""
+
+LEAST = 1e-4
+"""Probability below which, and as far from certainty, an effect is drawn at the edge of the figure."""
+
+TICKS = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999)
+"""Probabilities at the ticks of the axis of log odds."""
+
+
+@figure(
+    "ranking",
+    Closure,
+    title="Probabilities of the effects",
+    caption="How probable each effect is: before the data (hollow diamonds) and with them (dots). Beyond the dotted "
+    "line an effect is more probable than not.",
+    alternative="How probable each effect is before and with the data; the numbers are in the table above.",
+    section="candidates",
+    applies=lambda result: bool(result.candidates),
+    needs="effects that were looked for",
+    narrow=True,
+)
+def ranking(result: Closure) -> Figure:
+    """The probability of each effect before the data and with them, on an axis of log odds.
+
+    Parameters
+    ----------
+    result : Closure
+
+    Returns
+    -------
+    Figure
+        What was added above, what else was looked for below.
+    """
+    added = {item.placed for item in result.effects}
+    mine = [item for item in result.candidates if item.placed in added]
+    others = [item for item in result.candidates if item.placed not in added]
+    bars = [*mine, *others[: max(MOST_BARS - len(mine), 0)]]
+    row, room = (0.36, 1.9) if style.narrow_page() else (0.24, 1.35)
+    figure = style.new_figure(style.page_width(), row * max(len(bars), 2) + room)
+    axes = figure.subplots()
+    axes.axvline(0.0, color="black", ls=":", lw=1.2)
+    _arrows(axes, bars)
+    _dots(axes, bars, len(mine))
+    wrap = 30 if style.narrow_page() else 90
+    labels = ["\n".join(textwrap.wrap(style.letters(item.placed.label, LONGEST_LABEL), wrap - 6)) for item in bars]
+    axes.set_yticks(range(len(bars)), labels)
+    for label in axes.get_yticklabels()[: len(mine)]:
+        label.set_fontweight("bold")
+    axes.set_ylim(max(len(bars), 1) - 0.4, -0.6)
+    axes.tick_params(axis="y", length=0)
+    axes.set_xlabel("\n".join(textwrap.wrap("probability that it is there (scale of the logarithm of the odds)", wrap)))
+    axes.xaxis.set_major_locator(FixedLocator(_log_odds(TICKS[::2] if style.narrow_page() else TICKS).tolist()))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(_percent))
+    edge = float(_log_odds([1.0 - LEAST])[0])
+    axes.set_xlim(-1.04 * edge, 1.04 * edge)
+    axes.grid(axis="x")
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=1 if style.narrow_page() else 3)
+    return figure
+
+
+def _log_odds(probabilities: list[float] | tuple[float, ...]) -> Floats:
+    """log p / (1 - p), what is beyond the edges at them."""
+    p = np.clip(np.asarray(probabilities, dtype=float), LEAST, 1.0 - LEAST)
+    odds: Floats = np.log(p) - np.log1p(-p)
+    return odds
+
+
+def _arrows(axes: Axes, bars: list[Candidate]) -> None:
+    before, after = _log_odds([item.prior for item in bars]), _log_odds([item.probability for item in bars])
+    axes.hlines(range(len(bars)), before, after, color="#B0B0B0", lw=1.0, zorder=1)
+    look: dict[str, Any] = {"ls": "none", "marker": "D", "mfc": "white", "mec": style.BEFORE, "mew": 1.2, "ms": 5.0}
+    axes.plot(before, range(len(bars)), label="before the data", **look)
+
+
+def _dots(axes: Axes, bars: list[Candidate], added: int) -> None:
+    """With the data: full where added, and pointing outwards where the number lies beyond the edge."""
+    after = _log_odds([item.probability for item in bars])
+    inside = np.array([LEAST <= item.probability <= 1.0 - LEAST for item in bars], dtype=bool)
+    mine = np.arange(len(bars)) < added
+    for chosen, label, face, colour in (
+        (mine, "with the data: added", style.AFTER, style.AFTER),
+        (~mine, "with the data: not added", style.QUIET, style.QUIET),
+    ):
+        for marker, there in (("o", inside), ("<", ~inside & (after < 0)), (">", ~inside & (after > 0))):
+            at = np.flatnonzero(chosen & there)
+            if len(at):
+                named = label if label not in axes.get_legend_handles_labels()[1] else None
+                axes.plot(after[at], at, ls="none", marker=marker, mfc=face, mec=colour, ms=5.0, label=named)
+
+
+def _percent(value: float, at: object = None) -> str:
+    p = float(1.0 / (1.0 + np.exp(-value)))
+    return chance(p).replace(".0 %", " %")
+
+
+USUAL = 2.0
+"""Standard deviations that chance rarely exceeds."""
+
+LINEAR = 5.0
+"""Standard deviations up to which the axis stays linear where the largest is beyond `COMPRESSED`."""
+
+COMPRESSED = 25.0
+
+MOST_DECADES = 2
+"""Labels on either side of zero."""
+
+ROW, ROOM = 0.19, 1.5
+"""inch, of a row, and of legend and axis."""
+
+Pair = tuple[Deviation, Deviation]
+
+
+@figure(
+    "residual",
+    Closure,
+    title="Residuals",
+    caption="The residual of every part of the measurement for the shear model (hollow diamonds) and with effects "
+    "(dots), both in standard deviations of the final model's noise. Within the grey band it is what noise alone "
+    "makes.",
+    alternative="Residual of each part of the measurement in standard deviations, for the shear model and with "
+    "effects; the numbers are in the tables above.",
+    section="residual",
+    narrow=True,
+)
+def residual(result: Closure) -> Figure:
+    """How far the model is from each part of the measurement, in standard deviations, before and after.
+
+    Both are counted in the noise of the final model.
+
+    Parameters
+    ----------
+    result : Closure
+
+    Returns
+    -------
+    Figure
+        One panel a kind of data.
+    """
+    pairs = list(zip(by_part(result.before.estimate), by_part(result.estimate), strict=True))
+    kinds = list(dict.fromkeys(after.noise for _, after in pairs))
+    rows = list(dict.fromkeys((after.configuration, after.place) for _, after in pairs))
+    # On a telephone the kinds of data go below one another.
+    stacked = len(kinds) if style.narrow_page() else 1
+    figure = style.new_figure(style.page_width(), stacked * (ROW * len(rows) + ROOM))
+    drawn = figure.subplots(stacked, len(kinds) // stacked, sharey=True, squeeze=False).ravel()
+    for axes, kind in zip(drawn, kinds, strict=True):
+        _residual_panel(axes, rows, [pair for pair in pairs if pair[1].noise == kind])
+    longest = 12 if style.narrow_page() else 20
+    drawn[0].set_yticks(range(len(rows)), [f"{style.letters(name, longest)}, {place}" for name, place in rows])
+    drawn[0].set_ylim(len(rows) - 0.4, -0.6)
+    handles, labels = drawn[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=2)
+    return figure
+
+
+def _residual_panel(axes: Axes, rows: Sequence[tuple[str, str]], pairs: Sequence[Pair]) -> None:
+    """One kind of data: with their sign where they are single numbers, else the root mean square of each part."""
+    signed = all(after.entries == 1 for _, after in pairs)
+    places = np.array([rows.index((after.configuration, after.place)) for _, after in pairs], dtype=float)
+    axes.axvspan(-USUAL if signed else 0, USUAL, color="#EFEFEF", zorder=0, lw=0)
+    _dumbbells(axes, places, [before.deviations for before, _ in pairs], [after.deviations for _, after in pairs])
+    what = f"{pairs[0][1].noise.replace('_', ' ')}, {'model less measurement' if signed else 'root mean square'}"
+    lines = (
+        textwrap.wrap(f"{what}, standard deviations", 22)
+        if style.narrow_page()
+        else [f"{what},", "standard deviations"]
+    )
+    axes.set_xlabel("\n".join(lines))
+    if signed:
+        axes.axvline(0, color=style.QUIET, lw=0.8)
+    else:
+        axes.set_xlim(left=0)
+    axes.grid(axis="x")
+    axes.tick_params(axis="y", length=0)
+
+
+def _dumbbells(axes: Axes, places: Floats, before: Sequence[float], after: Sequence[float]) -> None:
+    axes.hlines(places, before, after, color="#B0B0B0", lw=1.0, zorder=1)
+    axes.plot(
+        before, places, ls="none", marker="D", mfc="white", mec=style.BEFORE, mew=1.2, ms=5.0, label="shear model"
+    )
+    axes.plot(after, places, ls="none", marker="o", color=style.AFTER, ms=4.2, label="with effects")
+    largest = float(np.nanmax(np.abs([*before, *after, 1.0])))
+    if largest > COMPRESSED:
+        axes.set_xscale("symlog", linthresh=LINEAR, linscale=1.0)
+        axes.xaxis.set_major_locator(FixedLocator(_decades(largest)))
+        axes.xaxis.set_major_formatter(FuncFormatter(style.power_of_ten))
+        axes.xaxis.set_minor_formatter(FuncFormatter(lambda value, at: ""))
+        axes.set_xlim(-2 * largest, 2 * largest)
+    else:
+        axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
+        axes.set_xlim(-1.15 * max(largest, USUAL), 1.15 * max(largest, USUAL))
+
+
+def _decades(largest: float) -> list[float]:
+    """Zero and powers of ten beyond the linear part on both sides, so few that their labels stay apart."""
+    first, last = int(np.ceil(np.log10(LINEAR))), int(np.floor(np.log10(2 * largest)))
+    powers = [10.0**power for power in range(first, last + 1, -(-(last - first + 1) // MOST_DECADES))]
+    return [*(-power for power in reversed(powers)), 0.0, *powers]

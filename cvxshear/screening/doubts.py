@@ -1,0 +1,367 @@
+"""Declarations that look wrong, where something declared or measured besides speaks against them.
+
+Nothing in the frequencies and shapes of one test alone says in which unit they are. What does is stated with each
+function. Whether a declared total mass is right, the added masses say: they lower the frequencies the more, the lighter
+the frame is, lambda = phi' K phi / phi' (M + A) phi. So configurations with different added mass have a total of their
+own: that of the shear frame nearest to all of them together, its scale free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.measurement.reading import Reading, repeated_configurations
+from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
+from cvxshear.screening.results import Finding
+from cvxshear.screening.shear_fit import ShearFrames, odd_starts
+from cvxshear.util.quantities import quantity, significant
+from cvxshear.util.typing import Floats
+
+EARTH = (9.7, 10.0)
+"""m/s2; between the equator and the poles it is 9.78 to 9.83, and often rounded."""
+
+OTHER_GRAVITIES = ((981.0, "cm/s2"), (9810.0, "mm/s2"), (32.2, "ft/s2"), (386.0, "in/s2"), (1.0, "g"))
+
+HIGHEST_STORY = 25.0
+"""m."""
+
+BUILDING_STORY = 2.3
+"""m; from here on a story is one of a building that people use."""
+
+MODEL_STORY = 0.6
+"""m; up to here it is one of a model in a laboratory."""
+
+LIGHTEST_FLOOR = 300.0
+"""kg, of a building."""
+
+HEAVIEST_MODEL_FLOOR = 3000.0
+"""kg."""
+
+HIGHEST_TIMES_FREQUENCY = 200.0
+"""m Hz. A building's first frequency is 46 Hz m over its height (Ellis 1980), within a factor of two or so;
+rad/s would make that 290."""
+
+NEAR = 0.15
+"""Of the logarithm: so near must a ratio be to a factor between units."""
+
+STEEP = 0.15
+"""Relative deviation of story heights from multiples of the first at which they still look added up."""
+
+SLOWEST = 0.02
+"""Hz; the tallest towers begin at some 0.1 Hz, and long bridges at 0.05 Hz."""
+
+LEAST_STD = 1e-6
+"""Relative standard deviation; the best counters and interferometers of a laboratory are no better."""
+
+LARGEST_STD = {"frequency_std": 0.05, "mode_shape_std": 0.3}
+"""Relative standard deviations beyond which nothing is measured any more: percent?"""
+
+FACTORS = ((2 * np.pi, "2 pi, as of rad/s"), (60.0, "60, as of cycles a minute"), (1000.0, "1000, as of mHz"))
+"""Factors between units of frequency."""
+
+SAME_FACTOR = 0.1
+"""Standard deviation of the logarithms of the modes' ratios below which they are one factor: what changes a frame
+between two tests changes its modes differently."""
+
+CONTRADICTION = 4.0
+"""Standard deviations between the logarithms of the two totals."""
+
+LEAST_CONTRADICTION = 0.3
+"""Of the logarithm: a smaller contradiction is not worth a word."""
+
+POOREST = 0.6
+"""Standard deviation of the logarithm of a total that says nothing."""
+
+POOR = 4.0
+"""Cost a datum of a fit to which frames with one soft story or heavy floor are tried as well, and above which no shear
+frame is near enough to weigh."""
+
+VAGUE = 0.05
+"""Weight, in the uncertainty of an implied total, of the rows that keep floors and stories alike."""
+
+ROUGH_STEPS = 8
+"""Steps of those fits."""
+
+UNIT_OFF = 0.5
+"""Of the logarithm: so near must the ratio be to 1000, or its inverse, to look like a unit."""
+
+TALLEST_FITTED = 24
+"""Stories up to which the frame is fitted."""
+
+
+def gravity(experiment: Experiment) -> Iterator[Finding]:
+    """Gravity is known."""
+    value = experiment.frame.gravity
+    if EARTH[0] <= value <= EARTH[1]:
+        return
+    unit = next((f" (that would be {unit})" for size, unit in OTHER_GRAVITIES if _near(value, size)), "")
+    yield Finding(
+        "gravity", None, f"gravity = {value:g} m/s2 is not the Earth's{unit}",
+        "write it in m/s2, 9.81, or leave it out", refuses=False,
+    )  # fmt: skip
+
+
+def heights(experiment: Experiment) -> Iterator[Finding]:
+    """No story is as high as a tower."""
+    found = experiment.frame.story_heights
+    if found is None or found.max() <= HIGHEST_STORY:
+        return
+    yield Finding(
+        "heights", None, f"story_heights of up to {found.max():g} m look like mm or cm",
+        "write story_heights in m", refuses=False,
+    )  # fmt: skip
+
+
+def masses(experiment: Experiment) -> Iterator[Finding]:
+    """Floors of a building weigh tons, those of a model that stands on a table do not."""
+    frame = experiment.frame
+    if frame.story_heights is None or frame.known_total is None:
+        return
+    height, floor = float(np.mean(frame.story_heights)), frame.known_total / experiment.stories
+    if BUILDING_STORY <= height <= HIGHEST_STORY and floor < LIGHTEST_FLOOR:
+        unit = "t"
+    elif height <= MODEL_STORY and floor > HEAVIEST_MODEL_FLOOR:
+        unit = "g"
+    else:
+        return
+    yield Finding(
+        "masses", None,
+        f"floors of {quantity(floor, 'kg', 3)} each under stories of {significant(height, 3)} m look like masses in "
+        f"{unit}",
+        "write masses in kg", refuses=False,
+    )  # fmt: skip
+
+
+def angular_frequency(experiment: Experiment) -> Iterator[Finding]:
+    """Design values of masses and stiffnesses give the frequencies; else a tall building's height tells their order."""
+    ratio = _over_nominal(experiment)
+    lowest = next((each.frequencies[0] for each in experiment.configurations if each.modes[0] == 1), None)
+    heights = experiment.frame.story_heights
+    if ratio is not None:
+        if not _near(ratio, 2 * np.pi):
+            return
+        said = f"the frequencies are {ratio:.2f} times those of the nominal masses and stiffnesses, about 2 pi"
+    elif lowest is not None and heights is not None and BUILDING_STORY <= heights.mean() <= HIGHEST_STORY:
+        if lowest * heights.sum() <= HIGHEST_TIMES_FREQUENCY:
+            return
+        height = significant(heights.sum(), 3)
+        said = f"a first frequency of {significant(lowest, 3)} Hz is high for a building of {height} m"
+    else:
+        return
+    yield Finding(
+        "angular_frequency", None, f"{said}: they look like rad/s",
+        "write frequencies in Hz, the angular ones divided by 2 pi", refuses=False,
+    )  # fmt: skip
+
+
+def added_up(experiment: Experiment) -> Iterator[Finding]:
+    """Story heights that grow like 1, 2, 3, ... are the floors' elevations."""
+    found = experiment.frame.story_heights
+    if found is None or len(found) < 2:
+        return
+    multiples = found / found[0] / np.arange(1, len(found) + 1)
+    if np.max(np.abs(multiples - 1)) < STEEP:
+        yield Finding(
+            "elevations", None, f"story_heights grow from {found[0]:g} to {found[-1]:g} m as elevations of floors do",
+            "write the height of each story, not the sum of those below", refuses=False,
+        )  # fmt: skip
+
+
+def slow(experiment: Experiment) -> Iterator[Finding]:
+    """No structure swings once a minute."""
+    lowest = min(float(each.frequencies[0]) for each in experiment.configurations)
+    if lowest < SLOWEST:
+        yield Finding(
+            "time_unit", None,
+            f"a first frequency of {significant(lowest, 3)} Hz is lower than that of any frame: it looks like time in "
+            "milliseconds, or frequencies in kHz",
+            "write frequencies in Hz, and times in s", refuses=False,
+        )  # fmt: skip
+
+
+def deviations(experiment: Experiment) -> Iterator[Finding]:
+    """Standard deviations that no instrument has, of measurements and of soft statements."""
+    for each in experiment.configurations:
+        for key, largest in LARGEST_STD.items():
+            value = getattr(each, key)
+            if value is None:
+                continue
+            std = np.asarray(value, dtype=float)
+            std = std[np.isfinite(std) & (std > 0)]
+            if not std.size:
+                continue
+            if std.min() < LEAST_STD:
+                yield _deviation(each.name, f"{key} = {std.min():.1g} is finer than any instrument measures")
+            elif np.median(std) > largest:
+                yield _deviation(
+                    each.name, f"{key} = {np.median(std):g} would leave nothing measured: it looks like percent"
+                )
+    frame = experiment.frame
+    stated = [("total_mass_std", frame.total_mass_std)]
+    stated += [(f"std of the prior {prior.describe()}", getattr(prior, "std", None)) for prior in experiment.priors]
+    for words, value in stated:
+        if value is not None and float(value) < LEAST_STD:
+            yield _deviation(None, f"{words} = {float(value):.1g} is finer than anything is known; exact without std")
+
+
+def _deviation(configuration: str | None, said: str) -> Finding:
+    change = "write relative standard deviations, 0.01 for 1 %, or leave them out"
+    return Finding("deviations", configuration, said, change, refuses=False)
+
+
+def repeats(experiment: Experiment) -> Iterator[Finding]:
+    """Two tests never agree to the last digit."""
+    for names in repeated_configurations(experiment):
+        listed = ", ".join(f'"{name}"' for name in names)
+        yield Finding(
+            "repeated", names[1], f"configurations {listed} repeat each other to the last digit",
+            "leave all but one of them out: a copy is no further test", refuses=False,
+        )  # fmt: skip
+
+
+def frequency_units(experiment: Experiment) -> Iterator[Finding]:
+    """One configuration's frequencies are all off from those of the others by a factor between units.
+
+    The same modes of other configurations are compared with, the median where there are several.
+    """
+    tests = experiment.configurations
+    off = [_off_by(each, [other for other in tests if other is not each]) for each in tests]
+    wrong = [(each, said) for each, said in zip(tests, off, strict=True) if said]
+    for each, (ratio, words) in wrong:
+        # Of two that differ either can be wrong.
+        either = " (or those of the other are smaller by it)" if len(tests) == 2 else ""
+        yield Finding(
+            "frequency_unit", each.name,
+            f"all frequencies are {significant(ratio, 3)} times those of other configurations, about {words}{either}",
+            "write frequencies in Hz", refuses=True,
+        )  # fmt: skip
+        if len(tests) == 2:
+            return
+
+
+def _off_by(configuration: Configuration, others: Sequence[Configuration]) -> tuple[float, str] | None:
+    """The factor on a configuration's frequencies, where all modes that others have say the same, and its words."""
+    known: dict[int, list[float]] = {}
+    for other in others:
+        for mode, frequency in zip(other.modes.tolist(), np.log(other.frequencies).tolist(), strict=True):
+            known.setdefault(mode, []).append(frequency)
+    ratios = np.array([
+        np.log(frequency) - np.median(known[mode])
+        for mode, frequency in zip(configuration.modes.tolist(), configuration.frequencies, strict=True)
+        if mode in known
+    ])  # fmt: skip
+    if not ratios.size or ratios.std() > SAME_FACTOR:
+        return None
+    ratio = float(np.exp(ratios.mean()))
+    for factor, words in FACTORS:
+        if _near(ratio, factor):
+            return ratio, words
+        if len(others) > 1 and _near(ratio, 1 / factor):
+            return ratio, f"1/{words}"
+    return None
+
+
+def _over_nominal(experiment: Experiment) -> float | None:
+    """The frequencies measured over those of the design values; None where these do not give any."""
+    values: dict[str, Floats] = {}
+    for prior in experiment.priors:
+        suggested = prior.suggested(experiment.stories)
+        if prior.fixes_scale and suggested is not None and not np.any(np.isnan(suggested)):
+            values[prior.quantity] = suggested
+    known = experiment.frame.floor_masses
+    mass = values.get("floor_mass") if known is None else known
+    if mass is None and experiment.frame.known_total is not None:
+        mass = np.full(experiment.stories, experiment.frame.known_total / experiment.stories)
+    if mass is None or "story_stiffness" not in values:
+        return None
+    logs = [
+        np.log(each.frequencies)
+        - np.log(_frequencies(mass + each.added_mass, values["story_stiffness"])[each.modes - 1])
+        for each in experiment.configurations
+    ]
+    return float(np.exp(np.median(np.concatenate(logs))))
+
+
+def _frequencies(mass: Floats, stiffness: Floats) -> Floats:
+    return modes(mass_matrix(mass), stiffness_matrix(stiffness)).frequencies
+
+
+def _near(value: float, size: float) -> bool:
+    return bool(abs(np.log(value / size)) < NEAR)
+
+
+def total_mass(experiment: Experiment) -> Iterator[Finding]:
+    """The declared total against that of the configurations."""
+    if experiment.frame.total_mass_placeholder:
+        said = f"total_mass = {experiment.frame.total_mass:g} stands for one that nobody gave: masses and stiffnesses "
+        change = "write total_mass in kg, and take total_mass_placeholder out"
+        yield Finding("total_mass", None, f"{said}are relative to it", change, refuses=False)
+        return
+    declared = experiment.frame.known_total
+    different = {tuple(each.added_mass) for each in experiment.configurations}
+    if declared is None or len(different) < 2 or experiment.stories > TALLEST_FITTED:
+        return
+    total, std = implied_total(experiment)
+    off = float(np.log(declared / total))
+    if std > POOREST or abs(off) < max(LEAST_CONTRADICTION, CONTRADICTION * std):
+        return
+    said = (
+        f"the added masses changed the frequencies as they would those of a frame of {quantity(total, 'kg', 3)} "
+        f"(give or take {100 * std:.0f} %), and {quantity(declared, 'kg', 6)} are declared"
+    )
+    unit = next((unit for unit, factor in (("g", 1e3), ("t", 1e-3)) if abs(off - np.log(factor)) < UNIT_OFF), None)
+    if unit is not None:
+        change = "write total_mass (or floor_masses) in kg"
+        yield Finding("masses", None, f"{said}: it looks like {unit}", change, refuses=False)
+        return
+    change = "check total_mass (or floor_masses, without the added mass) and each added_mass"
+    yield Finding("total_mass", None, said, change, refuses=False)
+
+
+def implied_total(experiment: Experiment) -> tuple[float, float]:
+    """The total mass without added mass, kg, that the configurations imply, and the std of its logarithm.
+
+    The std is infinite where no shear frame is near all configurations.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Of two configurations at least with different added mass.
+    """
+    N = experiment.stories
+    readings = [Reading.of(each) for each in experiment.configurations]
+    added = [each.added_mass for each in experiment.configurations]
+    problem = ShearFrames(
+        [(reading, mass, reading.weights) for reading, mass in zip(readings, added, strict=True)], centred=True
+    )
+    heaviest = max(float(mass.sum()) for mass in added) / N
+
+    def tuned(start: Floats) -> Floats:
+        """The frame with floors of the added mass, its stiffnesses scaled to the first reading's mean frequency."""
+        start = start + np.repeat([np.log(heaviest), 0.0], N)
+        mass, stiffness = np.split(np.exp(start), 2)
+        off = readings[0].log_frequencies - np.log(_frequencies(mass + added[0], stiffness)[readings[0].modes])
+        return np.asarray(start + np.repeat([0.0, 2 * np.mean(off)], N))
+
+    found = problem.nearest(tuned(np.zeros(2 * N)))
+    count = sum(reading.count for reading in readings)
+    if found.cost > POOR * count:
+        others = (problem.nearest(tuned(start), ROUGH_STEPS) for start in odd_starts(N))
+        found = problem.nearest(min((found, *others), key=lambda item: item.cost).theta)
+    share = np.exp(found.theta[:N])
+    if found.at is None or found.cost > POOR * count:
+        return float(share.sum()), np.inf
+    # What floors usually weigh decides no contradiction: it counts for little here, the added masses for all.
+    J = found.at.J.copy()
+    J[-2 * N :] *= VAGUE
+    covariance = np.linalg.pinv(J.T @ J)
+    by_masses = share / share.sum()
+    scatter = max(1.0, found.cost / max(len(found.at.r) - 2 * N, 1))
+    return float(share.sum()), float(np.sqrt(scatter * by_masses @ covariance[:N, :N] @ by_masses))
+
+
+DOUBTS = (angular_frequency, heights, added_up, masses, gravity, slow, deviations, repeats)
+"""What is looked for in the declaration, whatever the shapes are like."""

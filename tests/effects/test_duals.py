@@ -1,0 +1,74 @@
+"""Frequencies alone cannot tell a chain from its dual: stories 1 / m from the top down, floors 1 / k likewise."""
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from cvxshear.effects import Place, Placed, catalogue, compose, named
+from cvxshear.measurement.experiment import Experiment
+
+STORIES = 4
+CHANGE = -0.2
+"""Of a stiffness; the dual's mass changes by -0.2 / 0.8 of itself, downwards a quarter up."""
+
+
+def bare(name="after"):
+    """Two states without any added mass."""
+    tests = [{"name": state, "frequencies": [1.0]} for state in ("before", name)]
+    return Experiment.from_dict({"frame": {"stories": STORIES, "total_mass": 4.0}, "configuration": tests})
+
+
+def eigenvalues(mass, stiffness, placed=None, *own):
+    tested = bare()
+    effects = [] if placed is None else [placed]
+    state = compose(tested, tested.configurations[1], effects, np.concatenate([mass, stiffness, own]))
+    return linalg.eigh(state.system.K, state.system.M, eigvals_only=True)
+
+
+WITH_DUAL = [
+    (effect, place) for effect in catalogue() for place in effect.places(bare()) if effect.dual(place, STORIES)
+]
+
+
+@pytest.mark.parametrize(("effect", "place"), WITH_DUAL, ids=lambda item: getattr(item, "name", None))
+def test_the_dual_has_the_same_frequencies(effect, place):
+    rng = np.random.default_rng(3)
+    mass, stiffness = rng.uniform(0.5, 2.0, STORIES), rng.uniform(0.5, 2.0, STORIES)
+    dual_mass, dual_stiffness = 1 / stiffness[::-1], 1 / mass[::-1]
+    np.testing.assert_allclose(eigenvalues(dual_mass, dual_stiffness), eigenvalues(mass, stiffness), rtol=1e-12)
+    name, there = effect.dual(place, STORIES)
+    (other,) = named([name])
+    # The factor f on a stiffness is 1 / f on the mass of the dual, and the other way round.
+    factor, inverse = 1.0 + CHANGE, 1.0 / (1.0 + CHANGE) - 1.0
+
+    def own(placed, floors, change):
+        kilograms = placed.effect.parameters[0].unit == "kg"
+        return change * floors[placed.place.floor - 1] if kilograms else change
+
+    here, mirrored = Placed(effect, place), Placed(other, there)
+    np.testing.assert_allclose(
+        eigenvalues(dual_mass, dual_stiffness, mirrored, own(mirrored, dual_mass, inverse)),
+        eigenvalues(mass, stiffness, here, own(here, mass, CHANGE)),
+        rtol=1e-12,
+    )
+    assert factor * (1.0 + inverse) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("effect", "place"), WITH_DUAL, ids=lambda item: getattr(item, "name", None))
+def test_the_dual_of_the_dual_is_the_effect(effect, place):
+    name, there = effect.dual(place, STORIES)
+    (other,) = named([name])
+    assert other.dual(there, STORIES) == (effect.name, place)
+
+
+def test_what_has_no_dual():
+    for name in ("gravity", "ground_spring", "sensor_gain", "joint_rotation"):
+        (effect,) = named([name])
+        assert effect.dual(Place(floor=2), STORIES) is None
+
+
+def test_an_effect_without_anything_to_bind_is_itself():
+    for effect in catalogue():
+        assert effect.kind == "cause"
+        if effect.name != "attached_mass":
+            assert effect.bound(bare()) is effect

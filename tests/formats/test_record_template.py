@@ -1,0 +1,170 @@
+"""A record file begun from what a logger wrote: its columns, units and rate, and a record that can be read."""
+
+from __future__ import annotations
+
+import gzip
+
+import numpy as np
+import pytest
+from scipy import io
+
+from cvxshear.files import formats
+from cvxshear.files.columns import Columns
+from cvxshear.files.record_file import read_record
+from tests.fuzz.files import columns
+
+GRAVITY = 9.80665
+"""m/s2 (CGPM 1901)."""
+
+
+@pytest.fixture(scope="module")
+def values():
+    """Time, ground and three floors, m/s2, 20 Hz."""
+    return columns()
+
+
+def text(header: str, values, separator: str = ",", comma: bool = False) -> str:
+    lines = [separator.join(f"{value:.9g}" for value in row) for row in values]
+    rows = "\n".join(lines)
+    return header + (rows.replace(".", ",") if comma else rows) + "\n"
+
+
+HEADS = {
+    "plain": ("time,ground,acc_1,acc_2,acc_3\n", {}, 1.0),
+    "brackets": ("Time [s],Base [g],acc_1 (g),acc_2 (g),acc_3 (g)\n", {}, GRAVITY),
+    "a line of units": ("Time,Table,a1,a2,a3\ns,mm/s2,mm/s²,mm/s^2,mm/s/s\n", {}, 1e-3),
+    "a preamble": ("Logger 7\nOperator: A. B., C\n\nStart,2024-05-01\nt,ground,f1,f2,f3\n", {}, 1.0),
+    "semicolons, decimal comma, Latin-1": (
+        "Brücke Nord\nZeit [s];Boden [m/s²];Stock 1 [m/s²];Stock 2 [m/s²];Stock 3 [m/s²]\n",
+        {"separator": ";", "comma": True},
+        1.0,
+    ),
+    "tabs": ("t\tinput (cm/s2)\tch1 (gal)\tch2 (Gal)\tch3 (cm/s²)\n", {"separator": "\t"}, 1e-2),
+    "commented header": ("# t ground a1 a2 a3\n", {"separator": " "}, 1.0),
+}
+
+
+def begun(run, folder, file):
+    status, out, err = run("new", "--record", folder / file, "-o", folder / "record.toml")
+    assert (status, out, err) == (0, "", "")
+    return (folder / "record.toml").read_text(encoding="utf-8"), read_record(folder / "record.toml").record
+
+
+def check(record, values, factor=1.0):
+    assert record.sampling_rate == pytest.approx(20.0, rel=1e-6)
+    assert (record.input, record.floors.tolist()) == ("base", [1, 2, 3])
+    np.testing.assert_allclose(record.runs[0].responses, factor * values[:, 2:], rtol=1e-6)
+    np.testing.assert_allclose(record.runs[0].excitation, factor * values[:, 1], rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", HEADS)
+def test_headers(kind, values, run, tmp_path):
+    header, options, factor = HEADS[kind]
+    encoding = "latin-1" if "ü" in header else "utf-8"
+    (tmp_path / "a.csv").write_text(text(header, values, **options), encoding=encoding)
+    said, record = begun(run, tmp_path, "a.csv")
+    check(record, values, factor)
+    # Every guess says that it is one: the kind of input, the time, four floors, and the units where there are some.
+    assert said.count("GUESSED") == 1 + 6 + 4 * (factor != 1.0 or "m/s²" in header)
+
+
+def test_stamps(values, run, tmp_path):
+    """Dates with times, in steps of 50 ms."""
+    rows = [f"2024-05-01 23:59:{45 + 0.05 * i:06.3f}" if i < 300 else f"2024-05-02 00:00:{0.05 * i - 15:06.3f}"
+            for i in range(len(values))]  # fmt: skip
+    numbers = [";".join(f"{value:.9g}" for value in row[1:]) for row in values]
+    body = "\n".join(f"{stamp};{row}" for stamp, row in zip(rows, numbers, strict=True))
+    (tmp_path / "a.csv").write_text(f"Timestamp;ground;a1;a2;a3\n{body}\n")
+    check(begun(run, tmp_path, "a.csv")[1], values)
+
+
+def test_milliseconds(values, run, tmp_path):
+    (tmp_path / "a.csv").write_text(text("time [ms],ground,a1,a2,a3\n", values * [1e3, 1, 1, 1, 1]))
+    check(begun(run, tmp_path, "a.csv")[1], values)
+
+
+@pytest.mark.parametrize(
+    ("line", "rate"), [("Sampling rate: 20 Hz", 20.0), ("fs = 20,0", 20.0), ("SampleFreq;20", 20.0)]
+)
+def test_a_rate_in_the_preamble(line, rate, values, run, tmp_path):
+    (tmp_path / "a.csv").write_text(text(f"Logger\n{line}\nground;a1;a2;a3\n", values[:, 1:], ";"))
+    said, record = begun(run, tmp_path, "a.csv")
+    check(record, values)
+    assert f"sampling_rate = {rate}  # Hz, GUESSED from" in said
+
+
+def test_no_rate_is_to_be_filled_in(values, run, tmp_path):
+    (tmp_path / "a.csv").write_text(text("ground,a1,a2,a3\n", values[:, 1:]))
+    assert run("new", "--record", tmp_path / "a.csv", "-o", tmp_path / "r.toml")[0] == 0
+    status, _, err = run("modes", tmp_path / "r.toml")
+    assert (status, "record: give sampling_rate, in Hz" in err) == (2, True)
+    said = (tmp_path / "r.toml").read_text().replace("# sampling_rate = 100.0", "sampling_rate = 20.0")
+    (tmp_path / "r.toml").write_text(said)
+    check(read_record(tmp_path / "r.toml").record, values)
+
+
+def compressed(path, values):
+    path.write_bytes(gzip.compress(text("time,ground,a1,a2,a3\n", values).encode()))
+
+
+def mat(path, values):
+    io.savemat(
+        path, {"time": values[:, 0], "ground": values[:, 1], "a1": values[:, 2], "a2": values[:, 3], "a3": values[:, 4]}
+    )
+
+
+def npz(path, values):
+    np.savez(path, time=values[:, 0], ground=values[:, 1], a1=values[:, 2], a2=values[:, 3], a3=values[:, 4])
+
+
+def npy(path, values):
+    names = ("time", "ground", "a1", "a2", "a3")
+    np.save(path, np.array([tuple(row) for row in values], dtype=[(name, "f8") for name in names]))
+
+
+def xlsx(path, values):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (["Test of May"], [], ["Time [s]", "ground", "a1", "a2", "a3"], *values.tolist()):
+        book.active.append(row)
+    book.save(path)
+
+
+@pytest.mark.parametrize(
+    ("ending", "write"), [("csv.gz", compressed), ("mat", mat), ("npz", npz), ("npy", npy), ("xlsx", xlsx)]
+)
+def test_kinds_of_files(ending, write, values, run, tmp_path):
+    write(tmp_path / f"a.{ending}", values)
+    check(begun(run, tmp_path, f"a.{ending}")[1], values)
+
+
+def test_a_force(values, run, tmp_path):
+    (tmp_path / "a.csv").write_text(text("t,Hammer [kN],acc_1 [g],acc_2 [g],acc_3 [g]\n", values))
+    _, record = begun(run, tmp_path, "a.csv")
+    assert (record.input, record.runs[0].floor) == ("force", 3)
+    np.testing.assert_allclose(record.runs[0].excitation, 1e3 * values[:, 1], rtol=1e-6)
+    np.testing.assert_allclose(record.runs[0].responses, GRAVITY * values[:, 2:], rtol=1e-6)
+
+
+@pytest.mark.parametrize("command", ["modes", "loop", "check", "identify"])
+def test_a_command_says_how_to_begin(command, values, run, tmp_path):
+    (tmp_path / "a.csv").write_text(text("time,ground,a1,a2,a3\n", values))
+    status, out, err = run(command, tmp_path / "a.csv")
+    assert (status, out) == (2, "")
+    assert f"'cvxshear new --record {tmp_path}/a.csv -o a.toml' writes a record file" in err
+
+
+def test_a_format_of_ones_own(values, run, tmp_path, monkeypatch):
+    """One more line in the table, and record files, `new` and messages know it."""
+
+    def read(path, limit):
+        return Columns(str(path), ("time", "ground", "a1", "a2", "a3"), np.frombuffer(path.read_bytes()).reshape(-1, 5))
+
+    monkeypatch.setattr(formats, "FORMATS", list(formats.FORMATS))
+    formats.register(formats.Format("raw", (".raw64",), "raw numbers", read))
+    (tmp_path / "a.raw64").write_bytes(np.ascontiguousarray(values).tobytes())
+    check(begun(run, tmp_path, "a.raw64")[1], values)
+    assert ".raw64" in formats.endings_of("columns")
+    assert "a.raw64 is raw numbers, which does not say" in run("modes", tmp_path / "a.raw64")[2]
+    with pytest.raises(ValueError, match=r"the ending \.csv is that of delimited text already"):
+        formats.register(formats.Format("mine", (".csv",), "mine", read))

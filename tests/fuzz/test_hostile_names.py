@@ -1,0 +1,260 @@
+"""Names made to do harm, through every output of every command: no formula, no control character, no traceback."""
+
+from __future__ import annotations
+
+import ast
+import csv
+import io
+import json
+import re
+import tomllib
+import unicodedata
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from cvxshear.files.toml import load
+from cvxshear.util.text import cell_text
+from tests.campaign.shared import write_records
+
+NAMES = (
+    # What a spreadsheet takes for a formula, and what hides one.
+    "=1+1", "+1+1", "-1+1", "@SUM(1+1)", '=HYPERLINK("http://x.y","z")', "=cmd|' /C calc'!A0", "＝1+1", "＋1", "－1",
+    "＠A1", " =1+1", "'=1+1", "a,=1+1", "a;=1+1", 'a",=1+1', "a\t=1+1", "a\n=1+1", "\t=1+1", "\r=1+1", "\n=1+1",
+    "0x1p3", "1e5",
+    # What steers a terminal, or no file of its kind can hold.
+    "a\x00b", "a\x01b", "\x07", "\x1b[31mred", "\x1b]0;t\x07", "a\x7fb", "a\x85b", "a\x9bb", "a\u2028b", "a\u202eb",
+    "a\u200bb", "\ufeffa", "a\ufffe", "a\r\nb",
+    # What ends a string, a comment or an element, or is markup.
+    '"""', "'''", "\\", "a\\", "*/", "]]>", "--><script>alert(1)</script>", "<b>&amp;", "[bold]a[/bold]", "$\\frac{$",
+    "{title}", "{0}", "%s", "[/]", "#",
+    # What no sheet can be called, or two not at the same time.
+    "History", "history", "a/b\\c?*[1]:", "'a'", "x" * 40, "x" * 41, "X" * 40,
+)  # fmt: skip
+MASSES = (10.0, 8.0)
+STIFFNESSES = (20e3, 15e3)
+FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠", "\t", "\r")
+"""First letters of a formula, as spreadsheet programs read them (OWASP)."""
+
+
+def test_the_names_are_many():
+    assert len(set(NAMES)) == len(NAMES) >= 50
+
+
+def toml_string(name: str) -> str:
+    """A string of TOML, every letter by its number, so that nothing that is tested has written it."""
+    return '"' + "".join(f"\\U{ord(each):08x}" for each in name) + '"'
+
+
+def configuration(name: str, added: float) -> str:
+    """A configuration of two floors with its exact modes to six digits."""
+    m1, m2 = MASSES[0], MASSES[1] + added
+    k1, k2 = STIFFNESSES
+    # The quadratic in omega^2 of two floors.
+    a, b, c = m1 * m2, -((k1 + k2) * m2 + k2 * m1), k1 * k2
+    squares = [(-b - sign * (b * b - 4 * a * c) ** 0.5) / (2 * a) for sign in (1, -1)]
+    shapes = [[1.0, (k1 + k2 - each * m1) / k2] for each in squares]
+    return (
+        f"[[configuration]]\nname = {toml_string(name)}\nadded_mass = [0, {added}]\n"
+        f"frequencies = {[round(each**0.5 / (2 * np.pi), 6) for each in squares]}\n"
+        f"mode_shapes = {np.round(shapes, 6).tolist()}\nfrequency_std = 0.001\nmode_shape_std = 0.01\n"
+        "damping_ratios = 0.01\n"
+    )
+
+
+def measurement(path, names):
+    parts = [configuration(name, 0.25 * (place % 8)) for place, name in enumerate(names)]
+    path.write_text("[frame]\ntotal_mass = 18.0\nstory_heights = 3.0\n" + "".join(parts), encoding="utf-8")
+    assert [each.name for each in load(path).configurations] == list(names)
+    return path
+
+
+def sound_text(text: str, kind: str) -> None:
+    """No control character and nothing that turns or hides text; of its kind, sound."""
+    found = {each for each in text if unicodedata.category(each) in ("Cc", "Cf", "Zl", "Zp", "Cs") and each != "\n"}
+    assert not found, (kind, found)
+    if kind == ".json":
+        json.loads(text)
+    elif kind == ".toml":
+        tomllib.loads(text)
+    elif kind == ".py":
+        compile(ast.parse(text), "script", "exec")
+    elif kind == ".svg":
+        ElementTree.fromstring(text)
+    elif kind == ".csv":
+        for row in csv.reader(io.StringIO(text)):
+            assert not [cell for cell in row if cell.lstrip(" '") != cell and not cell.startswith(("'", " "))]
+            assert not [cell for cell in row if formula(cell)], row
+
+
+def formula(cell: str) -> bool:
+    """Whether a program would take a cell for one; a number with its sign is none."""
+    try:
+        float(cell)
+    except ValueError:
+        return cell.lstrip(" ").startswith(FORMULA)
+    return False
+
+
+def sound_workbook(content: bytes) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.load_workbook(io.BytesIO(content))
+    titles = book.sheetnames
+    assert len({each.lower() for each in titles}) == len(titles)
+    assert all(len(each) <= 31 and not re.search(r"[\\/*?:\[\]]", each) and each.strip("'") == each for each in titles)
+    for text in titles:
+        sound_text(text, ".xlsx")
+    for page in book:
+        for row in page.iter_rows():
+            for cell in row:
+                assert cell.data_type != "f"
+                if isinstance(cell.value, str):
+                    sound_text(cell.value, ".xlsx")
+                    assert not formula(cell.value)
+
+
+def sound(path) -> None:
+    content = path.read_bytes()
+    assert content
+    if path.suffix == ".xlsx":
+        sound_workbook(content)
+    elif path.suffix in (".json", ".toml", ".py", ".svg", ".csv", ".html", ".uff"):
+        sound_text(content.decode("utf-8"), path.suffix)
+
+
+def check(run, folder, *arguments, outputs) -> None:
+    """Run a command with all its outputs, and look into each."""
+    options = [part for option, name in outputs for part in (option, name.replace("OUT", str(folder / "out")))]
+    status, out, err = run(*arguments, *options)
+    assert (status, err) == (0, "")
+    sound_text(out, "terminal")
+    for _, name in outputs:
+        sound(folder / f"out{name.partition('OUT')[2]}")
+    status, out, err = run(*arguments, "--json", "-")
+    assert (status, err) == (0, "")
+    sound_text(out, ".json")
+
+
+OPTIONS = {".json": "--json", ".csv": "--csv", ".xlsx": "--xlsx", ".html": "--report", ".uff": "--uff", ".toml": "-o"}
+
+
+def into(*endings: str, figures=()) -> list[tuple[str, str]]:
+    """The options that ask for files of these endings, and for these figures."""
+    drawn = [("--figure", f"{kind}:OUT-{kind}.svg") for kind in figures]
+    return [(OPTIONS[ending], f"OUT{ending}") for ending in endings] + drawn
+
+
+def few(start: int) -> list[str]:
+    return list(NAMES[start::6])
+
+
+@pytest.mark.parametrize("start", range(6))
+def test_identify(start, run, tmp_path):
+    file = measurement(tmp_path / "a.toml", few(start))
+    kinds = into(".json", ".csv", ".xlsx", figures=["frame", "mac"])
+    check(run, tmp_path, "identify", file, outputs=kinds)
+    check(run, tmp_path, "identify", file, "--method", "two-stage", outputs=into(".json", ".csv", ".xlsx"))
+
+
+@pytest.mark.parametrize("start", range(6))
+def test_loop(start, run, tmp_path):
+    file = measurement(tmp_path / "a.toml", few(start))
+    kinds = into(".json", ".csv", ".xlsx", ".html", figures=["frame", "mac"])
+    check(run, tmp_path, "loop", file, "--effects", "ground_spring", outputs=kinds)
+
+
+def test_check(run, tmp_path):
+    check(run, tmp_path, "check", measurement(tmp_path / "a.toml", NAMES), outputs=into(".json"))
+
+
+def test_backends(run, tmp_path):
+    file = measurement(tmp_path / "a.toml", few(0)[:4])
+    kinds = [*into(".json"), ("--figure", "OUT.svg")]
+    check(run, tmp_path, "backends", file, "--only", "kkt,clarabel", "--repeat", "1", outputs=kinds)
+
+
+@pytest.mark.parametrize("start", range(0, 6, 3))
+def test_plan(start, run, tmp_path):
+    file = measurement(tmp_path / "a.toml", few(start))
+    kinds = [*into(".json", ".toml"), ("--figure", "OUT.svg")]
+    check(run, tmp_path, "plan", file, "--added-mass", "5", outputs=kinds)
+
+
+def records(folder, names) -> list:
+    """Record files of one record, whose name, file and channels are called so."""
+    source = write_records(folder, '\n[frame]\ntotal_mass = 22.5\n')[0]
+    header, *rows = (folder / "bare.csv").read_text().splitlines()
+    text = source.read_text(encoding="utf-8")
+    made = []
+    for place, name in enumerate(names):
+        (folder / f"{place}").mkdir()
+        channels = [*header.split(",")[:-1], name.strip() or "c"]
+        line = ",".join('"' + each.replace('"', '""').replace("\n", " ").replace("\r", " ") + '"' for each in channels)
+        (folder / f"{place}" / "data.csv").write_text("\n".join([line, *rows]), encoding="utf-8")
+        column = next(csv.reader([line]))[-1].strip()
+        said = text.replace('"floor3"', toml_string(column)).replace('"bare.csv"', '"data.csv"')
+        path = folder / f"{place}" / f"{file_name(name)}.toml"
+        said = said.replace("[record]", f"[record]\nname = {toml_string(name)}")
+        path.write_text(said.replace('state = "bare"', f"state = {toml_string(name)}"), encoding="utf-8")
+        made.append(path)
+    return made
+
+
+def file_name(name: str) -> str:
+    return name.replace("/", " ").replace("\0", " ")[:80]
+
+
+@pytest.mark.parametrize("start", range(6))
+def test_modes(start, run, tmp_path):
+    made = records(tmp_path, few(start)[:5])
+    kinds = into(".json", ".csv", ".xlsx", ".html", ".toml")
+    check(run, tmp_path, "modes", *made, outputs=kinds)
+    check(run, tmp_path, "modes", made[0], outputs=into(".uff", ".csv", ".xlsx", figures=["shapes", "stabilization"]))
+
+
+MODELS = ("npz", "mat", "json", "py", "xlsx")
+
+
+@pytest.mark.parametrize("name", NAMES[::4])
+def test_predict(name, run, tmp_path):
+    record = records(tmp_path, [name])[0]
+    file = measurement(tmp_path / f"{file_name(name)}.toml", [name, "b"])
+    text = (
+        record.read_text(encoding="utf-8").replace("[0.0, 0.0, 0.0]", "[0.0, 0.0]").replace("floor = 3", "floor = 2", 1)
+    )
+    # Two floors: the third channel is left out.
+    record.write_text(text[: text.rindex("[[channel]]")] + "\n", encoding="utf-8")
+    kinds = [*into(".json", ".html"), ("--figure", "peaks:OUT-peaks.svg"), ("--out", "OUT.uff")]
+    kinds += [("--export", f"OUT-model.{kind}") for kind in MODELS]
+    check(run, tmp_path, "predict", file, "--record", record, "--configuration", name, outputs=kinds)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_new_names_a_file(name, run, tmp_path):
+    table = tmp_path / f"{file_name(name)}.csv"
+    table.write_text("frequency,floor 1,floor 2\n3.5,0.6,1\n9.1,1,-0.7\n")
+    status, out, err = run("new", "--from", table, "-o", tmp_path / "new.toml")
+    assert (status, out, err) == (0, "", "")
+    sound(tmp_path / "new.toml")
+    assert (tmp_path / tomllib.loads((tmp_path / "new.toml").read_text())["configuration"][0]["csv"]) == table
+    assert run("identify", tmp_path / "new.toml")[0] == 0
+
+
+def test_a_name_of_no_letters_is_refused(run, tmp_path):
+    """A file whose name is no UTF-8 cannot be named in TOML."""
+    table = tmp_path / "a\udcff.csv"
+    table.write_text("frequency,floor 1,floor 2\n3.5,0.6,1\n9.1,1,-0.7\n")
+    status, out, err = run("new", "--from", table, "-o", tmp_path / "new.toml")
+    assert (status, out) == (2, "")
+    assert r"a\udcff.csv: a name that is no UTF-8 text cannot stand in TOML" in err
+    assert not (tmp_path / "new.toml").exists()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_cell_holds_the_name(name):
+    """A name without what does harm is left as it is, and no two become one by the apostrophe alone."""
+    shown = cell_text(name)
+    assert not formula(shown)
+    if name.isprintable() and not formula(name.lstrip(" '")):
+        assert shown == name

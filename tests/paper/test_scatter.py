@@ -1,0 +1,149 @@
+"""The noise study: its statistics by hand, its samples, and the efficiency of the efficient method."""
+
+import json
+
+import numpy as np
+import pytest
+
+from cvxshear import InputError, UnsuitableError
+from cvxshear.paper import noise_study, paper_setups, six_story_study
+from cvxshear.paper.scatter import Scatter
+from cvxshear.paper.setups import Setup, six_story, three_story
+from cvxshear.report.terminal import text
+
+ALLOWED = 1.10
+"""Root-mean-square error over Cramer-Rao bound that the efficient method stays within."""
+
+COVERED = (0.93, 0.97)
+"""Where the share of 95 % intervals that hold the truth lies."""
+
+
+def ratio_error(samples):
+    """Standard deviation of error / bound by chance: of a root mean square of normal errors."""
+    return 1 / np.sqrt(2 * samples)
+
+
+def coverage_error(samples):
+    return np.sqrt(0.95 * 0.05 / samples)
+
+
+def check_efficient(scatter):
+    samples = len(scatter.estimates)
+    assert scatter.answered.all()
+    assert np.max(scatter.ratio) <= ALLOWED + 3 * ratio_error(samples)
+    # Less than the bound would mean a wrong bound.
+    assert np.min(scatter.ratio) >= 1 - 4 * ratio_error(samples)
+    assert np.min(scatter.coverage) >= COVERED[0] - 3 * coverage_error(samples)
+    assert np.max(scatter.coverage) <= COVERED[1] + 3 * coverage_error(samples)
+    # No bias beyond chance plus a tenth of the scatter.
+    assert np.all(np.abs(scatter.bias) < 3 * scatter.bias_error + 0.1 * scatter.relative_bound)
+
+
+@pytest.mark.parametrize(("sigma", "samples"), [(0.01, 100), (0.05, 300)])
+def test_the_efficient_method_reaches_the_bound_on_the_papers_frame(sigma, samples):
+    check_efficient(noise_study(paper_setups([sigma]), ("efficient",), samples, seed=11).scatters[0])
+
+
+def test_the_efficient_method_reaches_the_bound_on_incomplete_data():
+    check_efficient(six_story_study(120, seed=12).scatters[0])
+
+
+def test_the_two_stage_method_is_two_to_seven_times_above_the_bound():
+    scatter = noise_study(paper_setups([0.05]), ("two-stage",), 2000, seed=13).scatters[0]
+    assert 1.8 < np.min(scatter.ratio) < 2.1
+    assert 7.0 < np.max(scatter.ratio) < 8.0
+    assert scatter.coverage is None
+
+
+def by_hand():
+    setup = Setup(np.array([2.0]), np.array([100.0]), 0.01)
+    estimates = np.array([[2.0, 90.0], [2.0, 104.0], [2.0, 112.0], [np.nan, np.nan]])
+    std = np.array([[0.1, 5.0], [0.1, 5.0], [0.1, 7.0], [np.nan, np.nan]])
+    return Scatter(setup, "efficient", estimates, std, np.array([0.0, 4.0]), 0.5)
+
+
+def test_the_statistics_by_hand():
+    scatter = by_hand()
+    assert scatter.mean[1] == pytest.approx(102.0)
+    assert scatter.bias[1] == pytest.approx(0.02)
+    # Deviations -12, 2, 10 from the mean: 248 / 2 is the variance.
+    assert scatter.variation[1] == pytest.approx(np.sqrt(124) / 102)
+    assert scatter.bias_error[1] == pytest.approx(np.sqrt(124 / 3) / 100)
+    # Errors -10, 4, 12.
+    assert scatter.rmse[1] == pytest.approx(np.sqrt(260 / 3) / 100)
+    assert scatter.ratio[1] == pytest.approx(np.sqrt(260 / 3) / 4)
+    # 10 > 9.8, 4 < 9.8, 12 < 13.7.
+    assert scatter.coverage[1] == pytest.approx(2 / 3)
+
+
+def test_a_sample_without_an_answer_is_counted_and_left_out():
+    assert by_hand().to_dict()["failures"] == 1
+
+
+def test_where_nothing_is_left_to_estimate_there_is_no_ratio():
+    """One story: its mass is the total."""
+    assert np.isnan(by_hand().ratio[0])
+    assert by_hand().to_dict()["ratio"][0] is None
+
+
+def test_all_methods_see_the_same_samples_and_a_seed_repeats_them():
+    study = noise_study(paper_setups([0.02]), ("two-stage", "one-shot"), 20, seed=4)
+    again = noise_study(paper_setups([0.02]), ("one-shot",), 20, seed=4)
+    other = noise_study(paper_setups([0.02]), ("one-shot",), 20, seed=5)
+    np.testing.assert_array_equal(study.of("one-shot").estimates, again.scatters[0].estimates)
+    assert not np.allclose(again.scatters[0].estimates, other.scatters[0].estimates, rtol=1e-6)
+
+
+@pytest.mark.parametrize("backend", ["clarabel", "osqp"])
+def test_the_backend_does_not_change_the_answer(backend):
+    setups = paper_setups([0.03])
+    closed_form, iterative = (
+        noise_study(setups, ("efficient",), 5, seed=6, backend=name).scatters[0] for name in ("kkt", backend)
+    )
+    np.testing.assert_allclose(iterative.estimates, closed_form.estimates, rtol=1e-6)
+
+
+def test_progress_counts_every_identification():
+    seen = []
+    noise_study(
+        paper_setups([0.01, 0.02]), ("one-shot", "efficient"), 3, seed=7, progress=lambda *each: seen.append(each)
+    )
+    assert seen == sorted(seen)
+    assert seen[-1] == (12, 12)
+
+
+def test_two_processes_give_the_same_figures():
+    alone, together = (noise_study(paper_setups([0.03]), ("efficient",), 6, seed=9, jobs=jobs) for jobs in (1, 2))
+    np.testing.assert_array_equal(alone.scatters[0].estimates, together.scatters[0].estimates)
+    np.testing.assert_array_equal(alone.scatters[0].stated_std, together.scatters[0].stated_std)
+    assert np.all(np.isfinite(alone.scatters[0].stated_std))
+
+
+def test_a_method_that_cannot_use_the_data_says_so():
+    with pytest.raises(UnsuitableError, match=r"two-stage cannot use .* it needs all 6 modes"):
+        noise_study([six_story()], ("two-stage",), 5)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [({"samples": 1}, "samples"), ({"seed": -1}, "seed"), ({"methods": ("best",)}, "method")],
+)
+def test_a_study_that_is_none_is_refused(change, message):
+    with pytest.raises(InputError, match=message):
+        noise_study(paper_setups(), **change)
+
+
+def test_what_the_study_has_not_is_refused():
+    study = noise_study(paper_setups([0.01]), ("one-shot",), 3)
+    assert study.of("one-shot", 0.01) is study.scatters[0]
+    with pytest.raises(InputError, match=r"no method 'one-shot' at mode_shape_std 0\.02"):
+        study.of("one-shot", 0.02)
+
+
+def test_json_and_terminal_have_the_figures():
+    study = noise_study([three_story(0.05)], ("two-stage", "efficient"), 4, seed=8)
+    assert json.loads(json.dumps(study.to_dict()))["scatters"][0]["method"] == "two-stage"
+    shown = text(study, width=150)
+    assert all(f"{value:.2f}" in shown for value in 100 * study.scatters[0].relative_bound)
+    assert "shape noise 5 %, frequencies exact" in shown
+    assert "truth in the 95 % interval" in shown

@@ -1,0 +1,65 @@
+"""The noise that follows from a record: Au's factors from the spectrum itself, and the study of simulated records."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
+from cvxshear.planning.expected_noise import BAND_WIDTH, Declared, Recorded, band_factors
+from cvxshear.records.simulate import PAPER_FRAME
+from cvxshear.util.errors import InputError
+
+WHICH = np.arange(3)
+
+
+def paper_modes():
+    return modes(mass_matrix(PAPER_FRAME.masses), stiffness_matrix(PAPER_FRAME.stiffnesses))
+
+
+def test_the_band_factors_are_fisher_information_of_a_resonance():
+    """Of log(S / (1 + u^2)), u in half-widths of the resonance: the information of a Whittle likelihood."""
+    for kappa in (1.0, 4.0, 10.0):
+        frequency = quad(lambda u: (2 * u / (1 + u**2)) ** 2, -kappa, kappa)[0]
+        slope = quad(lambda u: 2 / (1 + u**2), -kappa, kappa)[0]
+        damping = quad(lambda u: (2 / (1 + u**2)) ** 2, -kappa, kappa)[0] - slope**2 / (2 * kappa)
+        expected = (frequency / (2 * np.pi), damping / (2 * np.pi), slope / 4)
+        np.testing.assert_allclose(band_factors(kappa), expected, rtol=1e-8)
+
+
+def test_ambient_frequencies_follow_aus_law():
+    found = paper_modes()
+    std, _ = Recorded("ambient", 1200.0, damping=0.01).of(found, PAPER_FRAME.masses, WHICH)
+    wide = np.sqrt(0.01 / (2 * np.pi * 1200.0 * found.frequencies))
+    np.testing.assert_allclose(std, wide / np.sqrt(band_factors(BAND_WIDTH)[0]))
+    law = 1 / np.sqrt(2 * np.pi * 0.01 * 1200.0 * found.frequencies * band_factors(BAND_WIDTH)[1])
+    np.testing.assert_allclose(Recorded("ambient", 1200.0).damping_std(found.frequencies), law)
+    assert Declared().damping_std(found.frequencies) is None
+
+
+def test_four_times_the_record_halves_every_standard_deviation():
+    short, long = (Recorded("ambient", T).of(paper_modes(), PAPER_FRAME.masses, WHICH) for T in (600.0, 2400.0))
+    for once, again in zip(short, long, strict=True):
+        np.testing.assert_allclose(once, 2 * again)
+
+
+@pytest.mark.parametrize(
+    ("kind", "duration", "frequency", "entries"),
+    [
+        ("ambient", 1200.0, (0.146, 0.106, 0.080), (0.075, 0.265, 0.347)),
+        ("shaker", 1200.0, (0.0054, 0.0045, 0.0036), (0.021, 0.060, 0.132)),
+        ("hammer", 900.0, (0.0022, 0.0015, 0.0008), (0.047, 0.045, 0.057)),
+    ],
+)
+def test_the_laws_are_what_simulated_records_scatter_by(kind, duration, frequency, entries):
+    """Root mean square errors, %, of twenty seeds with 5 % noise: `python -m tests.benchmarks.records` prints them."""
+    expected = Recorded(kind, duration, damping=0.01, noise=0.05).of(paper_modes(), PAPER_FRAME.masses, WHICH)
+    for law, seen in zip(expected, (frequency, entries), strict=True):
+        ratio = np.array(seen) / (100 * law)
+        assert np.all((ratio > 0.55) & (ratio < 1.5)), ratio
+
+
+def test_a_record_that_is_too_short_is_refused():
+    with pytest.raises(InputError, match="periods of the lowest mode in the record"):
+        Recorded("ambient", 5.0).of(paper_modes(), PAPER_FRAME.masses, WHICH)
+    with pytest.raises(InputError, match="excitation must be one of ambient, shaker, hammer"):
+        Recorded("wind", 5.0)
