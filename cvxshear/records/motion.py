@@ -150,21 +150,21 @@ class Motion:
                 f'{record.name} has {found}; a prediction needs what drove the frame in time: input = "base" with a '
                 'channel on floor 0, or input = "force" with a channel of the force'
             )
-        found, _ = one_a_floor(record)
-        measured = found.quantity == "acceleration"
+        single, _ = one_a_floor(record)
+        measured = single.quantity == "acceleration"
         drives = tuple(
             Drive(
                 run.excitation,
-                run.floor if found.input == "force" else 0,
+                run.floor if single.input == "force" else 0,
                 run.responses if measured else None,
                 run.name,
             )
-            for run in found.runs
+            for run in single.runs
             if run.excitation is not None
         )
-        floors = found.floors if measured else np.zeros(0, dtype=np.int64)
+        floors = single.floors if measured else np.zeros(0, dtype=np.int64)
         added = None if added_mass is None else np.asarray(added_mass, dtype=np.float64)
-        return Motion(drives, found.sampling_rate, found.input, floors, added, found.name, state)
+        return Motion(drives, single.sampling_rate, single.input, floors, added, single.name, state)
 
 
 def trend(values: Floats, there: Bools | None = None) -> Floats:

@@ -97,7 +97,7 @@ def test_loop_is_fitted_once(folder, capsys):
     status, out, _ = run(capsys, "predict", "loop.json", "--record", "shaken.toml", "--json", "-")
     assert status == 0
     said = json.loads(out)
-    assert [each["name"] for each in said.pop("about")["files"]] == ["loop.json", "shaken.toml"]
+    assert sorted(each["name"] for each in said.pop("about")["files"]) == ["loop.json", "shaken.toml"]
     assert said == closed["validation"]
     assert closed["damping"]["ratios"] == pytest.approx(closed["validation"]["damping"]["ratios"])
 
@@ -191,7 +191,7 @@ def test_a_record_as_the_model_is_that_of_its_modes(folder, capsys):
     status, out, _ = run(capsys, "predict", "shaken.toml", "--record", "shaken.toml", "--json", "-")
     assert status == 0
     said = json.loads(out)
-    assert said.pop("warnings") == []
+    assert [each["name"] for each in said.pop("warnings")] == ["total_mass"]
     assert any("have no scale" in remark for remark in said["remarks"])
     assert said.pop("about")["files"]
     assert said == json.loads(json.dumps(predict("shaken.toml", "shaken.toml").to_dict()))
