@@ -28,6 +28,7 @@ stories = {stories}
 {total}
 # story_heights = {heights}  # m, one number or one a story; effects such as gravity need them
 # total_mass_std = 0.01  # relative: how well the total mass is known; exact where not given
+# total_mass_placeholder = true  # total_mass stands for one that nobody knows: all comes out relative to it
 # floor_masses = {masses}  # kg, where they are known, in place of total_mass
 # gravity = 9.81  # m/s2
 # reference = "bare"  # the state that is the frame itself
@@ -93,6 +94,11 @@ TAIL = """
 # [[effect]]
 # name = "story_change"
 # story = 1
+
+# [[effect]]
+# name = "bracing"
+# floor = 1
+# to = 3  # the higher floor of an effect that joins two
 
 # [damping]  # how damping is modelled where a response is predicted
 # kind = "modal"  # or "story", "rayleigh"

@@ -229,3 +229,26 @@ def test_records_that_cannot_be_reconstructed_are_refused():
         recording_of(Motion((Drive(shaking(200)),), 100.0))
     with pytest.raises(InputError, match="a reconstruction needs a record file"):
         recording_of(3)
+
+
+def test_a_record_file_gives_one_channel_a_floor_between_start_and_end(tmp_path):
+    """Two sensors on floor 2 turn against each other, one looks backwards, one across; 1.5 s of 3 s is asked for."""
+    time = np.arange(300) / 100
+    moved, turned = np.sin(9 * time), 0.2 * np.cos(5 * time)
+    columns = [time, np.cos(9 * time), moved + turned, turned - moved, 7 * moved]
+    table = np.column_stack(columns)
+    table[150, 2] = np.nan
+    np.savetxt(tmp_path / "r.csv", table, delimiter=",", header="time,ground,a,b,c", comments="")
+    channel = '[[channel]]\ncolumn = "{}"\nfloor = {}\ndirection = {}\n'
+    (tmp_path / "r.toml").write_text(
+        '[record]\ninput = "base"\n[[run]]\nfile = "r.csv"\nstart = 1.0\nend = 2.5\n'
+        '[[channel]]\ncolumn = "ground"\nfloor = 0\n'
+        + "".join(channel.format(*each) for each in (("a", 2, 0.0), ("b", 2, 180.0), ("c", 1, 90.0)))
+    )
+    found = recording_of(tmp_path / "r.toml")
+    assert found.floors.tolist() == [2]
+    (only,) = found.runs
+    expected = moved[100:250].copy()
+    expected[50] = np.nan
+    np.testing.assert_allclose(only.measured[:, 0], expected, atol=1e-12)
+    np.testing.assert_allclose(only.excitation, np.cos(9 * time[100:250]), atol=1e-12)
