@@ -97,8 +97,7 @@ TAIL = """
 
 # [[effect]]
 # name = "bracing"
-# floor = 1
-# to = 3  # the higher floor of an effect that joins two
+# to = 1  # the higher floor of an effect that joins two; floor is then the lower
 
 # [damping]  # how damping is modelled where a response is predicted
 # kind = "modal"  # or "story", "rayleigh"

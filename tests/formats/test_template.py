@@ -12,7 +12,10 @@ from cvxshear.files.measurement_template import template
 
 PAGE = (Path(__file__).parents[2] / "docs/measurement-file.md").read_text(encoding="utf-8")
 TABLES = ("frame", "configuration", "static", "effect", "damping")
-EXCLUSIVE = ("total_mass_placeholder", "csv", "xlsx", "uff", "modes", "other_modes", "mass_normalized", "exclude", "total_mass_std")
+EXCLUSIVE = (
+    "csv", "xlsx", "uff", "modes", "other_modes", "mass_normalized", "exclude", "total_mass_std",
+    "total_mass_placeholder",
+)  # fmt: skip
 """Keys in place of others, or of modes that the file's own are not."""
 
 
