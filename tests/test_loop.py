@@ -270,7 +270,7 @@ class Boundless(Brace):
 
 
 def test_an_effect_that_does_not_say_how_large_it_may_be_is_refused():
-    with pytest.raises(InputError, match="effect brace_between_floors: sizes.. says nothing of b and its bounds are infinite"):
+    with pytest.raises(InputError, match="says nothing of b and its bounds are infinite"):
         close_loop(Experiment.from_dict(shear()), effects=[Boundless()])
 
 
