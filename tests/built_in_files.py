@@ -79,15 +79,27 @@ OF_JOINTS = """\
 def main(folder: Path) -> None:
     """Write all files that this script makes to a folder."""
     with tempfile.TemporaryDirectory() as scratch:
-        for name, record in MINI.items():
-            columns, _, motion = record.partition("-")
-            motion = "a scaled earthquake (Northridge)" if motion == "northridge" else "a sine of 2 Hz"
-            header = OF_MINI.format(columns=columns, motion=motion)
-            (folder / f"{name}.toml").write_text(header + from_record(mini_table(Path(scratch), record)))
-        (folder / "southampton.toml").write_text(OF_SOUTHAMPTON + from_record(southampton(Path(scratch))))
+        for name in (*MINI, "southampton"):
+            record = record_of(name, Path(scratch))
+            (folder / f"{name}.toml").write_text(header_of(name) + from_record(record))
     for direction in "xy":
         (folder / f"iasc-asce-{direction}.toml").write_text(benchmark(direction))
     (folder / "ucl-loosened-joints.toml").write_text(loosened_joints())
+
+
+def record_of(name: str, folder: Path) -> Path:
+    """The record file of a built-in frame, written to a folder."""
+    return southampton(folder) if name == "southampton" else mini_table(folder, MINI[name])
+
+
+def header_of(name: str) -> str:
+    """What a built-in frame is, with its source."""
+    if name == "southampton":
+        return OF_SOUTHAMPTON
+    columns, _, motion = MINI[name].partition("-")
+    return OF_MINI.format(
+        columns=columns, motion="a scaled earthquake (Northridge)" if motion == "northridge" else "a sine of 2 Hz"
+    )
 
 
 def from_record(record: Path) -> str:
