@@ -81,7 +81,7 @@ class NoiseEstimate:
         return {"factor": factor, "std": factor * float(np.sqrt(self.covariance[at, at]))}
 
 
-def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats) -> NoiseEstimate:
+def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats, *, here: bool = False) -> NoiseEstimate:
     """The noise that a fit speaks for.
 
     Parameters
@@ -92,6 +92,8 @@ def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats) -> NoiseEstima
         At its optimum.
     free : ndarray, shape (P, f)
         Directions that the parameters are free to go, each of unit effect on the residuals.
+    here : bool, optional
+        Take the factors of the fit as they are, as an estimate that did not settle.
 
     Returns
     -------
@@ -100,13 +102,20 @@ def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats) -> NoiseEstima
     if not misfit.unknown:
         return NoiseEstimate()
     marginal = _Marginal(misfit, at, free)
-    best = optimize.fmin_bfgs(marginal.loss, marginal.start, fprime=marginal.slope, disp=False)
+    if here:
+        best = marginal.start
+    else:
+        best = optimize.fmin_bfgs(marginal.loss, marginal.start, fprime=marginal.slope, disp=False)
     # Where the marginal has no maximum the search runs off.
     v: Floats = np.clip(best, -LARGEST, LARGEST)
     covariance: Floats = np.asarray(np.linalg.inv(_curvature(marginal, v)), dtype=np.float64)
     kinds = tuple(item.key for item in misfit.unknown)
     u, slope = marginal.log_factors(v)
     spread = slope[:, None] * covariance * slope
+    if here:
+        local = marginal.value(v) + 0.5 * float(np.linalg.slogdet(covariance)[1])
+        local -= float(np.sum(np.log(marginal.widths)))
+        return NoiseEstimate(kinds, u, spread, local, settled=False)
     return NoiseEstimate(kinds, u, spread, _log_integral(marginal, v, covariance))
 
 

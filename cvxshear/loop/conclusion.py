@@ -51,7 +51,7 @@ def conclude(
     looked_for: Sequence[Hypothesis],
     wanted: Sequence[Effect],
     *,
-    repeated: Sequence[tuple[str, str]] = (),
+    said: Sequence[str] = (),
     widened: Sequence[Search] = (),
 ) -> Closure:
     """The verdict on the visited sets.
@@ -63,8 +63,8 @@ def conclude(
     looked_for : sequence of Hypothesis
     wanted : sequence of Effect
         That were asked for.
-    repeated : sequence of (str, str), optional
-        Tests that were left out, each with the one that it repeats.
+    said : sequence of str, optional
+        What a reader should know of the tests and effects that were left out.
     widened : sequence of Search, optional
         The searches under noise so wide that the residual is probable, where nothing explains it under the noise as it
         is: these judge the effects, whose sizes are provisional then.
@@ -107,7 +107,7 @@ def conclude(
         not_considered={each.name: lack for each in wanted if (lack := each.lacks(fitter.experiment))},
         remains=tuple(where_it_sits(final)) if significant and not negligible else (),
         information=(
-            *(f'"{name}" repeats "{same}" to the last digit: both count as one test' for name, same in repeated),
+            *said,
             *_information(search, posterior, judged, negligible=negligible),
         ),
         next_test=next_test(judged, rivals),
@@ -265,7 +265,7 @@ def _shown_sets(posterior: Posterior) -> Iterator[EffectSet]:
     for model, probability in zip(posterior.models, posterior.probabilities, strict=True):
         if probability >= SHOWN and model.estimate is not None:
             order = tuple(placed for placed in model.estimate.effects if placed in model.effects)
-            yield EffectSet(order, float(probability), model.log_evidence, model.estimate.chi2, model.changes)
+            yield EffectSet(order, min(float(probability), 1.0), model.log_evidence, model.estimate.chi2, model.changes)
 
 
 def _candidates(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[Candidate]:
