@@ -21,6 +21,9 @@ from cvxshear import Experiment, close_loop
 from cvxshear.effects import Scale, catalogue
 from tests.fe.experiments import FREQUENCY_STD, HEIGHT, MODE_SHAPE_STD, placed_at_random, simulated_as_drawn
 
+KINDS = ("prior", "small")
+"""Frames with everything drawn from the stated priors; frames in gravity with one small effect more."""
+
 LEFT_OUT = {"attached_mass", "wrong_prior", "total_mass"}
 """Causes that are not drawn like the others: a motion of its own, a prior that no frame here has, a declaration."""
 
@@ -101,14 +104,15 @@ def size_from_prior(effect, scale, rng):
     """A size from Student's t about the null value within the bounds, or even on the interval."""
     (item, *_), (size, *_) = effect.parameters, effect.expected_sizes(scale)
     while True:
-        value = rng.uniform(item.lower, item.upper) if np.isinf(size) else item.null + size * rng.standard_t(effect.tail)
+        even = np.isinf(size)
+        value = rng.uniform(item.lower, item.upper) if even else item.null + size * rng.standard_t(effect.tail)
         if item.lower < value < item.upper:
             return float(value)
 
 
 def drawn_frame(drawn):
     """The measurement and the truth."""
-    rng = np.random.default_rng([drawn.seed, ("prior", "small").index(drawn.kind)])
+    rng = np.random.default_rng([drawn.seed, KINDS.index(drawn.kind)])
     for _ in range(MOST_DRAWS):
         try:
             return _drawn_once(drawn.kind, rng)
@@ -213,7 +217,8 @@ def print_reliability(results: Sequence[Made]) -> None:
         mine = [(p, there) for p, _, there in every if low <= p < high or (high == 1.0 and p >= low)]
         if mine:
             p, count = [each for each, _ in mine], sum(there for _, there in mine)
-            print(f"| {100 * low:g} to {100 * high:g} % | {len(mine)} | {count} | {sum(p):.1f} | {chance(p, count):.2g} |")
+            cells = f"{100 * low:g} to {100 * high:g} %", len(mine), count, f"{sum(p):.1f}", f"{chance(p, count):.2g}"
+            print(f"| {' | '.join(map(str, cells))} |")
 
 
 def print_ranks(title: str, ranks: Sequence[float]) -> None:
