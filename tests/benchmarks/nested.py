@@ -9,6 +9,7 @@ which the frame's parameters are sampled. A box that cuts anything off fails.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from importlib import import_module
 
 import numpy as np
 from scipy import linalg, stats
@@ -189,14 +190,14 @@ class Integrand:
         last = own.stop
         if self.open:
             z[last] = SIZE_WIDTH * stats.norm.ppf(u[last])
-            z[own] = SIZES[self.problem.effect] * np.exp(z[last]) * _normal(u[own])
+            z[own] = SIZES[self.problem.effect] * np.exp(z[last]) * stats.norm.ppf(u[own])
             last += 1
         elif self.own and self.problem.effect == "gravity":
             z[own] = 1.0 + 0.2 * u[own]
         elif self.own:
             half = self.problem.effect == "ground_spring"
             z[own] = SIZES[self.problem.effect] * stats.t.ppf(0.5 + u[own] / 2 if half else u[own], TAIL)
-        z[last:] = NOISE_WIDTH * _normal(u[last:])
+        z[last:] = NOISE_WIDTH * stats.norm.ppf(u[last:])
         return z
 
     def value(self, z):
@@ -227,19 +228,11 @@ class Integrand:
         return float(result) if np.isfinite(result) else -1e300
 
 
-def _normal(u):
-    return stats.norm.ppf(u)
-
-
 def sampled(integrand, seed, live=LIVE):
     """log Z by nested sampling, and its error."""
-    import dynesty
-
-    def value(z):
-        return integrand.value(z)
-
+    dynesty = import_module("dynesty")
     sampler = dynesty.NestedSampler(
-        value, integrand.transform, integrand.dims, nlive=live, rstate=np.random.default_rng(seed), bound="multi"
+        integrand.value, integrand.transform, integrand.dims, nlive=live, rstate=np.random.default_rng(seed), bound="multi"
     )
     sampler.run_nested(dlogz=TOLERANCE, print_progress=False)
     result = sampler.results
