@@ -34,7 +34,8 @@ REACH = 9.0
 EDGE = 0.01
 """Part of the box at either end in which no more than a thousandth of the posterior may lie."""
 
-LIVE = 400
+LIVE = 250
+MANY = 8
 TOLERANCE = 0.05
 """Of the remaining log evidence at which nested sampling ends."""
 
@@ -231,9 +232,10 @@ class Integrand:
 def sampled(integrand, seed, live=LIVE):
     """log Z by nested sampling, and its error."""
     dynesty = import_module("dynesty")
-    sampler = dynesty.NestedSampler(
-        integrand.value, integrand.transform, integrand.dims, nlive=live, rstate=np.random.default_rng(seed), bound="multi"
-    )
+    rng = np.random.default_rng(seed)
+    # In many dimensions few of the points drawn from a bound lie within it; a walk wastes none.
+    how = {"bound": "multi", "sample": "rwalk" if integrand.dims >= MANY else "unif"}
+    sampler = dynesty.NestedSampler(integrand.value, integrand.transform, integrand.dims, nlive=live, rstate=rng, **how)
     sampler.run_nested(dlogz=TOLERANCE, print_progress=False)
     result = sampler.results
     weights = np.exp(result.logwt - result.logz[-1])
