@@ -84,8 +84,10 @@ class Made:
         Effects named with 95 % or more that are not there, twins of what is there aside.
     missed : int
         Effects that are there, and neither named nor a rival of what is.
-    frame_ranks, effect_ranks : tuple of float
-        Of the averaged masses and stiffnesses, and of the sizes of effects that are rightly named.
+    frame_ranks : tuple of float
+        Of the averaged masses and stiffnesses.
+    effect_ranks : tuple of (str, float)
+        Of the sizes of effects that are rightly named, with their names.
     named : tuple
     """
 
@@ -96,7 +98,7 @@ class Made:
     false: int
     missed: int
     frame_ranks: tuple[float, ...]
-    effect_ranks: tuple[float, ...]
+    effect_ranks: tuple[tuple[str, float], ...]
     named: tuple[tuple[Place, float], ...]
 
 
@@ -181,7 +183,8 @@ def made(drawn):
         if place(item) in there:
             value, std = (next(iter(item[key].values()), None) for key in ("parameters", "std"))
             if value is not None and std:
-                ranks.append(float(stats.norm.cdf((truth["sizes"][place(item)] - value) / std)))
+                rank = stats.norm.cdf((truth["sizes"][place(item)] - value) / std)
+                ranks.append((item["name"], float(rank)))
         elif item["probability"] >= 0.95 and not twins & there and result["verdict"] != "unexplained":
             false += 1
     averaged = result["averaged"]
@@ -245,7 +248,9 @@ def report(results: Sequence[Made], *, failures: bool = False) -> None:
     for kind in dict.fromkeys(r.drawn.kind for r in results):
         mine = [r for r in results if r.drawn.kind == kind]
         print_ranks(f"{kind}: masses and stiffnesses", [rank for r in mine for rank in r.frame_ranks])
-        print_ranks(f"{kind}: effects rightly named", [rank for r in mine for rank in r.effect_ranks])
+        named = [item for r in mine for item in r.effect_ranks]
+        print_ranks(f"{kind}: gravity's factor", [rank for name, rank in named if name == "gravity"])
+        print_ranks(f"{kind}: other effects rightly named", [rank for name, rank in named if name != "gravity"])
     if failures:
         for r in results:
             if r.false or r.missed:
