@@ -133,6 +133,8 @@ def matrices(problem, number, mass, stiffness, added, x):
 
 def modes(m, K, gain):
     """Frequencies and shapes, one row a mode; None where the frame does not stand."""
+    if not (m.min() > 0 and np.isfinite(K).all()):
+        return None
     root = np.sqrt(m)
     values, vectors = np.linalg.eigh(K / np.outer(root, root))
     if values[0] <= 0:
