@@ -34,8 +34,8 @@ class OpenClass(Effect):
     4.5. The evidence pays for the freedom: a cause of the catalogue that is right explains the same data with one
     parameter.
 
-    Two in a hundred tested frames have such a cause: the catalogue holds what practice meets, and each class stands for
-    what it lacks.
+    Each statement fails so in two of a hundred tested frames: the catalogue holds what practice meets, and a class
+    stands for what it lacks. Where a statement has two classes, each has one in a hundred.
     """
 
     kind = "open"

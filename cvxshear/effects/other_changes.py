@@ -23,6 +23,7 @@ class OtherChanges(OpenClass):
     formula = "k_i (1 + c_i) for every story i, in one state"
     source = "a repair, a rebuilt frame, another day: each story by itself"
     stage = "story"
+    probability = 0.01
     sits_at = ("state",)
     needs = ("several states",)
     holds_in_words = "that the stories are those of the other states"

@@ -23,6 +23,7 @@ class OtherGains(OpenClass):
     formula = "measured phi_j = (1 + g_j) phi_j for every floor j with a sensor"
     source = "sensors of different make, or calibrated by different hands"
     stage = "shape"
+    probability = 0.01
     holds_in_words = "that the sensors show the motion"
     place_in_words = "what stands out is the sensor at"
 

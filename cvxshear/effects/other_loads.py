@@ -25,6 +25,7 @@ class OtherLoads(OpenClass):
     formula = "M + diag(mass_i), in one state"
     source = "live load, furniture, instruments: each floor by itself"
     stage = "mass"
+    probability = 0.01
     sits_at = ("state",)
     needs = ("several states",)
     holds_in_words = "that the floors carry what was declared"

@@ -26,6 +26,7 @@ class OtherShapes(OpenClass):
     formula = "standard deviation of the shape entries of one state, of one floor or of all times an unknown factor"
     source = "a sensor on a soft bracket or that came loose, a clock, a mode that was not separated"
     stage = "shape"
+    probability = 0.01
     rescales = True
     sits_at = ("floor", "state")
     holds_in_words = "that the shapes are as accurate as their standard deviations"

@@ -11,7 +11,8 @@ from scipy import stats
 
 from cvxshear import backends
 from cvxshear.backends import Backend
-from cvxshear.effects import Effect, Placed, Scale
+from cvxshear.effects import Effect, Placed, Scale, catalogue, open_classes
+from cvxshear.effects.guests import refuse_faulty, refuse_repeated
 from cvxshear.effects.state import heights_of
 from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.expectation import Expectation
@@ -29,6 +30,7 @@ from cvxshear.loop.results import Closure
 from cvxshear.loop.search import REACH, Search
 from cvxshear.loop.verdicts import VERDICTS
 from cvxshear.measurement.experiment import Experiment
+from cvxshear.measurement.reading import repeated_configurations
 from cvxshear.priors import Prior
 from cvxshear.util.errors import CvxshearError, InputError, UnsuitableError
 from cvxshear.util.typing import Floats
@@ -77,22 +79,50 @@ def close_loop(
         Where the shear model itself could not be fitted by this backend.
     """
     experiment, repeated = without_repeated(experiment.with_priors(tuple(priors)))
-    wanted = chosen(effects)
+    wanted, left_out = _sound(chosen(effects), experiment)
     solver = backends.get(backend)
     there = _declared(experiment, solver, assumed(experiment, assume))
     looked_for = hypotheses(experiment, wanted, there)
     start = _first(experiment, solver, there)
     loop = _Loop(solver, there, looked_for, _expectation(experiment, start.theta, looked_for), start, jobs)
     found = searches(experiment, loop.begun, loop.dual)
-    result = conclude(found, looked_for, wanted, repeated=repeated)
+    said = (
+        *(f'"{name}" repeats "{same}" to the last digit: both count as one test' for name, same in repeated),
+        *(f"an effect was left out: {message}" for message in left_out),
+    )
+    result = conclude(found, looked_for, wanted, said=said)
     for _ in range(MOST_WIDENINGS):
         if not VERDICTS[result.verdict].provisional or not (excess := _excess(loop, result)):
             break
         # Evidence under noise that the residual refutes is none: the sets are judged again under as much as it takes.
         loop = dataclasses.replace(loop, widened=loop.widened * excess)
         again = searches(experiment, loop.begun, loop.dual)
-        result = conclude(found, looked_for, wanted, repeated=repeated, widened=again)
+        result = conclude(found, looked_for, wanted, said=said, widened=again)
     return result
+
+
+def _sound(wanted: Sequence[Effect], experiment: Experiment) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
+    """The effects that can take part, and why others, of one's own, cannot.
+
+    Raises
+    ------
+    InputError
+        Where two go by one name, or none of several can take part.
+    """
+    refuse_repeated(wanted)
+    own = {id(effect) for effect in (*catalogue(), *open_classes())}
+    sound: list[Effect] = []
+    messages = []
+    for effect in wanted:
+        try:
+            if id(effect) not in own:
+                refuse_faulty(effect, experiment)
+            sound.append(effect)
+        except InputError as error:
+            if len(wanted) == 1:
+                raise
+            messages.append(str(error))
+    return tuple(sound), tuple(messages)
 
 
 def without_repeated(experiment: Experiment) -> tuple[Experiment, tuple[tuple[str, str], ...]]:
@@ -100,20 +130,16 @@ def without_repeated(experiment: Experiment) -> tuple[Experiment, tuple[tuple[st
 
     Measured values that agree to the last digit are one measurement: counted twice they would seem twice as sure.
     """
-    first: dict[bytes, str] = {}
-    repeated = []
-    for each in experiment.configurations:
-        values = np.concatenate([each.added_mass, each.frequencies, each.mode_shapes.ravel()])
-        same = first.setdefault(values.tobytes(), each.name)
-        if same != each.name:
-            repeated.append((each.name, same))
+    groups = repeated_configurations(experiment)
+    kept = {each.name for each in experiment.configurations if each.state == experiment.frame.reference}
+    repeated = tuple((name, first) for first, *others in groups for name in others if name not in kept)
     copies = {name for name, _ in repeated}
     if not copies:
         return experiment, ()
     once = tuple(each for each in experiment.configurations if each.name not in copies)
     states = {each.state for each in once} | {each.state for each in experiment.static}
     expected = tuple(each for each in experiment.expected if each.state is None or each.state in states)
-    return dataclasses.replace(experiment, configurations=once, expected=expected), tuple(repeated)
+    return dataclasses.replace(experiment, configurations=once, expected=expected), repeated
 
 
 def _excess(loop: _Loop, result: Closure) -> float | None:

@@ -51,7 +51,7 @@ def conclude(
     looked_for: Sequence[Hypothesis],
     wanted: Sequence[Effect],
     *,
-    repeated: Sequence[tuple[str, str]] = (),
+    said: Sequence[str] = (),
     widened: Sequence[Search] = (),
 ) -> Closure:
     """The verdict on the visited sets.
@@ -63,8 +63,8 @@ def conclude(
     looked_for : sequence of Hypothesis
     wanted : sequence of Effect
         That were asked for.
-    repeated : sequence of (str, str), optional
-        Tests that were left out, each with the one that it repeats.
+    said : sequence of str, optional
+        What a reader should know of the tests and effects that were left out.
     widened : sequence of Search, optional
         The searches under noise so wide that the residual is probable, where nothing explains it under the noise as it
         is: these judge the effects, whose sizes are provisional then.
@@ -82,8 +82,7 @@ def conclude(
     assert judged is not None, "a set without a fit has no probability"
     final = judged
     if widened:
-        same = next(each for each in searches if each.fitter.numbering.changes == numbering.changes)
-        fitter, final = same.fitter, same.fit_of(found.effects)
+        final = fitter.fit(judged.misfit.replaced(widened=1.0), judged.theta)
     steps = _steps(final, posterior, fitter, searches[0].fitter)
     after = steps[-1]
     added = tuple(_added(posterior, judged, placed) for placed in _by_probability(posterior, judged, fitter))
@@ -107,7 +106,7 @@ def conclude(
         not_considered={each.name: lack for each in wanted if (lack := each.lacks(fitter.experiment))},
         remains=tuple(where_it_sits(final)) if significant and not negligible else (),
         information=(
-            *(f'"{name}" repeats "{same}" to the last digit: both count as one test' for name, same in repeated),
+            *said,
             *_information(search, posterior, judged, negligible=negligible),
         ),
         next_test=next_test(judged, rivals),
@@ -200,7 +199,10 @@ def _in_noise_of(final: Estimate, effects: Sequence[Placed], fitter: Fitter) -> 
     base = fitter.base or final
     first = final if final.experiment is fitter.experiment else base
     proposals = [
-        dataclasses.replace(proposal, misfit=proposal.misfit.replaced(noise=final.misfit.noise))
+        dataclasses.replace(
+            proposal,
+            misfit=proposal.misfit.replaced(noise=final.misfit.noise, widened=final.misfit.widened),
+        )
         for proposal in (fitter.proposal(start, wanted) for start in (first, base))
     ]
     misfit = proposals[0].misfit
@@ -265,7 +267,7 @@ def _shown_sets(posterior: Posterior) -> Iterator[EffectSet]:
     for model, probability in zip(posterior.models, posterior.probabilities, strict=True):
         if probability >= SHOWN and model.estimate is not None:
             order = tuple(placed for placed in model.estimate.effects if placed in model.effects)
-            yield EffectSet(order, float(probability), model.log_evidence, model.estimate.chi2, model.changes)
+            yield EffectSet(order, min(float(probability), 1.0), model.log_evidence, model.estimate.chi2, model.changes)
 
 
 def _candidates(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[Candidate]:

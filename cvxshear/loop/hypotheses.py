@@ -48,7 +48,8 @@ def hypotheses(experiment: Experiment, effects: Sequence[Effect], there: Sequenc
 
     An effect's probability is spread evenly over its places: with n of them each has 1 - (1 - p)^(1/n), so that the
     effect is somewhere with the probability p. Where a reference is named, every other state is one in which something
-    may have been done to the frame: p is then that of each state, and spread over its floors or stories.
+    may have been done to the frame: p is then that of each state, and spread over its floors or stories. That of an
+    open class is for all states together: a statement of the shear model either holds for a frame or does not.
 
     Parameters
     ----------
@@ -80,7 +81,7 @@ def _of(effect: Effect, experiment: Experiment) -> list[Hypothesis]:
     """One effect at its places, but where it is excluded."""
     said = {place: _said(experiment, effect, place) for place in effect.places(experiment)}
     places = [place for place, known in said.items() if not any(each.exclude for each in known)]
-    by_state = experiment.frame.reference is not None
+    by_state = experiment.frame.reference is not None and effect.kind != OPEN
 
     def alike(place: Place) -> list[Place]:
         return [other for other in places if not by_state or other.state == place.state]

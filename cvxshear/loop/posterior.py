@@ -90,7 +90,7 @@ class Posterior:
         for model, probability in zip(self.models, self.probabilities, strict=True):
             sums[model.changes] = sums.get(model.changes, 0.0) + float(probability)
         order = sorted(sums, key=lambda changes: -sums[changes])
-        return tuple(NumberingProbability(changes, sums[changes]) for changes in order)
+        return tuple(NumberingProbability(changes, min(sums[changes], 1.0)) for changes in order)
 
     def within(self, changes: Changes) -> Posterior:
         """The probabilities where the modes are known to be numbered in one way."""
