@@ -2,7 +2,8 @@
 
 python -m tests.calibration prints every table of docs/calibration.md: the right set by effect and number of
 configurations, pairs of effects among them; false additions for declared noise and four undeclared ones; reliability
-of the probabilities; coverage of the averaged masses and stiffnesses.
+of the probabilities; coverage of the averaged masses and stiffnesses. `python -m tests.calibration drawn` prints those
+of frames drawn from the stated priors and of small effects (`tests/drawn.py`).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 from scipy import stats
 
 from cvxshear import Experiment, close_loop
+from tests import drawn
 from tests.fe.experiments import simulated, simulated_pair
 
 EFFECTS = (
@@ -254,7 +256,8 @@ def false_additions(results):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--frames", type=int, default=20, help="for each effect and number of configurations")
+    parser.add_argument("part", nargs="?", choices=["placed", "drawn"], default="placed")
+    parser.add_argument("--frames", type=int, default=20, help="for each effect, or kind that is drawn")
     parser.add_argument("--pairs", type=int, default=15, help="frames for each pair of effects")
     parser.add_argument("--nothing", type=int, default=200, help="pure shear frames for each noise")
     parser.add_argument("--seed", type=int, default=1)
@@ -262,6 +265,10 @@ def main():
     parser.add_argument("--failures", action="store_true", help="list every frame that was not exactly right")
     options = parser.parse_args()
     jobs = options.jobs
+    if options.part == "drawn":
+        wanted = [drawn.Drawn(kind, 1000 * options.seed + i) for i in range(options.frames) for kind in drawn.KINDS]
+        drawn.report(drawn.run(wanted, jobs), failures=options.failures)
+        return
     results = run([*trials(options.frames, options.seed), *pairs(options.pairs, options.seed)], jobs)
     print_right(results)
     for title, (count, of) in shares(results).items():

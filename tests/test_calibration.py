@@ -3,7 +3,8 @@
 import pytest
 from scipy import stats
 
-from tests.calibration import Trial, coverage, false_additions, outcome, reliability
+from tests.calibration import Trial, coverage, outcome
+from tests.drawn import chance
 
 SEED = 7_000_000
 TALLEST = 4
@@ -13,8 +14,11 @@ FOUND = (
     "joint_rotation", "axial_columns", "base_rocking", "ground_spring", "added_mass", "mass_coupling", "sensor_gain",
     "story_change", "gravity",
 )  # fmt: skip
-LEVEL = 1e-3
-"""Probability that chance fails a sound library; the seeds being fixed, it fails always or never."""
+BARELY = 0.85
+"""How often a loop is right that these tests must not let pass: with the seeds below in at most one case in twenty."""
+
+LEVEL = 0.05
+"""Probability with which such a loop passes a test; the seeds being fixed, any loop passes always or never."""
 
 
 def trials():
@@ -33,34 +37,41 @@ def outcomes():
     return [outcome(trial) for trial in trials()]
 
 
-def least(count, probability):
-    """Fewest of so many that chance leaves."""
-    return int(stats.binom.ppf(LEVEL, count, probability))
+def most_wrong(count):
+    """Most of so many that may be wrong, where a loop that is right `BARELY` so often has as few with `LEVEL`."""
+    return int(stats.binom.ppf(LEVEL, count, 1.0 - BARELY)) - 1
 
 
-def test_exactly_the_right_set_in_three_configurations(outcomes):
-    there = [item for item in outcomes if item.wanted]
-    assert sum(item.word == "exact" for item in there) >= least(len(there), 0.97)
+def test_the_limit_fails_a_loop_that_is_barely_right_and_passes_a_good_one():
+    count = len(trials())
+    assert stats.binom.cdf(most_wrong(count), count, 1.0 - BARELY) <= LEVEL
+    assert stats.binom.cdf(most_wrong(count), count, 0.005) > 0.85
 
 
-def test_nothing_is_added_where_there_is_nothing(outcomes):
-    rows = false_additions(outcomes)
-    added, frames = sum(count for count, _ in rows.values()), sum(count for _, count in rows.values())
-    assert frames == 12
-    assert added <= int(stats.binom.isf(LEVEL, frames, 0.05))
+def test_what_is_there_is_found_exactly_and_nothing_is_claimed_where_there_is_nothing(outcomes):
+    """What is named besides counts as wrong unless the verdict is `ambiguous`: then its probability is below 95 %."""
+    wrong = [
+        (item.trial.effects, item.word, item.verdict, sorted(item.found, key=str))
+        for item in outcomes
+        if item.word != "exact" and not (item.word == "extra" and item.verdict == "ambiguous")
+    ]
+    assert len(wrong) <= most_wrong(len(outcomes)), wrong
+
+
+def test_little_is_added_where_there_is_nothing(outcomes):
+    nothing = [item for item in outcomes if not item.trial.effects]
+    assert sum(bool(item.found) for item in nothing) <= int(stats.binom.isf(LEVEL, len(nothing), 0.05))
 
 
 def test_probabilities_are_honest(outcomes):
     """Of what is named, as many are there as their probabilities add up to."""
-    rows = reliability(outcomes)
-    named, there = sum(row[2] for row in rows), sum(row[3] for row in rows)
-    assert named >= 10
-    mean = sum(row[2] * row[4] for row in rows) / named
-    assert there >= least(named, mean)
+    odds = [item for each in outcomes for item in each.odds]
+    assert len(odds) >= 10
+    assert chance([p for p, _ in odds], sum(there for _, there in odds)) > LEVEL
 
 
 def test_standard_deviations_of_the_averaged_frame_cover_the_truth(outcomes):
-    """Each interval holds it in 95 of 100; masses and stiffnesses of one frame err together, so frames are counted."""
+    """Each interval holds it in 95 of 100; masses and stiffnesses of one frame err together, as four of eight might."""
     covered, count = coverage(outcomes)
-    assert covered / count > 0.95 - 4 * (0.05 * 0.95 / count) ** 0.5 * 2
+    assert covered / count > 0.95 - 2 * (2 * 0.05 * 0.95 / count) ** 0.5 > BARELY
     assert covered / count < 1.0

@@ -68,12 +68,12 @@ def chi2s(of, mass, stiffness, effect, x):
 
 
 def log_prior_of(effect, x):
-    """The densities that the catalogue states, written out: normal, half normal, uniform."""
+    """The densities that docs/theory/loop.md states: Student's t with four degrees of freedom, half of it, uniform."""
     if effect is SPRING:
-        return np.where(x >= 0, stats.halfnorm.logpdf(x, scale=2200.0), -np.inf)
+        return np.where(x >= 0, np.log(2.0) + stats.t.logpdf(x, 4, scale=2200.0), -np.inf)
     if effect is GRAVITY:
         return stats.uniform.logpdf(x, 1.0, 0.2)
-    return stats.norm.logpdf(x, scale={GAIN: 0.05, TOTAL: 0.1}[effect])
+    return stats.t.logpdf(x, 4, scale={GAIN: 0.05, TOTAL: 0.1}[effect])
 
 
 def sampled(of, estimate, effect, seed, *, undeclared=False):

@@ -6,6 +6,7 @@ leave each other alone, so one evaluation with all of them gives every column.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -101,8 +102,9 @@ class Linearised:
         b, h, stds = -(own.T @ r), own.T @ own, self.expectation.of(placed)
         if effect.common_size:
             return _gain_of_common_size(b, h, stds, effect.size_width)
-        tails = NORMAL if np.isinf(effect.tail) else STUDENT
-        parts = [np.log(weight) + self._gain_of_normal(placed, b, h, factor * stds) for factor, weight in tails]
+        parts = [
+            np.log(weight) + self._gain_of_normal(placed, b, h, factor * stds) for factor, weight in _parts(placed)
+        ]
         return float(np.logaddexp.reduce(parts))
 
     def _gain_of_normal(self, placed: Placed, b: Floats, h: Floats, stds: Floats) -> float:
@@ -169,24 +171,36 @@ class Linearised:
             return result
         own, b = self._own[:, at], -self._slope[at]
         gram = own.T @ own
-        precision = np.array([1.0 / self._likely_sizes(placed)[0] ** 2 for placed in single])
-        a = np.diag(gram) + precision
-        determinant = np.outer(a, a) - gram**2
-        with np.errstate(divide="ignore", invalid="ignore"):
-            first = (a[None, :] * b[:, None] - gram * b[None, :]) / determinant
-            second = first.T
-            value = 0.5 * (first * b[:, None] + second * b[None, :]) - 0.5 * np.log(determinant)
         limits = [(p.effect.parameters[0].lower, p.effect.parameters[0].upper) for p in single]
         nulls = np.array([p.effect.parameters[0].null for p in single])
         lower, upper = np.array([low for low, _ in limits]) - nulls, np.array([high for _, high in limits]) - nulls
-        inside = (first >= lower[:, None]) & (first <= upper[:, None])
-        constants = np.array([_log_normal_constants(placed, self._likely_sizes(placed)) for placed in single])
-        value = np.where(inside & inside.T & (determinant > 1e-9 * np.outer(a, a)), value, -np.inf)
-        value = value + constants[:, None] + constants[None, :]
+        precision, constants = self._normal_parts(single)
+        value = np.full(gram.shape, -np.inf)
+        for i, j in itertools.product(range(len(precision)), repeat=2):
+            a, c = (np.diag(gram) + precision[i])[:, None], (np.diag(gram) + precision[j])[None, :]
+            determinant = a * c - gram**2
+            with np.errstate(divide="ignore", invalid="ignore"):
+                first = (c * b[:, None] - gram * b[None, :]) / determinant
+                second = (a * b[None, :] - gram * b[:, None]) / determinant
+                part = 0.5 * (first * b[:, None] + second * b[None, :]) - 0.5 * np.log(determinant)
+            inside = (first >= lower[:, None]) & (first <= upper[:, None]) & (second >= lower) & (second <= upper)
+            part = np.where(inside & (determinant > 1e-9 * a * c), part, -np.inf)
+            value = np.logaddexp(value, part + constants[i][:, None] + constants[j])
         np.fill_diagonal(value, -np.inf)
         places = [self.lacking.index(placed) for placed in single]
         result[np.ix_(places, places)] = value
         return result
+
+    def _normal_parts(self, single: Sequence[Placed]) -> tuple[Floats, Floats]:
+        """Precisions and logarithms of the weights, constants included, of the normal parts of each prior, (k, n)."""
+        precision, constants = np.zeros((2, len(STUDENT), len(single)))
+        constants -= np.inf
+        for at, placed in enumerate(single):
+            stds = self.expectation.of(placed)
+            for part, (factor, weight) in enumerate(_parts(placed)):
+                precision[part, at] = 1.0 / (factor * stds[0]) ** 2
+                constants[part, at] = np.log(weight) + _log_normal_constants(placed, factor * stds)
+        return precision, constants
 
     def predicted(self, placed: Sequence[Placed]) -> Floats:
         """Where the linearised model has its minimum with these effects, each kept within its bounds.
@@ -243,6 +257,11 @@ class Linearised:
         item = placed.effect.parameters[0]
         usual = std if np.isfinite(std) else (item.upper - item.lower) / np.sqrt(12)
         return float(1.0 + (first @ first) * usual**2)
+
+
+def _parts(placed: Placed) -> tuple[tuple[float, float], ...]:
+    """The normal distributions that stand for the prior of an effect."""
+    return NORMAL if np.isinf(placed.effect.tail) else STUDENT
 
 
 def _log_normal_constants(placed: Placed, stds: Floats) -> float:

@@ -1,6 +1,7 @@
 """Print the tables of docs/speed.md: `python -m tests.benchmarks [starting] [scaling] [many] [solvers] [peers]`.
 
-`python -m tests.benchmarks hard --programs 1000 --seed 1` prints that of docs/theory/backends.md.
+`python -m tests.benchmarks hard --programs 1000 --seed 1` prints that of docs/theory/backends.md,
+`python -m tests.benchmarks nested` that of docs/calibration.md.
 """
 
 import argparse
@@ -12,7 +13,8 @@ PARTS = ("starting", "scaling", "many", "solvers", "peers", "response", "plannin
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks")
-    parser.add_argument("parts", nargs="*", choices=[*PARTS, "hard", []], help="tables; all of docs/speed.md's if none")
+    choices = [*PARTS, "hard", "nested", []]
+    parser.add_argument("parts", nargs="*", choices=choices, help="tables; all of docs/speed.md's if none")
     parser.add_argument("--programs", type=int, default=1000, help="hard: number of programs")
     parser.add_argument("--seed", type=int, default=1, help="hard: seed of the programs")
     given = parser.parse_args()

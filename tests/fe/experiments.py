@@ -20,6 +20,9 @@ HEIGHT = 0.39
 AT_FLOOR = ("ground_spring", "added_mass", "sensor_gain", "joint_release")
 AT_TWO_FLOORS = ("spring",)
 AT_STORY = ("story_change",)
+Put = tuple[str, float | None, dict[str, int | None]]
+"""Name, size and place of an effect."""
+
 IN_ONE_CONFIGURATION = ("added_mass", "story_change", "state_stiffness", "state_mass", "joint_release")
 
 
@@ -151,6 +154,83 @@ def simulated_pair(
     return experiment, truth
 
 
+def simulated_as_drawn(
+    there: Sequence[Put],
+    *,
+    floor_mass: Floats,
+    story_stiffness: Floats,
+    added_mass: Floats,
+    rng: np.random.Generator,
+    noise: tuple[float, float] = (FREQUENCY_STD, MODE_SHAPE_STD),
+    noise_declared: bool = True,
+    total_mass_error: float = 0.0,
+    measured_floors: Sequence[int] | None = None,
+    modes: int | None = None,
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Test a frame of which everything was drawn elsewhere: masses, stiffnesses, effects with their sizes, the noise.
+
+    Parameters
+    ----------
+    there : sequence of (str, float, dict)
+        Name, size and place of each effect.
+    floor_mass, story_stiffness : ndarray, shape (n,)
+    added_mass : ndarray, shape (configurations, n)
+    rng : numpy.random.Generator
+        Draws the noise.
+    noise : tuple of float, optional
+        Standard deviations of frequencies and of shapes.
+    noise_declared : bool, optional
+    total_mass_error : float, optional
+        sum of m = declared total (1 + this).
+    measured_floors : sequence of int, optional
+    modes : int, optional
+        How many, from the lowest.
+
+    Raises
+    ------
+    ValueError
+        Where such a frame does not stand.
+    """
+    stories = len(floor_mass)
+    frame = Building(np.full(stories, HEIGHT), story_stiffness, floor_mass)
+    experiment: dict[str, Any] = {
+        "frame": {
+            "stories": stories,
+            "gravity": GRAVITY,
+            "story_heights": [HEIGHT] * stories,
+            "total_mass": float(floor_mass.sum() / (1.0 + total_mass_error)),
+        },
+        "configuration": [],
+    }
+    for number, (seen, added) in enumerate(zip(_all_tested(frame, added_mass, there), added_mass, strict=True), 1):
+        exact = measured(seen, rng, name=_name(number), added=added, noise=0.0, floors=measured_floors, modes=modes)
+        shapes = np.array(exact["mode_shapes"])
+        exact["frequencies"] = [f * float(np.exp(noise[0] * rng.standard_normal())) for f in exact["frequencies"]]
+        exact["mode_shapes"] = (shapes + noise[1] * rng.standard_normal(shapes.shape)).tolist()
+        exact |= {"frequency_std": noise[0], "mode_shape_std": noise[1]}
+        if not noise_declared:
+            del exact["frequency_std"], exact["mode_shape_std"]
+        experiment["configuration"].append(exact)
+    places = [_put(name, where) for name, _, where in there]
+    truth = {
+        "effects": places,
+        "sizes": {put: size for put, (_, size, _) in zip(places, there, strict=True)},
+        "floor_mass": floor_mass,
+        "story_stiffness": story_stiffness,
+    }
+    if total_mass_error:
+        truth["effects"].append(put := ("total_mass", None, None, None, None))
+        truth["sizes"][put] = total_mass_error
+    return experiment, truth
+
+
+def placed_at_random(
+    effect: str, stories: int, configurations: int, rng: np.random.Generator
+) -> dict[str, int | None]:
+    """Where an effect sits: anywhere it can be."""
+    return _placed(effect, stories, configurations, rng, floor=None, story=None, configuration=None)
+
+
 def simulated_attachment(
     *, stories: int, configurations: int, rng: np.random.Generator, floor: int, part: float, tuning: float
 ) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -194,9 +274,6 @@ def _drawn(stories: int, rng: np.random.Generator) -> Building:
     """A laboratory frame: masses drawn first, then stiffnesses that fall with the height."""
     floor_mass = rng.uniform(9.0, 13.0, stories)
     return Building(np.full(stories, HEIGHT), np.sort(rng.uniform(20e3, 28e3, stories))[::-1], floor_mass)
-
-
-Put = tuple[str, float | None, dict[str, int | None]]
 
 
 def _all_tested(frame: Building, added: Floats, there: Sequence[Put]) -> list[SwayModes]:

@@ -1,0 +1,18 @@
+"""log Z against nested sampling, three of the problems of tests/benchmarks/nested.py with few live points."""
+
+import pytest
+
+from tests.benchmarks.nested import PROBLEMS, compared
+
+LIVE = 150
+APPROXIMATION = 0.1
+"""What Laplace's approximation itself may be off, beside four standard errors of the sampling."""
+
+
+@pytest.mark.parametrize("problem", [PROBLEMS[0], PROBLEMS[2], PROBLEMS[6]], ids=lambda problem: problem.name)
+def test_the_evidence_is_that_of_nested_sampling(problem):
+    pytest.importorskip("dynesty", reason="dynesty is not installed")
+    found, *sampled = compared(problem, LIVE)
+    for exact, error in sampled:
+        assert found == pytest.approx(exact, abs=4 * error + APPROXIMATION)
+    assert sampled[-1][1] < 0.1
