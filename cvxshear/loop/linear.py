@@ -6,6 +6,7 @@ leave each other alone, so one evaluation with all of them gives every column.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -102,7 +103,11 @@ class Linearised:
         if effect.common_size:
             return _gain_of_common_size(b, h, stds, effect.size_width)
         tails = NORMAL if np.isinf(effect.tail) else STUDENT
-        parts = [np.log(weight) + self._gain_of_normal(placed, b, h, factor * stds) for factor, weight in tails]
+        # Each parameter has a prior of its own: one may lie in its tail while another does not.
+        parts = []
+        for each in itertools.product(tails, repeat=len(stds)):
+            factors, weights = np.array(each).T
+            parts.append(np.log(np.prod(weights)) + self._gain_of_normal(placed, b, h, factors * stds))
         return float(special.logsumexp(parts))
 
     def _gain_of_normal(self, placed: Placed, b: Floats, h: Floats, stds: Floats) -> float:
