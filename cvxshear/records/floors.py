@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from scipy import signal
@@ -11,7 +12,7 @@ from scipy import signal
 from cvxshear.records.record import Channel, Finding, Record, Run, TimeRecord
 from cvxshear.records.signals import AnyRecord, only, scaled, with_responses
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Ints
+from cvxshear.util.typing import Floats, Ints
 
 ACROSS = 30.0
 """Degrees from the direction of test, or from its opposite, beyond which a sensor says little of it."""
@@ -133,7 +134,7 @@ def _rotation(record: Record, group: Ints) -> Finding:
     )
 
 
-def _mean_square(values: Floats | Complexes) -> float:
+def _mean_square(values: Any) -> float:
     """Sum over the samples of the mean square of the columns."""
     return float(np.mean(np.sum(np.abs(values) ** 2, axis=0)))
 
