@@ -22,6 +22,13 @@ def pytest_addoption(parser):
     )
 
 
+def pytest_itemcollected(item):
+    """Tests that share what a file makes once stay in one process; all others go to whichever process is free."""
+    shared = item._fixtureinfo.name2fixturedefs.values()
+    if any(definitions[-1].scope == "module" for definitions in shared) and not item.get_closest_marker("xdist_group"):
+        item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
+
+
 @pytest.fixture(scope="session")
 def fuzz_budget(request):
     return request.config.getoption("--fuzz-budget")

@@ -47,9 +47,11 @@ def test_a_story_softer_after_is_one_change_of_the_state_and_not_one_a_configura
     assert found.std["change"] < 0.01
     assert re.fullmatch(r'story 2 lost 1\d\.\d+ ± 0\.\d+ % of its stiffness in "after"', found.size)
     # Nothing sits in the reference but a sensor that was mounted otherwise there.
-    assert {
-        (item.placed.effect.name, item.placed.place.state) for item in result.candidates
-    } == {("added_mass", "after"), ("story_change", "after"), *(("sensor_gain", at) for at in (None, "before", "after"))}
+    assert {(item.placed.effect.name, item.placed.place.state) for item in result.candidates} == {
+        ("added_mass", "after"),
+        ("story_change", "after"),
+        *(("sensor_gain", at) for at in (None, "before", "after")),
+    }
     assert result.verdict == "explained"
     np.testing.assert_allclose(result.frame.story_stiffness, STIFFNESS, rtol=0.03)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from typing import Any
-from typing import Any
 
 import numpy as np
 from scipy import signal

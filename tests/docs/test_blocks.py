@@ -15,6 +15,8 @@ import cvxshear
 from tests.docs import runner
 from tests.docs.runner import Block, blocks, commands
 
+pytestmark = pytest.mark.xdist_group("pages")  # run once, and looked at by every test
+
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(path for path in DOCS.rglob("*.md"))]
