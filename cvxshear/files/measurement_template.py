@@ -28,6 +28,7 @@ stories = {stories}
 {total}
 # story_heights = {heights}  # m, one number or one a story; effects such as gravity need them
 # total_mass_std = 0.01  # relative: how well the total mass is known; exact where not given
+# total_mass_placeholder = true  # total_mass stands for one that nobody knows: all comes out relative to it
 # floor_masses = {masses}  # kg, where they are known, in place of total_mass
 # gravity = 9.81  # m/s2
 # reference = "bare"  # the state that is the frame itself
@@ -44,7 +45,7 @@ name = "bare"
 frequency_std = 0.002  # relative: how much repeated tests scatter
 mode_shape_std = 0.01  # of an entry, relative to the largest of its mode
 # mode_shape_noise = "multiplicative"  # mode_shape_std is relative to the entry itself
-# damping_ratios = 0.01  # fraction of critical, one number or one a mode: for 'cvxshear predict', not fitted
+# damping_ratios = 0.01  # fraction of critical, one number or one a mode (nan: unknown): for 'predict', not fitted
 # damping_ratio_std = 0.2  # relative
 """
 
@@ -94,8 +95,16 @@ TAIL = """
 # name = "story_change"
 # story = 1
 
+# [[effect]]
+# name = "bracing"
+# to = 1  # the higher floor of an effect that joins two; floor is then the lower
+
 # [damping]  # how damping is modelled where a response is predicted
 # kind = "modal"  # or "story", "rayleigh"
+
+# [limits]  # whether 'cvxshear reconstruct' finds them passed, story by story
+# story_drift = [0.005, 0.01]  # drift over story height, ascending
+# names = ["repair", "inspection"]  # what each means
 """
 
 
