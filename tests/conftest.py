@@ -51,7 +51,7 @@ def needed(reason):
     """What a skipped test would need, as its reason says."""
     reason = reason.removeprefix("Skipped: ")
     missing = re.match(r"could not import '([^'.]+)", reason)
-    return f"the package {missing[1]}" if missing else reason
+    return f"the package {missing[1]}" if missing else reason.partition(": ")[0]
 
 
 def pytest_terminal_summary(terminalreporter):
