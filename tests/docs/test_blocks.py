@@ -89,7 +89,7 @@ def test_every_block_of_the_page_runs(page):
     printed = results()[str(page)]
     assert "error" not in printed, printed["error"]
     if any(block.lacks_data for block in blocks(page.read_text())):
-        pytest.skip(f"{name_of(page)}: the measured data of its blocks are not here")
+        pytest.skip(f"measured data beside the project (CVXSHEAR_SHARED): the blocks of {name_of(page)} read them")
 
 
 @pytest.mark.parametrize("page", [page for page in RUN if shown_outputs(page)], ids=name_of)
