@@ -57,7 +57,7 @@ def refused(table):
 
 # The tables of the file.
 
-TABLES_OF_A_FILE = "known keys are configuration, damping, effect, frame, prior, report, static"
+TABLES_OF_A_FILE = "known keys are configuration, damping, effect, frame, limits, prior, report, static"
 TABLES = {
     "no configuration": ({"frame": {}}, "at least one [[configuration]] is needed: none was found"),
     "empty": ({}, "at least one [[configuration]] is needed: none was found"),
