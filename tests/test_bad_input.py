@@ -657,7 +657,8 @@ def test_file(content, message, tmp_path):
 
 def test_a_file_that_is_not_there(tmp_path):
     file = tmp_path / "missing.toml"
-    assert refused_file(file) == f"{file}: no such file (the built-in examples are called paper and los-alamos)"
+    message = refused_file(file)
+    assert message.startswith(f"{file}: no such file (the built-in examples are called paper, los-alamos, ")
 
 
 def test_a_folder(tmp_path):

@@ -1,16 +1,15 @@
 """Measured frames of which something is known independently: the cause, what is left, and nothing else added."""
 
 import functools
-import tempfile
-from pathlib import Path
+import tomllib
 
 import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.files.modes import modes_from_file
+from cvxshear.files.toml import MEASURED, built_in_text
+from tests import built_in_files
 from tests.frames import shared
-from tests.modal.shared import mini_table, southampton
 
 # LA-14393, Table 2: the kind of change, its floor or story, its size. A column at 12.5 % of its bending stiffness takes
 # 7/32 from its story.
@@ -33,30 +32,10 @@ def level(placed):
     return placed.place.floor or placed.place.story
 
 
-def from_record(record):
-    with tempfile.TemporaryDirectory() as folder:
-        _, declared = modes_from_file(record(Path(folder)))
-    return cvxshear.close_loop(cvxshear.Experiment.from_dict(declared))
-
-
 @functools.cache
-def mini(name):
-    return from_record(lambda folder: mini_table(folder, name))
-
-
-@functools.cache
-def of_southampton():
-    return from_record(southampton)
-
-
-@functools.cache
-def los_alamos():
-    return cvxshear.close_loop(cvxshear.load("los-alamos"))
-
-
-@functools.cache
-def e_defense():
-    return cvxshear.close_loop(cvxshear.load(shared("data", "e-defense-eighteen-story", "white-noise.toml")))
+def loop(name):
+    """The loop on a built-in frame, its modes as `cvxshear modes` found them."""
+    return cvxshear.close_loop(cvxshear.load(name))
 
 
 def names(closure):
@@ -64,7 +43,7 @@ def names(closure):
 
 
 def test_los_alamos_has_one_change_a_state_of_the_kind_and_size_that_was_made():
-    closure = los_alamos()
+    closure = loop("los-alamos")
     assert closure.verdict in ("explained", "ambiguous")
     found = {item.placed.place.state: item for item in closure.effects}
     assert len(closure.effects) == len(found) == 8
@@ -77,7 +56,7 @@ def test_los_alamos_has_one_change_a_state_of_the_kind_and_size_that_was_made():
 
 def test_los_alamos_names_seven_of_eight_at_their_place_and_the_other_as_a_tie():
     first = 0
-    for item in los_alamos().effects:
+    for item in loop("los-alamos").effects:
         name, at, _ = DONE_AT_LOS_ALAMOS[item.placed.place.state]
         if level(item.placed) == at:
             first += 1
@@ -90,16 +69,15 @@ def test_los_alamos_names_seven_of_eight_at_their_place_and_the_other_as_a_tie()
 
 
 def test_los_alamos_is_told_from_frequencies_alone():
-    closure = los_alamos()
+    closure = loop("los-alamos")
     assert all(not each.mode_shapes.size for each in closure.experiment.configurations)
     assert closure.before.estimate.chi2 > 1000
     assert closure.estimate.chi2 < 40
 
 
-@pytest.mark.parametrize("name", ["flexible-northridge", "stiff-northridge", "flexible-sine-2.0", "stiff-sine-2.0"])
+@pytest.mark.parametrize("name", built_in_files.MINI)
 def test_the_joints_of_the_mini_table_turn(name):
-    shared("data", "mini-shake-table")
-    closure = mini(name)
+    closure = loop(name)
     assert names(closure) == ["joint rotation"]
     assert closure.verdict == "explained"
     assert closure.effects[0].probability > 0.95
@@ -111,23 +89,20 @@ def test_the_joints_of_the_mini_table_turn(name):
 @pytest.mark.parametrize("columns", ["flexible", "stiff"])
 def test_both_records_of_a_mini_table_say_the_same(columns):
     """Within three of their standard deviations: an earthquake and a sine, of different amplitude."""
-    shared("data", "mini-shake-table")
-    (one,), (other,) = (mini(f"{columns}-{record}").effects for record in ("northridge", "sine-2.0"))
+    (one,), (other,) = (loop(f"mini-{columns}-{record}").effects for record in ("northridge", "sine"))
     difference = one.parameters["eta"] - other.parameters["eta"]
     assert abs(difference) < 3 * np.hypot(one.std["eta"], other.std["eta"])
 
 
 def test_joints_turn_more_between_stiff_columns():
     """eta is the columns' stiffness over the beams', and the beams are the same."""
-    shared("data", "mini-shake-table")
-    (flexible,), (stiff,) = mini("flexible-sine-2.0").effects, mini("stiff-sine-2.0").effects
+    (flexible,), (stiff,) = loop("mini-flexible-sine").effects, loop("mini-stiff-sine").effects
     assert stiff.parameters["eta"] > 2 * flexible.parameters["eta"]
 
 
 def test_the_floors_of_southampton_weigh_what_they_should():
     """Equal floors within 4 %, their mean within 6 % of the nominal 5.36 kg of a sister; no mass was declared."""
-    shared("data", "southampton")
-    closure = of_southampton()
+    closure = loop("southampton")
     for frame in (closure.frame, closure.averaged):
         np.testing.assert_allclose(frame.floor_mass, frame.floor_mass.mean(), rtol=0.04)
         assert frame.floor_mass.mean() == pytest.approx(5.36, rel=0.06)
@@ -137,9 +112,40 @@ def test_the_floors_of_southampton_weigh_what_they_should():
 
 
 def test_the_columns_of_the_eighteen_stories_stretch():
-    closure = e_defense()
+    closure = loop("e-defense")
     assert names(closure) == ["axial columns", "base rocking"]
     assert all(item.probability > 0.95 for item in closure.effects)
     assert closure.before.estimate.chi2 > 200
     assert closure.estimate.chi2 < 40
     assert closure.after.held_out < closure.before.held_out
+
+
+@pytest.mark.parametrize("name", MEASURED)
+def test_a_built_in_frame_says_where_it_comes_from(name):
+    text = built_in_text(name)
+    assert "Source: " in text.partition("[frame]")[0]
+    assert cvxshear.load(name).name == name
+
+
+@pytest.mark.parametrize("direction", ["x", "y"])
+def test_the_benchmark_is_the_published_one_with_the_stated_noise(direction):
+    shared("data", "iasc-asce")
+    assert built_in_files.benchmark(direction) == built_in_text(f"iasc-asce-{direction}")
+
+
+def test_the_loosened_joints_are_the_published_ones():
+    shared("data", "ucl-loosened-joints")
+    assert built_in_files.loosened_joints() == built_in_text("ucl-loosened-joints")
+
+
+@pytest.mark.parametrize("name", [*built_in_files.MINI, "southampton"])
+def test_modes_that_are_built_in_are_those_of_the_records(name, tmp_path):
+    """Within a tenth of their standard deviations."""
+    shared("data", "southampton" if name == "southampton" else "mini-shake-table")
+    (now,) = tomllib.loads(built_in_files.from_record(built_in_files.record_of(name, tmp_path)))["configuration"]
+    (then,) = tomllib.loads(built_in_text(name))["configuration"]
+    then_f, now_f = np.array(then["frequencies"]), np.array(now["frequencies"])
+    assert np.all(np.abs(now_f / then_f - 1.0) < 0.1 * np.array(then["frequency_std"]))
+    then_s, now_s = np.array(then["mode_shapes"]), np.array(now["mode_shapes"])
+    largest = np.abs(then_s).max(axis=1, keepdims=True)
+    assert np.all(np.abs(now_s - then_s) < 0.1 * np.array(then["mode_shape_std"]) * largest)

@@ -22,7 +22,21 @@ from cvxshear.util.errors import InputError
 LARGEST_FILE = 5_000_000
 """Bytes; a larger file is taken for a mistake (a record in place of a measurement file, say)."""
 
-BUILT_IN = {"paper": ("paper", "paper.toml"), "los-alamos": ("builtin", "los-alamos.toml")}
+MEASURED = (
+    "los-alamos",
+    "mini-flexible-northridge",
+    "mini-flexible-sine",
+    "mini-stiff-northridge",
+    "mini-stiff-sine",
+    "southampton",
+    "e-defense",
+    "iasc-asce-x",
+    "iasc-asce-y",
+    "ucl-loosened-joints",
+)
+"""Tables of modes of measured frames that travel with the package, each with its source."""
+
+BUILT_IN = {"paper": ("paper", "paper.toml"), **{name: ("builtin", f"{name}.toml") for name in MEASURED}}
 """Examples that travel with the package, and where they stand in it."""
 
 LONGEST_KEY = 16
@@ -38,8 +52,9 @@ def load(path: str | Path) -> Experiment:
     ----------
     path : str or Path
         A TOML file, or a built-in example: "paper", the published two-story test frame in three configurations;
-        "los-alamos", the published frequencies of a three-story structure in nine states. A file of such a name in
-        the current folder is reached as "./paper", or as a Path.
+        "los-alamos", the published frequencies of a three-story structure in nine states; or another of the measured
+        frames in `cvxshear.files.toml.MEASURED`. A file of such a name in the current folder is reached as "./paper",
+        or as a Path.
 
     Returns
     -------
@@ -88,7 +103,8 @@ def built_in_text(name: str) -> str:
 
 def read_text(path: Path) -> str:
     """The text of a file that a user named."""
-    absent = f"the built-in examples are called {' and '.join(BUILT_IN)}"
+    *most, last = BUILT_IN
+    absent = f"the built-in examples are called {', '.join(most)} and {last}"
     content = read_bytes(path, LARGEST_FILE, "too many for a measurement file", absent=absent)
     try:
         return content.decode("utf-8-sig")

@@ -84,7 +84,7 @@ def close_loop(
     there = _declared(experiment, solver, assumed(experiment, assume))
     looked_for = hypotheses(experiment, wanted, there)
     start = _first(experiment, solver, there)
-    loop = _Loop(solver, there, looked_for, _expectation(experiment, start.theta, looked_for), start, jobs)
+    declared = loop = _Loop(solver, there, looked_for, _expectation(experiment, start.theta, looked_for), start, jobs)
     found = searches(experiment, loop.begun, loop.dual)
     said = (
         *(f'"{name}" repeats "{same}" to the last digit: both count as one test' for name, same in repeated),
@@ -97,6 +97,10 @@ def close_loop(
         # Evidence under noise that the residual refutes is none: the sets are judged again under as much as it takes.
         loop = dataclasses.replace(loop, widened=loop.widened * excess)
         again = searches(experiment, loop.begun, loop.dual)
+        numbered = [each.fitter.numbering.changes for each in found]
+        # Numbers of the modes that only the wider noise makes probable: their fit to the noise as declared is stated.
+        new = {each.fitter.numbering.changes: each.fitter.numbering for each in again}
+        found += [declared.begun(each) for changes, each in new.items() if changes not in numbered]
         result = conclude(found, looked_for, wanted, said=said, widened=again)
     return result
 

@@ -108,7 +108,7 @@ class Linearised:
         for each in itertools.product(tails, repeat=len(stds)):
             factors, weights = np.array(each).T
             parts.append(np.log(np.prod(weights)) + self._gain_of_normal(placed, b, h, factors * stds))
-        return float(special.logsumexp(parts))
+        return float(np.logaddexp.reduce(parts))
 
     def _gain_of_normal(self, placed: Placed, b: Floats, h: Floats, stds: Floats) -> float:
         """The gain of parameters whose prior is normal, or even between bounds."""
@@ -280,7 +280,7 @@ def _log_evidence_by_size(b: Floats, h: Floats, stds: Floats, width: float) -> t
 def _gain_of_common_size(b: Floats, h: Floats, stds: Floats, width: float) -> float:
     """The log evidence gained by parameters of one common size, that size integrated out."""
     _, gained = _log_evidence_by_size(b, h, stds, width)
-    return float(special.logsumexp(gained) - special.logsumexp(-0.5 * LOG_SIZES**2))
+    return float(np.logaddexp.reduce(gained) - np.logaddexp.reduce(-0.5 * LOG_SIZES**2))
 
 
 def _best_log_size(b: Floats, h: Floats, stds: Floats, width: float) -> float:
@@ -302,4 +302,4 @@ def _gain_of_noise(reached: Floats, r: Floats, width: float) -> float:
     left = np.maximum(1.0 + change * values, LEAST_CURVATURE)
     chi2 = change[:, 0] * float(r @ r) - np.sum(change**2 * c**2 / left, axis=1)
     gained = -0.5 * chi2 - 0.5 * np.sum(np.log(left), axis=1) - np.count_nonzero(r) * u - 0.5 * LOG_SIZES**2
-    return float(special.logsumexp(gained) - special.logsumexp(-0.5 * LOG_SIZES**2))
+    return float(np.logaddexp.reduce(gained) - np.logaddexp.reduce(-0.5 * LOG_SIZES**2))

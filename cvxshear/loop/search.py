@@ -21,6 +21,7 @@ from cvxshear.effects import Placed
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.gauss_newton import CONVERGED_STEP
 from cvxshear.loop.fitter import ROUGH, Fitter
+from cvxshear.loop.hypotheses import OPEN
 from cvxshear.loop.linear import Linearised
 from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.twins import Invariances, invariances
@@ -122,13 +123,18 @@ class Search:
         return True
 
     @property
+    def _reach(self) -> float:
+        """How far behind the best a set may be to be expanded; once the data are explained, little more can be won."""
+        return REACH if self.best.improbable else WITHIN
+
+    @property
     def spent(self) -> bool:
         """Whether the search has made as many fits as it may."""
         return len(self.visited) >= MOST_SETS
 
     def _grow(self) -> None:
         """Expand the beam until all of it has been."""
-        while not self.spent and (model := self._next(self.expanded, REACH)) is not None:
+        while not self.spent and (model := self._next(self.expanded, self._reach)) is not None:
             self._expand(model)
 
     def probe(self) -> None:
@@ -196,7 +202,19 @@ class Search:
     def _next(self, done: set[Set], within: float) -> ModelClass | None:
         """The best set of the beam that was not dealt with yet."""
         floor = self.best.score - within
-        return next((model for model in self.beam if model.effects not in done and model.score >= floor), None)
+        return next(
+            (
+                model
+                for model in self.beam
+                if model.effects not in done and model.score >= floor and self._worth_following(model)
+            ),
+            None,
+        )
+
+    def _worth_following(self, model: ModelClass) -> bool:
+        """Whether a set may lead to a better one; with an open class beside an explanation that is better, hardly."""
+        holds_open = any(placed.effect.kind == OPEN for placed in model.effects)
+        return self.best.improbable or model is self.best or not holds_open
 
     def _lacking(self, model: ModelClass) -> list[Placed]:
         """What the linearised model at the fit of a set can judge of what the set lacks."""
@@ -231,7 +249,19 @@ class Search:
             )
             new += [model.effects | {placed} for placed in rescaling[:RESCALING]]
         several = model.effects.union(linear.forward([self.fitter.log_prior([placed]) for placed in linear.lacking]))
-        return [each for each in (*new, *self._pairs(model, linear, single), several) if each not in self.visited]
+        found = (*new, *self._pairs(model, linear, single), several)
+        return [each for each in found if each not in self.visited and not self._hopeless(each)]
+
+    def _hopeless(self, effects: Set) -> bool:
+        """Whether a set holds an open class that was tried and fell far behind what explains the data without it."""
+        if self.best.improbable:
+            return False
+        for placed in effects:
+            if placed.effect.kind == OPEN and placed not in self.best.effects:
+                tried = [model.score for each, model in self.visited.items() if placed in each]
+                if tried and max(tried) < self.best.score - WITHIN:
+                    return True
+        return False
 
     def _pairs(self, model: ModelClass, linear: Linearised, single: dict[Set, float]) -> Iterable[Set]:
         """Pairs that promise more together than either does by itself, and than nothing."""

@@ -53,14 +53,14 @@ class Invariances:
         own = np.array([owner is placed for owner in self.owner])
         if not own.any():
             return []
-        rest = self.free[:, ~own]
-        seen = _beyond(rest, self.free[:, own])
+        basis = _basis(self.free[:, ~own])
+        wanted = _without(basis, self.free[:, own])
+        if np.max(np.linalg.norm(wanted, axis=0) / np.linalg.norm(self.free[:, own], axis=0)) <= SEEN:
+            return []
         return [
             other
             for other, columns in self.lacking.items()
-            if 0 < columns.shape[1] <= int(own.sum())
-            and seen > SEEN
-            and _beyond(np.hstack([rest, columns]), self.free[:, own]) < EXACT
+            if 0 < columns.shape[1] <= int(own.sum()) and _beyond(_without(basis, columns), wanted) < EXACT
         ]
 
     def untold(self, placed: Placed, others: Sequence[Placed]) -> bool:
@@ -98,12 +98,27 @@ def invariances(estimate: Estimate, lacking: Sequence[Placed], expectation: Expe
     )
 
 
-def _beyond(columns: Floats, wanted: Floats) -> float:
-    """The largest share of a wanted column that a combination of others cannot make."""
+def _basis(columns: Floats) -> Floats:
+    """Orthonormal columns that span others, up to what is rounding among them."""
     lengths = np.linalg.norm(columns, axis=0)
     unit = columns[:, lengths > 0] / lengths[lengths > 0]
     left, values, _ = np.linalg.svd(unit, full_matrices=False)
-    basis = left[:, values > EXACT * values[0]] if len(values) else left
+    return left[:, values > EXACT * values[0]] if len(values) else left
+
+
+def _without(basis: Floats, columns: Floats) -> Floats:
+    """What a basis cannot make of some columns; zero where that is rounding."""
+    left: Floats = columns - basis @ (basis.T @ columns)
+    rounding = np.linalg.norm(left, axis=0) <= EXACT * np.linalg.norm(columns, axis=0)
+    return np.where(rounding, 0.0, left)
+
+
+def _beyond(columns: Floats, wanted: Floats) -> float:
+    """The largest share of a wanted column that a combination of others cannot make."""
     size = np.linalg.norm(wanted, axis=0)
-    beyond = np.linalg.norm(wanted - basis @ (basis.T @ wanted), axis=0)
-    return float(np.max(beyond / np.where(size > 0, size, 1.0), initial=0.0))
+    if columns.shape[1] == 1 and np.any(columns):
+        unit = columns / np.linalg.norm(columns)
+        left = wanted - unit @ (unit.T @ wanted)
+    else:
+        left = _without(_basis(columns), wanted)
+    return float(np.max(np.linalg.norm(left, axis=0) / np.where(size > 0, size, 1.0), initial=0.0))
