@@ -29,7 +29,7 @@ def shared(*parts: str) -> Path:
     """A file or folder of the measured data beside the project; skips the test where it is missing."""
     folder = Path(os.environ.get("CVXSHEAR_SHARED", ROOT.parent / "shared")).joinpath(*parts)
     if not folder.exists():
-        pytest.skip(f"{Path(*parts)} is not there")
+        pytest.skip(f"measured data beside the project (CVXSHEAR_SHARED): {Path(*parts)} is not there")
     return folder
 
 

@@ -57,6 +57,7 @@ def refused(table):
 
 # The tables of the file.
 
+TABLES_OF_A_FILE = "known keys are configuration, damping, effect, frame, limits, prior, report, static"
 TABLES = {
     "no configuration": ({"frame": {}}, "at least one [[configuration]] is needed: none was found"),
     "empty": ({}, "at least one [[configuration]] is needed: none was found"),
@@ -80,11 +81,11 @@ TABLES = {
     ),
     "nothing like any table": (
         {**declared(), "zzz": 1},
-        "the measurement file: unknown key 'zzz'; known keys are configuration, damping, effect, frame, prior, static",
+        f"the measurement file: unknown key 'zzz'; {TABLES_OF_A_FILE}",
     ),
     "a key that is no text": (
         {**declared(), 3: 1},
-        "the measurement file: unknown key 3; known keys are configuration, damping, effect, frame, prior, static",
+        f"the measurement file: unknown key 3; {TABLES_OF_A_FILE}",
     ),
     "[configuration]": (
         {"configuration": declared()["configuration"][0]},

@@ -260,9 +260,12 @@ def accurate(program: Assembled, point: Point) -> tuple[Point, Certificate, Floa
         raise _inaccurate(certificate)
     # Relative to the unknown alone, so that small ones among large ones are as accurate as 64 bits allow.
     if not met or np.any(errors > ACCURATE * np.abs(exact.point.x) + 2.0 * exact.errors):
-        point, errors, certificate = exact.point, exact.errors, certify(program, exact.point)
-        if not (certificate.worst <= ACCEPTED and certificate.primal_residual <= MET):
-            raise _inaccurate(certificate)
+        nearer = certify(program, exact.point)
+        if nearer.worst <= ACCEPTED and nearer.primal_residual <= MET:
+            point, errors, certificate = exact.point, exact.errors, nearer
+        elif not met or np.any(errors > ACCURATE * size + 2.0 * exact.errors):
+            raise _inaccurate(nearer)
+        # Else the answer is good for its size, and the minimizer's last digits are rounding that heavy rows magnify.
     return point, dataclasses.replace(certificate, error_bound=largest_relative(errors, size)), errors
 
 

@@ -102,9 +102,11 @@ class Linearised:
         b, h, stds = -(own.T @ r), own.T @ own, self.expectation.of(placed)
         if effect.common_size:
             return _gain_of_common_size(b, h, stds, effect.size_width)
-        parts = [
-            np.log(weight) + self._gain_of_normal(placed, b, h, factor * stds) for factor, weight in _parts(placed)
-        ]
+        # Each parameter has a prior of its own: one may lie in its tail while another does not.
+        parts = []
+        for each in itertools.product(_parts(placed), repeat=len(stds)):
+            factors, weights = np.array(each).T
+            parts.append(np.log(np.prod(weights)) + self._gain_of_normal(placed, b, h, factors * stds))
         return float(np.logaddexp.reduce(parts))
 
     def _gain_of_normal(self, placed: Placed, b: Floats, h: Floats, stds: Floats) -> float:

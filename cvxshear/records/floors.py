@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from scipy import signal
@@ -11,7 +12,7 @@ from scipy import signal
 from cvxshear.records.record import Channel, Finding, Record, Run, TimeRecord
 from cvxshear.records.signals import AnyRecord, only, scaled, with_responses
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Ints
+from cvxshear.util.typing import Floats, Ints
 
 ACROSS = 30.0
 """Degrees from the direction of test, or from its opposite, beyond which a sensor says little of it."""
@@ -20,7 +21,8 @@ ROTATES = 0.05
 LINES_A_HERTZ, NEARBY = 20.0, 0.01
 """Lines of the spectra that a mode's rotation is told by, and how far about its frequency, relative."""
 CONTRADICTING = 4.0
-"""Mean square of the difference over that of the mean from which on two sensors on one floor contradict each other."""
+"""Mean square of the difference over that of the mean from which on two sensors on one floor contradict each other,
+both counted as far as they move with the other floors, where there are any: a rotation that only they see is none."""
 
 
 def one_a_floor(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
@@ -101,17 +103,25 @@ def _along(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
 
 def _rotation(record: Record, group: Ints) -> Finding:
     names = [record.channels[int(column)] for column in group]
-    mean, apart = 0.0, 0.0
+    others = np.flatnonzero(record.floors != names[0].floor)
+    mean, apart, together, against = 0.0, 0.0, 0.0, 0.0
     for run in record.runs:
-        values = run.responses[:, group]
+        values, rest = run.responses[:, group], None
         if isinstance(run, Run):
             values = values - values.mean(axis=0)
+            rest = run.responses[:, others] - run.responses[:, others].mean(axis=0) if len(others) else None
         middle = values.mean(axis=1, keepdims=True)
-        mean += float(np.sum(np.abs(middle) ** 2))
-        apart += float(np.mean(np.sum(np.abs(values - middle) ** 2, axis=0)))
-    if apart > CONTRADICTING * mean:
+        mean += _mean_square(middle)
+        apart += _mean_square(values - middle)
+        together += _mean_square(_moving_with(rest, middle))
+        against += _mean_square(_moving_with(rest, values - middle))
+    if against > CONTRADICTING * together:
         raise InputError(
-            f"{' and '.join(map(str, names))} are on one floor and contradict each other: their difference is "
+            f"{' and '.join(map(str, names))} are on one floor and contradict each other: what moves with the other "
+            f"floors is {np.sqrt(against / max(together, 1e-300)):.1f} times as large in their difference as in their "
+            "mean; is one of them reversed, or on another floor?"
+            if len(others)
+            else f"{' and '.join(map(str, names))} are on one floor and contradict each other: their difference is "
             f"{np.sqrt(apart / max(mean, 1e-300)):.1f} times their mean; is one of them reversed, or on another floor?"
         )
     share = apart / max(mean + apart, 1e-300)
@@ -122,3 +132,15 @@ def _rotation(record: Record, group: Ints) -> Finding:
         f"motion, and {100 * share:.1f} % of the mean square is in their difference; {said}",
         {"floor": names[0].floor, "channels": [item.name for item in names], "share": share},
     )
+
+
+def _mean_square(values: Any) -> float:
+    """Sum over the samples of the mean square of the columns."""
+    return float(np.mean(np.sum(np.abs(values) ** 2, axis=0)))
+
+
+def _moving_with(others: Floats | None, values: Any) -> Any:
+    """The part of each column that is a combination of the other floors' motions; all of it where there are none."""
+    if others is None:
+        return values
+    return others @ np.linalg.lstsq(others, values, rcond=None)[0]

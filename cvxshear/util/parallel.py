@@ -9,6 +9,7 @@ No process outlives the one that started it, however that ends: each looks after
 
 from __future__ import annotations
 
+import importlib
 import logging
 import os
 import signal
@@ -16,7 +17,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any, TypeVar
 
 from joblib import Parallel, cpu_count, delayed
@@ -68,7 +69,7 @@ def each(function: Callable[[T], U], items: Iterable[T], *, jobs: int = 1, progr
     results: list[U] = []
     options: dict[str, Any] = {} if jobs == 1 else {"initializer": end_with, "initargs": (os.getpid(),)}
     try:
-        with _interruption_held():
+        with nullcontext() if jobs == 1 else _interruption_held():
             # In the order of the chunks, as they become ready.
             parts = Parallel(n_jobs=jobs, return_as="generator", **options)(
                 delayed(_done)(function, chunk) for chunk in chunks
@@ -124,6 +125,9 @@ def _interruption_held() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
+    # What counts the shared memory of processes is started with the first of them, and lets Ctrl-C in once it is.
+    for tracker in ("multiprocessing.resource_tracker", "joblib.externals.loky.backend.resource_tracker"):
+        importlib.import_module(tracker).ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield

@@ -15,6 +15,8 @@ import cvxshear
 from tests.docs import runner
 from tests.docs.runner import Block, blocks, commands
 
+pytestmark = pytest.mark.xdist_group("pages")  # run once, and looked at by every test
+
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(path for path in DOCS.rglob("*.md"))]
@@ -87,7 +89,7 @@ def test_every_block_of_the_page_runs(page):
     printed = results()[str(page)]
     assert "error" not in printed, printed["error"]
     if any(block.lacks_data for block in blocks(page.read_text())):
-        pytest.skip(f"{name_of(page)}: the measured data of its blocks are not here")
+        pytest.skip(f"measured data beside the project (CVXSHEAR_SHARED): the blocks of {name_of(page)} read them")
 
 
 @pytest.mark.parametrize("page", [page for page in RUN if shown_outputs(page)], ids=name_of)

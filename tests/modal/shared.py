@@ -13,10 +13,11 @@ SEEDS = int(os.environ.get("CVXSHEAR_SEEDS", "2"))
 """Repetitions of the simulated records; `python -m tests.benchmarks.records` does twenty."""
 
 needs_mini_table = pytest.mark.skipif(
-    not (DATA / "mini-shake-table").is_dir(), reason="the measured records of shared/data/mini-shake-table are not here"
+    not (DATA / "mini-shake-table").is_dir(),
+    reason="measured data beside the project (CVXSHEAR_SHARED): no records here",
 )
 needs_southampton = pytest.mark.skipif(
-    not (DATA / "southampton").is_dir(), reason="the measured functions of shared/data/southampton are not here"
+    not (DATA / "southampton").is_dir(), reason="measured data beside the project (CVXSHEAR_SHARED): no functions here"
 )
 
 MINI_TABLE = """

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import cvxshear
 from cvxshear.files.measurement import write_measurement
 from tests.fe.experiments import simulated
 from tests.mistakes import with_mistake
@@ -23,9 +24,10 @@ def swapped(tmp_path):
 def test_nothing_looks_wrong_with_the_paper(run):
     status, out, err = run("check", "paper")
     assert (status, out, err) == (0, "paper: nothing looks wrong\n", "")
-    assert json.loads(run("check", "paper", "--json", "-")[1]) == {
-        "name": "paper", "refused": False, "findings": [], "record": [],
-    }  # fmt: skip
+    said = json.loads(run("check", "paper", "--json", "-")[1])
+    about = said.pop("about")
+    assert said == {"name": "paper", "refused": False, "findings": [], "record": []}
+    assert (about["cvxshear"], [file["name"] for file in about["files"]]) == (cvxshear.__version__, ["paper"])
 
 
 def test_a_mistake_is_status_two_with_what_to_change(run, swapped):
