@@ -27,6 +27,7 @@ HEAD = """\
 stories = {stories}
 {total}
 # story_heights = {heights}  # m, one number or one a story; effects such as gravity need them
+# total_mass_placeholder = true  # total_mass is no mass that anybody knows: results are relative to it
 # total_mass_std = 0.01  # relative: how well the total mass is known; exact where not given
 # floor_masses = {masses}  # kg, where they are known, in place of total_mass
 # gravity = 9.81  # m/s2
@@ -93,10 +94,19 @@ TAIL = """
 # [[effect]]
 # name = "story_change"
 # story = 1
-
+{joined}
 # [damping]  # how damping is modelled where a response is predicted
 # kind = "modal"  # or "story", "rayleigh"
 """
+
+JOINED = """
+# [[effect]]  # one that joins two floors
+# name = "spring"
+# floor = 1  # the lower one
+# to = {stories}  # the higher one
+# exclude = true
+"""
+"""What is expected of an effect that only frames of three stories or more have room for."""
 
 
 def template(stories: int = 3) -> str:
@@ -180,6 +190,7 @@ def _filled(modes: str, stories: int, total: str) -> str:
         force=_listed(np.eye(stories)[-1] * FORCE, ".1f"),
         displacement=_listed(np.arange(1, stories + 1) * FORCE / STIFFNESS, ".3f"),
         added=_listed(np.zeros(stories), ".1f"),
+        joined=JOINED.format(stories=stories) if stories > 2 else "",
     )
 
 
