@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from cvxshear.methods.run import identify
     from cvxshear.planning import plan
     from cvxshear.priors import Prior
-    from cvxshear.response import predict
+    from cvxshear.response import predict, reconstruct
 
 showing.shown_by("cvxshear.report.show")
 
@@ -59,6 +59,7 @@ __all__ = [
     "plan",
     "predict",
     "priors",
+    "reconstruct",
 ]
 
 _HOMES = {
@@ -75,6 +76,7 @@ _HOMES = {
     "load": "cvxshear.files.toml",
     "plan": "cvxshear.planning",
     "predict": "cvxshear.response",
+    "reconstruct": "cvxshear.response",
 }
 """Where the public names come from. They are imported when they are first asked for (PEP 562): the loop alone brings
 scipy.stats and joblib, which take longer to load than many a program that needs neither."""

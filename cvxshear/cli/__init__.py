@@ -13,6 +13,7 @@ from cvxshear.cli import plan as planning
 from cvxshear.cli.checked import used
 from cvxshear.cli.output import OutputError, lost, silence, sound_streams, typed
 from cvxshear.cli.predict import predict
+from cvxshear.cli.reconstruct import reconstruct
 from cvxshear.files.inputs import streams_read_once
 from cvxshear.util.errors import CvxshearError, InputError, LostProcessError, NoSolutionError
 
@@ -35,6 +36,7 @@ for command in (
     frames.identify,
     frames.loop,
     predict,
+    reconstruct,
     records.modes,
     before.new,
     before.check,

@@ -11,9 +11,19 @@ import typer
 
 from cvxshear.cli.checked import claim, input_files
 from cvxshear.cli.output import FIGURES as FIGURE_ENDINGS
-from cvxshear.cli.output import BackendName, JsonOut, Quiet, ReportOut, deliver, figures_for, progress, typed
+from cvxshear.cli.output import (
+    BackendName,
+    JsonOut,
+    Quiet,
+    ReportOut,
+    deliver,
+    figures_for,
+    names,
+    progress,
+    typed,
+)
 from cvxshear.cli.records import measured, needs_mass
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, NoScaleError
 from cvxshear.util.text import shell_line
 
 if TYPE_CHECKING:
@@ -46,6 +56,9 @@ def predict(
     ] = None,
     configuration: Annotated[
         str | None, typer.Option(help="Which tested state; the one with the record's added mass where not given.")
+    ] = None,
+    assume: Annotated[
+        str | None, typer.Option(help="Effects that are in the model from the start.", metavar="NAME,...")
     ] = None,
     detrend: Annotated[
         bool, typer.Option(help="Take the straight line through each recorded acceleration off.")
@@ -86,27 +99,36 @@ def predict(
 
         pages.append(lambda: write_prediction_report(result, report, shell_line(["cvxshear", *typed])))
     with progress("predicting", quiet):
-        source, doubts = _screened(file, backend)
+        source, doubts = screened(file, backend, names(assume) or ())
         result = run(source, record, backend, damping=damping, configuration=configuration, detrend=detrend)
     said = {**result.to_dict(), **in_json(doubts)}
     deliver(said, out, lambda: [*terminal.doubts(doubts or ()), *terminal.shown(result)], *files.of(result), *pages)
 
 
-def _screened(file: str, backend: str) -> tuple[ModelSource, Sequence[Finding] | None]:
+def screened(file: str, backend: str, assume: Sequence[str] = ()) -> tuple[ModelSource, Sequence[Finding] | None]:
     """What the model is made of, without mistakes, and its warnings; None where `loop` looked for them before."""
     from cvxshear import backends, close_loop
     from cvxshear.measurement.declaration import NUMBERS
     from cvxshear.response import models_of_loop
+    from cvxshear.response.sources import load_unscaled
     from cvxshear.screening import refuse_mistakes
 
     if Path(file).suffix.lower() == ".json":
+        if assume:
+            raise InputError(f"{file} holds a model that the loop ended with; --assume belongs to 'cvxshear loop'")
         return file, None
-    experiment, found = measured([file])
+    mass_known = True
+    try:
+        experiment, found = measured([file])
+    except NoScaleError:
+        # Only forces need the scale of the masses, and the result leaves those out.
+        experiment, mass_known = load_unscaled(file)
+        found = []
     doubts = refuse_mistakes(experiment, NUMBERS if found else ())
-    if not found:
+    if not found and not assume and mass_known:
         return experiment, doubts
-    closure = close_loop(experiment, backend=backends.get(backend))
-    return models_of_loop(closure, mass_known=not needs_mass(found)), doubts
+    closure = close_loop(experiment, assume=assume, backend=backends.get(backend))
+    return models_of_loop(closure, mass_known=mass_known and not needs_mass(found)), doubts
 
 
 class Files:

@@ -27,8 +27,8 @@ HEAD = """\
 stories = {stories}
 {total}
 # story_heights = {heights}  # m, one number or one a story; effects such as gravity need them
-# total_mass_placeholder = true  # total_mass is no mass that anybody knows: results are relative to it
 # total_mass_std = 0.01  # relative: how well the total mass is known; exact where not given
+# total_mass_placeholder = true  # total_mass stands for one that nobody knows: all comes out relative to it
 # floor_masses = {masses}  # kg, where they are known, in place of total_mass
 # gravity = 9.81  # m/s2
 # reference = "bare"  # the state that is the frame itself
@@ -45,7 +45,7 @@ name = "bare"
 frequency_std = 0.002  # relative: how much repeated tests scatter
 mode_shape_std = 0.01  # of an entry, relative to the largest of its mode
 # mode_shape_noise = "multiplicative"  # mode_shape_std is relative to the entry itself
-# damping_ratios = 0.01  # fraction of critical, one number or one a mode: for 'cvxshear predict', not fitted
+# damping_ratios = 0.01  # fraction of critical, one number or one a mode (nan: unknown): for 'predict', not fitted
 # damping_ratio_std = 0.2  # relative
 """
 
@@ -94,19 +94,18 @@ TAIL = """
 # [[effect]]
 # name = "story_change"
 # story = 1
-{joined}
+
+# [[effect]]
+# name = "bracing"
+# to = 1  # the higher floor of an effect that joins two; floor is then the lower
+
 # [damping]  # how damping is modelled where a response is predicted
 # kind = "modal"  # or "story", "rayleigh"
-"""
 
-JOINED = """
-# [[effect]]  # one that joins two floors
-# name = "spring"
-# floor = 1  # the lower one
-# to = {stories}  # the higher one
-# exclude = true
+# [limits]  # whether 'cvxshear reconstruct' finds them passed, story by story
+# story_drift = [0.005, 0.01]  # drift over story height, ascending
+# names = ["repair", "inspection"]  # what each means
 """
-"""What is expected of an effect that only frames of three stories or more have room for."""
 
 
 def template(stories: int = 3) -> str:
@@ -190,7 +189,6 @@ def _filled(modes: str, stories: int, total: str) -> str:
         force=_listed(np.eye(stories)[-1] * FORCE, ".1f"),
         displacement=_listed(np.arange(1, stories + 1) * FORCE / STIFFNESS, ".3f"),
         added=_listed(np.zeros(stories), ".1f"),
-        joined=JOINED.format(stories=stories) if stories > 2 else "",
     )
 
 

@@ -114,7 +114,7 @@ def read_mode_uff(path: str | Path) -> dict[str, Any]:
         "mode_shapes": (shapes * turn).real[rising][:, upward].tolist(),
     }
     if np.any(damping > 0):
-        result["damping_ratios"] = damping[rising].tolist()
+        result["damping_ratios"] = np.where(damping > 0, damping, np.nan)[rising].tolist()
     return result
 
 
@@ -140,7 +140,9 @@ def _modes_of(rows: Rows, source: str) -> dict[str, Any]:
         result["mode_shape_std"] = [[row[stds[floor]] for floor in sorted(entries)] for row in values]
     for key, place in keys.items():
         column = table[:, place]
-        if np.any(np.isnan(column)):
+        # A mode whose damping nobody measured is still a mode.
+        needed = key != "damping_ratios" or np.all(np.isnan(column))
+        if needed and np.any(np.isnan(column)):
             number = rows[1 + int(np.flatnonzero(np.isnan(column))[0])][0]
             raise InputError(f'{source}, line {number}: column "{header[place]}" is empty')
         result[key] = [int(value) for value in column] if key == "modes" else column.tolist()

@@ -425,7 +425,7 @@ def read_motion(path: str | Path) -> Motion:
         driver = driver_of(channels, declared.get("input", "none"))
     if driver is None or declared.get("kind", "time") != "time" or any(item.responds for item in channels):
         found = read_record(path)
-        return Motion.of(found.record, found.added_mass)
+        return Motion.of(found.record, found.added_mass, found.state)
     with placed(path):
         drives, rates = [], []
         for run in runs_of(table, declared):
@@ -441,5 +441,5 @@ def read_motion(path: str | Path) -> Motion:
         added = added_mass_of(table, path)
         return Motion(
             tuple(drives), rates[0][0], declared["input"], added_mass=None if added is None else np.array(added),
-            name=name,
+            name=name, state=None if table.get("state") is None else checks.text(table["state"], "state"),
         )  # fmt: skip

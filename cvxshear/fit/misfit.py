@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.special import expit
 
 from cvxshear.data import NOISES, Datum, Deviation, Model, Noise, data_of
 from cvxshear.effects import Placed, compose
@@ -111,7 +112,7 @@ class UnknownSize:
         """The logarithm of the factor at a value v of what is normal beforehand, and its derivative by v."""
         if not self.above_one:
             return v, 1.0
-        return 0.5 * float(np.logaddexp(0.0, 2.0 * v)), float(1.0 / (1.0 + np.exp(-2.0 * v)))
+        return 0.5 * float(np.logaddexp(0.0, 2.0 * v)), float(expit(2.0 * v))
 
     def coordinate(self, factor: float) -> float:
         """The value v at which the factor is this one."""
@@ -158,15 +159,17 @@ class Misfit:
             for datum in data_of(experiment)
         ]
 
-    def replaced(self, effects: Sequence[Placed] | None = None, noise: Noise | None = None) -> Misfit:
-        """The same data under other effects or another noise."""
+    def replaced(
+        self, effects: Sequence[Placed] | None = None, noise: Noise | None = None, widened: float | None = None
+    ) -> Misfit:
+        """The same data under other effects, another noise, or the noise widened otherwise."""
         return Misfit(
             self.experiment,
             self.effects if effects is None else effects,
             self.leave_out,
             noise or self.noise,
             self.expectation,
-            self.widened,
+            self.widened if widened is None else widened,
         )
 
     @property

@@ -144,6 +144,9 @@ class _Marginal:
         self._counts = np.array([item.count for item in misfit.unknown], dtype=float)
         rows = [at.unknown == place for place in range(len(misfit.unknown))]
         moved = [at.J[own] @ free for own in rows]
+        # The slope that is left is zero where the fit converged. With it the least of the linearised residual is never
+        # below zero; what a further step would gain at the fit's own factors is not counted, as it was not made.
+        self._left = free.T @ (at.J.T @ at.r)
         self._information = np.array([part.T @ part for part in moved])
         self._gradient = np.array([part.T @ at.r[own] for part, own in zip(moved, rows, strict=True)])
         self._chi2 = np.array([float(at.r[own] @ at.r[own]) for own in rows])
@@ -164,11 +167,12 @@ class _Marginal:
             factor = linalg.cho_factor(H, check_finite=False)
         except linalg.LinAlgError:
             return np.inf, np.zeros(len(v))
-        gradient = change @ self._gradient
+        gradient = self._left + change @ self._gradient
         step = -linalg.cho_solve(factor, gradient, check_finite=False)
         log_det = 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
         prior = float(np.sum((v / self.widths) ** 2))
-        value = -0.5 * (change @ self._chi2 + gradient @ step + log_det + prior) - self._counts @ u
+        value = -0.5 * (change @ self._chi2 + gradient @ step + self._left @ self._left + log_det + prior)
+        value -= self._counts @ u
         left = self._chi2 + 2.0 * self._gradient @ step + np.einsum("i,gij,j->g", step, self._information, step)
         inverse = linalg.cho_solve(factor, np.eye(len(H)), check_finite=False)
         known = np.einsum("ij,gji->g", inverse, self._information)

@@ -82,8 +82,7 @@ def conclude(
     assert judged is not None, "a set without a fit has no probability"
     final = judged
     if widened:
-        same = next(each for each in searches if each.fitter.numbering.changes == numbering.changes)
-        fitter, final = same.fitter, same.fit_of(found.effects)
+        final = fitter.fit(judged.misfit.replaced(widened=1.0), judged.theta)
     steps = _steps(final, posterior, fitter, searches[0].fitter)
     after = steps[-1]
     added = tuple(_added(posterior, judged, placed) for placed in _by_probability(posterior, judged, fitter))
@@ -200,7 +199,10 @@ def _in_noise_of(final: Estimate, effects: Sequence[Placed], fitter: Fitter) -> 
     base = fitter.base or final
     first = final if final.experiment is fitter.experiment else base
     proposals = [
-        dataclasses.replace(proposal, misfit=proposal.misfit.replaced(noise=final.misfit.noise))
+        dataclasses.replace(
+            proposal,
+            misfit=proposal.misfit.replaced(noise=final.misfit.noise, widened=final.misfit.widened),
+        )
         for proposal in (fitter.proposal(start, wanted) for start in (first, base))
     ]
     misfit = proposals[0].misfit

@@ -67,7 +67,7 @@ class Configuration:
     mode_shape_noise : str, optional
         "additive": std times the mode's largest entry; "multiplicative": std times the entry itself.
     damping_ratios : float or array_like, shape (m,), optional
-        Fraction of critical; not fitted with the modes, but what a damping model is made of.
+        Fraction of critical, nan where not measured; not fitted with the modes, but what damping is made of.
     damping_ratio_std : float or array_like, shape (m,), optional
         Relative standard deviation of the damping ratios.
 
@@ -126,9 +126,13 @@ class Configuration:
         self._put("other_modes", other_modes(self.other_modes, self.modes, self._at("other_modes")))
         if self.damping_ratios is not None:
             where = self._at("damping_ratios")
-            ratios = checks.one_or_many(self.damping_ratios, where, count, of=", one a mode", least=0.0)
+            ratios = checks.one_or_many(self.damping_ratios, where, count, of=", one a mode", least=0.0, nan=True)
+            if np.all(np.isnan(ratios)):
+                raise InputError(f"{where} must have a number for one mode at least; leave it out otherwise")
             if np.any(ratios >= 1):
-                raise InputError(f"{where} must be below 1 (a fraction of critical, not percent), not {ratios.max():g}")
+                raise InputError(
+                    f"{where} must be below 1 (a fraction of critical, not percent), not {np.nanmax(ratios):g}"
+                )
             self._put("damping_ratios", ratios)
         if self.damping_ratio_std is not None:
             where = self._at("damping_ratio_std")

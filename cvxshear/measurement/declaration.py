@@ -249,3 +249,47 @@ class Heading:
     def lines(self) -> list[tuple[str, str]]:
         """Names and texts that stand below the title."""
         return [(key, value) for key, value in self.to_dict().items() if key not in ("title", "photograph")]
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Drift ratios that the user wants to know passed or not.
+
+    Parameters
+    ----------
+    story_drift : array_like, shape (L,)
+        Drift over story height; ascending.
+    names : sequence of str, optional
+        What passing each means; the ratio in percent where not given.
+
+    Raises
+    ------
+    InputError
+        Naming the key, the value found and what would be right.
+    """
+
+    story_drift: Floats
+    names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        drift = checks.vector(self.story_drift, "limits: story_drift", above=0.0)
+        if np.any(np.diff(drift) <= 0):
+            raise InputError(f"limits: story_drift must be ascending, not {checks.shown(drift.tolist())}")
+        if drift[-1] >= 1.0:
+            raise InputError(
+                f"limits: story_drift is drift over story height, so 2 % is 0.02; {drift[-1]:g} is more than the height"
+            )
+        object.__setattr__(self, "story_drift", drift)
+        given = self.names or tuple(f"{100 * each:g} %" for each in drift)
+        if not isinstance(given, list | tuple) or len(given) != len(drift):
+            raise InputError(f"limits: names must have {checks.entries(len(drift))}, one a value of story_drift")
+        object.__setattr__(self, "names", tuple(checks.text(each, "limits: names") for each in given))
+
+    @staticmethod
+    def from_dict(declared: object) -> Limits:
+        """The limits that the table `[limits]` of a measurement file declares."""
+        return Limits(**checks.keys(declared, ["story_drift", "names"], ["story_drift"], "limits"))
+
+    def to_dict(self) -> Json:
+        """The table that declares these limits."""
+        return {"story_drift": self.story_drift.tolist(), "names": list(self.names)}

@@ -14,19 +14,19 @@ from typing import TypeVar
 import numpy as np
 
 from cvxshear.measurement.configuration import Configuration
-from cvxshear.measurement.declaration import DAMPING_KINDS, Damping, Frame, Heading
+from cvxshear.measurement.declaration import DAMPING_KINDS, Damping, Frame, Heading, Limits
 from cvxshear.measurement.expected_effect import ExpectedEffect
 from cvxshear.measurement.static_test import StaticTest
 from cvxshear.priors import Prior, check_prior
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, NoScaleError
 from cvxshear.util.showing import Shown
 from cvxshear.util.typing import Json
 
 __all__ = [
-    "DAMPING_KINDS", "MOST_STORIES", "Configuration", "Damping", "ExpectedEffect", "Experiment", "Frame", "Prior",
-    "StaticTest", "Tested",
+    "DAMPING_KINDS", "MOST_STORIES", "Configuration", "Damping", "ExpectedEffect", "Experiment", "Frame", "Limits",
+    "Prior", "StaticTest", "Tested",
 ]  # fmt: skip
 
 Tested = Configuration | StaticTest
@@ -54,6 +54,8 @@ class Experiment(Shown):
     damping : Damping, optional
     report : Heading, optional
         What a report says of the test: title, client, author, date, photograph.
+    limits : Limits, optional
+        Drift ratios whose passing a reconstruction judges.
 
     Raises
     ------
@@ -69,6 +71,7 @@ class Experiment(Shown):
     expected: tuple[ExpectedEffect, ...] = ()
     damping: Damping = field(default_factory=Damping)
     report: Heading = field(default_factory=Heading)
+    limits: Limits | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -162,7 +165,7 @@ class Experiment(Shown):
 
     def _check_scale(self) -> None:
         if self.frame.known_total is None and not self.scale_known_otherwise:
-            raise InputError(
+            raise NoScaleError(
                 "nothing tells how heavy the frame is: give frame: total_mass or floor_masses, two configurations with "
                 "different added_mass, mass_normalized shapes, a static test, or a prior that fixes the scale (value, "
                 "or nominal without free_scale)"
@@ -189,7 +192,7 @@ class Experiment(Shown):
         """
         frame_keys = {item.name: "[frame]" for item in dataclasses.fields(Frame)}
         tested_keys = {item.name: "[[configuration]]" for item in dataclasses.fields(Configuration)}
-        tables = ["frame", "configuration", "prior", "static", "effect", "damping", "report"]
+        tables = ["frame", "configuration", "prior", "static", "effect", "damping", "report", "limits"]
         table = checks.keys(declared, tables, [], "the measurement file", elsewhere={**tested_keys, **frame_keys})
         if table.get("configuration") is None:
             raise InputError("at least one [[configuration]] is needed: none was found")
@@ -212,13 +215,16 @@ class Experiment(Shown):
         )
         damping = Damping() if table.get("damping") is None else Damping.from_dict(table["damping"])
         report = Heading() if table.get("report") is None else Heading.from_dict(table["report"])
-        return Experiment(frame, configurations, tuple(priors), name, static, expected, damping, report)
+        limits = None if table.get("limits") is None else Limits.from_dict(table["limits"])
+        return Experiment(frame, configurations, tuple(priors), name, static, expected, damping, report, limits)
 
     def to_dict(self) -> Json:
         """The dict of the measurement file's shape that declares this experiment."""
         result: Json = {"frame": self.frame.to_dict()}
         if self.damping.kind != Damping().kind:
             result["damping"] = {"kind": self.damping.kind}
+        if self.limits is not None:
+            result["limits"] = self.limits.to_dict()
         if self.priors or self.damping.priors:
             result["prior"] = [prior.to_dict() for prior in (*self.priors, *self.damping.priors)]
         if self.expected:

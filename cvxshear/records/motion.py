@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import signal
 
 from cvxshear.measurement.experiment import MOST_STORIES
+from cvxshear.records.floors import one_a_floor
 from cvxshear.records.record import Record, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Floats, Ints
+from cvxshear.util.typing import Bools, Floats, Ints
 
 DRIVEN = ("base", "force")
 
@@ -29,7 +29,7 @@ class Drive:
     floor : int, optional
         Where the force acts; 0 for a base acceleration.
     responses : array_like, shape (samples, floors), optional
-        Total accelerations of the floors that `Motion.floors` names, m/s2.
+        Total accelerations of the floors that `Motion.floors` names, m/s2; nan where a piece is missing.
     name : str, optional
     """
 
@@ -45,9 +45,9 @@ class Drive:
         object.__setattr__(self, "excitation", excitation)
         if self.responses is not None:
             responses = np.array(self.responses, dtype=np.float64)
-            if responses.ndim != 2 or len(responses) != len(excitation) or not np.isfinite(responses).all():
+            if responses.ndim != 2 or len(responses) != len(excitation) or np.isinf(responses).any():
                 raise InputError(
-                    f"{self.name}: responses must be a finite table of {len(excitation)} samples by floors, one row a "
+                    f"{self.name}: responses must be a table of {len(excitation)} samples by floors, one row a "
                     f"sample of the excitation, not of shape {responses.shape}"
                 )
             object.__setattr__(self, "responses", checks.frozen(responses))
@@ -74,6 +74,8 @@ class Motion:
     added_mass : array_like, shape (N,), optional
         kg on each floor while this was recorded; None where nothing says so.
     name : str, optional
+    state : str, optional
+        The state of the frame while this was recorded; None where nothing says so.
 
     Raises
     ------
@@ -87,6 +89,7 @@ class Motion:
     floors: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     added_mass: Floats | None = None
     name: str = "record"
+    state: str | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -117,22 +120,24 @@ class Motion:
         drives = tuple(
             dataclasses.replace(
                 drive,
-                excitation=signal.detrend(drive.excitation) if self.input == "base" else drive.excitation,
-                responses=None if drive.responses is None else signal.detrend(drive.responses, axis=0),
+                excitation=drive.excitation - trend(drive.excitation) if self.input == "base" else drive.excitation,
+                responses=None if drive.responses is None else drive.responses - trend(drive.responses),
             )
             for drive in self.drives
         )
         return dataclasses.replace(self, drives=drives)
 
     @staticmethod
-    def of(record: Record, added_mass: Sequence[float] | None = None) -> Motion:
+    def of(record: Record, added_mass: Sequence[float] | None = None, state: str | None = None) -> Motion:
         """The motion that a record holds.
 
         Parameters
         ----------
         record : TimeRecord
-            Driven by base motion or a force. Responses other than accelerations are left out.
+            Driven by base motion or a force. Responses other than accelerations are left out; of several sensors on
+            one floor the mean is taken.
         added_mass : sequence of float, shape (N,), optional
+        state : str, optional
 
         Raises
         ------
@@ -145,17 +150,37 @@ class Motion:
                 f'{record.name} has {found}; a prediction needs what drove the frame in time: input = "base" with a '
                 'channel on floor 0, or input = "force" with a channel of the force'
             )
-        measured = record.quantity == "acceleration"
+        single, _ = one_a_floor(record)
+        measured = single.quantity == "acceleration"
         drives = tuple(
             Drive(
                 run.excitation,
-                run.floor if record.input == "force" else 0,
+                run.floor if single.input == "force" else 0,
                 run.responses if measured else None,
                 run.name,
             )
-            for run in record.runs
+            for run in single.runs
             if run.excitation is not None
         )
-        floors = record.floors if measured else np.zeros(0, dtype=np.int64)
+        floors = single.floors if measured else np.zeros(0, dtype=np.int64)
         added = None if added_mass is None else np.asarray(added_mass, dtype=np.float64)
-        return Motion(drives, record.sampling_rate, record.input, floors, added, record.name)
+        return Motion(drives, single.sampling_rate, single.input, floors, added, single.name, state)
+
+
+def trend(values: Floats, there: Bools | None = None) -> Floats:
+    """Straight line through each column by least squares, of the same shape.
+
+    Parameters
+    ----------
+    values : ndarray, shape (samples,) or (samples, columns)
+    there : ndarray of bool, shape (samples,), optional
+        The samples that count; those that are not nan where not given.
+    """
+    columns = values.reshape(len(values), -1)
+    time = np.linspace(-1.0, 1.0, len(values))
+    lines = np.zeros_like(columns)
+    for j, column in enumerate(columns.T):
+        own = np.isfinite(column) if there is None else there
+        if own.sum() > 1:
+            lines[:, j] = np.polyval(np.polyfit(time[own], column[own], 1), time)
+    return lines.reshape(values.shape)

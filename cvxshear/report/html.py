@@ -26,13 +26,17 @@ from cvxshear.util.writing import write_file
 try:
     from cvxshear.report import figures  # noqa: F401 - told here, before the loop is closed, where it is missing
     from cvxshear.report.pages import drawings, environment, readable_json, versions
-    from cvxshear.report.response_html import prediction_contents, write_prediction_report
+    from cvxshear.report.response_html import (
+        prediction_contents,
+        write_prediction_report,
+        write_reconstruction_report,
+    )
 except ImportError as error:
     raise CvxshearError(
         f"the report needs {error.name}, which is not installed: pip install jinja2 matplotlib"
     ) from error
 
-__all__ = ["render", "write_prediction_report", "write_report"]
+__all__ = ["render", "write_prediction_report", "write_reconstruction_report", "write_report"]
 
 FIRST_SECTIONS = ("verdict",)
 """Sections of the description that stand on the first screen."""

@@ -1,4 +1,4 @@
-"""A predicted response as a page of its own, or as a part of the report of the loop that made the model."""
+"""A predicted or reconstructed response as a page of its own; a prediction also as a part of the loop's report."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cvxshear.report.describe import describe
 from cvxshear.report.pages import drawings, environment, readable_json, versions
-from cvxshear.response import RecordPrediction
+from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.util.typing import Json
 from cvxshear.util.writing import write_file
 
@@ -40,15 +40,40 @@ def render_prediction(result: RecordPrediction, command: str) -> str:
     command : str
     """
     page = environment().get_template("prediction_report.html")
-    return page.render(**prediction_contents(result), command=command, versions=list(versions()))
+    return page.render(
+        **prediction_contents(result), heading="Predicted response", command=command, versions=list(versions())
+    )
 
 
-def prediction_contents(result: RecordPrediction) -> Json:
-    """What the templates put on a page of a prediction.
+def write_reconstruction_report(result: Reconstruction, path: str | Path, command: str) -> None:
+    """Write the report of a reconstruction, one HTML file that refers to nothing outside itself.
 
     Parameters
     ----------
-    result : RecordPrediction
+    result : Reconstruction
+    path : str or Path
+        Written in one piece; whatever was there before is replaced.
+    command : str
+        What makes this report again, as it was typed.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
+    """
+    page = environment().get_template("prediction_report.html")
+    text = page.render(
+        **prediction_contents(result), heading="Reconstructed response", command=command, versions=list(versions())
+    )
+    write_file(path, text)
+
+
+def prediction_contents(result: RecordPrediction | Reconstruction) -> Json:
+    """What the templates put on a page of a prediction or a reconstruction.
+
+    Parameters
+    ----------
+    result : RecordPrediction or Reconstruction
     """
     drawn = {
         name: dataclasses.replace(each, section=f"predicted-{each.section}") for name, each in drawings(result).items()

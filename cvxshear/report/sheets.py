@@ -46,6 +46,31 @@ def sheets_of_closure(result: Closure) -> list[Sheet]:
     ]
 
 
+def sheets_of_response(said: Json) -> list[Sheet]:
+    """Peaks of a prediction or a reconstruction with their deviations, a row a floor or story; then what stands alone.
+
+    Parameters
+    ----------
+    said : dict
+        The result's own JSON.
+    """
+    peaks = {name: values for name, values in said["peaks"].items() if isinstance(values, list)}
+    header = ("floor / story", *(_words(name) for name in peaks))
+    rows: list[tuple[Cell, ...]] = [(place, *row) for place, row in enumerate(zip(*peaks.values(), strict=True), 1)]
+    alone = [(_words(name), value) for name, value in said["peaks"].items() if not isinstance(value, list)]
+    frame = said.get("frame")
+    sheets = [Sheet("peaks", header, rows), Sheet("base", ("quantity", "value"), [*alone])]
+    if frame is not None:
+        keys = ("story_factor", "story_factor_std", "change_probability")
+        table = zip(*(frame[key] for key in keys), strict=True)
+        sheets.append(Sheet("frame", ("story", *map(_words, keys)), [(at, *row) for at, row in enumerate(table, 1)]))
+    if said.get("limits"):
+        chances = zip(*(each["probability"] for each in said["limits"]), strict=True)
+        names = tuple(each["name"] for each in said["limits"])
+        sheets.append(Sheet("limits", ("story", *names), [(at, *row) for at, row in enumerate(chances, 1)]))
+    return sheets
+
+
 def _modes(result: ModalResult) -> Sheet:
     floors = result.floors.tolist()
     header = ["mode", "frequency, Hz", "frequency std", "damping"]

@@ -1,4 +1,8 @@
-"""A predicted response beside what was measured."""
+"""A predicted response beside what was measured: errors in time, and of the transfer functions around each mode.
+
+H1 = S_yf / S_ff by averaged periodograms. Measured and predicted responses go through the same estimate, so that
+leakage and resolution are the same in both and cancel from what is compared.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +10,150 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import signal
 
 from cvxshear.fit.results import plain
 from cvxshear.records.motion import Motion
-from cvxshear.response.model import DampedModel, Response
-from cvxshear.response.transfer import Transfer, errors, peak, power_at, segment, transfer
-from cvxshear.util.typing import Floats, Ints, Json
+from cvxshear.response.model import Complexes, DampedModel, Response
+from cvxshear.util.quantities import ranged
+from cvxshear.util.typing import Bools, Floats, Ints, Json
+
+SEGMENTS = 4
+"""Pieces, half overlapping, that the shortest run is cut into at least: fewer show no coherence."""
+
+BANDWIDTH_LINES = 8
+"""Lines that the half-power bandwidth of a mode is resolved by, where the record is long enough."""
+
+AROUND = 0.1
+"""Of a natural frequency: how far to either side its neighbourhood reaches, unless the next mode is nearer."""
+
+COHERENT = 0.6
+"""Mean coherence from which on the excitation is what a floor answers to."""
+
+
+@dataclass(frozen=True, eq=False)
+class Transfer:
+    """Transfer functions.
+
+    Parameters
+    ----------
+    frequencies : ndarray, shape (lines,)
+        Hz.
+    functions : ndarray of complex, shape (lines, n)
+        (m/s2)/(m/s2) or (m/s2)/N, a column a floor.
+    coherence : ndarray, shape (lines, n)
+    """
+
+    frequencies: Floats
+    functions: Complexes
+    coherence: Floats
+
+
+def segment(samples: int, rate: float, frequency: float, ratio: float) -> int:
+    """Length of the pieces, samples: long enough for a mode's resonance, short enough for several.
+
+    Parameters
+    ----------
+    samples : int
+        Of the shortest run.
+    rate : float
+        Hz.
+    frequency, ratio : float
+        Hz and fraction of critical, of the mode with the narrowest resonance.
+    """
+    wanted = BANDWIDTH_LINES * rate / max(2 * ratio * frequency, 1e-12)
+    return int(max(16, min(wanted, 2 * samples // (SEGMENTS + 1))))
+
+
+def transfer(excitations: Sequence[Floats], responses: Sequence[Floats], rate: float, length: int) -> Transfer:
+    """The transfer functions over all runs together.
+
+    Parameters
+    ----------
+    excitations : sequence of ndarray, shape (samples,)
+    responses : sequence of ndarray, shape (samples, n)
+    rate : float
+        Hz.
+    length : int
+        Samples of each piece.
+    """
+    cross: Complexes | float = 0.0
+    force: Floats | float = 0.0
+    power: Floats | float = 0.0
+    frequencies = np.zeros(0)
+    for f, y in zip(excitations, responses, strict=True):
+        frequencies, own = signal.welch(f, rate, nperseg=length)
+        weight = len(f)
+        force = force + weight * own
+        power = power + weight * signal.welch(y, rate, nperseg=length, axis=0)[1]
+        cross = cross + weight * signal.csd(f[:, None], y, rate, nperseg=length, axis=0)[1]
+    # Lines that nothing drives have no transfer function; 0 / 0 stands for it.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        functions = np.asarray(cross) / np.asarray(force)[:, None]
+        coherence = np.abs(cross) ** 2 / (np.asarray(force)[:, None] * np.asarray(power))
+    return Transfer(frequencies, functions, np.nan_to_num(coherence))
+
+
+def around(frequencies: Floats, natural: Floats, mode: int) -> Bools:
+    """The lines near one natural frequency and nearer to it than to any other, shape (lines,)."""
+    own = natural[mode]
+    near: Bools = np.abs(frequencies - own) <= AROUND * own
+    others = np.delete(natural, mode)
+    if others.size:
+        near &= np.abs(frequencies - own) < np.min(np.abs(frequencies[:, None] - others), axis=1)
+    return near
+
+
+def errors(measured: Transfer, predicted: Transfer, natural: Floats) -> Floats:
+    """Error of the predicted size around each mode, root mean square over that of the measured one.
+
+    Parameters
+    ----------
+    measured, predicted : Transfer
+        On the same lines.
+    natural : ndarray, shape (N,)
+        Hz.
+
+    Returns
+    -------
+    ndarray, shape (n, N)
+        A row a floor; nan around modes that the excitation does not reach.
+    """
+    result = np.full((measured.functions.shape[1], len(natural)), np.nan)
+    for mode in range(len(natural)):
+        near = around(measured.frequencies, natural, mode)
+        if not near.any():
+            continue
+        seen, made = np.abs(measured.functions[near]), np.abs(predicted.functions[near])
+        reached = measured.coherence[near].mean(axis=0) >= COHERENT
+        error = np.sqrt(np.sum((made - seen) ** 2, axis=0) / np.sum(seen**2, axis=0))
+        result[reached, mode] = error[reached]
+    return result
+
+
+def power_at(of: Transfer, natural: Floats, mode: int, frequency: float) -> float:
+    """Squared size of the transfer functions of all floors together at a frequency, over the largest near a mode."""
+    power = np.sum(np.abs(of.functions) ** 2, axis=1)
+    largest = power[around(of.frequencies, natural, mode)].max()
+    return float(np.interp(frequency, of.frequencies, power) / largest)
+
+
+def peak(of: Transfer, natural: Floats, mode: int) -> float | None:
+    """Where the transfer functions of all floors together peak near a mode, Hz; None where they do not.
+
+    The top of the parabola through the largest line and its neighbours, of the logarithm.
+    """
+    near = np.flatnonzero(around(of.frequencies, natural, mode))
+    if len(near) < 3 or of.coherence[near].mean() < COHERENT:
+        return None
+    size = np.log(np.maximum(np.sum(np.abs(of.functions) ** 2, axis=1), 1e-300))
+    top = int(near[np.argmax(size[near])])
+    if top in (near[0], near[-1]):
+        return None
+    left, here, right = size[top - 1 : top + 2]
+    shift = 0.5 * (left - right) / (left - 2 * here + right)
+    return float(of.frequencies[top] + shift * (of.frequencies[1] - of.frequencies[0]))
+
 
 FALLEN = 0.8
 """Of a peak's power, below which a transfer function has fallen at another's peak. The top of a damped resonance is
@@ -57,6 +199,8 @@ class RecordComparison:
         Of the size of the transfer function around each mode; nan where the excitation does not reach one.
     shifts : tuple of Shift
     measured, predicted : Transfer
+    contradiction : str
+        What one factor, sign or exchange of channels would explain; empty where nothing is.
     """
 
     floors: Ints
@@ -67,6 +211,7 @@ class RecordComparison:
     shifts: tuple[Shift, ...]
     measured: Transfer
     predicted: Transfer
+    contradiction: str = ""
 
     def to_dict(self) -> Json:
         """The documented JSON."""
@@ -84,7 +229,9 @@ def seen(model: DampedModel, response: Response, floors: Ints) -> Floats:
     return response.acceleration[:, floors - 1] * model.gain[floors - 1]
 
 
-def compared(model: DampedModel, responses: Sequence[Response], motion: Motion) -> RecordComparison | None:
+def compared(
+    model: DampedModel, responses: Sequence[Response], motion: Motion, measured_modes: Ints | None = None
+) -> RecordComparison | None:
     """The prediction beside the record; None where the record has no accelerations of floors.
 
     Parameters
@@ -93,11 +240,17 @@ def compared(model: DampedModel, responses: Sequence[Response], motion: Motion) 
     responses : sequence of Response
         One a run of the record.
     motion : Motion
+        Floors with missing samples are left out.
+    measured_modes : ndarray of int, optional
+        The modes that were measured, from 1, of which alone shifts are told; all where not given.
     """
-    floors = motion.floors[motion.floors <= len(model.M)]
-    if not floors.size or any(drive.responses is None for drive in motion.drives):
+    if any(drive.responses is None for drive in motion.drives):
         return None
-    columns = np.flatnonzero(motion.floors <= len(model.M))
+    whole = [np.isfinite(drive.responses).all(axis=0) for drive in motion.drives if drive.responses is not None]
+    columns = np.flatnonzero((motion.floors <= len(model.M)) & np.all(whole, axis=0))
+    floors = motion.floors[columns]
+    if not floors.size:
+        return None
     measured = [drive.responses[:, columns] for drive in motion.drives if drive.responses is not None]
     predicted = [seen(model, response, floors) for response in responses]
     error = np.concatenate(predicted) - np.concatenate(measured)
@@ -118,14 +271,15 @@ def compared(model: DampedModel, responses: Sequence[Response], motion: Motion) 
             nrmse=rms_error / rms_measured,
             rms_ratio=rms_predicted / rms_measured,
             peak_ratio=top_predicted / top_measured,
-            frf_error=errors(of_record, of_model, natural),
-            shifts=_shifts(of_record, of_model, natural),
+            frf_error=_around_modes(excitations, measured, predicted, (of_record, of_model), motion, natural),
+            shifts=_shifts(of_record, of_model, natural, measured_modes),
+            contradiction=contradiction(measured, predicted, floors),
             measured=of_record,
             predicted=of_model,
         )
 
 
-def _shifts(measured: Transfer, predicted: Transfer, natural: Floats) -> tuple[Shift, ...]:
+def _shifts(measured: Transfer, predicted: Transfer, natural: Floats, measured_modes: Ints | None) -> tuple[Shift, ...]:
     """The modes whose resonance is elsewhere than the model's.
 
     By more than a line of the spectrum, and so far that either transfer function has fallen where the other peaks.
@@ -133,6 +287,8 @@ def _shifts(measured: Transfer, predicted: Transfer, natural: Floats) -> tuple[S
     line = measured.frequencies[1] - measured.frequencies[0]
     found = []
     for mode in range(len(natural)):
+        if measured_modes is not None and mode + 1 not in measured_modes:
+            continue
         seen, made = peak(measured, natural, mode), peak(predicted, natural, mode)
         if seen is None or made is None or abs(seen - made) <= line:
             continue
@@ -140,3 +296,104 @@ def _shifts(measured: Transfer, predicted: Transfer, natural: Floats) -> tuple[S
         if max(left) < FALLEN:
             found.append(Shift(mode + 1, seen, made))
     return tuple(found)
+
+
+def _around_modes(
+    excitations: Sequence[Floats], measured: Sequence[Floats], predicted: Sequence[Floats],
+    averaged: tuple[Transfer, Transfer], motion: Motion, natural: Floats,
+) -> Floats:  # fmt: skip
+    """Errors around each mode; by one piece a run where averaged pieces have too few lines around one."""
+    result = errors(*averaged, natural)
+    lines = np.array([around(averaged[0].frequencies, natural, mode).sum() for mode in range(len(natural))])
+    few = np.flatnonzero(lines < FEWEST_AVERAGED)
+    if not few.size:
+        return result
+    # A single piece has no coherence to judge by: what the frame answers at a resonance stands above its noise there.
+    length = min(len(each) for each in excitations)
+    finer = [
+        transfer([f[:length] for f in excitations], [y[:length] for y in side], motion.sampling_rate, length)
+        for side in (measured, predicted)
+    ]
+    # The excitation's own lines may be nearly empty; weighed by them, the functions are the responses' spectra.
+    shaken = np.array([signal.detrend(f[:length]) * np.hanning(length) for f in excitations])
+    weights = np.sum(np.abs(np.fft.rfft(shaken, axis=1)) ** 2, axis=0)
+    for mode in few:
+        near = around(finer[0].frequencies, natural, int(mode))
+        if near.sum() < 2:
+            continue
+        weight = np.sqrt(weights[near])[:, None]
+        seen, made = (weight * np.abs(each.functions[near]) for each in finer)
+        result[:, mode] = np.sqrt(np.sum((made - seen) ** 2, axis=0) / np.sum(seen**2, axis=0))
+    return result
+
+
+def contradiction(measured: Sequence[Floats], predicted: Sequence[Floats], floors: Ints) -> str:
+    """What one factor, a sign or an exchange of two channels would explain, in words; empty where nothing is.
+
+    Parameters
+    ----------
+    measured, predicted : sequence of ndarray, shape (samples, n)
+    floors : ndarray of int, shape (n,)
+    """
+    y, p = np.concatenate(measured), np.concatenate(predicted)
+    size_y, size_p = (np.sqrt(np.mean(each**2, axis=0)) for each in (y, p))
+    if not np.all(size_y > 0) or not np.all(size_p > 0):
+        return ""
+    alike = (y.T @ p) / len(y) / np.outer(size_y, size_p)
+    own = np.diag(alike)
+    said = []
+    ratios = size_y / size_p
+    factor = float(np.exp(np.mean(np.log(ratios))))
+    spread = float(np.max(np.abs(np.log(ratios / factor))))
+    for known, unit in UNIT_FACTORS:
+        if abs(np.log(factor / known)) < SAME_FACTOR and spread < SAME_FACTOR:
+            said.append(
+                f"every floor was measured {factor:.3g} times as large as predicted, which is near {known:g}: {unit}"
+            )
+    against = floors[own < -LIKE]
+    if against.size and against.size < len(floors):
+        said.append(
+            f"floor {ranged(against.tolist())} moved against the prediction (correlation {own[own < -LIKE].min():.2f}) "
+            "where the others moved with it: is the sensor reversed?"
+        )
+    elif against.size:
+        said.append("every floor moved against the prediction: is the excitation's sign reversed?")
+    for i in range(len(floors)):
+        for j in range(i + 1, len(floors)):
+            crossed = alike[i, j] ** 2 + alike[j, i] ** 2
+            sizes = abs(np.log(size_y[i] / size_p[j])) + abs(np.log(size_y[j] / size_p[i]))
+            straight = abs(np.log(ratios[i])) + abs(np.log(ratios[j]))
+            if (
+                min(alike[i, j], alike[j, i]) > LIKE
+                and crossed > own[i] ** 2 + own[j] ** 2 + EXCHANGED
+                and sizes < straight
+            ):
+                said.append(
+                    f"floors {floors[i]} and {floors[j]} fit each other's prediction: are they exchanged?"
+                )
+    return "; ".join(said)
+
+
+UNIT_FACTORS = (
+    (9.80665, "is the base motion in g, or were the floors converted twice?"),
+    (1 / 9.80665, "are the floors in g, or was the base motion converted twice?"),
+    (1000.0, "are the floors in mm/s2?"),
+    (1e-3, "is the base motion in mm/s2?"),
+    (100.0, "are the floors in cm/s2 (gal)?"),
+    (0.01, "is the base motion in cm/s2 (gal)?"),
+    (386.1, "are the floors in in/s2?"),
+)
+"""Ratios of units of acceleration that are mixed up, and what each would mean."""
+
+SAME_FACTOR = 0.25
+"""Difference of logarithms up to which a ratio counts as one of `UNIT_FACTORS`: a prediction's own rms is rarely off by
+more, and no two of them are as near."""
+
+LIKE = 0.5
+"""Correlation in time from which on two motions belong together: those of floors of one frame, in step, have 0.8."""
+
+EXCHANGED = 0.1
+"""Gain in squared correlation that an exchange of two channels must bring: neighbouring floors move nearly alike."""
+
+FEWEST_AVERAGED = 5
+"""Lines of the averaged spectra around a mode below which they say nothing of its height."""

@@ -11,11 +11,11 @@ from cvxshear.backends import Backend
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.results import plain
 from cvxshear.measurement.experiment import Experiment
+from cvxshear.response.dashpots import LEAST_RATIO, MISSED, known
 from cvxshear.response.fitted import Fitted
-from cvxshear.response.propagation import propagated
-from cvxshear.response.ratios import known
-from cvxshear.response.uncertain import Damped, UncertainFrame
+from cvxshear.response.uncertain import Damped, UncertainFrame, propagated
 from cvxshear.util import checks
+from cvxshear.util.quantities import percent, ranged
 from cvxshear.util.showing import Shown
 from cvxshear.util.typing import Floats, Json
 
@@ -34,6 +34,8 @@ class IdentifiedDamping(Shown):
         N s/m; nan where the data leave a dashpot open. Only of story damping.
     rayleigh, rayleigh_std : ndarray, shape (2,), optional
         a (1/s) and b (s). Only of Rayleigh damping.
+    measured : ndarray, shape (N,), optional
+        The ratios that were measured, nan where none was.
     remarks : tuple of str
         What was assumed, and what the data leave open.
     """
@@ -45,6 +47,7 @@ class IdentifiedDamping(Shown):
     story_dashpot_std: Floats | None = None
     rayleigh: Floats | None = None
     rayleigh_std: Floats | None = None
+    measured: Floats | None = None
     remarks: tuple[str, ...] = ()
 
     def to_dict(self) -> Json:
@@ -55,6 +58,7 @@ class IdentifiedDamping(Shown):
             "story_dashpot_std": plain(self.story_dashpot_std),
             "ratios": plain(self.ratios),
             "ratios_std": plain(self.ratios_std),
+            "ratios_measured": plain(self.measured),
             "rayleigh": plain(self.rayleigh),
             "rayleigh_std": plain(self.rayleigh_std),
             "remarks": list(self.remarks),
@@ -80,26 +84,42 @@ def described(frame: UncertainFrame, damped: Damped, std: Floats) -> IdentifiedD
         remarks.append(f'the damping ratios were measured in "{frame.ratios.tested.name}"')
     if frame.fitted.experiment.damping.priors and frame.kind != "story":
         remarks.append(f"the priors on story_damping have no part in {frame.kind} damping")
-    if damped.dashpots is None:
-        factors = damped.rayleigh
-        return IdentifiedDamping(
-            frame.kind, damped.model.ratios, ratios, rayleigh=factors,
-            rayleigh_std=None if factors is None else own, remarks=tuple(remarks),
-        )  # fmt: skip
-    remarks += [
-        f"the measured damping ratios leave open {names}; it is set in proportion to the story stiffness"
-        for names in damped.dashpots.open
-    ]
-    if damped.dashpots.missed:
-        modes = ", ".join(str(mode) for mode in damped.dashpots.missed)
-        remarks.append(
-            f"dashpots between the floors cannot give the measured damping ratio{'s' if ',' in modes else ''} of mode "
-            f"{modes}; modal or Rayleigh damping can"
-        )
-    dashpot_std = np.where(damped.dashpots.determined, own, np.nan)
+    measured = np.where(frame.ratios.measured, frame.ratios.values, np.nan)
+    factors, dashpots, dashpot_std = damped.rayleigh, None, None
+    if damped.dashpots is not None:
+        dashpots = damped.dashpots.values
+        dashpot_std = np.where(damped.dashpots.determined, own, np.nan)
+        if damped.dashpots.open:
+            remarks.append(
+                f"the measured damping ratios leave open {', and '.join(damped.dashpots.open)}; what is left open is "
+                "set in proportion to the story stiffness"
+            )
+    if frame.kind != "modal":
+        remarks += _missed(frame, damped, measured)
     return IdentifiedDamping(
-        frame.kind, damped.model.ratios, ratios, damped.dashpots.values, dashpot_std, remarks=tuple(remarks)
-    )
+        frame.kind, damped.model.ratios, ratios, dashpots, dashpot_std, factors,
+        None if factors is None else own, measured, tuple(remarks),
+    )  # fmt: skip
+
+
+def _missed(frame: UncertainFrame, damped: Damped, measured: Floats) -> list[str]:
+    """The measured ratios that this kind of damping does not have, and which kind would."""
+    std = frame.ratios.std * np.maximum(frame.ratios.values, LEAST_RATIO)
+    far = np.flatnonzero(np.abs(damped.model.ratios - np.nan_to_num(measured)) > MISSED * std)
+    modes = [int(mode) + 1 for mode in far if np.isfinite(measured[mode])]
+    if not modes:
+        return []
+    own = np.maximum(damped.model.ratios, 1e-9)
+    worst = max(modes, key=lambda mode: abs(np.log(own[mode - 1] / max(measured[mode - 1], 1e-9))))
+    return [
+        f"{WORDS[frame.kind]} cannot give the measured damping ratio{'s' if len(modes) > 1 else ''} of mode "
+        f"{ranged(modes)} (mode {worst}: {percent(float(damped.model.ratios[worst - 1]), 2)} in place of "
+        f"{percent(float(measured[worst - 1]), 2)}); modal damping can"
+    ]
+
+
+WORDS = {"story": "dashpots between the floors", "rayleigh": "Rayleigh damping"}
+"""Kinds of damping that need not have the measured ratios."""
 
 
 def damping_of(

@@ -1,4 +1,7 @@
-"""Story dashpots from modal damping, by programs of the form that every backend solves."""
+"""Damping ratios of all modes, and the story dashpots or Rayleigh's factors that have them.
+
+Either is a least-squares program of the form that every backend solves.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,108 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.backends import Backend
+from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model.shear import Modes, stiffness_matrix
 from cvxshear.priors import Prior
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.orthogonality import pair_products
 from cvxshear.programs.statements import constrained, refuse_contradictions, softened, statements
-from cvxshear.response.poles import coupled, modal_damping
-from cvxshear.response.ratios import Ratios
-from cvxshear.util.errors import NoSolutionError, UnsuitableError
+from cvxshear.response.model import coupled, modal_damping
+from cvxshear.util.errors import InputError, NoSolutionError, UnsuitableError
+from cvxshear.util.quantities import ranged
 from cvxshear.util.typing import Bools, Floats, Ints
+
+DEFAULT_STD = 0.2
+"""Relative, of a measured damping ratio whose deviation is not declared: what repeated tests scatter by."""
+
+ASSUMED_STD = 0.5
+"""Relative, of the damping ratio of a mode that was not measured."""
+
+
+HIGH = 0.2
+"""Damping ratio from which on it is asked whether percent were meant: frames with dampers have less."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ratios:
+    """Damping ratios of the N modes of a frame.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+        Fraction of critical; where not measured, the mean of those that were.
+    std : ndarray, shape (N,)
+        Relative.
+    measured : ndarray of bool, shape (N,)
+    tested : Configuration
+        The state in which they were measured.
+    """
+
+    values: Floats
+    std: Floats
+    measured: Bools
+    tested: Configuration
+
+    def assumed(self) -> tuple[str, ...]:
+        """What is taken for known and was not measured, in words."""
+        said = []
+        if not self.measured.all():
+            names = ranged([int(j) + 1 for j in np.flatnonzero(~self.measured)])
+            said.append(
+                f"no damping ratio was measured of mode{'s' if (~self.measured).sum() > 1 else ''} {names}: the mean "
+                f"of the others is taken, {100 * self.values[~self.measured][0]:.2g} % of critical within "
+                f"{100 * ASSUMED_STD:g} %"
+            )
+        if np.any(self.values[self.measured] >= HIGH):
+            largest = float(self.values[self.measured].max())
+            said.append(
+                f"a damping ratio of {largest:g} is {100 * largest:g} % of critical: are the ratios in percent? "
+                "damping_ratios are fractions of critical"
+            )
+        if self.tested.damping_ratio_std is None:
+            said.append(
+                f"no deviation of the damping ratios is declared (damping_ratio_std): {100 * DEFAULT_STD:g} % is taken"
+            )
+        return tuple(said)
+
+
+def known(experiment: Experiment) -> bool:
+    """Whether any configuration has damping ratios."""
+    return any(each.damping_ratios is not None for each in experiment.configurations)
+
+
+def damping_ratios(experiment: Experiment, configuration: Configuration) -> Ratios:
+    """The ratios of a configuration, or of the first that has some where it has none.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    configuration : Configuration
+        By whose name its own ratios are found.
+
+    Raises
+    ------
+    InputError
+        Where no configuration declares any.
+    """
+    sources = [each for each in experiment.configurations if each.damping_ratios is not None]
+    if not sources:
+        raise InputError(
+            "nothing tells how the frame is damped: give damping_ratios in [[configuration]] (fractions of critical, "
+            "one a mode, or one number for all)"
+        )
+    tested = next((each for each in sources if each.name == configuration.name), sources[0])
+    assert tested.damping_ratios is not None
+    there = np.isfinite(tested.damping_ratios)
+    modes = tested.modes[there] - 1
+    seen = np.zeros(experiment.stories, dtype=bool)
+    seen[modes] = True
+    values = np.full(experiment.stories, float(np.mean(tested.damping_ratios[there])))
+    values[modes] = tested.damping_ratios[there]
+    std = np.full(experiment.stories, ASSUMED_STD)
+    std[modes] = DEFAULT_STD if tested.damping_ratio_std is None else tested.damping_ratio_std[there]
+    return Ratios(values, std, seen, tested)
+
 
 QUANTITY = "story_damping"
 
@@ -27,23 +123,23 @@ only what neither the ratios nor the priors do."""
 LEAST_RATIO = 1e-3
 """A ratio measured as smaller is no better known than one of this size."""
 
-MOST_ROUNDS = 100
-SHORTEST = 1e-3
+DASHPOT_ROUNDS = 100
+SHORTEST_CUT = 1e-3
 """Share of a step below which it is not cut any more."""
 
-UNCHANGED = 1e-9
+SETTLED_DASHPOTS = 1e-9
 """Relative change of the dashpots at which they have settled."""
 
-FLAT = 1e-5
+RATIOS_MET = 1e-5
 """Relative change of the sum of squares at which the ratios are met as well as they can be."""
 
-OPEN = 1e-6
+LEFT_OPEN = 1e-6
 """A combination of dashpots that changes the data by less, each in units of its own effect, is left open by them."""
 
-TAKES_PART = 0.1
+NAMED_SHARE = 0.1
 """Share of the largest entry from which on a story is named as part of a combination."""
 
-FAR = 2.0
+MISSED = 2.0
 """Standard deviations by which a ratio counts as missed."""
 
 ZERO = 1e-9
@@ -117,17 +213,17 @@ def story_dashpots(
     fit = _Fit(of, stiffness, ratios, priors)
     c = np.zeros(n) if start is None else start
     program = fit.program(c)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(DASHPOT_ROUNDS):
         step = backend.solve(constrained(program, where, c)).x
-        if np.max(np.abs(step)) <= UNCHANGED * np.max(np.abs(c + step), initial=1e-300):
+        if np.max(np.abs(step)) <= SETTLED_DASHPOTS * np.max(np.abs(c + step), initial=1e-300):
             return fit.found(c + step, program)
         before = _size(program)
         # The first answer is that of real modes, wherever it lies; from there on the ratios come ever nearer.
         c, program = fit.moved(c, step, before if np.any(c) else np.inf)
-        if before - _size(program) <= FLAT * before:
+        if before - _size(program) <= RATIOS_MET * before:
             return fit.found(c, program)
     raise NoSolutionError(
-        backend.name, f"the story dashpots did not settle in {MOST_ROUNDS} rounds; use modal damping in their place"
+        backend.name, f"the story dashpots did not settle in {DASHPOT_ROUNDS} rounds; use modal damping in their place"
     )
 
 
@@ -171,7 +267,7 @@ class _Fit:
             Where a measured mode would not swing any more after the first step.
         """
         part = 1.0
-        while part > SHORTEST:
+        while part > SHORTEST_CUT:
             try:
                 program = self.program(c + part * step)
             except UnsuitableError:
@@ -188,7 +284,7 @@ class _Fit:
         measured, assumed = len(self.seen), len(self.statement)
         exact = [prior.constraints(len(c)).A for prior in self.priors]
         rows = [program.R[:measured], program.R[measured + assumed :], *(A for A in exact if A is not None)]
-        far = np.abs(program.s[:measured]) > FAR
+        far = np.abs(program.s[:measured]) > MISSED
         c = np.where(c > ZERO * c.max(), c, 0.0)
         return Dashpots(c, *_left_open(np.concatenate(rows)), tuple((self.seen[far] + 1).tolist()))
 
@@ -234,12 +330,43 @@ def _left_open(data: Floats) -> tuple[tuple[str, ...], Bools]:
     length = np.linalg.norm(data, axis=0)
     unit = 1.0 / np.where(length > 0, length, 1.0)
     _, values, right = np.linalg.svd(data * unit, full_matrices=True)
-    rank = int(np.sum(values > OPEN * values[0]))
+    rank = int(np.sum(values > LEFT_OPEN * values[0]))
     null = right[rank:]
     part = np.linalg.norm(null, axis=0) if len(null) else np.zeros(data.shape[1])
     words = []
     for direction in np.abs(null):
         order = np.argsort(-direction, kind="stable")
-        names = [str(k + 1) for k in order if direction[k] > TAKES_PART * direction[order[0]]]
+        names = [str(k + 1) for k in order if direction[k] > NAMED_SHARE * direction[order[0]]]
         words.append(f"the dashpots of stories {', '.join(names)}" if len(names) > 1 else f"the dashpot of {names[0]}")
     return tuple(words), part < 1e-4
+
+
+def rayleigh(of: Modes, ratios: Ratios, backend: Backend) -> Floats:
+    """a and b of C = a M + b K, both at least zero, by zeta_i = a / (2 omega_i) + b omega_i / 2, weighted.
+
+    Parameters
+    ----------
+    of : Modes
+    ratios : Ratios
+    backend : Backend
+
+    Returns
+    -------
+    ndarray, shape (2,)
+        a in 1/s, b in s.
+
+    Raises
+    ------
+    UnsuitableError
+        Where fewer than two modes have a measured ratio.
+    """
+    seen = np.flatnonzero(ratios.measured)
+    if len(seen) < 2:
+        raise UnsuitableError(
+            "Rayleigh damping has two factors, and one mode's damping ratio was measured; use modal damping"
+        )
+    omega, zeta = np.sqrt(of.eigenvalues[seen]), ratios.values[seen]
+    std = ratios.std[seen] * np.maximum(zeta, LEAST_RATIO)
+    rows = np.column_stack([0.5 / omega, 0.5 * omega]) / std[:, None]
+    program = LeastSquares(rows, zeta / std, lower=np.zeros(2), names=("a", "b"))
+    return np.maximum(backend.solve(program).x, 0.0)

@@ -17,8 +17,12 @@ from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Json
 
-NEGLIGIBLE = 1e-12
+NO_VARIANCE = 1e-12
 """Eigenvalue of a correlation matrix, relative to the largest, that is rounding."""
+
+
+IMPROBABLE = 0.01
+"""Probability of a residual as large below which the modes speak against the model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +41,10 @@ class Fitted:
         For each direction that the data leave open, the parameters that take part.
     mass_known : bool, optional
         Whether the masses have a scale; not where a total of 1 stands for one that nobody gave.
+    misfit : float, optional
+        Chi-square a degree of freedom where the modes speak against the model; 1 where they do not.
+    lacking : float, optional
+        Largest error of a mode shape, of its largest entry, where the modes speak against the model; else 0.
     """
 
     experiment: Experiment
@@ -45,6 +53,8 @@ class Fitted:
     covariance: Floats | None
     undetermined: tuple[tuple[str, ...], ...] = ()
     mass_known: bool = True
+    misfit: float = 1.0
+    lacking: float = 0.0
 
     @staticmethod
     def of(estimate: Estimate, *, mass_known: bool = True) -> Fitted:
@@ -56,6 +66,7 @@ class Fitted:
             estimate.uncertainty.covariance(),
             estimate.uncertainty.null_directions,
             mass_known and not estimate.experiment.frame.total_mass_placeholder,
+            *_misfit(estimate),
         )
 
     @staticmethod
@@ -86,7 +97,7 @@ class Fitted:
         std = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         unit = np.where(std > 0, std, 1.0)
         values, vectors = np.linalg.eigh(self.covariance / np.outer(unit, unit))
-        kept = values > NEGLIGIBLE * max(float(values[-1]), NEGLIGIBLE)
+        kept = values > NO_VARIANCE * max(float(values[-1]), NO_VARIANCE)
         root: Floats = unit[:, None] * vectors[:, kept] * np.sqrt(values[kept])
         return root
 
@@ -97,6 +108,8 @@ class Fitted:
             "theta": self.theta.tolist(),
             "covariance": None if self.covariance is None else self.covariance.tolist(),
             "undetermined": [list(names) for names in self.undetermined],
+            "misfit": self.misfit,
+            "lacking": self.lacking,
         }
 
     @staticmethod
@@ -109,7 +122,7 @@ class Fitted:
             Naming what is missing or of the wrong size.
         """
         keys = ["effects", "theta", "covariance", "undetermined"]
-        table = checks.keys(declared, keys, keys, where)
+        table = checks.keys(declared, [*keys, "misfit", "lacking"], keys, where)
         effects = tuple(_placed(item, f"{where}: effects", experiment) for item in table["effects"])
         size = 2 * experiment.stories + sum(len(placed.effect.parameters) for placed in effects)
         theta = checks.vector(table["theta"], f"{where}: theta", length=size)
@@ -119,7 +132,17 @@ class Fitted:
             if covariance.shape != (size, size):
                 raise InputError(f"{where}: covariance must have {size} rows of {size} numbers, one a parameter")
         undetermined = tuple(tuple(str(name) for name in names) for names in table["undetermined"])
-        return Fitted(experiment, effects, theta, covariance, undetermined, mass_known)
+        return Fitted(
+            experiment, effects, theta, covariance, undetermined, mass_known, float(table.get("misfit", 1.0)),
+            float(table.get("lacking", 0.0)),
+        )  # fmt: skip
+
+
+def _misfit(estimate: Estimate) -> tuple[float, float]:
+    """Chi-square a degree of freedom and largest error of a shape where that is improbable, else 1 and 0."""
+    if estimate.p_value is None or estimate.p_value > IMPROBABLE or not estimate.dof:
+        return 1.0, 0.0
+    return max(1.0, estimate.chi2 / estimate.dof), float(estimate.quality.max_shape_error or 0.0)
 
 
 def _placed(item: object, where: str, experiment: Experiment) -> Placed:

@@ -1,4 +1,16 @@
-"""A frame with damping, and how its floors move under base motion or a force."""
+"""A frame with damping, and how its floors move under base motion or a force.
+
+The poles s and complex shapes psi of (s^2 M + s C + K) psi = 0 give the displacements under forces b p(t) from rest,
+
+    u(t) = sum over all poles of psi (psi' b) / a z(t),   a = psi' (2 s M + C) psi,   z' = s z + p
+
+(Foss 1958). Real modes with modal damping are the case psi = phi, s = -zeta omega +- i omega sqrt(1 - zeta^2). Where p
+is a straight line between samples, z(t + h) = e^(s h) z(t) + (f1 - f2) p(t) + f2 p(t + h) with
+
+    f1 = (e^(s h) - 1) / s,   f2 = (e^(s h) - 1 - s h) / (s^2 h),
+
+the first-order hold (for one oscillator: Nigam and Jennings, 1969): a linear filter of one pole.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +18,179 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
 
 from cvxshear.model.shear import Modes, modes
 from cvxshear.records.motion import Drive
-from cvxshear.response.hold import held
-from cvxshear.response.poles import Poles, modal_damping, poles
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
+
+Complexes = NDArray[np.complex128]
+
+UNCOUPLED = 1e-12
+"""Damping between two modes, relative to their own, that is rounding: the modes are real then."""
+
+
+@dataclass(frozen=True, eq=False)
+class Poles:
+    """Poles of a damped frame, one of each conjugate pair.
+
+    Parameters
+    ----------
+    values : ndarray of complex, shape (p,)
+        s, rad/s; ascending in size. Overdamped modes have two real ones each.
+    shapes : ndarray of complex, shape (N, p)
+        psi, a column a pole.
+    scales : ndarray of complex, shape (p,)
+        a = psi' (2 s M + C) psi.
+    """
+
+    values: Complexes
+    shapes: Complexes
+    scales: Complexes
+
+    @property
+    def weights(self) -> Floats:
+        """2 for a pole that stands for its conjugate too, else 1, shape (p,)."""
+        return np.where(self.values.imag > 0, 2.0, 1.0)
+
+    @property
+    def ratios(self) -> Floats:
+        """Damping ratio -Re s / |s| of each pole, shape (p,)."""
+        return -self.values.real / np.abs(self.values)
+
+
+def modal_damping(of: Modes, C: Floats) -> Floats:
+    """Gamma = Phi' C Phi, shape (N, N): diagonal with 2 zeta omega where the modes do not couple."""
+    return of.shapes @ C @ of.shapes.T
+
+
+def poles(M: Floats, C: Floats, K: Floats) -> Poles:
+    """The complex modes of a damped frame.
+
+    Parameters
+    ----------
+    M, C, K : ndarray, shape (N, N)
+        Symmetric; kg, N s/m, N/m.
+
+    Raises
+    ------
+    InputError
+        Where the undamped frame has no modes.
+    """
+    real = modes(M, K)
+    gamma = modal_damping(real, C)
+    own = np.diag(gamma)
+    size = np.sqrt(np.abs(np.outer(own, own)))
+    if np.all(np.abs(gamma - np.diag(own)) <= UNCOUPLED * np.maximum(size, np.max(size, initial=0.0) * 1e-3)):
+        return classical(real, own)
+    return coupled(real, gamma)
+
+
+def classical(real: Modes, own: Floats) -> Poles:
+    """Poles of modes that damping does not couple.
+
+    Parameters
+    ----------
+    real : Modes
+    own : ndarray, shape (N,)
+        2 zeta omega of each mode, rad/s.
+    """
+    omega = np.sqrt(real.eigenvalues)
+    half = 0.5 * own
+    root = np.sqrt((half**2 - omega**2).astype(np.complex128))
+    over = half >= omega
+    values = np.concatenate([-half + root, (-half - root)[over]])
+    which = np.concatenate([np.arange(len(omega)), np.flatnonzero(over)])
+    order = np.argsort(np.abs(values), kind="stable")
+    values, which = values[order], which[order]
+    return Poles(values, real.shapes[which].T.astype(np.complex128), np.asarray(2 * values + own[which]))
+
+
+def coupled(real: Modes, gamma: Floats) -> Poles:
+    """Poles of modes that damping couples.
+
+    The state is (omega q, q') of the modal coordinates q, in which the undamped part is skew and of even scale.
+    """
+    n = len(gamma)
+    omega = np.sqrt(real.eigenvalues)
+    system = np.zeros((2 * n, 2 * n))
+    system[:n, n:] = np.diag(omega)
+    system[n:, :n] = -np.diag(omega)
+    system[n:, n:] = -gamma
+    values, states = np.linalg.eig(system)
+    values, states = values.astype(np.complex128), states.astype(np.complex128)
+    kept = np.flatnonzero(values.imag >= 0)
+    kept = kept[np.argsort(np.abs(values[kept]), kind="stable")]
+    s: Complexes = np.asarray(values[kept], dtype=np.complex128)
+    q = states[:n, kept] / omega[:, None]
+    scales = 2 * s * np.sum(q * q, axis=0) + np.sum(q * (gamma @ q), axis=0)
+    return Poles(s, np.asarray(real.shapes.T @ q, dtype=np.complex128), scales)
+
+
+SMALL = 0.1
+"""|s h| below which the differences are taken from their series, before they cancel."""
+
+TERMS = 12
+"""Of that series: |x|^12 over 12! is far below rounding."""
+
+
+def hold(s: Complexes, step: float) -> tuple[Complexes, Complexes, Complexes]:
+    """e^(s h), and the weights of the sample now and of the one before.
+
+    Parameters
+    ----------
+    s : ndarray of complex, any shape
+        rad/s.
+    step : float
+        h, s.
+    """
+    x: Complexes = np.asarray(s * step, dtype=np.complex128)
+    E: Complexes = np.exp(x)
+    small = np.abs(x) < SMALL
+    safe: Complexes = np.where(small, np.complex128(1.0), x)
+    first: Complexes = (E - 1) / safe
+    second: Complexes = (first - 1) / safe
+    first[small], second[small] = _series(x[small], 1), _series(x[small], 2)
+    now: Complexes = step * second
+    before: Complexes = step * first - now
+    return E, now, before
+
+
+def _series(x: Complexes, order: int) -> Complexes:
+    """(e^x - its Taylor polynomial below `order`) / x^order = sum of x^k / (k + order)!."""
+    result = np.zeros_like(x)
+    for k in reversed(range(TERMS)):
+        # Horner: the coefficient of x^(k+1) is that of x^k over k + 1 + order.
+        result = 1.0 + x / (k + 1 + order) * result
+    return result / float(np.prod(np.arange(1, order + 1)))
+
+
+def held(s: Complexes, p: Floats, step: float) -> Complexes:
+    """z at every sample, for every pole.
+
+    Parameters
+    ----------
+    s : ndarray of complex, shape (p,)
+    p : ndarray, shape (samples,)
+        A straight line between samples.
+    step : float
+        s.
+
+    Returns
+    -------
+    ndarray of complex, shape (p, samples)
+        Zero at the first sample.
+    """
+    E, now, before = hold(np.asarray(s), step)
+    z = np.empty((len(E), len(p)), dtype=np.complex128)
+    for row in range(len(E)):
+        # The state before the first sample is such that the first output is zero: the frame is at rest.
+        z[row], _ = signal.lfilter(
+            [now[row], before[row]], [1.0, -E[row]], p, zi=np.array([-now[row] * p[0]])
+        )  # fmt: skip
+    return z
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Largest values of a response over time."""
+"""Quantities of a response over time, their largest values, and response spectra of the floors."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.response.model import Response
+from cvxshear.fit.results import plain
+from cvxshear.response.model import Response, held
 from cvxshear.util.typing import Floats, Json
 
-QUANTITIES = {
+RESPONSES = {
     "floor_acceleration": "m/s2",
     "floor_displacement": "m",
     "story_drift": "m",
@@ -53,7 +54,7 @@ class Peaks:
     Parameters
     ----------
     values, std : dict of str to ndarray
-        By the names of `QUANTITIES`, those that apply; shape (N,) or (1,); nan where a deviation is not known.
+        By the names of `RESPONSES`, those that apply; shape (N,) or (1,); nan where a deviation is not known.
     """
 
     values: dict[str, Floats]
@@ -62,7 +63,7 @@ class Peaks:
     def to_dict(self) -> Json:
         """Each quantity and its `_std`; null where it does not apply."""
         result: Json = {}
-        for name in QUANTITIES:
+        for name in RESPONSES:
             single = name in ("base_shear", "overturning_moment")
             result[name] = _plain(self.values.get(name), single=single)
             result[f"{name}_std"] = _plain(self.std.get(name), single=single)
@@ -74,3 +75,63 @@ def _plain(values: Floats | None, *, single: bool) -> object:
         return None
     listed = [None if np.isnan(value) else float(value) for value in values]
     return listed[0] if single else listed
+
+
+SPECTRUM_LINES = 60
+
+
+@dataclass(frozen=True, eq=False)
+class FloorSpectra:
+    """Largest total acceleration of an oscillator on each floor.
+
+    Parameters
+    ----------
+    frequencies : ndarray, shape (lines,)
+        Natural frequencies of the oscillator, Hz.
+    damping : float
+        Its damping ratio.
+    acceleration : ndarray, shape (N, lines)
+        m/s2.
+    """
+
+    frequencies: Floats
+    damping: float
+    acceleration: Floats
+
+    def to_dict(self) -> Json:
+        """The fields as lists."""
+        return {
+            "frequencies": plain(self.frequencies),
+            "damping": self.damping,
+            "acceleration": plain(self.acceleration),
+        }
+
+
+def spectrum_lines(first: float, last: float, rate: float) -> Floats:
+    """Frequencies for a spectrum, Hz: from a fifth of the frame's first to three times its last, as the rate allows."""
+    return np.geomspace(first / 5, max(min(3 * last, rate / 4), first), SPECTRUM_LINES)
+
+
+def floor_spectra(acceleration: Floats, step: float, frequencies: Floats, damping: float = 0.05) -> FloorSpectra:
+    """Spectra of accelerations that are straight lines between samples.
+
+    The oscillator's total acceleration is -(2 zeta omega v + omega^2 u) = 2 Re(-s^2 z / (2 i omega_d)).
+
+    Parameters
+    ----------
+    acceleration : ndarray, shape (samples, N)
+        m/s2.
+    step : float
+        s.
+    frequencies : ndarray, shape (lines,)
+        Hz.
+    damping : float, optional
+    """
+    omega = 2 * np.pi * frequencies
+    s = omega * (-damping + 1j * np.sqrt(1 - damping**2))
+    factor = -(s**2) / (1j * s.imag)
+    peaks = [
+        np.max(np.abs((factor[:, None] * held(s, floor, step)).real), axis=1)
+        for floor in np.ascontiguousarray(acceleration.T)
+    ]
+    return FloorSpectra(frequencies, damping, np.array(peaks))

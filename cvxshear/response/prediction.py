@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
@@ -16,15 +17,20 @@ from cvxshear.response.compare import RecordComparison, compared
 from cvxshear.response.damping import IdentifiedDamping, described, parts_of
 from cvxshear.response.fitted import Fitted, Models
 from cvxshear.response.model import Response, response
-from cvxshear.response.peaks import Peaks, largest
-from cvxshear.response.propagation import propagated
-from cvxshear.response.sources import ModelSource, MotionSource, models_of, motion_of, state_of
-from cvxshear.response.spectra import FloorSpectra, floor_spectra, spectrum_lines
-from cvxshear.response.uncertain import Damped, UncertainFrame
+from cvxshear.response.peaks import FloorSpectra, Peaks, floor_spectra, histories, largest, spectrum_lines
+from cvxshear.response.sources import ModelSource, MotionSource, models_of, motion_of, state_of, state_remarks
+from cvxshear.response.uncertain import Damped, UncertainFrame, propagated
 from cvxshear.util.errors import InputError
-from cvxshear.util.parallel import Progress, each
+from cvxshear.util.quantities import percent
 from cvxshear.util.showing import Shown
 from cvxshear.util.typing import Floats, Json
+
+BANDS = ("floor_acceleration", "story_drift", "story_drift_ratio")
+"""Quantities whose deviations are given over time: what is compared with a record, and what owners ask for."""
+
+
+WORTH_A_WORD = 0.01
+"""Size of a line taken off, relative to the rms of its channel, from which on it is said."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +72,8 @@ class RecordPrediction(Shown):
         Of `after`.
     damping : IdentifiedDamping
         Of `after`.
-    acceleration_std : tuple of ndarray, shape (samples, N)
-        Standard deviations of the accelerations of `after`, one a run; nan where nothing tells the noise.
+    std : tuple of dict of str to ndarray
+        Standard deviations over time of `after`, one a run, by the names in `BANDS`; nan where nothing tells the noise.
     remarks : tuple of str
         What was assumed, and what speaks against the model.
     """
@@ -79,7 +85,7 @@ class RecordPrediction(Shown):
     after: Side
     peaks: Peaks
     damping: IdentifiedDamping
-    acceleration_std: tuple[Floats, ...]
+    std: tuple[dict[str, Floats], ...]
     remarks: tuple[str, ...]
 
     @property
@@ -161,8 +167,8 @@ def predict(
         Where the backend does not solve a program.
     """
     solver = backends.get(backend)
-    motion = motion_of(record)
-    motion = motion.detrended() if detrend else motion
+    recorded = motion_of(record)
+    motion = recorded.detrended() if detrend else recorded
     models = models_of(source, solver)
     experiment = models.after.experiment
     _refuse_other_frame(motion, experiment.stories)
@@ -171,43 +177,9 @@ def predict(
     if models.before is not None:
         frame = UncertainFrame.of(models.before, state, damping, solver)
         before = _side(models.before, frame.at(np.zeros(frame.size)), motion)
-    return _predicted(models, UncertainFrame.of(models.after, state, damping, solver), motion, before)
-
-
-def predict_many(
-    source: ModelSource,
-    records: Sequence[MotionSource],
-    backend: str | Backend = "auto",
-    *,
-    jobs: int = 1,
-    progress: Progress | None = None,
-    damping: str | None = None,
-    configuration: str | None = None,
-    detrend: bool = True,
-) -> list[RecordPrediction]:
-    """Predict how one frame answers to many records; its models are fitted once.
-
-    Parameters
-    ----------
-    source, backend, damping, configuration, detrend
-        As for `predict`.
-    records : sequence
-        Each as for `predict`.
-    jobs : int, optional
-        Processes; -1 takes every core, or every worker of a Dask cluster (see `cvxshear.util.parallel`).
-    progress : callable, optional
-        Called with the number of records done and to do.
-
-    Raises
-    ------
-    InputError, NoSolutionError
-        As `predict` does.
-    """
-    models = models_of(source, backends.get(backend))
-    one = partial(
-        predict, models, backend=backend, damping=damping, configuration=configuration, detrend=detrend
-    )  # fmt: skip
-    return each(one, records, jobs=jobs, progress=progress)
+    found = _predicted(models, UncertainFrame.of(models.after, state, damping, solver), motion, before)
+    said = [*state_remarks(experiment, recorded, state), *_taken_off(recorded, motion)]
+    return dataclasses.replace(found, remarks=(*said, *found.remarks))
 
 
 def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Side | None) -> RecordPrediction:
@@ -215,17 +187,16 @@ def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Si
 
     def everything(damped: Damped) -> Floats:
         responses = _responses(damped, motion)
-        return np.concatenate(
-            [parts_of(damped), *largest(responses).values(), *(item.acceleration.ravel() for item in responses)]
-        )
+        bands = (item for moved in responses for item in _bands(moved).values())
+        return np.concatenate([parts_of(damped), *largest(responses).values(), *bands])
 
     centre, std = propagated(frame, everything)
     after = _side(models.after, centre, motion)
     values = largest(after.responses)
     sizes = [len(parts_of(centre)), *(len(item) for item in values.values())]
-    sizes += [item.acceleration.size for item in after.responses]
+    sizes += [item.size for moved in after.responses for item in _bands(moved).values()]
     of_damping, *rest = np.split(std, np.cumsum(sizes)[:-1])
-    bands = zip(after.responses, rest[len(values) :], strict=True)
+    bands = iter(rest[len(values) :])
     damping = described(frame, centre, of_damping)
     return RecordPrediction(
         motion=motion,
@@ -235,9 +206,17 @@ def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Si
         after=after,
         peaks=Peaks(values, dict(zip(values, rest, strict=False))),
         damping=damping,
-        acceleration_std=tuple(band.reshape(item.acceleration.shape) for item, band in bands),
+        std=tuple(
+            {name: next(bands).reshape(moved.acceleration.shape) for name in _bands(moved)} for moved in after.responses
+        ),
         remarks=(*damping.remarks, *_remarks(after, motion)),
     )
+
+
+def _bands(moved: Response) -> dict[str, Floats]:
+    """The quantities of `BANDS` that apply, flat."""
+    found = histories(moved)
+    return {name: values.ravel() for name in BANDS if (values := found[name]) is not None}
 
 
 def _responses(damped: Damped, motion: Motion) -> list[Response]:
@@ -246,7 +225,31 @@ def _responses(damped: Damped, motion: Motion) -> list[Response]:
 
 def _side(fitted: Fitted, damped: Damped, motion: Motion) -> Side:
     responses = tuple(_responses(damped, motion))
-    return Side(fitted, damped, responses, compared(damped.model, responses, motion))
+    tested = fitted.experiment.configurations
+    modes = np.unique(np.concatenate([each.modes for each in tested]))
+    return Side(fitted, damped, responses, compared(damped.model, responses, motion, modes))
+
+
+def _taken_off(recorded: Motion, motion: Motion) -> list[str]:
+    """How large the straight lines were that were taken for the sensors' own, where they were worth a word."""
+    largest, where = 0.0, ""
+    for before, after in zip(recorded.drives, motion.drives, strict=True):
+        columns = [("the base motion", before.excitation, after.excitation)] if recorded.input == "base" else []
+        if before.responses is not None and after.responses is not None:
+            columns += [
+                (f"floor {floor}", before.responses[:, place], after.responses[:, place])
+                for place, floor in enumerate(recorded.floors)
+            ]
+        for name, old, new in columns:
+            line, rms = np.nanmax(np.abs(old - new)), np.sqrt(np.nanmean(new**2))
+            if rms > 0 and line / rms > largest:
+                largest, where = float(line / rms), name
+    if largest < WORTH_A_WORD:
+        return []
+    return [
+        f"a straight line of up to {percent(largest, 1)} of the rms ({where}) was taken for the sensor's and off; "
+        "--no-detrend leaves it in"
+    ]
 
 
 def _refuse_other_frame(motion: Motion, stories: int) -> None:
@@ -259,10 +262,12 @@ def _refuse_other_frame(motion: Motion, stories: int) -> None:
 
 def _remarks(after: Side, motion: Motion) -> list[str]:
     """What the reader has to know besides the numbers."""
-    said = [
-        f"not determined by the measurement: {' and '.join(names)}; the deviations do not include that"
-        for names in after.fitted.undetermined
-    ]
+    said = []
+    if after.fitted.undetermined:
+        names = "; ".join(" and ".join(names) for names in after.fitted.undetermined)
+        said.append(f"not determined by the measurement: {names}; the deviations do not include that")
+    if after.comparison is not None and after.comparison.contradiction:
+        said.append(after.comparison.contradiction)
     if after.fitted.covariance is None:
         said.append("no standard deviations: the measurement declares no noise and has no data left to estimate it by")
     if not after.fitted.mass_known:

@@ -11,7 +11,7 @@ import numpy as np
 from cvxshear.backends import Backend
 from cvxshear.files.modes import modes_from_file
 from cvxshear.files.record_file import read_motion
-from cvxshear.files.toml import is_record_file, load, read_text
+from cvxshear.files.toml import is_record_file, load, parse, read_text, with_modes_read
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import Closure, close_loop
 from cvxshear.measurement.experiment import Configuration, Experiment
@@ -19,8 +19,9 @@ from cvxshear.modal import Record
 from cvxshear.records.motion import Motion
 from cvxshear.records.record import FrfRecord, TimeRecord
 from cvxshear.response.fitted import Fitted, Models
+from cvxshear.response.recording import Recording
 from cvxshear.util.checks import choice, shown
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, NoScaleError
 from cvxshear.util.typing import Floats
 
 ModelSource = str | Path | Experiment | Closure | Estimate | Models
@@ -65,11 +66,34 @@ def _of_file(source: str | Path, backend: Backend) -> Models:
     if Path(source).suffix.lower() == ".json":
         return _of_json(Path(source))
     if not is_record_file(source):
-        return models_of_loop(close_loop(load(source), backend=backend))
+        experiment, mass_known = load_unscaled(source)
+        return models_of_loop(close_loop(experiment, backend=backend), mass_known=mass_known)
     found, declared = modes_from_file(source)
     experiment = Experiment.from_dict(declared, name=Path(source).stem)
     mass_known = not any(finding.kind == "scale" for finding in found.findings)
     return models_of_loop(close_loop(experiment, backend=backend), mass_known=mass_known)
+
+
+def load_unscaled(path: str | Path) -> tuple[Experiment, bool]:
+    """Read a measurement file that need not tell how heavy the frame is.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    experiment : Experiment
+        Of a total mass of 1 kg where nothing tells it.
+    mass_known : bool
+    """
+    try:
+        return load(path), True
+    except NoScaleError:
+        path = Path(path)
+        declared = dict(with_modes_read(parse(read_text(path), path), path.parent))
+        declared["frame"] = {**(declared.get("frame") or {}), "total_mass": 1.0}
+        return Experiment.from_dict(declared, name=path.stem), False
 
 
 def models_of_loop(closure: Closure, *, mass_known: bool = True) -> Models:
@@ -119,35 +143,58 @@ def motion_of(source: MotionSource) -> Motion:
     return read_motion(source)
 
 
-def state_of(experiment: Experiment, motion: Motion, name: str | None = None) -> Configuration:
-    """The state that the frame was in while it moved.
+def state_of(experiment: Experiment, record: Motion | Recording, name: str | None = None) -> Configuration:
+    """The configuration that the frame was in while it moved.
 
     Parameters
     ----------
     experiment : Experiment
-    motion : Motion
+    record : Motion or Recording
     name : str, optional
-        Of a configuration. Where none is given: the one with the record's added mass; without such, the only one, or
-        the frame with nothing added.
+        Of a configuration. Where none is given: one of the record's state with the record's added mass; without such,
+        the only configuration, or the state with the record's added mass on it.
 
     Raises
     ------
     InputError
-        Where there is no configuration of that name, or the added mass is of another frame.
+        Where there is no such configuration or state, or the added mass is of another frame.
     """
     configurations = experiment.configurations
     if name is not None:
         choice(name, [each.name for each in configurations], "configuration")
         return next(each for each in configurations if each.name == name)
-    if motion.added_mass is None and len(configurations) == 1:
+    if record.state is not None and (record.state in experiment.states or len(experiment.states) > 1):
+        configurations = tuple(each for each in configurations if each.state == record.state)
+        if not configurations:
+            known = " and ".join(f'"{state}"' for state in experiment.states)
+            raise InputError(
+                f'{record.name} was recorded in state "{record.state}", the model knows {known}; name one of its '
+                "configurations (--configuration), or test that state"
+            )
+    if record.added_mass is None and len(configurations) == 1:
         return configurations[0]
-    added = np.zeros(experiment.stories) if motion.added_mass is None else motion.added_mass
+    added = np.zeros(experiment.stories) if record.added_mass is None else record.added_mass
     if len(added) != experiment.stories:
-        raise InputError(f"{motion.name}: added_mass has {len(added)} entries, the frame {experiment.stories} stories")
+        raise InputError(f"{record.name}: added_mass has {len(added)} entries, the frame {experiment.stories} stories")
     for each in configurations:
         if np.allclose(each.added_mass, added):
             return each
     return dataclasses.replace(configurations[0], name=_unused(experiment, added), added_mass=added)
+
+
+def state_remarks(experiment: Experiment, record: Motion | Recording, configuration: Configuration) -> list[str]:
+    """What was assumed about the state of the frame while it was recorded."""
+    if record.state is not None and record.state != configuration.state:
+        return [
+            f'the record is of state "{record.state}", of which nothing was measured: the model is that of '
+            f'"{configuration.state}"'
+        ]
+    if record.state is None and len({each.state for each in experiment.configurations}) > 1:
+        return [
+            f'the record names no state: "{configuration.state}" is taken; write state = "..." in the record file, or '
+            "give --configuration"
+        ]
+    return []
 
 
 def _unused(experiment: Experiment, added: Floats) -> str:

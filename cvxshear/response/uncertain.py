@@ -1,8 +1,14 @@
-"""A fitted frame in one state, its parameters and damping ratios uncertain."""
+"""A fitted frame in one state, its parameters and damping ratios uncertain, and what that makes of any function of it.
+
+Standard deviations are linear, along each of the independent directions of the frame's uncertainty: half the difference
+between plus and minus one standard deviation. That is the slope of a secant; a peak changes its time along the way,
+where a derivative at one point would know but one of them.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,11 +17,9 @@ from cvxshear.backends import Backend
 from cvxshear.effects import State, compose
 from cvxshear.measurement.experiment import DAMPING_KINDS, Configuration
 from cvxshear.model.shear import Modes, modes, stiffness_matrix
-from cvxshear.response.dashpots import Dashpots, story_dashpots
+from cvxshear.response.dashpots import Dashpots, Ratios, damping_ratios, rayleigh, story_dashpots
 from cvxshear.response.fitted import Fitted
 from cvxshear.response.model import DampedModel
-from cvxshear.response.ratios import Ratios, damping_ratios
-from cvxshear.response.rayleigh import rayleigh
 from cvxshear.util import checks
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.typing import Floats
@@ -79,6 +83,49 @@ class UncertainFrame:
         """How many standard normal numbers there are."""
         return int(self.fitted.root.shape[1]) + len(self.ratios.values)
 
+    @property
+    def story_stiffness(self) -> Floats:
+        """Of this state at the fitted parameters, shape (N,), N/m."""
+        return self._state(self.configuration, self.fitted.theta).story_stiffness
+
+    def undamped(self, theta: Floats) -> DampedModel:
+        """The matrices of this state at given parameters, without damping."""
+        state = self._state(self.configuration, theta)
+        M, K = state.system.M, state.system.K
+        return DampedModel(M, np.zeros_like(M), K, state.gain, self.fitted.experiment.frame.story_heights)
+
+    def conditional_stiffness(self) -> Floats:
+        """Covariance of the logarithms of the story stiffnesses with masses and effects given, shape (N, N).
+
+        What a record tells of the frame is compared with this: masses and effects stay what they are.
+        """
+        n = self.fitted.experiment.stories
+        covariance = self.fitted.covariance
+        if covariance is None:
+            return np.zeros((n, n))
+        own, rest = slice(n, 2 * n), np.r_[0:n, 2 * n : len(self.fitted.theta)]
+        cross = covariance[own][:, rest]
+        given = covariance[own, own] - cross @ np.linalg.pinv(covariance[np.ix_(rest, rest)], rcond=1e-10) @ cross.T
+        relative = given / np.outer(self.fitted.theta[own], self.fitted.theta[own])
+        values, vectors = np.linalg.eigh(0.5 * (relative + relative.T))
+        spread: Floats = self.fitted.misfit * (vectors * np.maximum(values, 0.0)) @ vectors.T
+        return spread
+
+    def nuisance_root(self) -> Floats:
+        """L with L L' the covariance of masses and effects, the stiffnesses moving along as they were identified."""
+        n = self.fitted.experiment.stories
+        covariance = self.fitted.covariance
+        if covariance is None:
+            return np.zeros((len(self.fitted.theta), 0))
+        rest = np.r_[0:n, 2 * n : len(self.fitted.theta)]
+        std = np.sqrt(np.maximum(np.diag(covariance)[rest], 0.0))
+        unit = np.where(std > 0, std, 1.0)
+        values, vectors = np.linalg.eigh(covariance[np.ix_(rest, rest)] / np.outer(unit, unit))
+        kept = values > 1e-10 * max(float(values[-1]), 1e-300)
+        scaled = vectors[:, kept] / np.sqrt(values[kept])
+        root: Floats = np.sqrt(self.fitted.misfit) * (covariance[:, rest] / unit) @ scaled
+        return root
+
     def at(self, xi: Floats, near: Damped | None = None) -> Damped:
         """The damped model at one value of xi.
 
@@ -137,3 +184,65 @@ def modal_matrix(M: Floats, of: Modes, ratios: Floats) -> Floats:
     """C = M Phi diag(2 zeta omega) Phi' M, with which the modes have these damping ratios and do not couple."""
     turned = M @ of.shapes.T
     return (turned * (2 * ratios * np.sqrt(of.eigenvalues))) @ turned.T
+
+
+FARTHEST_SECANT = 0.5
+"""Largest relative change of a mass or stiffness on the way; a direction that would change one by more is gone along
+as far as that."""
+
+
+def propagated(frame: UncertainFrame, function: Callable[[Damped], Floats]) -> tuple[Damped, Floats]:
+    """The frame as it was fitted, and the standard deviations of a function of it.
+
+    Parameters
+    ----------
+    frame : UncertainFrame
+    function : callable
+        Takes a `Damped`, returns an array of any one shape.
+
+    Returns
+    -------
+    centre : Damped
+    std : ndarray
+        Of the shape that the function returns; nan where nothing tells the noise.
+    """
+    centre = frame.at(np.zeros(frame.size))
+    if not frame.uncertain:
+        return centre, np.full_like(function(centre), np.nan)
+    variance: Floats | float = 0.0
+    for direction, length in enumerate(_lengths(frame)):
+        xi = np.zeros(frame.size)
+        xi[direction] = length
+        slope = (function(frame.at(xi, centre)) - function(frame.at(-xi, centre))) / (2 * length)
+        variance = variance + slope**2
+    return centre, np.sqrt(variance)
+
+
+def sampled(
+    frame: UncertainFrame, function: Callable[[Damped], Floats], samples: int, rng: np.random.Generator
+) -> Floats:
+    """The function at random frames, shape (samples, ...): what the linear propagation is checked by.
+
+    Parameters
+    ----------
+    frame : UncertainFrame
+    function : callable
+    samples : int
+    rng : numpy.random.Generator
+
+    Raises
+    ------
+    InputError
+        Where a frame drawn has no modes.
+    """
+    centre = frame.at(np.zeros(frame.size))
+    return np.array([function(frame.at(rng.standard_normal(frame.size), centre)) for _ in range(samples)])
+
+
+def _lengths(frame: UncertainFrame) -> Floats:
+    """How far each direction is gone along, in standard deviations."""
+    fitted = frame.fitted
+    n = 2 * fitted.experiment.stories
+    share = np.max(np.abs(fitted.root[:n]) / fitted.theta[:n, None], axis=0, initial=0.0)
+    steps = np.minimum(1.0, FARTHEST_SECANT / np.maximum(share, FARTHEST_SECANT))
+    return np.concatenate([steps, np.ones(frame.size - len(steps))])

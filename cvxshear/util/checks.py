@@ -196,11 +196,12 @@ def many(value: object) -> bool:
 
 
 def one_or_many(
-    value: object, where: str, length: int, *, of: str = "", above: float = -math.inf, least: float = -math.inf
-) -> Floats:
-    """One number for all `length` places, or a list of that many."""
+    value: object, where: str, length: int, *, of: str = "", above: float = -math.inf, least: float = -math.inf,
+    nan: bool = False,
+) -> Floats:  # fmt: skip
+    """One number for all `length` places, or a list of that many; nan in a list only where `nan` says so."""
     if many(value):
-        return vector(value, where, length=length, of=of, above=above, least=least)
+        return vector(value, where, length=length, of=of, above=above, least=least, nan=nan)
     return frozen(np.full(length, number(value, where, above=above, least=least)))
 
 

@@ -21,6 +21,10 @@ class InputError(CvxshearError, ValueError):
     """A measurement, an option or a prior is wrong; the message says what would be right."""
 
 
+class NoScaleError(InputError):
+    """Nothing tells how heavy the frame is; accelerations under base motion need not know."""
+
+
 class InfeasibleError(InputError):
     """The declared constraints contradict each other; the message names a smallest set that does."""
 

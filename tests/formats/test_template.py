@@ -55,8 +55,7 @@ def test_what_is_commented_out_is_right_as_it_stands(stories, tmp_path):
     assert found.frame.accept
     assert found.damping is not None
     assert len(found.to_dict()["static"]) == 1
-    # A spring joins floors that are two levels apart.
-    assert len(found.expected) == (3 if stories > 2 else 2)
+    assert len(found.expected) == 3
 
 
 def test_nothing_that_is_optional_is_read():

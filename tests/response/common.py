@@ -7,8 +7,6 @@ import itertools
 import numpy as np
 from scipy import integrate, linalg
 
-from cvxshear.model.shear import modes
-from cvxshear.response.uncertain import modal_matrix
 from tests.frames import chain, modes_of
 
 
@@ -90,17 +88,3 @@ def declared(
     }
     frame = {"stories": n, "total_mass": float(np.sum(mass)), "story_heights": 3.0}
     return {"frame": frame, "configuration": [configuration], **more}
-
-
-def family(count, stories, spread, seed=0, *, ratio=0.03, ratio_spread=None):
-    """Matrices of frames whose masses and stiffnesses scatter, and their damping ratios, tenfold where not given."""
-    rng = np.random.default_rng(seed)
-    mass, stiffness, dashpots = damped_frame(stories)
-    scatter = 10 * spread if ratio_spread is None else ratio_spread
-    made = []
-    for _ in range(count):
-        m, k = (values * np.exp(spread * rng.standard_normal(stories)) for values in (mass, stiffness))
-        M, _, K = matrices(m, k, dashpots)
-        ratios = ratio * np.exp(scatter * rng.standard_normal(stories))
-        made.append((M, modal_matrix(M, modes(M, K), ratios), K))
-    return [np.array(each) for each in zip(*made, strict=True)]

@@ -10,10 +10,8 @@ from cvxshear import backends
 from cvxshear.fit.efficient import efficient
 from cvxshear.model.shear import modes
 from cvxshear.response import Fitted, damping_of
-from cvxshear.response.dashpots import story_dashpots
-from cvxshear.response.propagation import propagated, sampled
-from cvxshear.response.ratios import Ratios
-from cvxshear.response.uncertain import UncertainFrame
+from cvxshear.response.dashpots import Ratios, story_dashpots
+from cvxshear.response.uncertain import UncertainFrame, propagated, sampled
 from cvxshear.util.errors import InputError, UnsuitableError
 from tests.frames import modes_of
 from tests.response.common import damped_frame, declared, matrices, pole_ratios
@@ -172,3 +170,23 @@ def test_defaults_of_deviations_are_told():
     found = damping_of(experiment, estimate)
     assert any("damping_ratio_std" in remark for remark in found.remarks)
     np.testing.assert_allclose(found.ratios_std, 0.2 * 0.01, rtol=0.02)
+
+
+def test_ratios_of_some_modes_and_what_a_kind_cannot_give():
+    mass, stiffness, _ = damped_frame(3)
+    table = declared(mass, stiffness, [0.05, 0.01, 0.05])
+    table["configuration"][0]["damping_ratios"] = [0.05, float("nan"), 0.3]
+    experiment = cvxshear.Experiment.from_dict(table)
+    estimate = efficient(experiment, backends.get("auto"))
+    found = damping_of(experiment, estimate)
+    np.testing.assert_array_equal(np.isnan(found.measured), [False, True, False])
+    assert found.ratios[1] == pytest.approx(0.175)
+    assert any("are the ratios in percent" in remark for remark in found.remarks)
+    table["configuration"][0]["damping_ratios"] = [0.05, 0.001, 0.05]
+    experiment = cvxshear.Experiment.from_dict(table)
+    found = damping_of(experiment, efficient(experiment, backends.get("auto")), kind="rayleigh")
+    assert any("Rayleigh damping cannot give the measured damping ratio" in remark for remark in found.remarks)
+    assert not any("Rayleigh damping can" in remark.rsplit(";", 1)[-1] for remark in found.remarks)
+    table["configuration"][0]["damping_ratios"] = [float("nan")] * 3
+    with pytest.raises(InputError, match="must have a number for one mode at least"):
+        cvxshear.Experiment.from_dict(table)

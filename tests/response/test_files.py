@@ -15,11 +15,9 @@ from cvxshear.effects import Placed
 from cvxshear.files.uff import read_uff
 from cvxshear.paper.three_story import ThreeStory
 from cvxshear.records.motion import Drive, Motion
-from cvxshear.report.handover import write_model
-from cvxshear.report.series_files import write_series
+from cvxshear.report.handover import matrices, write_model
+from cvxshear.report.series_files import series, write_series
 from cvxshear.response import Fitted, Models, predict
-from cvxshear.response.handover import matrices
-from cvxshear.response.series import series
 from cvxshear.util.errors import InputError, UnsuitableError
 from tests.frames import modes_of
 from tests.response.common import shaking
@@ -62,8 +60,9 @@ def test_series_are_the_same_in_every_file(three, kind, tmp_path):
         again = {name: values[:, 0] for name, values in io.loadmat(path).items() if not name.startswith("__")}
     else:
         read, notes = read_uff(path)
-        assert [note["quantity"] for note in notes.values()] == [12] * 3 + [8] * 3 + [13] * 3
-        names = ["time", *(f"{word}_{i}" for word in ("acceleration", "displacement", "shear") for i in (1, 2, 3))]
+        assert [note["quantity"] for note in notes.values()] == [12] + [12] * 3 + [8] * 6 + [13] * 3
+        words = ("acceleration", "displacement", "drift", "shear")
+        names = ["time", "excitation", *(f"{word}_{i}" for word in words for i in (1, 2, 3))]
         again = dict(zip(names, read.values.T, strict=True))
     assert set(again) == (set(columns) if kind != "uff" else set(names))
     for name, values in again.items():

@@ -9,15 +9,16 @@ import pytest
 import cvxshear
 from cvxshear import backends, effects
 from cvxshear.effects import Placed
+from cvxshear.files.measurement import write_measurement
 from cvxshear.fit.efficient import efficient
 from cvxshear.modal import Channel, Run, TimeRecord
 from cvxshear.records.motion import Drive, Motion
+from cvxshear.report.series_files import series
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
-from cvxshear.response.series import series
-from cvxshear.response.transfer import peak
+from cvxshear.response.compare import peak
 from cvxshear.util.errors import InputError
+from tests.benchmarks.response_coverage import coverage, linear_over_sampled
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
-from tests.response_study import coverage, linear_over_sampled
 
 RATE = 100.0
 
@@ -73,7 +74,7 @@ def test_deviations_of_peaks_are_those_of_samples():
 
 @pytest.mark.parametrize(("stories", "kind", "trials"), [(3, "modal", 40), (3, "story", 40), (8, "story", 20)])
 def test_intervals_hold_the_truth_as_often_as_they_say(stories, kind, trials):
-    """A seeded part of `python -m tests.response_study`: trials of 7 or 17 peaks that go together."""
+    """A seeded part of `python -m tests.benchmarks.response_coverage`: trials of 7 or 17 peaks that go together."""
     share, deviations = coverage(stories, kind, trials)
     assert 0.88 <= share <= 0.99
     assert abs(deviations.mean()) < 0.4
@@ -241,3 +242,81 @@ def test_a_record_of_another_frame(frame):
         predict(3, recorded(taller, floors=(4,)))
     with pytest.raises(InputError, match="what drives a frame is a record file"):
         predict(estimate, 3)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda y: 9.81 * y, "9.81 times as large as predicted"),
+        (lambda y: y * [1, -1, 1], "floor 2 moved against the prediction"),
+        (lambda y: -y, "every floor moved against the prediction"),
+        (lambda y: y[:, [2, 1, 0]], "floors 1 and 3 fit each other's prediction"),
+        (lambda y: y, None),
+    ],
+)
+def test_a_record_that_contradicts_the_model_in_one_thing_says_so(frame, change, said):
+    _, estimate, truth = frame
+    record = recorded(truth)
+    run = record.runs[0]
+    found = predict(estimate, dataclasses.replace(record, runs=(Run(change(run.responses), run.excitation),)))
+    contradiction = found.after.comparison.contradiction
+    assert contradiction == "" if said is None else said in contradiction
+    assert said is None or contradiction in found.remarks
+
+
+def test_a_record_of_a_changed_state_predicts_that_state():
+    """The first story is 20 % softer after; a record that names its state is predicted by it."""
+    mass, stiffness, dashpots = damped_frame(3)
+    softer = stiffness * [0.8, 1.0, 1.0]
+    M, C, K = matrices(mass, softer, dashpots)
+    after = DampedModel(M, C, K, np.ones(3), np.full(3, 3.0))
+    ratios = [pole_ratios(*matrices(mass, k, dashpots)) for k in (stiffness, softer)]
+    options = {"shape_std": 0.002, "frequency_std": 0.0005, "ratio_std": 1e-3}
+    tables = [declared(mass, k, ratio, **options) for k, ratio in zip((stiffness, softer), ratios, strict=True)]
+    states = [{**table["configuration"][0], "name": name, "state": name}
+              for table, name in zip(tables, ("before", "after"), strict=True)]  # fmt: skip
+    experiment = cvxshear.Experiment.from_dict({**tables[0], "configuration": states})
+    change = Placed(effects.named(["story_change"])[0], effects.Place(None, 1, "after"))
+    pair = Models(None, Fitted.of(efficient(experiment, backends.get("auto"), [change])))
+    record = recorded(after)
+    found = predict(pair, Motion.of(record, state="after"), damping="modal")
+    assert found.configuration.name == "after"
+    assert np.all(found.after.comparison.nrmse < 0.1)
+    unnamed = predict(pair, Motion.of(record))
+    assert np.all(unnamed.after.comparison.nrmse > 0.3)
+    assert any("the record names no state" in remark for remark in unnamed.remarks)
+    with pytest.raises(InputError, match='recorded in state "later", the model knows "before" and "after"'):
+        predict(pair, Motion.of(record, state="later"))
+
+
+def test_drifts_have_bands_over_time_and_lines_taken_off_are_said(frame):
+    _, estimate, truth = frame
+    record = recorded(truth)
+    run = record.runs[0]
+    tilted = run.responses + 0.05 * np.linspace(-1, 1, len(run.responses))[:, None]
+    found = predict(estimate, dataclasses.replace(record, runs=(Run(tilted, run.excitation),)))
+    assert any("a straight line of up to" in remark for remark in found.remarks)
+    drift = found.after.responses[0].drift
+    at = np.argmax(np.abs(drift), axis=0)
+    band = found.std[0]["story_drift"][at, np.arange(3)]
+    np.testing.assert_allclose(band, found.peaks.std["story_drift"], rtol=0.5)
+    assert "drift_std_1" in series(found)
+
+
+def test_base_motion_needs_no_scale_of_the_masses(frame, tmp_path):
+    experiment, _, truth = frame
+    table = experiment.to_dict()
+    del table["frame"]["total_mass"]
+    write_measurement(tmp_path / "unscaled.toml", table)
+    record = recorded(truth)
+    found = predict(tmp_path / "unscaled.toml", record)
+    assert found.peaks.to_dict()["base_shear"] is None
+    np.testing.assert_allclose(found.after.comparison.nrmse, 0, atol=0.02)
+
+
+def test_a_short_record_has_transfer_function_errors_too(frame):
+    """Three seconds: no averaged spectrum has five lines around the first mode."""
+    _, estimate, truth = frame
+    found = predict(estimate, recorded(truth, samples=300)).after.comparison
+    assert np.isfinite(found.frf_error[:, 0]).all()
+    assert np.all(found.frf_error[:, 0] < 0.05)

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from tests.modal.shared import needs_mini_table
-from tests.response_amplitude import crossed, decay, off
-from tests.response_records import predicted
+from cvxshear.response import reconstruct
+from tests.benchmarks.response_amplitude import crossed, decay, off
+from tests.benchmarks.response_records import models, predicted
+from tests.modal.shared import mini_table, needs_mini_table
 
 
 @needs_mini_table
@@ -61,3 +62,13 @@ def test_the_damping_is_what_makes_the_flexible_frame_s_earthquake_too_strong():
     assert off(own) > 0.4
     assert abs(off(swapped)) < 0.05
     assert np.mean(swapped.after.comparison.nrmse) > 0.8
+
+
+@needs_mini_table
+@pytest.mark.parametrize(("frame", "largest"), [("flexible", 0.10), ("stiff", 0.25)])
+def test_the_middle_floor_from_the_other_two(frame, largest, tmp_path):
+    """Modes from the earthquake, the sine reconstructed with floor 2 left out."""
+    found = reconstruct(models(f"{frame}-northridge"), mini_table(tmp_path, f"{frame}-sine-2.0"))
+    check = next(each for each in found.checks if each.floor == 2)
+    assert check.error < largest * check.measured
+    assert check.error < 0.5 * check.prediction_error

@@ -148,11 +148,12 @@ def damping_section(result: IdentifiedDamping) -> Section:
 
 
 def _damping_parts(result: IdentifiedDamping) -> Iterator[Block]:
+    measured = np.full(len(result.ratios), np.nan) if result.measured is None else result.measured
     ratios = plain_rows(
-        (str(mode), with_std(float(ratio), float(std), factor=0.01))
-        for mode, (ratio, std) in enumerate(zip(result.ratios, result.ratios_std, strict=True), 1)
+        (str(mode), with_std(float(ratio), float(std), factor=0.01), significant(100 * float(seen), 3))
+        for mode, (ratio, std, seen) in enumerate(zip(result.ratios, result.ratios_std, measured, strict=True), 1)
     )
-    yield Table("damping-ratios", f"damping ({result.kind})", ("mode", "ratio, %"), ratios)
+    yield Table("damping-ratios", f"damping ({result.kind})", ("mode", "ratio, %", "measured, %"), ratios)
     if result.story_dashpot is not None and result.story_dashpot_std is not None:
         dashpots = plain_rows(
             (str(story), with_std(float(dashpot), float(std)))

@@ -11,7 +11,14 @@ from cvxshear.report.figures.judged import ranking, residual
 from cvxshear.report.figures.modal_figures import mac, modal_mac, modal_shapes
 from cvxshear.report.figures.noise_scatter import noise_boxes, noise_variation
 from cvxshear.report.figures.planned_test import plan
-from cvxshear.report.figures.response import floor_spectra, response_histories, response_peaks, transfer_functions
+from cvxshear.report.figures.response import (
+    floor_spectra,
+    reconstructed_histories,
+    response_histories,
+    response_peaks,
+    story_drifts,
+    transfer_functions,
+)
 from cvxshear.report.figures.solving import backend_differences, convergence
 from cvxshear.report.figures.style import save
 
@@ -34,6 +41,7 @@ __all__ = [
     "noise_variation",
     "plan",
     "ranking",
+    "reconstructed_histories",
     "residual",
     "response_histories",
     "response_peaks",
@@ -42,5 +50,6 @@ __all__ = [
     "springs",
     "springs_between_levels",
     "stabilization",
+    "story_drifts",
     "transfer_functions",
 ]

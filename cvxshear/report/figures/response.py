@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
 
 from cvxshear.report.figures.figure_table import figure
@@ -17,11 +21,12 @@ from cvxshear.report.figures.style import (
     PAGE_WIDTH,
     QUIET,
     assorted,
+    letters,
     logarithmic,
     new_figure,
     panels,
 )
-from cvxshear.response import RecordPrediction
+from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.response.compare import seen
 from cvxshear.util.quantities import scaled
 from cvxshear.util.typing import Floats, Ints
@@ -77,7 +82,7 @@ def response_histories(result: RecordPrediction) -> Figure:
             column = int(np.flatnonzero(result.motion.floors == floor)[0])
             axes.plot(time, drive.responses[window, column], color=MEASURED, lw=1.8, label="measured")
         after = seen(model, result.after.responses[run], own)[window, 0]
-        band = SIDES * np.abs(model.gain[floor - 1]) * result.acceleration_std[run][window, floor - 1]
+        band = SIDES * np.abs(model.gain[floor - 1]) * result.std[run]["floor_acceleration"][window, floor - 1]
         if np.isfinite(band).all():
             axes.fill_between(time, after - band, after + band, color=AFTER, alpha=0.25, lw=0, label="95 % band")
         axes.plot(time, after, color=AFTER, ls="--", lw=1.0, label="predicted")
@@ -259,5 +264,105 @@ def floor_spectra(result: RecordPrediction) -> Figure:
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, at: f"{value:g}"))
     axes.xaxis.set_minor_formatter(FuncFormatter(lambda value, at: ""))
     axes.grid(visible=True)
+    _legend(figure, axes)
+    return figure
+
+
+@figure(
+    "drifts",
+    Reconstruction,
+    title="Drift of every story",
+    caption="Left: the frame, each story coloured by its peak drift, with its standard deviation; * marks a story that "
+    "changed, triangles the floors with sensors. Right: the same with bars that hold 95\N{NO-BREAK SPACE}%, the "
+    "prediction that looks at no sensor, and the limits.",
+    alternative="The frame with the peak drift of each story; the numbers are in the table above.",
+    section="motion",
+)
+def story_drifts(result: Reconstruction) -> Figure:
+    """The frame with its stories coloured by peak drift, and the peaks with 95 % bars beside it.
+
+    Parameters
+    ----------
+    result : Reconstruction
+
+    Returns
+    -------
+    Figure
+    """
+    name = "story_drift_ratio" if "story_drift_ratio" in result.peaks.values else "story_drift"
+    factor, unit = (100.0, "% of height") if name == "story_drift_ratio" else (1000.0, "mm")
+    peaks, std = (factor * each[name] for each in (result.peaks.values, result.peaks.std))
+    heights = result.model.heights if result.model.heights is not None else np.ones(len(peaks))
+    levels = np.concatenate([[0.0], np.cumsum(heights)])
+    figure = new_figure(PAGE_WIDTH, float(np.clip(0.32 * len(peaks), 2.4, 8.0)) + 0.9)
+    left, right = panels(figure, 2, 2, sharey=True)
+    colours = matplotlib.colormaps["viridis_r"]
+    sensors = set(result.recording.floors.tolist())
+    for story, (low, high) in enumerate(pairwise(levels)):
+        share = float(peaks[story] / max(float(peaks.max()), 1e-300))
+        left.add_patch(Rectangle((0.2, low), 0.6, high - low, fc=colours(share), ec=QUIET, lw=0.8, alpha=0.85))
+        mark = " *" if story + 1 in result.changed else ""
+        left.text(
+            0.5, 0.5 * (low + high), f"{peaks[story]:.3g} ± {std[story]:.1g}{mark}", ha="center", va="center",
+            fontsize=8, color="white" if share > 0.5 else "black",
+        )  # fmt: skip
+        if story + 1 in sensors:
+            left.plot([0.86], [high], marker="<", color=MEASURED, ls="none")
+    left.set_xlim(0, 1)
+    left.set_xticks([])
+    left.set_ylabel("elevation, m" if result.model.heights is not None else "story (no heights declared)")
+    left.set_title(f"peak drift, {unit}")
+    middle = 0.5 * (levels[1:] + levels[:-1])
+    right.errorbar(peaks, middle, xerr=SIDES * std, fmt="o", color=AFTER, ms=4, capsize=2, label="reconstructed")
+    if result.predicted_peaks is not None:
+        right.plot(factor * result.predicted_peaks.values[name], middle, "x", color=BEFORE, ms=5, label="predicted")
+    if result.limits is not None and result.passed is not None:
+        for word, limit in zip(result.limits.names, result.limits.story_drift, strict=True):
+            if 100 * limit < 2 * float(np.max(peaks + SIDES * std)):
+                right.axvline(100 * limit, color=QUIET, ls=":", lw=1)
+                right.text(100 * limit, levels[-1], letters(word), rotation=90, va="top", ha="right", fontsize=7)
+    right.set_xlim(left=0)
+    right.set_xlabel(unit)
+    right.legend(loc="best")
+    return figure
+
+
+@figure(
+    "histories",
+    Reconstruction,
+    title="Drifts over time",
+    caption="Drifts around the strongest motion, with the band that holds 95\N{NO-BREAK SPACE}%.",
+    alternative="Drifts of the stories over time.",
+    section="frame",
+)
+def reconstructed_histories(result: Reconstruction) -> Figure:
+    """Drifts of the stories over time around the strongest motion, with 95 % bands.
+
+    Parameters
+    ----------
+    result : Reconstruction
+
+    Returns
+    -------
+    Figure
+    """
+    sizes = [np.abs(item.response.drift).max(axis=1) for item in result.runs]
+    run = int(np.argmax([size.max() for size in sizes]))
+    half = int(PERIODS / 2 / result.model.modes.frequencies[0] * result.recording.sampling_rate)
+    first = max(0, int(np.argmax(sizes[run])) - half)
+    window = slice(first, min(len(sizes[run]), first + 2 * half + 1))
+    moved, std = result.runs[run].response, result.runs[run].std["story_drift"]
+    count = len(result.model.M)
+    stories = np.unique(np.linspace(count, 1, min(MOST_FLOORS, count)).round().astype(int))[::-1]
+    figure = new_figure(PAGE_WIDTH, 1.35 * len(stories) + 0.9)
+    for axes, story in zip(panels(figure, len(stories), 1, sharex=True), stories, strict=True):
+        drift, band = 1000 * moved.drift[window, story - 1], 1000 * SIDES * std[window, story - 1]
+        time = moved.time[window]
+        axes.fill_between(time, drift - band, drift + band, color=AFTER, alpha=0.25, lw=0, label="95 % band")
+        axes.plot(time, drift, color=AFTER, lw=1.0, label="reconstructed")
+        axes.set_title(f"story {story}")
+        axes.grid(visible=True, axis="y")
+        axes.set_ylabel("mm")
+    axes.set_xlabel("time, s")
     _legend(figure, axes)
     return figure

@@ -1,4 +1,6 @@
-"""How damping and frequency of the mini shake table's frames depend on amplitude: `python -m tests.response_amplitude`.
+"""How damping and frequency of the mini shake table's frames depend on amplitude.
+
+`python -m tests.benchmarks.response_amplitude` prints the tables.
 
 After each record the table stands still and the frame swings on: the first mode's envelope and phase tell damping and
 frequency at every amplitude, no model involved. Beside that, each record is predicted with the frequencies and shapes
@@ -17,8 +19,8 @@ from scipy import signal
 
 from cvxshear.response import predict
 from cvxshear.response.sources import motion_of
+from tests.benchmarks.response_records import FRAMES, RECORDS, models
 from tests.modal.shared import mini_table
-from tests.response_records import FRAMES, RECORDS, models
 
 LEVELS = (4.0, 2.0, 1.0, 0.5, 0.25)
 """Amplitudes of the top floor's acceleration in the first mode, m/s2."""

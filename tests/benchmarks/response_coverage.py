@@ -1,4 +1,6 @@
-"""Whether predicted peaks lie within their stated deviations: `python -m tests.response_study [TRIALS [JOBS]]`.
+"""Whether predicted peaks lie within their stated deviations.
+
+`python -m tests.benchmarks.response_coverage [TRIALS [JOBS]]` prints the table.
 
 Simulated frames with story dashpots are identified from noisy modes, and their peaks under a base motion predicted.
 Printed is the share of 95 % intervals that hold the true peak, by the kind of damping that the identification assumes,
@@ -19,8 +21,7 @@ from cvxshear.fit.efficient import efficient
 from cvxshear.records.motion import Drive
 from cvxshear.response import DampedModel, Fitted, response
 from cvxshear.response.peaks import largest
-from cvxshear.response.propagation import propagated, sampled
-from cvxshear.response.uncertain import UncertainFrame
+from cvxshear.response.uncertain import UncertainFrame, propagated, sampled
 from cvxshear.util.parallel import each
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
 

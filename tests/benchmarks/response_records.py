@@ -1,4 +1,4 @@
-"""Prediction of measured records: `python -m tests.response_records` prints the table of docs/measured/.
+"""Prediction of measured records: `python -m tests.benchmarks.response_records` prints the table of docs/measured/.
 
 Modes from one record of the mini shake table, their cause, and the response to both records by the shear model and with
 joint rotation. The records are looked for in the folder that the environment variable CVXSHEAR_SHARED names.
@@ -14,7 +14,7 @@ import numpy as np
 
 import cvxshear
 from cvxshear.files.modes import modes_from_file
-from cvxshear.response import models_of_loop, predict
+from cvxshear.response import models_of_loop, predict, reconstruct
 from tests.modal.shared import mini_table
 
 FRAMES = ("flexible", "stiff")
@@ -49,6 +49,29 @@ def row(side):
     return [*off, np.mean(of.nrmse), *np.mean(of.frf_error, axis=0)]
 
 
+@functools.cache
+def reconstructed(source, record):
+    """The reconstruction of one record by the models of another."""
+    with tempfile.TemporaryDirectory() as folder:
+        return reconstruct(models(source), mini_table(Path(folder), record))
+
+
+def sensors():
+    """Each floor from the other two: error in time, stated deviation, and prediction alone."""
+    print("| frame | modes from | record | floor | error | stated | within 95 % band | prediction alone |")
+    print("|---|---|---|---:|---:|---:|---:|---:|")
+    for frame in FRAMES:
+        for source, record in (RECORDS, RECORDS[::-1]):
+            for check in reconstructed(f"{frame}-{source}", f"{frame}-{record}").checks:
+                cells = [check.error, check.stated]
+                cells = " | ".join(f"{100 * value / check.measured:.1f} %" for value in cells)
+                print(
+                    f"| {frame} | {source} | {record} | {check.floor} | {cells} | {100 * check.within:.0f} % | "
+                    f"{100 * check.prediction_error / check.measured:.0f} % |",
+                    flush=True,
+                )
+
+
 def main():
     print("| frame | modes from | record | model | rms | peak | in time | H, mode 1 | 2 | 3 |")
     print("|---|---|---|---|---:|---:|---:|---:|---:|---:|")
@@ -70,3 +93,5 @@ def main():
 
 if __name__ == "__main__":
     main()
+    print()
+    sensors()

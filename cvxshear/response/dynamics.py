@@ -1,0 +1,292 @@
+"""State-space model of a damped frame whose story forces deviate from those of its model.
+
+With displacements u against the ground, velocities v and relative deviations f of the story forces,
+
+    u' = v,   M v' = -K u - C v + load p(t) + T diag(d) f,   f' = -alpha f + white noise,
+
+where d_i = k_i (rms drift of story i) and each f_i has the standard deviation s. A model that is wrong by a few percent
+of a story's stiffness misses a force in proportion to that story's drift, which changes as slowly as the frame
+vibrates: so the process noise acts between floors and its corner frequency alpha is that of the first mode. White noise
+on the floors would be neither. Where nobody measured the ground, its acceleration is one more state of this kind.
+
+The known excitation is a straight line between samples (first-order hold) and the noise is integrated over a step
+(Van Loan 1978), so that no step is too long.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from cvxshear.model.shear import transformation
+from cvxshear.response.model import DampedModel
+from cvxshear.util.typing import Floats, Ints
+
+SETTLED_RICCATI = 1e-13
+"""Relative change of a covariance at which the doubling of the Riccati equation ends: it doubles its digits a round, so
+the next change would be rounding."""
+
+MOST_DOUBLINGS = 60
+"""Doublings of the step: 2^60 samples are more than any record has."""
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Standard deviations that a fit to the record estimates.
+
+    Parameters
+    ----------
+    sensors : ndarray, shape (m,)
+        Of each channel, m/s2.
+    force : float
+        s: of the story forces that the model misses, relative to the rms story force.
+    ground : float
+        Of a base acceleration that was not measured, m/s2; 0 where it was.
+    """
+
+    sensors: Floats
+    force: float
+    ground: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics:
+    """Discrete state-space model x+ = A x + before p + after p+ + w, y = H x + direct p + e.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    before, after : ndarray, shape (n,)
+        Weights of the excitation at the beginning and at the end of a step.
+    Q : ndarray, shape (n, n)
+        Covariance of w.
+    H : ndarray, shape (m, n)
+    direct : ndarray, shape (m,)
+    R : ndarray, shape (m,)
+        Variances of e.
+    P0 : ndarray, shape (n, n)
+        Stationary covariance of the state under the noise alone.
+    outputs : Outputs
+    """
+
+    A: Floats
+    before: Floats
+    after: Floats
+    Q: Floats
+    H: Floats
+    direct: Floats
+    R: Floats
+    P0: Floats
+    outputs: Outputs
+
+    def driven(self, excitation: Floats) -> Floats:
+        """What the excitation adds to the state over each step, shape (samples, n); the last row is not used."""
+        following = np.append(excitation[1:], excitation[-1])
+        driven: Floats = np.outer(excitation, self.before) + np.outer(following, self.after)
+        return driven
+
+
+@dataclass(frozen=True, eq=False)
+class Outputs:
+    """Rows that turn states into total accelerations, displacements, drifts and story forces of the frame.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (4 N, n)
+    direct : ndarray, shape (4 N,)
+        Weights of the excitation.
+    """
+
+    rows: Floats
+    direct: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What stays the same while frame and noise are fitted.
+
+    Parameters
+    ----------
+    floors : ndarray of int, shape (m,)
+        That carry sensors.
+    step : float
+        s.
+    force_floor : int
+        Where a measured force acts; 0 for base motion.
+    base_measured : bool
+    corner : float
+        alpha, rad/s.
+    ground_corner : float
+        The same of a base acceleration that was not measured.
+    story_force : ndarray, shape (N,)
+        d: rms story forces, N.
+    """
+
+    floors: Ints
+    step: float
+    force_floor: int
+    base_measured: bool
+    corner: float
+    ground_corner: float
+    story_force: Floats
+
+    def without(self, channel: int) -> Setting:
+        """The same with one channel fewer."""
+        return dataclasses.replace(self, floors=np.delete(self.floors, channel))
+
+
+def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
+    """The discrete state-space model of a frame.
+
+    Parameters
+    ----------
+    model : DampedModel
+    noise : Noise
+    setting : Setting
+    """
+    N = len(model.M)
+    estimated = not setting.base_measured
+    n = 3 * N + (1 if estimated else 0)
+    T = transformation(N)
+    restoring = -np.linalg.solve(model.M, np.hstack([model.K, model.C]))
+    missed = np.linalg.solve(model.M, T * setting.story_force)
+    rates = np.zeros((n, n))
+    rates[:N, N : 2 * N] = np.eye(N)
+    rates[N : 2 * N, : 2 * N] = restoring
+    rates[N : 2 * N, 2 * N : 3 * N] = missed
+    rates[2 * N : 3 * N, 2 * N : 3 * N] = -setting.corner * np.eye(N)
+    load = np.zeros(n)
+    total = np.zeros((N, n))
+    total[:, : 3 * N] = np.hstack([restoring, missed])
+    through = np.zeros(N)
+    if estimated:
+        rates[N : 2 * N, 3 * N] = -1.0
+        rates[3 * N, 3 * N] = -setting.ground_corner
+    elif setting.force_floor:
+        through = np.linalg.solve(model.M, np.eye(N)[setting.force_floor - 1])
+        load[N : 2 * N] = through
+    else:
+        load[N : 2 * N] = -1.0
+    density = np.zeros(n)
+    density[2 * N : 3 * N] = 2 * setting.corner * noise.force**2
+    if estimated:
+        density[3 * N] = 2 * setting.ground_corner * noise.ground**2
+    A, Q = _van_loan(rates, density, setting.step)
+    before, after = _first_order_hold(rates, load, setting.step)
+    at = setting.floors - 1
+    stationary = doubled_lyapunov(A, Q)
+    return Dynamics(
+        A, before, after, Q, total[at] * model.gain[at, None], through[at] * model.gain[at], noise.sensors**2,
+        stationary, _outputs(model, total, through, setting.force_floor, n),
+    )  # fmt: skip
+
+
+def _outputs(model: DampedModel, total: Floats, through: Floats, force_floor: int, n: int) -> Outputs:
+    """Rows of the quantities that a reconstruction reports."""
+    N = len(model.M)
+    moved = np.eye(N, n)
+    above = np.triu(np.ones((N, N)))
+    direct = -above @ model.M @ through
+    if force_floor:
+        direct = direct + above[:, force_floor - 1]
+    rows = np.concatenate([total, moved, np.diff(moved, axis=0, prepend=0.0), -above @ model.M @ total])
+    return Outputs(rows, np.concatenate([through, np.zeros(2 * N), direct]))
+
+
+def _van_loan(rates: Floats, density: Floats, step: float) -> tuple[Floats, Floats]:
+    """Transition over a step, and the covariance that white noise of this density leaves in it."""
+    n = len(rates)
+    both = np.block([[-rates, np.diag(density)], [np.zeros((n, n)), rates.T]])
+    whole = linalg.expm(both * step)
+    A = whole[n:, n:].T
+    Q = A @ whole[:n, n:]
+    return A, 0.5 * (Q + Q.T)
+
+
+def _first_order_hold(rates: Floats, load: Floats, step: float) -> tuple[Floats, Floats]:
+    """Weights of the excitation at both ends of a step between which it is a straight line."""
+    n = len(rates)
+    wide = np.zeros((n + 2, n + 2))
+    wide[:n, :n], wide[:n, n], wide[n, n + 1] = rates * step, load * step, 1.0
+    whole = linalg.expm(wide)
+    after = whole[:n, n + 1]
+    return whole[:n, n] - after, after
+
+
+def doubled_lyapunov(A: Floats, Q: Floats) -> Floats:
+    """P = A P A' + Q of a stable A, by doubling the number of steps."""
+    P, power = Q, A
+    for _ in range(MOST_DOUBLINGS):
+        more = power @ P @ power.T
+        P = P + more
+        if np.all(np.abs(np.diag(more)) <= SETTLED_RICCATI * np.diag(P)):
+            break
+        power = power @ power
+    return 0.5 * (P + P.T)
+
+
+def settled_covariance(model: Dynamics) -> Floats:
+    """Covariance of the predicted state once the filter has settled, shape (n, n).
+
+    The Riccati equation by doubling (Chu, Fan, Lin and Wang 2004), which needs no eigenvalues and so takes stories that
+    no sensor sees.
+    """
+    n = len(model.A)
+    power, G, P = model.A.T, model.H.T @ (model.H / model.R[:, None]), model.Q
+    for _ in range(MOST_DOUBLINGS):
+        inner = np.linalg.inv(np.eye(n) + G @ P)
+        more = power.T @ P @ inner @ power
+        G = G + power @ inner @ G @ power.T
+        power = power @ inner @ power
+        P = P + more
+        P, G = 0.5 * (P + P.T), 0.5 * (G + G.T)
+        if np.all(np.abs(np.diag(more)) <= SETTLED_RICCATI * np.diag(P)):
+            break
+    return P
+
+
+BLOCK = 64
+"""Samples that one sweep of a linear recursion leaps over at once: about the root of the samples of a long record."""
+
+
+def recursion(F: Floats, inputs: Floats, start: Floats) -> Floats:
+    """x_0 = start, x_(t+1) = F x_t + inputs_t by products of large matrices.
+
+    All blocks of samples are first gone through from zero, side by side; what the state at each block's beginning adds
+    follows from powers of F.
+
+    Parameters
+    ----------
+    F : ndarray, shape (n, n)
+    inputs : ndarray, shape (samples, n)
+        The last row is not used.
+    start : ndarray, shape (n,)
+
+    Returns
+    -------
+    ndarray, shape (samples, n)
+    """
+    samples, n = inputs.shape
+    blocks = -(-samples // BLOCK)
+    padded = np.zeros((blocks * BLOCK, n))
+    padded[:samples] = inputs
+    cut = np.ascontiguousarray(padded.reshape(blocks, BLOCK, n).transpose(1, 0, 2))
+    local = np.zeros((BLOCK, blocks, n))
+    turned, power = F.T, np.eye(n)
+    for j in range(1, BLOCK):
+        local[j] = local[j - 1] @ turned + cut[j - 1]
+    ends = local[-1] @ turned + cut[-1]
+    powers = [power]
+    for _ in range(BLOCK):
+        powers.append(powers[-1] @ turned)
+    starts = np.empty((blocks, n))
+    state = start
+    for k in range(blocks):
+        starts[k] = state
+        state = state @ powers[BLOCK] + ends[k]
+    for j in range(BLOCK):
+        local[j] += starts @ powers[j]
+    return local.transpose(1, 0, 2).reshape(blocks * BLOCK, n)[:samples]

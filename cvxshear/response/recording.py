@@ -1,0 +1,289 @@
+"""What sensors on some floors recorded: with gaps, and with or without the motion of the ground."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from cvxshear.files.columns import Columns
+from cvxshear.files.record_file import RECORD_KEYS, columns_of, pieces_of, refuse_two_rates
+from cvxshear.files.record_tables import (
+    ChannelDeclaration,
+    added_mass_of,
+    channels_of,
+    driver_of,
+    placed,
+    runs_of,
+    tables_of,
+)
+from cvxshear.records.floors import ACROSS, one_a_floor
+from cvxshear.records.motion import Motion, trend
+from cvxshear.records.record import INPUTS, TimeRecord
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats, Ints
+
+RecordingSource = str | Path | TimeRecord | Motion
+
+ENVELOPE_PERIODS = 4.0
+"""Fundamental periods over which the strength of the motion is averaged: shorter would follow the vibration itself."""
+
+QUIETEST = 1 / 16
+"""Least envelope, relative to the record's rms: what a model misses does not vanish where little moves."""
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedRun:
+    """One uninterrupted stretch.
+
+    Parameters
+    ----------
+    measured : ndarray, shape (samples, m)
+        Total accelerations, m/s2; nan where a piece is missing.
+    excitation : ndarray, shape (samples,), optional
+        m/s2 or N; None where nobody measured it.
+    name : str
+    """
+
+    measured: Floats
+    excitation: Floats | None
+    name: str
+
+    @property
+    def driven(self) -> Floats:
+        """The excitation, zeros where it is not known, shape (samples,)."""
+        return np.zeros(len(self.measured)) if self.excitation is None else self.excitation
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Accelerations of some floors, and what drove the frame where that was measured.
+
+    Parameters
+    ----------
+    runs : tuple of RecordedRun
+    sampling_rate : float
+        Hz.
+    floors : ndarray of int, shape (m,)
+        Ascending.
+    input : str
+        "base", "force", or "none" where the ground was not measured.
+    force_floor : int
+        0 but for a force.
+    added_mass : ndarray, shape (N,), optional
+        kg.
+    state : str, optional
+    name : str
+    """
+
+    runs: tuple[RecordedRun, ...]
+    sampling_rate: float
+    floors: Ints
+    input: str
+    force_floor: int = 0
+    added_mass: Floats | None = None
+    state: str | None = None
+    name: str = "record"
+
+    def __post_init__(self) -> None:
+        if not len(self.floors):
+            raise InputError(f"{self.name}: no floor's acceleration was recorded; a reconstruction needs one at least")
+        together = np.concatenate([run.measured for run in self.runs])
+        for column, floor in enumerate(self.floors):
+            there = together[np.isfinite(together[:, column]), column]
+            if not len(there) or not np.any(there != there[0]):
+                raise InputError(f"{self.name}: the channel on floor {floor} shows no motion; leave it out")
+        for run in self.runs:
+            if run.excitation is not None and not np.isfinite(run.excitation).all():
+                missing = int((~np.isfinite(run.excitation)).sum())
+                raise InputError(
+                    f"{self.name}, {run.name}: {missing} samples of the excitation are missing; floors may have gaps, "
+                    'what drives the frame may not (input = "none" has the base motion estimated)'
+                )
+
+    @property
+    def step(self) -> float:
+        """Time between samples, s."""
+        return 1.0 / self.sampling_rate
+
+    @property
+    def seconds(self) -> float:
+        """Length of all runs together."""
+        return sum(len(run.measured) for run in self.runs) / self.sampling_rate
+
+    def rms(self) -> Floats:
+        """Of each channel, shape (m,), m/s2."""
+        square: Floats = np.nanmean(np.concatenate([run.measured for run in self.runs]) ** 2, axis=0)
+        return np.sqrt(square)
+
+    def detrended(self) -> tuple[Recording, float]:
+        """Without the straight line through each acceleration, and its largest size over the channel's rms."""
+        largest, runs = 0.0, []
+        for run in self.runs:
+            # Over the same samples for all: lines through different parts of one motion would contradict each other.
+            there = np.asarray(np.isfinite(run.measured).all(axis=1))
+            if there.sum() <= len(there) // 2:
+                there = np.ones_like(there)
+            line = np.column_stack([trend(column, there & np.isfinite(column)) for column in run.measured.T])
+            largest = max(largest, float(np.max(np.abs(line) / self.rms())))
+            excitation = run.excitation
+            if excitation is not None and self.input == "base":
+                excitation = excitation - trend(excitation, there)
+            runs.append(dataclasses.replace(run, measured=run.measured - line, excitation=excitation))
+        return dataclasses.replace(self, runs=tuple(runs)), largest
+
+    def without(self, channel: int) -> Recording:
+        """The same with one channel fewer."""
+        runs = tuple(dataclasses.replace(run, measured=np.delete(run.measured, channel, axis=1)) for run in self.runs)
+        return dataclasses.replace(self, runs=runs, floors=np.delete(self.floors, channel))
+
+    def envelopes(self, period: float) -> list[Floats]:
+        """Strength of the motion over time in powers of two, relative to its rms over the record; one array a run.
+
+        Parameters
+        ----------
+        period : float
+            Of the first mode, s.
+        """
+        width = max(1, round(ENVELOPE_PERIODS * period * self.sampling_rate))
+        powers = []
+        for run in self.runs:
+            there = np.isfinite(run.measured)
+            total = np.sum(np.nan_to_num(run.measured / self.rms()) ** 2, axis=1)
+            # Averaged separately, so that a gap in every channel takes its strength from around it.
+            power, count = (
+                ndimage.uniform_filter1d(each.astype(np.float64), width, mode="nearest")
+                for each in (total, there.sum(axis=1))
+            )
+            powers.append(power / np.maximum(count, 1e-3))
+        mean = float(np.mean(np.concatenate(powers)))
+        strengths = [np.maximum(np.sqrt(power / mean), QUIETEST) for power in powers]
+        return [np.exp2(np.round(np.log2(each))).astype(np.float64) for each in strengths]
+
+
+def recording_of(source: RecordingSource) -> Recording:
+    """What sensors recorded.
+
+    Parameters
+    ----------
+    source : str, Path, TimeRecord or Motion
+        A file is a record file; cells of its floors' columns may be nan or empty.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read, or no floor's acceleration was recorded.
+    """
+    match source:
+        case Motion():
+            return _of_motion(source)
+        case TimeRecord():
+            if source.input in ("base", "force"):
+                return _of_motion(Motion.of(source))
+            _refuse_other_quantity(source.quantity, source.name)
+            record, _ = one_a_floor(source)
+            runs = tuple(RecordedRun(run.responses, None, run.name) for run in record.runs)
+            return Recording(runs, record.sampling_rate, record.floors, "none", name=record.name)
+        case str() | Path():
+            return _of_file(Path(source))
+    raise InputError(f"a reconstruction needs a record file, a TimeRecord or a Motion, not {checks.shown(source)}")
+
+
+def _of_motion(motion: Motion) -> Recording:
+    runs = []
+    for drive in motion.drives:
+        if drive.responses is None:
+            raise InputError(
+                f"{motion.name}: no floor's acceleration was recorded; a reconstruction needs one at least"
+            )
+        runs.append(RecordedRun(drive.responses, drive.excitation, drive.name))
+    places = {drive.floor for drive in motion.drives}
+    if len(places) > 1:
+        raise InputError(f"{motion.name}: the force acts on several floors; reconstruct these runs one by one")
+    return Recording(
+        tuple(runs), motion.sampling_rate, motion.floors, motion.input, places.pop(), motion.added_mass, motion.state,
+        motion.name,
+    )  # fmt: skip
+
+
+def _refuse_other_quantity(quantity: str, name: str) -> None:
+    if quantity != "acceleration":
+        raise InputError(f"{name}: the floors' {quantity}s were recorded; a reconstruction needs accelerations")
+
+
+def _of_file(path: Path) -> Recording:
+    """The recording that a record file names."""
+    table, lines = tables_of(path)
+    with placed(path):
+        declared = checks.keys(table["record"], RECORD_KEYS, [], "record")
+        checks.choice(declared.get("kind", "time"), ("time",), "record: kind, for a reconstruction,")
+        kind = checks.choice(declared.get("input", "none"), INPUTS, "record: input")
+        channels = channels_of(table["channel"], declared, path, lines)
+        driver = driver_of(channels, kind)
+        floors = _by_floor([item for item in channels if item is not driver and item.responds])
+        runs, rates, places = [], [], set()
+        for run in runs_of(table, declared):
+            columns = columns_of(run, declared, path)
+            # Jumps of the clock and the ends asked for part the file; what a floor misses does not.
+            pieces, rate, _ = pieces_of(columns, [], declared, run, path)
+            rates.append((rate, columns.source))
+            name = str(run.get("name", Path(run["file"]).name))
+            if driver is not None:
+                places.add(_force_floor(run, declared, driver) if kind == "force" else 0)
+            for number, rows in enumerate(pieces, 1):
+                part = columns.rows(rows)
+                measured = np.column_stack([_with_gaps(part, group, path) for group in floors.values()])
+                excitation = None
+                if driver is not None:
+                    excitation = driver.factor * part.column(driver.column, driver.place or path.name)
+                runs.append(RecordedRun(measured, excitation, name if len(pieces) == 1 else f"{name}, piece {number}"))
+        refuse_two_rates(rates)
+        if len(places) > 1:
+            raise InputError("the force acts on several floors; reconstruct these runs one by one")
+        added = added_mass_of(table, path)
+        state = None if table.get("state") is None else checks.text(table["state"], "state")
+        return Recording(
+            tuple(runs), rates[0][0], np.array(list(floors), dtype=np.int64),
+            kind if kind in ("base", "force") else "none", places.pop() if places else 0,
+            None if added is None else np.array(added), state,
+            checks.text(declared.get("name", path.stem), "record: name"),
+        )  # fmt: skip
+
+
+def _force_floor(run: Mapping[str, Any], declared: Mapping[str, Any], driver: ChannelDeclaration) -> int:
+    floor = run.get("input_floor", declared.get("input_floor", driver.floor or None))
+    return checks.whole(floor, "input_floor", least=1, most=checks.MOST_STORIES)
+
+
+def _by_floor(channels: Sequence[ChannelDeclaration]) -> dict[int, list[ChannelDeclaration]]:
+    """The channels of each floor, from the ground up, without those across the direction of test."""
+    for item in channels:
+        _refuse_other_quantity(item.quantity, f'channel "{item.column}"')
+    along = [item for item in channels if abs(_cosine(item)) >= np.cos(np.radians(ACROSS))]
+    if not along:
+        raise InputError("no floor's acceleration was recorded; a reconstruction needs one at least")
+    return {floor: [item for item in along if item.floor == floor] for floor in sorted({each.floor for each in along})}
+
+
+def _cosine(item: ChannelDeclaration) -> float:
+    """What a sensor shows of a motion along the direction of test."""
+    return float(np.cos(np.radians(item.direction or 0.0)))
+
+
+def _with_gaps(columns: Columns, group: Sequence[ChannelDeclaration], path: Path) -> Floats:
+    """A floor's motion, the mean of its sensors; nan where a sample of one is missing."""
+    total = np.zeros(len(columns.values))
+    for item in group:
+        columns.check(item.column, item.place or path.name)
+        values = columns.values[:, columns.names.index(item.column)]
+        if np.isinf(values).any() or np.any(np.abs(values[np.isfinite(values)]) > checks.LARGEST):
+            values = columns.column(item.column, item.place or path.name)
+        total += item.factor / _cosine(item) * values
+    result: Floats = total / len(group)
+    return result

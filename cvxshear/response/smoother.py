@@ -1,0 +1,364 @@
+"""The motion of a frame from the floors that carry sensors: a least-squares program solved by one sweep each way.
+
+Over the states x_0, x_1, ... of `Dynamics`, the motion minimizes
+
+    |P0^(-1/2) x_0|^2 + sum |Q^(-1/2) (x_(t+1) - A x_t - B p_t)|^2 + sum w_tj (y_tj - H_j x_t - D_j p_t)^2 / R_j,
+
+whose normal matrix is block tridiagonal. `smooth` eliminates the blocks forward (the Kalman filter) and back (the
+smoother of Bryson and Frazier 1963, which needs no inverse of a covariance); `motion_program` writes the same program
+down for a backend. A missing sample has the weight zero. Huber's loss, which grows linearly beyond `SPIKE` standard
+deviations and so lets no spike pull the motion away, is minimized by weights that are found anew from the residuals
+(iterative reweighting).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy import linalg
+
+from cvxshear.programs import LeastSquares
+from cvxshear.response.dynamics import Dynamics, recursion, settled_covariance
+from cvxshear.util.typing import Bools, Floats, Ints
+
+SPIKE = 5.0
+"""Standard deviations of a residual beyond which a sample counts as a spike: of Gaussian noise, one in two million."""
+
+MOST_REWEIGHTINGS = 12
+"""Most rounds of reweighting; each needs one sweep, and a weight that still moves then is of a sample at the limit."""
+
+SAME_WEIGHT = 0.02
+"""Change of a weight that moves the motion by less than a fiftieth of that sample's pull."""
+
+SETTLED = 1e-9
+"""Relative change of a covariance over one sample at which it is taken as constant. What is still to come is this over
+the decay a sample, which is at least 1e-3 for a sampled vibration: the motion is then exact to about 1e-6."""
+
+MOST_TRANSIENT = 300
+"""Samples after a change of the weights over which covariances are computed one by one; where they are still changing
+after so many, their limit is taken, so that long records need neither the time nor the memory."""
+
+LONG = 4 * 64
+"""Samples of constant gain from which on matrix products over blocks are faster than a loop."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """One run's excitation and measured accelerations.
+
+    Parameters
+    ----------
+    excitation : ndarray, shape (samples,)
+        Zeros where nothing was measured.
+    measured : ndarray, shape (samples, m)
+        m/s2; nan where missing.
+    envelope : ndarray, shape (samples,)
+        Factor on the standard deviation of the missed story forces, constant over stretches.
+    start_scale : float
+        Factor on the standard deviation of the state at the start.
+    """
+
+    excitation: Floats
+    measured: Floats
+    envelope: Floats
+    start_scale: float = 1.0
+
+    @property
+    def present(self) -> Bools:
+        """Which samples were measured, shape (samples, m)."""
+        return np.isfinite(self.measured)
+
+    def without(self, channel: int) -> Observed:
+        """The same with one channel fewer."""
+        return dataclasses.replace(self, measured=np.delete(self.measured, channel, axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """The states of a run and their uncertainty.
+
+    Parameters
+    ----------
+    states : ndarray, shape (samples, n)
+    innovations : ndarray, shape (samples, m)
+        Of the filter, each in its standard deviation; nan where nothing was measured.
+    weights : ndarray, shape (samples, m)
+        Of the measured samples: 1, less for a spike, 0 where missing.
+    output_std : ndarray, shape (samples, outputs)
+        Of the outputs that were asked for, given the frame.
+    completed : ndarray, shape (samples, m)
+        The measured accelerations, spikes cut to Huber's limit and missing samples as they are estimated: what an
+        ordinary smoother would have to see to come to the same motion.
+    """
+
+    states: Floats
+    innovations: Floats
+    weights: Floats
+    output_std: Floats
+    completed: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class _Gain:
+    """One sample's matrices of the filter."""
+
+    A: Floats
+    P: Floats
+    H: Floats
+    inverse_S: Floats
+    K: Floats
+    innovation_std: Floats
+
+    @property
+    def transition(self) -> Floats:
+        """A - K H; not stored, since there may be thousands."""
+        result: Floats = self.A - self.K @ self.H
+        return result
+
+
+def smooth(model: Dynamics, run: Observed, rows: Floats, *, robust: bool = True) -> Smoothed:
+    """The motion that minimizes the program of this module, and its standard deviations.
+
+    Parameters
+    ----------
+    model : Dynamics
+    run : Observed
+    rows : ndarray, shape (outputs, n)
+        Linear combinations of the state whose standard deviations are wanted.
+    robust : bool, optional
+        Whether Huber's loss stands in place of the square.
+    """
+    weights = run.present.astype(np.float64)
+    sigma = np.sqrt(model.R)
+    for _ in range(MOST_REWEIGHTINGS if robust else 1):
+        gains, which = _gains(model, run, weights)
+        states, innovations = _sweeps(model, run, gains, which, weights)
+        residual = run.measured - states @ model.H.T - np.outer(run.excitation, model.direct)
+        size = np.abs(np.nan_to_num(residual)) / sigma
+        found = np.where(run.present, np.minimum(1.0, SPIKE / np.maximum(size, SPIKE)), 0.0)
+        if not robust or np.max(np.abs(found - weights), initial=0.0) <= SAME_WEIGHT:
+            break
+        weights = found
+    fitted = states @ model.H.T + np.outer(run.excitation, model.direct)
+    completed = np.where(run.present, fitted + weights * np.nan_to_num(residual), fitted)
+    std = _deviations(rows, gains, which)
+    return Smoothed(states, innovations, weights, std, completed)
+
+
+def _stretches(weights: Floats, envelope: Floats) -> Iterator[tuple[int, int]]:
+    """Beginning and end of each stretch of constant weights and constant process noise."""
+    keys = np.column_stack([weights, envelope])
+    changes = np.flatnonzero(np.any(keys[1:] != keys[:-1], axis=1)) + 1
+    edges = [0, *changes.tolist(), len(keys)]
+    yield from pairwise(edges)
+
+
+def _gains(model: Dynamics, run: Observed, weights: Floats) -> tuple[list[_Gain], Ints]:
+    """The filter's gains, each distinct one once, and which of them each sample has."""
+    A, R = model.A, model.R
+    P = run.start_scale**2 * model.P0
+    gains: list[_Gain] = []
+    which = np.empty(len(weights), dtype=np.int64)
+    for first, last in _stretches(weights, run.envelope):
+        Q = run.envelope[first] ** 2 * model.Q
+        weight = weights[first]
+        H = model.H * (weight > 0)[:, None]
+        noise = R / np.where(weight > 0, weight, 1.0)
+        t = first
+        while t < last:
+            PH = P @ H.T
+            S = H @ PH + np.diag(noise)
+            inverse = np.linalg.inv(S)
+            K = A @ PH @ inverse
+            F = A - K @ H
+            gains.append(_Gain(A, P, H, inverse, K, np.sqrt(np.diag(S))))
+            which[t] = len(gains) - 1
+            following = F @ P @ A.T + Q
+            following = 0.5 * (following + following.T)
+            was, now = np.diag(P), np.diag(following)
+            settled = bool(np.all(np.abs(now - was) <= SETTLED * now))
+            P = following
+            t += 1
+            if not settled and t - first == MOST_TRANSIENT and last - t > MOST_TRANSIENT:
+                # What is left of the change is slow and small; the filter has its limit from here on.
+                P = settled_covariance(dataclasses.replace(model, H=H, R=noise, Q=Q))
+            elif settled:
+                which[t:last] = len(gains) - 1
+                t = last
+    return gains, which
+
+
+def _constant(which: Ints) -> Iterator[tuple[int, int, int]]:
+    """Beginning, end and gain of each stretch of constant gain."""
+    edges = [0, *(np.flatnonzero(np.diff(which)) + 1).tolist(), len(which)]
+    for first, last in pairwise(edges):
+        yield first, last, int(which[first])
+
+
+def _sweeps(model: Dynamics, run: Observed, gains: list[_Gain], which: Ints, weights: Floats) -> tuple[Floats, Floats]:
+    """Smoothed states and innovations in standard deviations: forward, then back."""
+    y = np.nan_to_num(run.measured) - np.outer(run.excitation, model.direct)
+    y = np.where(weights > 0, y, 0.0)
+    driven = model.driven(run.excitation)
+    samples, n = driven.shape
+    predicted = np.empty((samples, n))
+    stretches = list(_constant(which))
+    x = np.zeros(n)
+    for first, last, at in stretches:
+        gain = gains[at]
+        F = gain.transition
+        inputs = driven[first:last] + y[first:last] @ gain.K.T
+        if last - first >= LONG:
+            predicted[first:last] = recursion(F, inputs, x)
+            x = F @ predicted[last - 1] + inputs[-1]
+        else:
+            for t in range(first, last):
+                predicted[t] = x
+                x = F @ x + inputs[t - first]
+    innovations = np.empty_like(y)
+    pulled = np.empty((samples, n))
+    for first, last, at in stretches:
+        gain = gains[at]
+        e = y[first:last] - predicted[first:last] @ gain.H.T
+        innovations[first:last] = e / gain.innovation_std
+        pulled[first:last] = e @ (gain.inverse_S @ gain.H)
+    # r_(t-1) = H' S^-1 e_t + F' r_t, from zero after the last sample.
+    multipliers = np.empty((samples, n))
+    r = np.zeros(n)
+    for first, last, at in reversed(stretches):
+        F = gains[at].transition
+        back = F.T
+        if last - first >= LONG:
+            swept = recursion(back, pulled[first:last][::-1], r)[::-1]
+            # swept holds what follows each sample; its own pull is still to be added.
+            multipliers[first:last] = swept @ back.T + pulled[first:last]
+            r = multipliers[first]
+        else:
+            for t in range(last - 1, first - 1, -1):
+                r = pulled[t] + back @ r
+                multipliers[t] = r
+    states = predicted
+    for first, last, at in stretches:
+        states[first:last] += multipliers[first:last] @ gains[at].P
+    return states, np.where(weights > 0, innovations, np.nan)
+
+
+def _deviations(rows: Floats, gains: list[_Gain], which: Ints) -> Floats:
+    """Standard deviations of outputs of the smoothed states: P - P N P with N = H' S^-1 H + F' N F, backward."""
+    n = len(gains[0].P)
+    N = np.zeros((n, n))
+    result = np.empty((len(which), len(rows)))
+    for first, last, at in reversed(list(_constant(which))):
+        gain = gains[at]
+        F = gain.transition
+        own = gain.H.T @ gain.inverse_S @ gain.H
+        spread = rows @ gain.P
+        plain = np.sum(spread * rows, axis=1)
+        scale = np.sqrt(np.maximum(np.diag(gain.P), 1e-300))
+        t = last - 1
+        while t >= first:
+            following = own + F.T @ N @ F
+            change = np.max(np.abs(np.diag(following) - np.diag(N)) * scale**2)
+            N = 0.5 * (following + following.T)
+            variance = plain - np.sum((spread @ N) * spread, axis=1)
+            result[t] = np.sqrt(np.maximum(variance, 0.0))
+            t -= 1
+            if change <= SETTLED or last - 1 - t > 4 * MOST_TRANSIENT:
+                result[first : t + 1] = result[t + 1]
+                t = first - 1
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class Steady:
+    """The smoother of a model whose noise and sensors never change, in whose place it is as good but for the ends.
+
+    Parameters
+    ----------
+    model : Dynamics
+    P : ndarray, shape (n, n)
+        Covariance of the predicted state.
+    S : ndarray, shape (m, m)
+        Covariance of the innovations.
+    K, F : ndarray, shapes (n, m) and (n, n)
+        Gain, and A - K H.
+    """
+
+    model: Dynamics
+    P: Floats
+    S: Floats
+    K: Floats
+    F: Floats
+
+    @staticmethod
+    def of(model: Dynamics) -> Steady:
+        """The settled filter of a model."""
+        P = settled_covariance(model)
+        PH = P @ model.H.T
+        S = model.H @ PH + np.diag(model.R)
+        K = np.linalg.solve(S, (model.A @ PH).T).T
+        F: Floats = model.A - K @ model.H
+        return Steady(model, P, np.asarray(S), np.asarray(K, dtype=np.float64), F)
+
+    def predicted(self, excitation: Floats, y: Floats, start: Floats) -> tuple[Floats, Floats]:
+        """States predicted from the past, shape (samples, n), and innovations, (samples, m)."""
+        model = self.model
+        seen = y - np.outer(excitation, model.direct)
+        x = recursion(self.F, model.driven(excitation) + seen @ self.K.T, start)
+        return x, seen - x @ model.H.T
+
+    def states(self, excitation: Floats, y: Floats, start: Floats) -> Floats:
+        """Smoothed states, shape (samples, n)."""
+        x, e = self.predicted(excitation, y, start)
+        pulled = e @ np.linalg.solve(self.S, self.model.H)
+        swept = recursion(self.F.T, pulled[::-1], np.zeros(len(self.P)))[::-1]
+        return x + (swept @ self.F + pulled) @ self.P
+
+
+def motion_program(model: Dynamics, run: Observed, weights: Floats) -> LeastSquares:
+    """The program of this module for a backend; its unknowns are the states, one sample after the other.
+
+    Its matrix is block bidiagonal, but a backend of this library takes it as a table: for short records, by which
+    `smooth` is checked.
+
+    Parameters
+    ----------
+    model : Dynamics
+    run : Observed
+    weights : ndarray, shape (samples, m)
+        Of the measured samples; 0 where missing.
+    """
+    samples, n = len(run.excitation), len(model.A)
+    driven = model.driven(run.excitation)
+    scaled: list[Floats] = []
+    sides: list[Floats] = []
+
+    def add(blocks: dict[int, Floats], side: Floats) -> None:
+        row = np.zeros((len(side), samples * n))
+        for at, block in blocks.items():
+            row[:, at * n : (at + 1) * n] = block
+        scaled.append(row)
+        sides.append(side)
+
+    add({0: _whitening(run.start_scale**2 * model.P0)}, np.zeros(n))
+    for t in range(samples - 1):
+        white = _whitening(run.envelope[t] ** 2 * model.Q)
+        add({t + 1: white, t: -white @ model.A}, white @ driven[t])
+    for t in range(samples):
+        own = weights[t] > 0
+        root = np.sqrt(weights[t, own] / model.R[own])
+        side = run.measured[t, own] - model.direct[own] * run.excitation[t]
+        add({t: root[:, None] * model.H[own]}, root * side)
+    return LeastSquares(np.concatenate(scaled), np.concatenate(sides))
+
+
+def _whitening(covariance: Floats) -> Floats:
+    """W with W covariance W' = 1."""
+    unit = 1.0 / np.sqrt(np.diag(covariance))
+    lower = np.linalg.cholesky(covariance * np.outer(unit, unit))
+    result: Floats = linalg.solve_triangular(lower, np.diag(unit), lower=True)
+    return result

@@ -1,0 +1,177 @@
+"""Drifts of floors without sensors: `python -m tests.benchmarks.reconstruction [TRIALS [JOBS]]` prints the table.
+
+Frames that the package did not make: finite-element frames (tests/fe) whose sway modes are damped one by one and
+driven by a filtered noise with an envelope through scipy's `lsim`. Each is tested when it is sound (noisy modes), then
+one story is 10 % softer, or nothing is, or its beams bend while the model is a plain shear frame; a third of the floors
+carry sensors with noise of 1 to 5 % of their rms. Compared are the peak drifts by prediction, by smoothing with the
+identified frame, and by reconstruction, and how often the true peak and the true drift over time lie within 1.96 stated
+deviations.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from functools import partial
+
+import numpy as np
+from scipy import signal
+
+import cvxshear
+from cvxshear import backends
+from cvxshear.fit.efficient import efficient
+from cvxshear.records.motion import Drive, Motion
+from cvxshear.response import Fitted, Models, reconstruct
+from cvxshear.util.parallel import each
+from tests.fe.frame import Building, sway_modes
+
+STORIES = (3, 8, 20)
+CASES = ("soft", "sound", "beams")
+RATE = 100.0
+SECONDS = 40.0
+RATIO = 0.02
+RECORDED_RATIO = 0.03
+"""Damping ratio of every mode when the modes were measured, and in the record: damping grows with the amplitude."""
+NORMAL_95 = 1.959964
+
+
+def sensors(stories):
+    """A third of the floors, the top among them."""
+    return np.unique(np.linspace(stories, 1, max(2, round(stories / 3))).round().astype(int))
+
+
+def building(stories, case, seed):
+    """The sound frame, the frame in the record, and which story (from 1) is softer: 0 where none is."""
+    rng = np.random.default_rng([1, seed, stories])
+    mass = 2e5 * np.exp(0.1 * rng.standard_normal(stories))
+    shape = np.linspace(1.0, 0.4, stories) * np.exp(0.1 * rng.standard_normal(stories))
+    heights = np.full(stories, 3.5)
+    # Of the order of ten stories a second, as buildings have it.
+    stiffness = shape * 2e5 * (2 * np.pi * 10 / stories) ** 2 * (stories * 0.6) ** 2
+    bending = None
+    if case == "beams":
+        bending = 0.6 * stiffness * heights**3 / 12 * 20
+    soft = int(rng.integers(1, stories + 1)) if case == "soft" else 0
+    softer = stiffness.copy()
+    if soft:
+        softer[soft - 1] *= 0.9
+    made = [Building(heights, k, mass, column_x=(0.0, 6.0), beam_bending=bending) for k in (stiffness, softer)]
+    return made[0], made[1], soft
+
+
+def ground(seed, samples):
+    """Base acceleration, m/s2: noise through a soil of 2 Hz, strong for ten seconds, without a drift."""
+    rng = np.random.default_rng([2, seed])
+    time = np.arange(samples) / RATE
+    omega, zeta = 2 * np.pi * 2.0, 0.5
+    soil = signal.cont2discrete(([2 * zeta * omega, omega**2], [1, 2 * zeta * omega, omega**2]), 1 / RATE, "bilinear")
+    envelope = np.minimum(time / 3, 1.0) ** 2 * np.exp(-0.15 * np.maximum(time - 12, 0.0))
+    noise = signal.lfilter(soil[0].ravel(), soil[1], rng.standard_normal(samples)) * envelope
+    high = signal.butter(2, 0.1, "highpass", fs=RATE, output="sos")
+    shaken = signal.detrend(signal.sosfiltfilt(high, noise))
+    return 2.0 * shaken / np.abs(shaken).max()
+
+
+def shaken(frame, excitation):
+    """Total accelerations and displacements against the ground, samples by floors, mode by mode."""
+    found = sway_modes(frame)
+    time = np.arange(len(excitation)) / RATE
+    total, moved = np.zeros((2, len(excitation), frame.stories))
+    for frequency, shape in zip(found.frequencies, found.shapes.T, strict=True):
+        omega = 2 * np.pi * frequency
+        mode = signal.StateSpace(
+            [[0, 1], [-(omega**2), -2 * RECORDED_RATIO * omega]],
+            [[0], [-(shape @ frame.floor_mass)]],
+            [[1, 0], [-(omega**2), -2 * RECORDED_RATIO * omega]],
+            [[0], [0]],
+        )
+        _, out, _ = signal.lsim(mode, excitation, time)
+        moved += np.outer(out[:, 0], shape)
+        total += np.outer(out[:, 1], shape)
+    return total, moved
+
+
+def measurement(frame, seed):
+    """What a test of the sound frame says: noisy modes, damping of the first three."""
+    rng = np.random.default_rng([3, seed, frame.stories])
+    found = sway_modes(frame)
+    count = min(frame.stories, 8)
+    shapes = found.shapes.T[:count]
+    largest = np.abs(shapes).max(axis=1, keepdims=True)
+    return {
+        "frame": {
+            "stories": frame.stories, "story_heights": 3.5, "total_mass": float(frame.floor_mass.sum()),
+        },
+        "prior": [
+            {"kind": "nominal", "quantity": "floor_mass", "values": frame.floor_mass.tolist(), "std": 0.05},
+            {"kind": "nominal", "quantity": "story_stiffness", "values": frame.story_stiffness.tolist(), "std": 0.2},
+        ],
+        "configuration": [{
+            "frequencies": (found.frequencies[:count] * np.exp(0.002 * rng.standard_normal(count))).tolist(),
+            "mode_shapes": (shapes + 0.01 * largest * rng.standard_normal(shapes.shape)).tolist(),
+            "frequency_std": 0.002, "mode_shape_std": 0.01,
+            "damping_ratios": (RATIO * np.exp(0.1 * rng.standard_normal(count))).tolist(), "damping_ratio_std": 0.1,
+        }],
+    }  # fmt: skip
+
+
+def setting(stories, case, seed):
+    """The model, the record, the true drifts, and the softer story."""
+    sound, there, soft = building(stories, case, seed)
+    excitation = ground(seed, int(SECONDS * RATE))
+    total, moved = shaken(there, excitation)
+    floors = sensors(stories)
+    rng = np.random.default_rng([4, seed, stories])
+    noise = rng.uniform(0.01, 0.05)
+    seen = total[:, floors - 1]
+    seen = seen + noise * seen.std(axis=0) * rng.standard_normal(seen.shape)
+    experiment = cvxshear.Experiment.from_dict(measurement(sound, seed))
+    models = Models(None, Fitted.of(efficient(experiment, backends.get("auto"))))
+    return models, Motion((Drive(excitation, 0, seen),), RATE, floors=floors), np.diff(moved, axis=1, prepend=0.0), soft
+
+
+def trial(seed, stories, case):
+    """Errors of the peak drifts by three ways, deviations in standard deviations, and what was named."""
+    models, motion, drift, soft = setting(stories, case, seed)
+    true = np.abs(drift).max(axis=0)
+    alone = reconstruct(models, motion, fit=False, leave_out=False)
+    found = reconstruct(models, motion)
+    predicted = found.predicted_peaks.values["story_drift"] / true - 1
+    errors = [side.peaks.values["story_drift"] / true - 1 for side in (alone, found)]
+    peaks = [
+        (side.peaks.values["story_drift"] - true) / side.peaks.std["story_drift"] for side in (alone, found)
+    ]
+    over_time = [
+        np.mean(np.abs(side.runs[0].response.drift - drift) <= NORMAL_95 * side.runs[0].std["story_drift"], axis=0)
+        for side in (alone, found)
+    ]
+    return [predicted, *errors], peaks, over_time, found.changed, soft
+
+
+def main(trials=10, jobs=1):
+    print("stories  case   peak drift off by (rms, soft story): prediction, smoothing, reconstruction"
+          "   peaks within: smoothing, reconstruction   drift over time within   story named (wrong ones)")
+    for stories in STORIES:
+        for case in CASES:
+            found = each(partial(trial, stories=stories, case=case), range(trials), jobs=jobs)
+            off = [np.sqrt(np.mean([item[0][way] ** 2 for item in found])) for way in range(3)]
+            own = [
+                np.sqrt(np.mean([item[0][way][item[4] - 1] ** 2 for item in found])) if case == "soft" else np.nan
+                for way in range(3)
+            ]
+            peaks = [np.mean([np.abs(item[1][way]) <= NORMAL_95 for item in found]) for way in range(2)]
+            times = [np.mean([item[2][way] for item in found]) for way in range(2)]
+            named = sum(item[4] in item[3] for item in found)
+            wrong = sum(len(set(item[3]) - {item[4]}) for item in found)
+            print(
+                f"{stories:7d}  {case:5s}  "
+                + ", ".join(f"{100 * a:.1f} % ({100 * b:.1f})" for a, b in zip(off, own, strict=True))
+                + f"   {100 * peaks[0]:.0f} %, {100 * peaks[1]:.0f} %   {100 * times[0]:.0f} %, {100 * times[1]:.0f} %"
+                + f"   {named} of {trials} ({wrong})",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("error")
+    main(*(int(word) for word in sys.argv[1:]))

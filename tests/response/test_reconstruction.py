@@ -1,0 +1,254 @@
+"""Reconstruction: against least squares written down by hand, finite differences, and finite-element frames."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import cvxshear
+from cvxshear import backends
+from cvxshear.fit.efficient import efficient
+from cvxshear.measurement.declaration import Limits
+from cvxshear.modal import Channel, Run, TimeRecord
+from cvxshear.records.motion import Drive, Motion
+from cvxshear.response import DampedModel, Fitted, Models, reconstruct, response
+from cvxshear.response.dynamics import Noise, Setting, doubled_lyapunov, dynamics, recursion, settled_covariance
+from cvxshear.response.innovations import PredictionErrors, Stretch, Varied
+from cvxshear.response.recording import recording_of
+from cvxshear.response.smoother import Observed, Steady, motion_program, smooth
+from cvxshear.response.uncertain import UncertainFrame
+from cvxshear.util.errors import InputError
+from tests.benchmarks import reconstruction as study
+from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
+
+STEP = 0.01
+
+
+@pytest.fixture(scope="module")
+def three():
+    """Three stories with two sensors: the frame, its state-space model, and 60 samples with a gap and a spike."""
+    mass, stiffness, dashpots = damped_frame(3)
+    M, C, K = matrices(mass, stiffness, dashpots)
+    model = DampedModel(M, C, K, np.array([1.0, 1.0, 1.05]))
+    omega = 2 * np.pi * model.modes.frequencies
+    setting = Setting(np.array([1, 3]), STEP, 0, True, omega[0], omega[-1], 1e-3 * stiffness)
+    system = dynamics(model, Noise(np.array([0.05, 0.08]), 0.05), setting)
+    excitation = shaking(60, STEP)
+    exact = response(model, Drive(excitation), STEP).acceleration[:, [0, 2]] * model.gain[[0, 2]]
+    rng = np.random.default_rng(0)
+    y = exact + np.array([0.05, 0.08]) * rng.standard_normal((60, 2))
+    y[20] += 4.0
+    y[35:42, 0] = np.nan
+    return model, setting, system, Observed(excitation, y, np.repeat([1.0, 2.0], 30), 1.5)
+
+
+def test_the_sweeps_solve_the_program_on_every_backend(three):
+    _, _, system, run = three
+    found = smooth(system, run, system.outputs.rows)
+    program = motion_program(system, run, found.weights)
+    scale = np.abs(found.states).max(axis=0)
+    for name in backends.available():
+        x = backends.get(name).solve(program).x.reshape(found.states.shape)
+        np.testing.assert_allclose(x / scale, found.states / scale, atol=1e-6, err_msg=name)
+    assert found.weights[20].max() < 0.3
+    assert np.all(found.weights[35:42, 0] == 0)
+    # The covariance of least squares is the inverse of its normal matrix.
+    covariance = np.linalg.inv(program.R.T @ program.R)
+    rows, n = system.outputs.rows, len(system.A)
+    for t in (0, 20, 38, 59):
+        block = covariance[t * n : (t + 1) * n, t * n : (t + 1) * n]
+        np.testing.assert_allclose(found.output_std[t], np.sqrt(np.diag(rows @ block @ rows.T)), rtol=1e-6)
+
+
+def test_without_noise_the_state_space_model_moves_as_the_modes_do(three):
+    model, setting, system, _ = three
+    excitation = shaking(300, STEP, seed=2)
+    exact = response(model, Drive(excitation), STEP)
+    states = recursion(system.A, system.driven(excitation), np.zeros(len(system.A)))
+    outputs = states @ system.outputs.rows.T + np.outer(excitation, system.outputs.direct)
+    for place, values in enumerate((exact.acceleration, exact.displacement, exact.drift, exact.story_force)):
+        own = outputs[:, 3 * place : 3 * place + 3]
+        np.testing.assert_allclose(own, values, atol=1e-9 * np.abs(values).max())
+    forced = dynamics(model, Noise(np.ones(2), 0.01), dataclasses.replace(setting, force_floor=2))
+    exact = response(model, Drive(1e3 * excitation, 2), STEP)
+    states = recursion(forced.A, forced.driven(1e3 * excitation), np.zeros(len(forced.A)))
+    outputs = states @ forced.outputs.rows.T + np.outer(1e3 * excitation, forced.outputs.direct)
+    np.testing.assert_allclose(outputs[:, 9:], exact.story_force, atol=1e-9 * np.abs(exact.story_force).max())
+
+
+def test_settled_covariances_solve_their_equations(three):
+    from scipy import linalg  # noqa: PLC0415
+
+    system = three[2]
+    expected = linalg.solve_discrete_lyapunov(system.A, system.Q)
+    unit = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(doubled_lyapunov(system.A, system.Q) / np.outer(unit, unit),
+                               expected / np.outer(unit, unit), atol=1e-9)  # fmt: skip
+    P = settled_covariance(system)
+    S = system.H @ P @ system.H.T + np.diag(system.R)
+    gain = P @ system.H.T @ np.linalg.inv(S)
+    unit = np.sqrt(np.diag(P))
+    following = system.A @ (P - gain @ system.H @ P) @ system.A.T + system.Q
+    np.testing.assert_allclose(following / np.outer(unit, unit), P / np.outer(unit, unit), atol=1e-9)
+
+
+def test_the_gradient_of_the_likelihood_is_that_of_differences():
+    mass, stiffness, dashpots = damped_frame(3)
+    M, C, K = matrices(mass, stiffness, dashpots)
+    rng = np.random.default_rng(1)
+    experiment = cvxshear.Experiment.from_dict(declared(mass, stiffness, pole_ratios(M, C, K), rng=rng))
+    solver = backends.get("auto")
+    frame = UncertainFrame.of(
+        Fitted.of(efficient(experiment, solver)), experiment.configurations[0], None, solver
+    )  # fmt: skip
+    excitation = shaking(500, STEP)
+    y = response(DampedModel(M, C, K, np.ones(3)), Drive(excitation), STEP).acceleration[:, [0, 2]]
+    y = y + 0.02 * rng.standard_normal(y.shape)
+    omega = 2 * np.pi * 8.0
+    setting = Setting(np.array([1, 3]), STEP, 0, True, omega, omega, 1e-3 * stiffness)
+    errors = PredictionErrors(
+        Varied.of(frame), setting, [Stretch(excitation, y, np.zeros(9))], Noise(np.array([0.03, 0.02]), 0.02)
+    )  # fmt: skip
+    p = 0.02 * rng.standard_normal(errors.size)
+    at = errors.linearised(p)
+    step = 1e-4 * np.eye(errors.size)
+    differences = [(errors.objective(p + row) - errors.objective(p - row)) / 2e-4 for row in step]
+    np.testing.assert_allclose(2 * at.U.T @ at.c, differences, rtol=1e-3, atol=0.05)
+    # A settled filter's own objective: innovations of the plain recursion.
+    filtered = Steady.of(errors.dynamics(p))
+    x, total = np.zeros(9), 0.0
+    driven = filtered.model.driven(excitation)
+    for t in range(500):
+        e = y[t] - filtered.model.H @ x - filtered.model.direct * excitation[t]
+        total += e @ np.linalg.solve(filtered.S, e)
+        x = filtered.model.A @ x + filtered.K @ e + driven[t]
+    total += 500 * np.linalg.slogdet(filtered.S)[1]
+    assert errors.objective(p) == pytest.approx(total, rel=1e-9)
+
+
+@pytest.fixture(scope="module")
+def softened():
+    """A finite-element frame of three stories, one of them 10 % softer in the record."""
+    models, motion, drift, soft = study.setting(3, "soft", 1)
+    return models, motion, drift, soft, reconstruct(models, motion)
+
+
+def test_the_soft_story_is_named_and_its_drift_is_right(softened):
+    _, _, drift, soft, found = softened
+    assert found.changed == (soft,)
+    assert found.frame.factors[soft - 1] == pytest.approx(0.9, abs=0.02)
+    true = np.abs(drift).max(axis=0)
+    own = found.peaks.values["story_drift"]
+    assert own[soft - 1] == pytest.approx(true[soft - 1], rel=0.03)
+    np.testing.assert_allclose(own, true, rtol=0.03)
+    assert np.max(np.abs(found.predicted_peaks.values["story_drift"] / true - 1)) > 0.05
+    assert np.all(found.model.ratios == pytest.approx(study.RECORDED_RATIO, abs=0.003))
+
+
+def test_bands_hold_the_drift_and_the_sensors_left_out(softened):
+    _, _, drift, _, found = softened
+    off = np.abs(found.runs[0].response.drift - drift) / found.runs[0].std["story_drift"]
+    assert np.mean(off <= 1.96) > 0.9
+    for check in found.checks:
+        assert check.error < 1.5 * check.stated
+        assert check.within > 0.85
+        assert check.error < 0.5 * check.prediction_error
+
+
+def test_a_spike_a_gap_and_a_late_clock_change_no_drift_by_more_than_its_deviation(softened):
+    models, motion, _, _, found = softened
+    y = motion.drives[0].responses.copy()
+    spiked, holed = y.copy(), y.copy()
+    spiked[900, 1] += 10.0
+    holed[700:760, 0] = np.nan
+    time = np.arange(len(y)) / study.RATE
+    late = y.copy()
+    late[:, 1] = np.interp(time - 0.005, time, y[:, 1])
+    for changed in (spiked, holed, late):
+        drive = dataclasses.replace(motion.drives[0], responses=changed)
+        again = reconstruct(models, dataclasses.replace(motion, drives=(drive,)))
+        moved = np.abs(again.peaks.values["story_drift"] - found.peaks.values["story_drift"])
+        assert np.all(moved <= 2 * again.peaks.std["story_drift"]), changed is late
+
+
+def test_base_motion_that_nobody_measured_is_estimated(softened):
+    models, motion, drift, _, _ = softened
+    y = motion.drives[0].responses
+    record = TimeRecord(
+        tuple(Channel(f"f{floor}", int(floor)) for floor in motion.floors), runs=(Run(y),), sampling_rate=study.RATE
+    )
+    found = reconstruct(models, record, leave_out=False)
+    assert found.predicted_peaks is None
+    true = np.abs(drift).max(axis=0)
+    assert np.all(np.abs(found.peaks.values["story_drift"] - true) < 2.5 * found.peaks.std["story_drift"])
+    assert any("nobody measured the base motion" in remark for remark in found.remarks)
+    base = found.runs[0].base
+    assert np.corrcoef(base, motion.drives[0].excitation)[0, 1] > 0.7
+
+
+def test_limits_have_probabilities(softened):
+    models, motion, drift, _, _ = softened
+    ratio = np.abs(drift).max(axis=0) / 3.5
+    limits = Limits([0.5 * ratio.min(), 2 * ratio.max()], ("seen", "not seen"))
+    after = dataclasses.replace(models.after, experiment=dataclasses.replace(models.after.experiment, limits=limits))
+    said = reconstruct(Models(None, after), motion, leave_out=False).to_dict()
+    assert [item["name"] for item in said["limits"]] == ["seen", "not seen"]
+    assert np.all(np.array(said["limits"][0]["probability"]) > 0.99)
+    assert np.all(np.array(said["limits"][1]["probability"]) < 0.01)
+
+
+@pytest.mark.parametrize(
+    ("limits", "message"),
+    [
+        ({"story_drift": [0.02, 0.01]}, "limits: story_drift must be ascending"),
+        ({"story_drift": [2.0]}, "so 2 % is 0.02"),
+        ({"story_drift": [0.01], "names": ["a", "b"]}, "limits: names must have"),
+        ({"names": ["a"]}, "story_drift"),
+    ],
+)
+def test_wrong_limits_are_refused(limits, message):
+    mass, stiffness, _ = damped_frame(2)
+    with pytest.raises(InputError, match=message):
+        cvxshear.Experiment.from_dict(declared(mass, stiffness, [0.02, 0.02], limits=limits))
+
+
+def test_limits_pass_through_a_dict():
+    mass, stiffness, _ = damped_frame(2)
+    table = declared(mass, stiffness, [0.02, 0.02], limits={"story_drift": [0.005, 0.01]})
+    experiment = cvxshear.Experiment.from_dict(table)
+    assert experiment.limits.names == ("0.5 %", "1 %")
+    again = cvxshear.Experiment.from_dict(experiment.to_dict())
+    assert again.limits.to_dict() == experiment.limits.to_dict()
+
+
+def test_records_that_cannot_be_reconstructed_are_refused():
+    y = np.zeros((200, 1))
+    with pytest.raises(InputError, match="the channel on floor 2 shows no motion"):
+        recording_of(Motion((Drive(shaking(200), responses=y),), 100.0, floors=np.array([2])))
+    with pytest.raises(InputError, match="no floor's acceleration was recorded"):
+        recording_of(Motion((Drive(shaking(200)),), 100.0))
+    with pytest.raises(InputError, match="a reconstruction needs a record file"):
+        recording_of(3)
+
+
+def test_a_record_file_gives_one_channel_a_floor_between_start_and_end(tmp_path):
+    """Two sensors on floor 2 turn against each other, one looks backwards, one across; 1.5 s of 3 s is asked for."""
+    time = np.arange(300) / 100
+    moved, turned = np.sin(9 * time), 0.2 * np.cos(5 * time)
+    columns = [time, np.cos(9 * time), moved + turned, turned - moved, 7 * moved]
+    table = np.column_stack(columns)
+    table[150, 2] = np.nan
+    np.savetxt(tmp_path / "r.csv", table, delimiter=",", header="time,ground,a,b,c", comments="")
+    channel = '[[channel]]\ncolumn = "{}"\nfloor = {}\ndirection = {}\n'
+    (tmp_path / "r.toml").write_text(
+        '[record]\ninput = "base"\n[[run]]\nfile = "r.csv"\nstart = 1.0\nend = 2.5\n'
+        '[[channel]]\ncolumn = "ground"\nfloor = 0\n'
+        + "".join(channel.format(*each) for each in (("a", 2, 0.0), ("b", 2, 180.0), ("c", 1, 90.0)))
+    )
+    found = recording_of(tmp_path / "r.toml")
+    assert found.floors.tolist() == [2]
+    (only,) = found.runs
+    expected = moved[100:250].copy()
+    expected[50] = np.nan
+    np.testing.assert_allclose(only.measured[:, 0], expected, atol=1e-12)
+    np.testing.assert_allclose(only.excitation, np.cos(9 * time[100:250]), atol=1e-12)
