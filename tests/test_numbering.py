@@ -54,16 +54,21 @@ def numbers(closure):
 
 
 @pytest.mark.parametrize(
-    ("effect", "configurations", "lost", "where"),
-    [(None, 1, 3, slice(None)), ("gravity", 3, 2, slice(None)), ("sensor_gain", 2, 4, slice(0, 1))],
+    ("effect", "configurations", "lost", "where", "verdict"),
+    [
+        # A tank's motion of its own would be one mode more too: a single test leaves it a fifth.
+        (None, 1, 3, slice(None), "ambiguous"),
+        ("gravity", 3, 2, slice(None), "explained"),
+        ("sensor_gain", 2, 4, slice(0, 1), "ambiguous"),
+    ],
 )
-def test_an_overlooked_mode_is_found_and_nothing_is_put_in_its_place(effect, configurations, lost, where):
+def test_an_overlooked_mode_is_found_and_nothing_is_put_in_its_place(effect, configurations, lost, where, verdict):
     declared, truth = measured_frame(effect, 41, configurations=configurations)
     closure = close_loop(Experiment.from_dict(lose(declared, lost, where)))
     left = tuple(mode for mode in range(1, 6) if mode != lost)
     assert numbers(closure) == {each["name"]: left for each in declared["configuration"][where]}
-    assert closure.numberings[0].probability > 0.95
-    assert closure.verdict == "explained"
+    assert closure.numberings[0].probability > 0.75
+    assert closure.verdict == verdict
     assert [(item.placed.effect.name, item.placed.place.floor) for item in closure.effects] == [
         (name, floor) for name, floor, *_ in truth["effects"]
     ]

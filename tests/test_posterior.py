@@ -61,7 +61,7 @@ def test_the_median_model_may_be_none_that_is_best():
 
 
 def test_a_twin_is_added_in_place_of_what_it_is_a_twin_of_never_besides_it():
-    of = posterior(model([A], 0.4), model([B], 0.3), model([B, C], 0.3))
+    of = posterior(model([A], 0.4), model([B], 0.3), model([B, C], 0.3)).with_twins({A: [B], B: [A]})
     assert [item.placed for item in of.rivals(A) if item.twin] == [B]
     # 0.3 + 0.3 for B, 0.4 for A: the more probable of the two, and not both.
     assert of.verdict_set() == {B}
@@ -96,11 +96,18 @@ def test_of_two_replaced_effects_each_has_its_rival_by_state_or_kind():
 def test_twins_share_what_either_would_have_alone():
     """Neither has even odds by itself; that one of them is there has."""
     of = posterior(model([A], 0.45, chi2=20.0), model([B], 0.45, chi2=20.0), model([], 0.1, chi2=60.0, dof=21))
+    of = of.with_twins({A: [B], B: [A]})
     (best,) = of.best.effects
     (twin,) = of.rivals(best)
     assert {best, twin.placed} == {A, B}
     assert twin.twin
     assert of.verdict_set() == {best}
+
+
+def test_a_twin_is_a_rival_however_improbable_it_was():
+    of = posterior(model([A], 0.9), model([B], 0.001), model([], 0.099)).with_twins({A: [B]})
+    assert [(item.placed, item.twin) for item in of.rivals(A)] == [(B, True)]
+    assert of.rivals(A)[0].probability == pytest.approx(0.001)
 
 
 def test_an_effect_with_a_rival_is_added_where_one_of_the_two_is_surely_there():

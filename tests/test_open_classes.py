@@ -1,0 +1,273 @@
+"""Causes that no effect of the catalogue is, what no datum tells, priors that are wrong, residuals nothing explains."""
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from cvxshear import Experiment, InputError, close_loop
+from cvxshear.effects import Place, Placed, Scale, compose, named, open_classes
+from cvxshear.fit.expectation import tailed
+from cvxshear.fit.misfit import Misfit
+from cvxshear.loop.duals import dual_frame
+from cvxshear.loop.evidence import log_tailed_interval
+from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
+from tests.outside import simulated
+
+N = 5
+SCALE = Scale(10.0, 2e4, np.ones(N))
+
+
+def measured_in(mass, stiffness, rng, *, name="test", state=None, added=None, shapes=True, K=None, noise=1.0):
+    """A test of a frame, with 0.1 % and 1 % noise."""
+    n = len(mass)
+    added = np.zeros(n) if added is None else np.asarray(added, dtype=float)
+    found = modes(mass_matrix(mass + added), stiffness_matrix(stiffness) if K is None else K)
+    table = {
+        "name": name,
+        "added_mass": added.tolist(),
+        "frequencies": (found.frequencies * np.exp(noise * 0.001 * rng.standard_normal(n))).tolist(),
+        "frequency_std": 0.001,
+    }
+    if shapes:
+        scaled = found.shapes / np.max(np.abs(found.shapes), axis=1, keepdims=True)
+        table |= {"mode_shapes": (scaled + noise * 0.01 * rng.standard_normal((n, n))).tolist(), "mode_shape_std": 0.01}
+    return table | ({} if state is None else {"state": state})
+
+
+def frame(seed, n=N):
+    rng = np.random.default_rng(seed)
+    return rng, rng.uniform(9.0, 12.0, n), np.sort(rng.uniform(18e3, 24e3, n))[::-1]
+
+
+def loop(tables, total, prior=(), **frame_keys):
+    declared = {"frame": {"total_mass": float(total), **frame_keys}, "configuration": list(tables)}
+    return close_loop(Experiment.from_dict(declared | ({"prior": list(prior)} if prior else {})))
+
+
+def test_the_residual_of_student_s_t_is_its_density():
+    z = np.array([-8.0, -1.0, 0.0, 1e-9, 0.3, 2.0, 40.0])
+    r, slope = tailed(z, 4.0)
+    np.testing.assert_allclose(r**2, -2 * (stats.t(4).logpdf(z) - stats.t(4).logpdf(0.0)), atol=1e-12)
+    differences = (tailed(z + 1e-6, 4.0)[0] - tailed(z - 1e-6, 4.0)[0]) / 2e-6
+    np.testing.assert_allclose(slope, differences, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("centre", "spread"), [(0.0, 50.0), (0.4, 0.1), (3.0, 0.5), (-0.2, 1.0)])
+def test_the_integral_over_a_parameter_is_that_of_likelihood_and_prior(centre, spread):
+    """A normal likelihood times Student's t, by quadrature, about the mode that Laplace takes."""
+    size = 0.3
+    grid = np.linspace(-20, 20, 400_001)
+    log_posterior = stats.t(4).logpdf(grid / size) - 0.5 * ((grid - centre) / spread) ** 2
+    at = float(grid[np.argmax(log_posterior)])
+    _, slope = tailed(np.array([at / size]), 4.0)
+    std = 1.0 / np.sqrt(1.0 / spread**2 + (slope[0] / size) ** 2)
+    exact = np.log(integrate.trapezoid(np.exp(log_posterior - log_posterior.max()), grid) / (np.sqrt(2 * np.pi) * std))
+    assert log_tailed_interval(-np.inf, np.inf, 0.0, std, at, size, 4.0) == pytest.approx(exact, abs=2e-3)
+
+
+@pytest.mark.parametrize("effect", open_classes(), ids=lambda effect: effect.name)
+def test_the_derivatives_of_an_open_class(effect):
+    rng, mass, stiffness = frame(1)
+    given = Experiment.from_dict({
+        "frame": {"total_mass": float(mass.sum())},
+        "configuration": [
+            measured_in(mass, stiffness, rng, name=name, added=a * np.ones(N)) for name, a in (("a", 0), ("b", 2))
+        ],
+    })  # fmt: skip
+    bound = effect.bound(given)
+    placed = Placed(bound, bound.places(given)[0])
+    own = 1e-3 * rng.standard_normal(len(bound.parameters)) * bound.usual_size(SCALE) * 30
+    misfit = Misfit(given, (placed,))
+    theta = np.concatenate([mass, stiffness, own])
+    J = misfit.evaluate(theta).J
+    for _ in range(2):
+        d = rng.standard_normal(len(theta)) * np.concatenate(
+            [mass, stiffness, np.ones(len(own)) * bound.usual_size(SCALE)]
+        )
+        step = 1e-6
+        # The scale of a shape leaves a part of the derivative out that is orthogonal to the residual.
+        up, down = (misfit.evaluate(theta + sign * step * d) for sign in (1, -1))
+        slope = (up.objective - down.objective) / (2 * step)
+        assert 2 * misfit.evaluate(theta).r @ (J @ d) == pytest.approx(slope, rel=1e-4)
+
+
+def test_every_symmetric_stiffness_matrix_is_a_network_of_springs():
+    """N stories and N(N-1)/2 other springs: as many as a symmetric matrix has entries, and independent."""
+    rng, mass, stiffness = frame(2)
+    given = Experiment.from_dict({
+        "frame": {"total_mass": float(mass.sum())}, "configuration": [measured_in(mass, stiffness, rng)],
+    })  # fmt: skip
+    bound = next(effect for effect in open_classes() if effect.name == "other_stiffness").bound(given)
+    assert len(bound.parameters) == N * (N - 1) // 2
+    theta = np.concatenate([mass, stiffness, np.zeros(len(bound.parameters))])
+    dK = compose(given, given.configurations[0], (Placed(bound, Place()),), theta).system.dK[N:]
+    assert np.linalg.matrix_rank(dK.reshape(len(dK), -1)) == N * (N + 1) // 2
+
+
+def test_ties_that_the_catalogue_does_not_hold_are_located():
+    """Springs of both signs between several floors at once: no single cause."""
+    rng, mass, stiffness = frame(3)
+    K, there = stiffness_matrix(stiffness), {(1, 3): 900.0, (1, 4): 1200.0, (2, 5): -900.0, (3, 5): -700.0}
+    for (low, high), size in there.items():
+        d = np.zeros(N)
+        d[low - 1], d[high - 1] = -1.0, 1.0
+        K = K + size * np.outer(d, d)
+    loads = (np.zeros(N), 3.0 * np.eye(N)[1], 4.0 * np.eye(N)[4])
+    closure = loop(
+        [measured_in(mass, stiffness, rng, name=f"t{i}", added=a, K=K) for i, a in enumerate(loads)], mass.sum()
+    )
+    assert closure.verdict == "located"
+    (found,) = closure.effects
+    assert found.placed.effect.name == "other_stiffness"
+    for (low, high), size in there.items():
+        name = f"floors {low} and {high}"
+        assert found.parameters[name] == pytest.approx(size, abs=4.0 * found.std[name])
+    assert closure.to_dict()["effects"][0]["kind"] == "open"
+
+
+def test_a_sensor_on_a_soft_bracket_is_located_at_its_shapes():
+    declared, truth = simulated("sensor on a soft bracket", 1000)
+    closure = close_loop(Experiment.from_dict(declared))
+    assert "other_shapes" in {item.placed.effect.name for item in closure.effects}
+    assert closure.verdict in ("located", "ambiguous")
+    z = (closure.averaged.floor_mass - truth.mass) / closure.averaged.floor_mass_std
+    assert np.abs(z).max() < 3.5
+
+
+def test_a_state_that_is_softer_or_heavier_is_a_twin_where_no_mass_tells():
+    rng, mass, stiffness = frame(4)
+    before = measured_in(mass, stiffness, rng, name="before")
+    after = measured_in(mass, 0.9 * stiffness, rng, name="after")
+    closure = loop([before, after], mass.sum(), reference="before")
+    (found,) = closure.effects
+    (twin,) = [rival for rival in found.rivals if rival.twin]
+    assert {found.placed.effect.name, twin.placed.effect.name} == {"state_stiffness", "state_mass"}
+    assert closure.verdict == "ambiguous"
+    assert closure.next_test.state == "after"
+
+
+@pytest.mark.parametrize("cause", ["state_stiffness", "state_mass"])
+def test_a_known_added_mass_in_that_state_tells(cause):
+    rng, mass, stiffness = frame(5)
+    factor = 0.9
+    m, k = (mass, factor * stiffness) if cause == "state_stiffness" else (mass / factor, stiffness)
+    load = 5.0 * np.eye(N)[3]
+    tables = [measured_in(mass, stiffness, rng, name="before"), measured_in(m, k, rng, name="after", state="s")]
+    tables.append(measured_in(m, k, rng, name="after, loaded", state="s", added=load))
+    closure = loop(tables, mass.sum(), reference="before")
+    assert [item.placed.effect.name for item in closure.effects] == [cause]
+    assert closure.verdict == "explained"
+    assert not any(rival.twin for rival in closure.effects[0].rivals)
+
+
+def test_the_dual_frame_has_the_same_frequencies():
+    _, mass, stiffness = frame(6)
+    dual = dual_frame(mass, stiffness)
+    own, other = (
+        modes(mass_matrix(m), stiffness_matrix(k)).frequencies for m, k in ((mass, stiffness), (dual[:N], dual[N:]))
+    )
+    np.testing.assert_allclose(own / own[0], other / other[0], rtol=1e-10)
+    assert dual[:N].sum() == pytest.approx(mass.sum())
+
+
+def test_frequencies_alone_name_a_loss_and_the_mass_that_is_its_dual():
+    rng, mass, stiffness = frame(7, n=3)
+    softer = stiffness * [1.0, 0.8, 1.0]
+    tables = [
+        measured_in(mass, stiffness, rng, name="before", shapes=False),
+        measured_in(mass, softer, rng, name="after", shapes=False),
+    ]
+    closure = loop(tables, mass.sum(), reference="before")
+    named_ones = {
+        (item.placed.effect.name, item.placed.place.story or item.placed.place.floor) for item in closure.effects
+    }
+    named_ones |= {
+        (rival.placed.effect.name, rival.placed.place.story or rival.placed.place.floor)
+        for item in closure.effects
+        for rival in item.rivals
+        if rival.twin
+    }
+    assert {("story_change", 2), ("added_mass", 2)} <= named_ones
+    assert closure.verdict == "ambiguous"
+
+
+def test_a_prior_that_does_not_hold_is_named():
+    rng, mass, stiffness = frame(8)
+    wrong = {"kind": "ratio", "quantity": "floor_mass", "of": 5, "to": 1, "std": 0.02}
+    wrong["value"] = 0.75 * mass[4] / mass[0]
+    loads = (np.zeros(N), 4.0 * np.eye(N)[2])
+    tables = [measured_in(mass, stiffness, rng, name=f"t{i}", added=a) for i, a in enumerate(loads)]
+    closure = loop(tables, mass.sum(), prior=[wrong])
+    (found,) = closure.effects
+    assert found.placed.effect.name == "wrong_prior"
+    assert found.to_dict()["prior"] == found.placed.place.prior
+    assert closure.verdict == "explained"
+    statement = [part for part in closure.to_dict()["residual"]["by_part"]["after"] if part["noise"] == "prior"]
+    assert abs(statement[0]["deviations"]) > 5
+    np.testing.assert_array_less(np.abs(closure.frame.floor_mass - mass) / closure.frame.floor_mass_std, 4.0)
+
+
+def test_what_nothing_explains_is_provisional():
+    """Noise fifty times what was declared: no set explains it, and no effect is certain."""
+    rng, mass, stiffness = frame(9)
+    closure = loop(
+        [measured_in(mass, stiffness, rng, name=f"t{i}", state="one", noise=50.0) for i in range(3)], mass.sum()
+    )
+    assert closure.verdict == "unexplained"
+    assert closure.to_dict()["provisional"]
+    assert closure.after.p_value < 0.01
+    assert all(item.probability < 0.95 for item in closure.effects)
+
+
+def test_the_open_classes_can_be_switched_off():
+    rng, mass, stiffness = frame(10)
+    declared = {
+        "frame": {"total_mass": float(mass.sum())},
+        "configuration": [measured_in(mass, stiffness, rng)],
+        "effect": [{"name": "open", "exclude": True}],
+    }
+    tried = {item.placed.effect.kind for item in close_loop(Experiment.from_dict(declared)).candidates}
+    assert tried == {"cause"}
+
+
+def test_a_test_that_repeats_another_counts_once():
+    rng, mass, stiffness = frame(11)
+    one = measured_in(mass, stiffness, rng, name="one")
+    closure = loop([one, one | {"name": "two"}, one | {"name": "three"}], mass.sum())
+    assert [each.name for each in closure.experiment.configurations] == ["one"]
+    assert any('"two" repeats "one"' in line for line in closure.information)
+
+
+def test_where_no_degree_of_freedom_is_left_nothing_is_explained():
+    """Two frequencies of a two-story frame, one of them no mode of it."""
+    closure = close_loop(
+        Experiment.from_dict({
+            "frame": {"stories": 2, "total_mass": 20.0},
+            "configuration": [
+                {"name": "a", "frequencies": [3.0, 9.5], "frequency_std": 0.002},
+                {"name": "b", "frequencies": [2.6, 9.4], "frequency_std": 0.002},
+            ],
+        })
+    )  # fmt: skip
+    assert closure.verdict in ("ambiguous", "adequate")
+    assert closure.verdict != "adequate" or not closure.effects
+
+
+def test_one_faulty_effect_of_several_is_left_out_and_said():
+    rng, mass, stiffness = frame(12)
+    (gravity,) = named(["gravity"])
+
+    class Faulty(type(gravity)):
+        name = "faulty"
+
+        def apply(self, state, place, values, own):
+            return state.with_stiffness(state.system.K * np.nan, state.system.dK)
+
+    given = Experiment.from_dict({
+        "frame": {"total_mass": float(mass.sum()), "story_heights": [1.0] * N},
+        "configuration": [measured_in(mass, stiffness, rng, name=f"t{i}", added=i * np.ones(N)) for i in range(2)],
+    })  # fmt: skip
+    closure = close_loop(given, effects=["joint_rotation", Faulty()])
+    assert any("an effect was left out: effect faulty" in line for line in closure.information)
+    with pytest.raises(InputError, match="effect faulty"):
+        close_loop(given, effects=[Faulty()])
