@@ -27,14 +27,20 @@ UNITS = {"added_mass": ("floor", "kg", 1), "story_change": ("story", "%", 100)}
 
 
 def answer(closure):
-    """Of each state the effect that was found, with the probability of the published one."""
-    found = {item.placed.place.state: item for item in closure.effects}
+    """Of each state in which a mass or a story was found that effect, with the probability of the published one."""
+    found = {item.placed.place.state: item for item in closure.effects if item.placed.effect.name in UNITS}
+    odds = {item.placed: item.probability for item in closure.candidates}
     for state, (name, level, size) in PUBLISHED.items():
-        item, (word, unit, factor) = found[state], UNITS[name]
-        own = {item.placed: item.probability, **{rival.placed: rival.probability for rival in item.rivals}}
-        odds = {(each.effect.name, getattr(each.place, word)): value for each, value in own.items()}
+        if state not in found:
+            continue
+        item, (word, _, published) = found[state], UNITS[name]
+        _, unit, factor = UNITS[item.placed.effect.name]
+        (done,) = (
+            value for placed, value in odds.items()
+            if (placed.effect.name, placed.place.state, getattr(placed.place, word)) == (name, state, level)
+        )  # fmt: skip
         (value,), (std,) = item.parameters.values(), item.std.values()
-        yield state, (name, level, factor * size), (item.placed, factor * value, factor * std), unit, odds[name, level]
+        yield state, (name, level, published * size), (item.placed, factor * value, factor * std), unit, done
 
 
 @styled
@@ -67,7 +73,7 @@ closure = cvxshear.close_loop(cvxshear.load("los-alamos"))
 print(f"{closure.verdict}, {len(closure.effects)} effects")
 for state, (name, level, size), (placed, value, std), unit, odds in answer(closure):
     first = placed.effect.name == name and level in (placed.place.floor, placed.place.story)
-    done = f"{UNITS[name][0]} {level} {size:+6.2f} {unit:2s}"
+    done = f"{UNITS[name][0]} {level} {size:+6.2f} {UNITS[name][1]:2s}"
     named = "first" if first else f"a tie with {placed.label.split(' of ')[0]}"
     print(f"{state}  done: {done}  found: {value:+6.2f} ± {std:.2f} {unit:2s}  {chance(odds)}, {named}")
 Path("los-alamos.json").write_text(json.dumps(closure.to_dict()))

@@ -149,13 +149,13 @@ def _window(length: int, *, decaying: bool) -> Floats:
 
 def mains_lines(length: int, rate: float) -> Ints:
     """The lines of a spectrum of so many samples at mains frequencies, folded where they lie beyond its end."""
-    places = [
+    places = {
         round(abs((multiple * mains + rate / 2) % rate - rate / 2) * length / rate) + near
         for mains in MAINS
         for multiple in (1, 2, 3)
         for near in (-1, 0, 1)
-    ]
-    return np.array([place for place in places if 0 <= place <= length // 2], dtype=np.int64)
+    }
+    return np.array([place for place in sorted(places) if 0 <= place <= length // 2], dtype=np.int64)
 
 
 def band_clock(segments: Segments, first: int, second: int) -> BandClock:

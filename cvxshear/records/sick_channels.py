@@ -310,6 +310,8 @@ def _humming(values: Floats, where: str, name: str, rate: float) -> Finding | No
         return None
     frequencies, power = signal.welch(values, fs=rate, nperseg=length)
     lines = mains_lines(length, rate)
+    # Hum that folds to 0 Hz cannot be told from an offset or a drift.
+    lines = lines[lines > 1]
     near = np.isin(np.arange(len(power)), (lines[:, None] + np.arange(-8, 9)).ravel())
     # A resonance spreads over the neighbouring lines; hum does not.
     if not power.sum() > 0 or power[lines].sum() < 0.9 * power[near].sum():

@@ -164,6 +164,22 @@ def test_aliasing(record):
     assert finding.numbers["share"] == pytest.approx(1 / 3, abs=0.05)
 
 
+def test_a_hammer_sampled_at_a_third_of_the_mains_does_not_hum():
+    """At 20 Hz three lines of the mains fold to 0 Hz, where a blow has its power, and three to 10 Hz."""
+    sound = hammer_record(PAPER_FRAME, 4, noise=0.02, hits=1)
+    assert not [f for f in channel_findings(sound) if f.kind == "mains hum"]
+
+
+def test_mains_hum(record):
+    def hum(values):
+        # 50 Hz folds to 10 Hz, half the sampling rate: the sine of amplitude s is s or -s at each sample.
+        values[:, 0] += values[:, 0].std() * np.cos(2 * np.pi * 50.0 * np.arange(len(values)) / 20)
+
+    [finding] = [f for f in channel_findings(changed(record, hum)) if f.kind == "mains hum"]
+    assert finding.numbers["channel"] == "floor1"
+    assert finding.numbers["share"] == pytest.approx(1 / 2, abs=0.05)
+
+
 def test_ambient_record_too_short():
     result = identify_modes(ambient_record(PAPER_FRAME, 1, noise=0.01, duration=240.0))
     [finding] = [f for f in found(result, "resolution") if "periods" in f.numbers]
