@@ -47,8 +47,10 @@ def separation(differences: Floats, uncertain: Floats) -> Floats:
     """
     k, q = uncertain.shape
     if k <= q:
-        result: Floats = differences.T @ np.linalg.solve(np.eye(k) + uncertain @ uncertain.T, differences)
-        return result
+        # Along the left singular vectors of S, which span all k: no inverse of what is very uncertain.
+        left, values, _ = np.linalg.svd(uncertain, full_matrices=False)
+        along = (left.T @ differences) / np.hypot(1.0, values)[:, None]
+        return np.asarray(along.T @ along, dtype=np.float64)
     # The same as what is left of d where S follows it as far as its columns' standard deviations let it.
     basis = np.linalg.qr(np.concatenate([uncertain, np.eye(q)]))[0]
     left = np.concatenate([differences, np.zeros((q, differences.shape[1]))])

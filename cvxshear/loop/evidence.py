@@ -38,6 +38,10 @@ of Student's t lie further out than a Gaussian's."""
 TINY = 1e-12
 """Part of a parameter's precision below which the data add nothing to its interval: rounding of the difference."""
 
+SECOND_MODE = 5.0
+"""Height of the posterior above the optimum, in log probability, from which on the optimum is none: a lower second mode
+lies between a large effect and its null value where the data are weak."""
+
 TOUCHING = 1e-4
 """Distance from an inequality, in standard deviations, at which it counts as active."""
 
@@ -230,6 +234,9 @@ def log_tailed_interval(
     w = float(unit_slope[0]) / size
     curvature = max(1.0 / std**2 - w**2, 0.0)
     logs = -0.5 * (r**2 - here[0] ** 2) - (slope - here[0] * w) * t - 0.5 * curvature * t**2
+    if float(np.max(logs)) > SECOND_MODE:
+        # The fit is not where the posterior has its maximum along this line: nothing but Laplace's Gaussian is known.
+        return log_interval(lower, upper, slope, std)
     logs += np.log(np.cosh(y)) - 0.5 * np.log(2 * np.pi)
     highest = float(np.max(logs))
     return highest + float(np.log(integrate.trapezoid(np.exp(logs - highest), y)))

@@ -39,9 +39,9 @@ A_PILE = 3
 STAND_FOR_A_GROUP = 3
 """Single effects, the most promising ones, that are tried in place of a group."""
 
-MOST_SETS = 600
-"""Sets that one search visits at most: three to six times what sound files of three states need (up to some 150), so
-that a file that no set explains ends too. What is left out then is said."""
+MOST_SETS = 300
+"""Sets that one search visits at most: twice what sound files of three states need (up to some 150), so that a file
+that no set explains ends too. What is left out then is said."""
 
 ALIKE = 0.1
 """Difference of chi-square, relative where it is above one, that rounding and the priors of sizes leave of twins."""
@@ -84,9 +84,13 @@ class Search:
 
     @property
     def beam(self) -> list[ModelClass]:
-        """The most probable sets so far."""
+        """The most probable sets so far, those with an open class counted by themselves: they go with every cause."""
         fitted = [model for model in self.visited.values() if model.estimate is not None]
-        return sorted(fitted, key=lambda model: -model.score)[:BEAM]
+        fitted.sort(key=lambda model: -model.score)
+        holding = {model.effects: any(placed.effect.kind == OPEN for placed in model.effects) for model in fitted}
+        causes = [model for model in fitted if not holding[model.effects]][:BEAM]
+        others = [model for model in fitted if holding[model.effects]][: BEAM // 2]
+        return sorted((*causes, *others), key=lambda model: -model.score)
 
     def run(self) -> None:
         """Visit sets until the beam has nothing left to expand, or the budget is spent."""
@@ -123,18 +127,13 @@ class Search:
         return True
 
     @property
-    def _reach(self) -> float:
-        """How far behind the best a set may be to be expanded; once the data are explained, little more can be won."""
-        return REACH if self.best.improbable else WITHIN
-
-    @property
     def spent(self) -> bool:
         """Whether the search has made as many fits as it may."""
         return len(self.visited) >= MOST_SETS
 
     def _grow(self) -> None:
         """Expand the beam until all of it has been."""
-        while not self.spent and (model := self._next(self.expanded, self._reach)) is not None:
+        while not self.spent and (model := self._next(self.expanded, REACH)) is not None:
             self._expand(model)
 
     def probe(self) -> None:
