@@ -113,8 +113,10 @@ def test_the_floors_of_southampton_weigh_what_they_should():
 
 def test_the_columns_of_the_eighteen_stories_stretch():
     closure = loop("e-defense")
-    assert names(closure) == ["axial columns", "base rocking"]
-    assert all(item.probability > 0.95 for item in closure.effects)
+    assert sorted(names(closure)) == ["axial columns", "base rocking"]
+    # Springs between all floors would do the same, for want of floors and modes.
+    assert {rival.placed.effect.name for item in closure.effects for rival in item.rivals} <= {"other_stiffness"}
+    assert all(item.probability > 0.75 for item in closure.effects)
     assert closure.before.estimate.chi2 > 200
     assert closure.estimate.chi2 < 40
     assert closure.after.held_out < closure.before.held_out

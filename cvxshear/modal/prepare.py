@@ -83,7 +83,7 @@ def _suited(record: Record) -> tuple[str, ...]:
         "none": ("ssi",),
         "free_decay": ("era", "ssi"),
         "force": (default_method(record), "era", "okid", "subspace"),
-        "base": ("subspace", "okid"),
+        "base": ("okid", "subspace"),
     }[record.input]
 
 
