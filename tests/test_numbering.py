@@ -220,7 +220,8 @@ def test_the_signs_of_a_record_at_some_floors_tell_that_a_mode_is_lacking():
 
 
 def test_a_record_that_lacks_a_mode_is_numbered_by_the_loop_where_its_signs_do_not_tell():
-    _, modes = shaken([3, 5, 8], count=5)
+    # The observer of `okid` bends the highest mode by more than its stated deviation.
+    _, modes = shaken([3, 5, 8], count=5, method="subspace")
     assert modes.modes.tolist() == [1, 2, 3, 4, 5]
     closure = close_loop(Experiment.from_dict(modes.to_experiment({"floor_masses": [10.0] * 8})))
     assert numbers(closure) == {modes.name: (1, 2, 4, 5, 6)}
