@@ -141,8 +141,7 @@ def _twins(search: Search, found: ModelClass, posterior: Posterior) -> dict[Plac
 
 
 def _by_probability(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[Placed]:
-    added = [placed for placed in final.effects if placed not in fitter.assumed]
-    return sorted(added, key=lambda placed: -posterior.of_effects[placed])
+    return posterior.ranked(placed for placed in final.effects if placed not in fitter.assumed)
 
 
 def _verdict(
@@ -296,7 +295,8 @@ def _candidates(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[C
         p_value = min(1.0, len(fitter.hypotheses) * float(stats.chi2.sf(max(gain, 0.0), count)))
         probability = posterior.of_effects[placed]
         found.append(Candidate(placed, probability, item.probability, chi2, dof, p_value, confounded))
-    return sorted(found, key=lambda each: (-each.probability, each.chi2))
+    order = posterior.ranked(each.placed for each in found)
+    return sorted(found, key=lambda each: (order.index(each.placed) if each.probability else len(order), each.chi2))
 
 
 def _quoted(names: Sequence[str]) -> str:

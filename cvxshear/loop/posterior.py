@@ -24,6 +24,10 @@ RAISED = 3.0
 RIVAL = 0.05
 """Probability, relative to that of the best set, of a set whose effects count as rivals."""
 
+AS_PROBABLE = 0.01
+"""Relative difference of two probabilities below which they are one: fits end within some such distance of their
+optimum, and which of two equals comes first must not depend on the machine."""
+
 
 @dataclass(frozen=True)
 class Rival:
@@ -100,23 +104,36 @@ class Posterior:
         """The same probabilities, with what no datum tells known."""
         return Posterior(self.models, self._hypotheses, twins)
 
+    def ranked(self, effects: Iterable[Placed], probability: Mapping[Placed, float] | None = None) -> list[Placed]:
+        """Effects, the most probable first; those that are as probable in the order in which they were looked for."""
+        chance = self.of_effects if probability is None else probability
+        position = {placed: at for at, placed in enumerate(self._prior)}
+        groups: list[list[Placed]] = []
+        for placed in sorted(effects, key=lambda each: -chance[each]):
+            if groups and chance[placed] >= (1.0 - AS_PROBABLE) * chance[groups[-1][0]]:
+                groups[-1].append(placed)
+            else:
+                groups.append([placed])
+        return [placed for group in groups for placed in sorted(group, key=lambda each: position[each])]
+
     def verdict_set(self) -> frozenset[Placed]:
         """What is added.
 
         For each effect of the best set that is there, or a rival in its place, with probability enough, the most
         probable of these; and each effect beyond that set which is more probable than not.
         """
-        best = self.best.effects
+        best = [placed for placed in self.ranked(self.best.effects) if placed not in self._kept_odds]
+        rivals = {placed: {rival.placed: rival.probability for rival in self.rivals(placed)} for placed in best}
+        # What replaces several effects belongs to the one that it replaces most often.
         families = {
-            placed: [placed, *(rival.placed for rival in self.rivals(placed))]
-            for placed in best
-            if placed not in self._kept_odds
+            placed: [placed, *(each for each in own if own[each] >= max(r.get(each, 0.0) for r in rivals.values()))]
+            for placed, own in rivals.items()
         }
         held: list[Placed] = []
         for family in families.values():
             if self._enough(family):
                 free = [each for each in family if each not in held]
-                held.append(max(free or family, key=lambda each: self.of_effects[each]))
+                held.append(self.ranked(free or family)[0])
         # A rival of what is added is there in its place, not besides it.
         passed = {each for family in families.values() for each in family}
         more = [placed for placed in self.of_effects if placed not in passed and self._enough([placed])]
@@ -160,7 +177,7 @@ class Posterior:
         twins = self._twins.get(placed, ())
         for other in twins:
             found.setdefault(other, self.of_effects[other])
-        order = sorted(found, key=lambda each: -found[each])
+        order = self.ranked(found, found)
         return [Rival(each, min(found[each], 1.0), each in twins) for each in order]
 
     def _holding(self, placed: Placed) -> ModelClass:
