@@ -18,6 +18,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from cvxshear.effects import Placed
+from cvxshear.effects.open_class import OpenClass
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.gauss_newton import CONVERGED_STEP
 from cvxshear.loop.fitter import ROUGH, Fitter
@@ -231,6 +232,39 @@ class Search:
             return
         linear = Linearised(model.estimate, lacking, self.fitter.expectation)
         self._visit(model.estimate, linear, self._promising(model, linear))
+        self._name_entries(model)
+
+    def _name_entries(self, model: ModelClass) -> None:
+        """Visit the sets in which the entries of an open class that stand out are causes of the catalogue, it gone.
+
+        Several large changes at once are hardly seen by derivatives at none of them; the class has found their sizes.
+        """
+        estimate, experiment = model.estimate, self.fitter.experiment
+        assert estimate is not None, "only sets with a fit are expanded"
+        known = {(item.placed.effect.name, item.placed.place): item.placed for item in self.fitter.hypotheses}
+        proposals = []
+        for placed in model.effects:
+            if not isinstance(placed.effect, OpenClass):
+                continue
+            own = estimate.own(placed)
+            values = estimate.theta[own]
+            standing = placed.effect.conspicuous(values, estimate.std[own])
+            causes = {
+                known[at]: float(values[i])
+                for i in standing
+                if (at := placed.effect.cause_at(i, placed.place, experiment)) in known
+            }
+            named = (model.effects - {placed}).union(causes)
+            if not causes or named in self.visited:
+                continue
+            rest = [each for each in estimate.effects if each is not placed]
+            new = [cause for cause in causes if cause not in rest]
+            proposal = self.fitter.proposal(estimate, (*rest, *new))
+            bounds = [(item.lower, item.upper) for each in new for item in each.effect.parameters]
+            sizes = np.clip([causes[each] for each in new], *np.reshape(bounds, (-1, 2)).T)
+            start = np.concatenate([proposal.starts[-1][: len(proposal.starts[-1]) - len(new)], sizes])
+            proposals.append(dataclasses.replace(proposal, starts=(start,)))
+        self._record(self.fitter.models(proposals))
 
     def _promising(self, model: ModelClass, linear: Linearised) -> list[Set]:
         """Sets with one more effect, or two, by what the linearised model promises."""
