@@ -345,6 +345,8 @@ class Search:
         """
         self.regrouped.add(model.effects)
         for group in self._groups(model.effects):
+            if self.spent:
+                break
             rest = model.effects - group
             self._fit_without(model, [rest])
             firsts = self._with_one_of(self._lacking(self.visited[rest]), self.visited[rest], group)
