@@ -19,7 +19,7 @@ import numpy as np
 
 from cvxshear.effects import Placed
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.gauss_newton import CONVERGED_STEP
+from cvxshear.fit.gauss_newton import CONVERGED_STEP, HOPELESS
 from cvxshear.loop.fitter import ROUGH, Fitter
 from cvxshear.loop.hypotheses import OPEN
 from cvxshear.loop.linear import Linearised
@@ -240,7 +240,9 @@ class Search:
         order = sorted(single, key=lambda each: -single[each])
         # A set with an effect taken out is far behind: what is put in must catch up with the best.
         floor = max(single[order[0]], 0.0, self.best.score - model.score) - WITHIN
-        new = [each for at, each in enumerate(order[:MOST]) if at < LEAST or single[each] > floor]
+        # Far from the data the model is not linear: the order of the gains still says something, their sizes do not.
+        least = MOST if _far_off(model) else LEAST
+        new = [each for at, each in enumerate(order[:MOST]) if at < least or single[each] > floor]
         if model.improbable:
             # What leaves the accuracy of some data open shows all that it is worth only once they weigh less.
             rescaling = sorted(
@@ -338,6 +340,13 @@ class Search:
         new = [each for each in sets if each not in self.visited]
         held = [[placed for placed in model.estimate.effects if placed in each | assumed] for each in new]
         self._record(self.fitter.models([self.fitter.proposal(model.estimate, effects) for effects in held]))
+
+
+def _far_off(model: ModelClass) -> bool:
+    """Whether the residuals of a set are too large for its linearised model to tell how much an effect brings."""
+    assert model.estimate is not None
+    at = model.estimate.fit.at
+    return at.objective > HOPELESS * len(at.r)
 
 
 def fits_alike(a: ModelClass, b: ModelClass) -> bool:
