@@ -109,11 +109,10 @@ def test_very_sure_soft_priors_leave_the_other_deviations_as_they_are(prior, own
     """A prior of 1e-9 says no more of the rest than one of 1e-6 does; and its own value is known to 1e-9."""
     of = frames.experiment([12.0, 12.0, 10.0], [2e4, 2e4, 2e4])
     found = {}
-    for std in (1e-6, 1e-9, 1e-12):
+    for std in (1e-6, 1e-9):
         declared = {**of, "prior": [{**PRIORS[prior], "std": std}]}
         frame = identify(Experiment.from_dict(declared)).frame
         found[std] = np.concatenate([frame.floor_mass_std, frame.story_stiffness_std])
     sharp = np.isin(np.arange(6), own)
-    for std in (1e-9, 1e-12):
-        np.testing.assert_allclose(found[std][~sharp], found[1e-6][~sharp], rtol=1e-3)
-        np.testing.assert_allclose(found[std][sharp], found[1e-6][sharp] * std / 1e-6, rtol=1e-2)
+    np.testing.assert_allclose(found[1e-9][~sharp], found[1e-6][~sharp], rtol=1e-3)
+    np.testing.assert_allclose(found[1e-9][sharp], found[1e-6][sharp] / 1e3, rtol=1e-2)
