@@ -20,7 +20,7 @@ import numpy as np
 from cvxshear.effects import Placed
 from cvxshear.effects.open_class import OpenClass
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.gauss_newton import CONVERGED_STEP
+from cvxshear.fit.gauss_newton import CONVERGED_STEP, HOPELESS
 from cvxshear.loop.fitter import ROUGH, Fitter
 from cvxshear.loop.hypotheses import OPEN
 from cvxshear.loop.linear import Linearised
@@ -292,7 +292,9 @@ class Search:
         order = sorted(single, key=lambda each: -single[each])
         # A set with an effect taken out is far behind: what is put in must catch up with the best.
         floor = max(single[order[0]], 0.0, self.best.score - model.score) - WITHIN
-        new = [each for at, each in enumerate(order[:MOST]) if at < LEAST or single[each] > floor]
+        # Far from the data the model is not linear: the order of the gains still says something, their sizes do not.
+        least = MOST if _far_off(model) else LEAST
+        new = [each for at, each in enumerate(order[:MOST]) if at < least or single[each] > floor]
         if model.improbable:
             # What leaves the accuracy of some data open shows all that it is worth only once they weigh less.
             rescaling = sorted(
@@ -430,6 +432,13 @@ def _strength(estimate: Estimate, placed: Placed) -> float:
     with np.errstate(divide="ignore", invalid="ignore"):
         z = np.abs(estimate.theta[own] - nulls) / estimate.std[own]
     return float(np.max(np.nan_to_num(z), initial=0.0))
+
+
+def _far_off(model: ModelClass) -> bool:
+    """Whether the residuals of a set are too large for its linearised model to tell how much an effect brings."""
+    assert model.estimate is not None
+    at = model.estimate.fit.at
+    return at.objective > HOPELESS * len(at.r)
 
 
 def fits_alike(a: ModelClass, b: ModelClass) -> bool:
