@@ -102,10 +102,7 @@ def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats, *, here: bool 
     if not misfit.unknown:
         return NoiseEstimate()
     marginal = _Marginal(misfit, at, free)
-    if here:
-        best = marginal.start
-    else:
-        best = optimize.minimize(marginal.negative, marginal.start, jac=True, method="BFGS").x
+    best = marginal.start if here else optimize.minimize(marginal.negative, marginal.start, jac=True, method="BFGS").x
     # Where the marginal has no maximum the search runs off.
     v: Floats = np.clip(best, -LARGEST, LARGEST)
     covariance: Floats = np.asarray(np.linalg.inv(_curvature(marginal, v)), dtype=np.float64)
