@@ -13,6 +13,7 @@ from cvxshear.measurement.measured_modes import OtherModes, copied_rows, other_m
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
+from cvxshear.util.plain import fields_as_table
 from cvxshear.util.typing import Bools, Floats, Ints, Json
 
 DEFAULT_FREQUENCY_STD = 0.002
@@ -240,13 +241,7 @@ class Configuration:
 
     def to_dict(self) -> Json:
         """The table that declares this configuration in a measurement file, every default written out."""
-        values = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
-        values["other_modes"] = [item.to_dict() for item in self.other_modes]
-        return {
-            key: value.tolist() if isinstance(value, np.ndarray) else value
-            for key, value in values.items()
-            if not _absent(value) and (key, value) != ("state", self.name)
-        }
+        return fields_as_table(self, state=self.name)
 
     def in_frame(self, stories: int) -> Configuration:
         """The same configuration in a frame of so many stories: added mass filled in, floors and modes within it.

@@ -10,6 +10,7 @@ import numpy as np
 
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
+from cvxshear.util.plain import fields_as_table
 from cvxshear.util.typing import Bools, Floats, Json
 
 DEFAULT_DISPLACEMENT_STD = 0.01
@@ -84,9 +85,7 @@ class StaticTest:
 
     def to_dict(self) -> Json:
         """The table that declares this test in a measurement file."""
-        values = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
-        given = {key: value for key, value in values.items() if value is not None and np.size(value)}
-        return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in given.items()}
+        return fields_as_table(self)
 
     def in_frame(self, stories: int) -> StaticTest:
         """The same test in a frame of so many stories, added mass filled in."""

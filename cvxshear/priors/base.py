@@ -16,6 +16,7 @@ import numpy as np
 
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
+from cvxshear.util.plain import fields_as_table
 from cvxshear.util.quantities import fitting
 from cvxshear.util.typing import Floats, Json
 
@@ -141,12 +142,8 @@ class Prior(ABC):
 
     def to_dict(self) -> Json:
         """The table that declares this prior in a measurement file."""
-        kind = self.kind or type(self).__name__
-        if not dataclasses.is_dataclass(self):
-            return {"kind": kind, "quantity": self.quantity}
-        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.init}
-        plain = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items() if v is not None}
-        return {"kind": kind, **plain}
+        table = fields_as_table(self, empty=True) if dataclasses.is_dataclass(self) else {"quantity": self.quantity}
+        return {"kind": self.kind or type(self).__name__, **table}
 
     @property
     def fixes_scale(self) -> bool:

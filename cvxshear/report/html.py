@@ -18,8 +18,8 @@ from cvxshear.report.describe import describe
 from cvxshear.report.describe.closed_loop import open_questions
 from cvxshear.report.describe.headline import headline, verdict_of
 from cvxshear.response import RecordPrediction
-from cvxshear.response.fitted import without_nan
 from cvxshear.util.errors import CvxshearError, InputError
+from cvxshear.util.plain import as_json
 from cvxshear.util.quantities import AUTOMATIC, Units, capital
 from cvxshear.util.writing import write_file
 
@@ -136,7 +136,7 @@ def render(
         motion_size=(WIDTH, HEIGHT),
         versions=list(versions()),
         command=command,
-        experiment_json=readable_json(without_nan(result.experiment.to_dict())),
+        experiment_json=readable_json(as_json(result.experiment)),
         result_json=readable_json(result.to_dict()),
         beside=beside,
     )

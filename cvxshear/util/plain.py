@@ -6,15 +6,14 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from enum import Enum
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Json
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from cvxshear.util.typing import Json
 
 
 def as_json(value: Any) -> Any:  # noqa: PLR0911 - a line a kind of value
@@ -23,8 +22,8 @@ def as_json(value: Any) -> Any:  # noqa: PLR0911 - a line a kind of value
     Parameters
     ----------
     value : object
-        A dataclass gives its fields by their names, but those whose metadata say `json=False`; what has a method
-        `to_dict` gives that. Arrays become lists as a whole, nan and infinity None, an Enum its text.
+        What has a method `to_dict` gives that, any other dataclass its fields by their names. Arrays become lists as
+        a whole, nan and infinity None, an Enum its text.
 
     Returns
     -------
@@ -35,14 +34,8 @@ def as_json(value: Any) -> Any:  # noqa: PLR0911 - a line a kind of value
         return str(value) if isinstance(value, Enum) else value
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
-    if isinstance(value, np.ndarray):
-        if value.dtype.kind != "f" or np.isfinite(value).all():
-            return value.tolist()
-        found = value.astype(object)
-        found[~np.isfinite(value)] = None
-        return found.tolist()
-    if isinstance(value, np.generic):
-        return as_json(value.item())
+    if hasattr(value, "tolist"):
+        return _array_as_json(value)
     if hasattr(value, "to_dict"):
         return value.to_dict()
     if isinstance(value, Mapping):
@@ -54,13 +47,79 @@ def as_json(value: Any) -> Any:  # noqa: PLR0911 - a line a kind of value
     return str(value)
 
 
+def _array_as_json(values: Any) -> Any:
+    """An array, or a number of NumPy, as lists or a number; None in place of nan and infinity."""
+    import numpy as np  # noqa: PLC0415 - help and completion need none of it
+
+    if np.ndim(values) == 0:
+        return as_json(values.item())
+    if values.dtype.kind != "f" or np.isfinite(values).all():
+        return values.tolist()
+    found = values.astype(object)
+    found[~np.isfinite(values)] = None
+    return found.tolist()
+
+
+class InJson:
+    """A dataclass that JSON has as a dict.
+
+    Attributes
+    ----------
+    json_keys : str
+        Attributes with spaces between, in the order of the JSON; the fields, in theirs, where empty. `key=path.to.it`
+        gives an attribute, or that of an attribute, another key (None where one on the way is None); `*attribute` puts
+        in the keys of that attribute.
+    """
+
+    json_keys: ClassVar[str] = ""
+
+    def to_dict(self) -> Json:
+        """The documented JSON, each value by `as_json`."""
+        return fields_as_json(self)
+
+
 def fields_as_json(value: Any) -> Json:
-    """The fields of a dataclass, each by `as_json`: what its `to_dict` returns where the JSON has no other keys."""
+    """What `json_keys` lists of a dataclass, or all of its fields where it lists none, each by `as_json`."""
+    listed = getattr(value, "json_keys", "").split()
+    found: Json = {}
+    for each in listed or [field.name for field in dataclasses.fields(value)]:
+        key, _, path = each.lstrip("*").partition("=")
+        item = value
+        for name in (path or key).split("."):
+            item = None if item is None else getattr(item, name)
+        item = as_json(item)
+        found.update(item if each.startswith("*") else {key: item})
+    return found
+
+
+def fields_as_table(value: Any, *, empty: bool = False, **unsaid: object) -> Json:
+    """The fields of a dataclass as the table of a measurement file that declares it.
+
+    Parameters
+    ----------
+    value : dataclass
+    empty : bool, optional
+        Whether an empty list says something.
+    **unsaid : object
+        Values of single fields that stand for "not given", besides None.
+    """
+    found = {field.name: getattr(value, field.name) for field in dataclasses.fields(value) if field.init}
     return {
-        each.name: as_json(getattr(value, each.name))
-        for each in dataclasses.fields(value)
-        if each.metadata.get("json", True)
+        key: as_table(item)
+        for key, item in found.items()
+        if item is not None
+        and (empty or not hasattr(item, "__len__") or len(item))
+        and not (key in unsaid and item == unsaid[key])
     }
+
+
+def as_table(value: Any) -> Any:
+    """A value as TOML has it, where an entry that was not measured is nan."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if isinstance(value, tuple):
+        return [as_table(each) for each in value]
+    return value.to_dict() if hasattr(value, "to_dict") else value
 
 
 def data_frame(columns: Mapping[str, Sequence[object]]) -> pd.DataFrame:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from cvxshear.util.errors import InputError
+from cvxshear.util.plain import InJson
 
 
 @dataclass(frozen=True)
@@ -52,8 +53,8 @@ def _found() -> Renderers | None:
     return _renderers[0] if _renderers else None
 
 
-class Shown:
-    """A result that a prompt shows in a line, `print` as tables, and a notebook as HTML."""
+class Shown(InJson):
+    """A result that a prompt shows in a line, `print` as tables, a notebook as HTML and `to_dict` as JSON."""
 
     def __repr__(self) -> str:
         renderers = _found()
