@@ -39,8 +39,7 @@ def new(
 
     Example: cvxshear new --stories 5 -o test.toml
     """
-    from cvxshear.files.measurement_template import template, template_from
-    from cvxshear.files.record_template import record_template
+    from cvxshear.files.to_fill_in import record_template, template, template_from
 
     given = [
         name for name, value in (("--from", modes), ("--stories", stories), ("--record", record)) if value is not None
