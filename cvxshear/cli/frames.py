@@ -29,9 +29,8 @@ from cvxshear.cli.output import (
     progress,
     typed,
 )
-from cvxshear.cli.pictures import FiguresOut, Pictures
 from cvxshear.cli.records import measured, needs_mass, records_in_json, tables_of
-from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
+from cvxshear.cli.written import CsvOut, FiguresOut, Pictures, Spreadsheets, XlsxOut
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.text import shell_line
 

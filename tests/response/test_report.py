@@ -14,8 +14,7 @@ from cvxshear.files.measurement import write_measurement
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.report.describe import describe
 from cvxshear.report.figures import transfer_functions
-from cvxshear.report.html import render
-from cvxshear.report.response_html import render_prediction
+from cvxshear.report.html import render, render_response
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
 from tests.modal.shared import csv
 from tests.report.conftest import NASTY
@@ -52,7 +51,7 @@ def figures_of(page):
 
 
 def test_the_page_stands_by_itself(prediction):
-    text = render_prediction(prediction, COMMAND)
+    text = render_response(prediction, COMMAND)
     page = Page(text)
     assert len(page.ids) == len(set(page.ids))
     assert set(re.findall(r'href="#([^"]+)"', text)) <= set(page.ids)
@@ -64,7 +63,7 @@ def test_the_page_stands_by_itself(prediction):
 
 
 def test_pictures_and_numbers(prediction):
-    text = render_prediction(prediction, COMMAND)
+    text = render_response(prediction, COMMAND)
     expected = ["figure-transfer", "figure-history", "figure-peaks", "figure-spectra"]
     if prediction.after.comparison is None:
         expected.remove("figure-transfer")
