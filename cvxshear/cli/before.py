@@ -60,7 +60,7 @@ def new(
         write_file(output, text)
 
 
-MISTAKEN = 2
+MISTAKE_STATUS = 2
 
 
 def check(
@@ -85,4 +85,4 @@ def check(
     found = Screening.of(experiment, (item for each in tests for item in each.modes.findings))
     deliver(found.to_dict(), out, lambda: terminal.shown(found), title=experiment.report.title or experiment.name)
     if found.refused:
-        raise typer.Exit(MISTAKEN)
+        raise typer.Exit(MISTAKE_STATUS)

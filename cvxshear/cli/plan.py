@@ -14,7 +14,7 @@ from cvxshear.util.errors import InputError
 if TYPE_CHECKING:
     from cvxshear.planning import TestNoise
 
-T = TypeVar("T")
+Number = TypeVar("Number")
 
 
 def plan(
@@ -164,7 +164,7 @@ def _masses(text: str | None) -> float | list[float] | None:
     return found[0] if "," not in text else found
 
 
-def _numbers(text: str, option: str, kind: Callable[[str], T], right: str) -> list[T]:
+def _numbers(text: str, option: str, kind: Callable[[str], Number], right: str) -> list[Number]:
     try:
         return [kind(part) for part in text.split(",")]
     except ValueError:

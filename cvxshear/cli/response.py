@@ -88,7 +88,7 @@ def predict(
         source, doubts = screened(file, backend, names(assume) or ())
         result = run(source, record, backend, damping=damping, configuration=configuration, detrend=detrend)
     said = {**result.to_dict(), **in_json(doubts)}
-    files = [*pictures.of(result), *(partial(write, result) for write in written)]
+    files: list[Callable[[], None]] = [*pictures.of(result), *(partial(write, result) for write in written)]
     deliver(said, out, lambda: [*terminal.doubts(doubts or ()), *terminal.shown(result)], *files)
 
 
@@ -139,7 +139,7 @@ def reconstruct(
             leave_out=check, progress=advance,
         )  # fmt: skip
     said = {**result.to_dict(), **in_json(doubts)}
-    files = [*pictures.of(result), *(partial(write, result) for write in written)]
+    files: list[Callable[[], None]] = [*pictures.of(result), *(partial(write, result) for write in written)]
     files += tables.of(lambda: sheets_of_response(said))
     deliver(said, out, lambda: [*terminal.doubts(doubts or ()), *terminal.shown(result)], *files)
 

@@ -14,8 +14,8 @@ import tomli_w
 from cvxshear.util.text import escaped, printable
 from cvxshear.util.writing import write_file
 
-WIDTH = 110
-DIGITS = 8
+COMMENT_WIDTH = 110
+WRITTEN_DIGITS = 8
 """Significant ones: no record tells more."""
 
 LARGE = 2_500
@@ -52,7 +52,7 @@ def _wrapped(comment: str) -> list[str]:
     """The comment in lines of readable length; a line break in it must not end the comment."""
     lines, current = [], ""
     for word in printable(" ".join(comment.split())).split(" "):
-        if current and len(current) + len(word) + 1 > WIDTH:
+        if current and len(current) + len(word) + 1 > COMMENT_WIDTH:
             lines.append(current)
             current = "  " + word
         else:
@@ -74,7 +74,7 @@ class _Tables:
 
     def mark(self, table: np.ndarray[Any, Any]) -> str:
         """What stands for a table until the rest has been written."""
-        row = "    [" + ", ".join([f"%.{DIGITS}g"] * table.shape[1]) + "],\n"
+        row = "    [" + ", ".join([f"%.{WRITTEN_DIGITS}g"] * table.shape[1]) + "],\n"
         self._texts.append("[\n" + "".join(row % tuple(numbers) for numbers in table.tolist()) + "]")
         return f"{self._mark}{len(self._texts) - 1}"
 
@@ -108,4 +108,4 @@ def _plain(value: Any, tables: _Tables) -> Any:
         value = value.tolist()
     if isinstance(value, list | tuple):
         return [_plain(each, tables) for each in value]
-    return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
+    return float(f"{value:.{WRITTEN_DIGITS}g}") if isinstance(value, float) else value

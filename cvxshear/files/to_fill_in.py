@@ -20,7 +20,7 @@ from cvxshear.files.csv import preamble_of
 from cvxshear.files.formats import format_of, read_columns, read_modes_of
 from cvxshear.files.inputs import named_after
 from cvxshear.files.record_file import FREQUENCY_NAMES, TIME_UNITS
-from cvxshear.files.record_tables import UNITS
+from cvxshear.files.record_tables import CHANNEL_UNITS
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
@@ -174,7 +174,7 @@ class Guess:
     ----------
     column : str
     unit : str or None
-        Of `UNITS`, None where the file says none.
+        Of `CHANNEL_UNITS`, None where the file says none.
     role : str
         "ground", "force" or "floor".
     floor : int
@@ -182,7 +182,7 @@ class Guess:
         Whether a number in the name says the floor, and not the order of the columns.
     axis : str
     said : str
-        The unit as the file spells it, where it is not one of `UNITS`.
+        The unit as the file spells it, where it is not one of `CHANNEL_UNITS`.
     """
 
     column: str
@@ -285,9 +285,9 @@ def _unit(columns: Columns, name: str) -> tuple[str, str]:
     if not said and (found := BRACKETED.search(name)):
         said = found[1] or found[2] or ""
     plain = re.sub(r"[\s*^]", "", said.strip().replace("²", "2").replace("**", ""))
-    known = {each.lower(): each for each in (*UNITS, *TIME_UNITS)}
+    known = {each.lower(): each for each in (*CHANNEL_UNITS, *TIME_UNITS)}
     lower = plain.lower()
-    return OTHER_SPELLINGS.get(lower, plain if plain in UNITS else known.get(lower, "")), said
+    return OTHER_SPELLINGS.get(lower, plain if plain in CHANNEL_UNITS else known.get(lower, "")), said
 
 
 def _guesses(columns: Columns, names: Sequence[str]) -> list[Guess]:
@@ -298,15 +298,15 @@ def _guesses(columns: Columns, names: Sequence[str]) -> list[Guess]:
             continue
         unit, said = _unit(columns, name)
         bare = BRACKETED.sub("", name)
-        force = bool(FORCE.search(bare)) or (unit in UNITS and UNITS[unit][0] == "force")
+        force = bool(FORCE.search(bare)) or (unit in CHANNEL_UNITS and CHANNEL_UNITS[unit][0] == "force")
         ground = not force and bool(GROUND.search(bare))
         number = NUMBER.findall(bare)
         axis = AXIS.search(bare)
         floor = 0 if ground else int(number[-1]) if number and 0 < int(number[-1]) < 200 else -1
         role = "force" if force else "ground" if ground else "floor"
         found.append(
-            Guess(name, unit if unit in UNITS else None, role, floor, floor >= 0,
-                  (axis[1] or axis[2]).lower() if axis else "x", "" if unit in UNITS else said)
+            Guess(name, unit if unit in CHANNEL_UNITS else None, role, floor, floor >= 0,
+                  (axis[1] or axis[2]).lower() if axis else "x", "" if unit in CHANNEL_UNITS else said)
         )  # fmt: skip
     # Channels numbered from 0 or without gaps in another count stand in the order of the columns all the same.
     order = 0
@@ -333,7 +333,8 @@ def _channel(guess: Guess, top: int, *, several: bool) -> str:
     else:
         usual = "N" if guess.role == "force" else "m/s2"
         said = f"; the file says {printable(guess.said)!r}" if guess.said else ""
-        lines.append(f'# unit = "g"  # FILL IN where it is not {usual}{said}: {", ".join(list(UNITS)[:7])}, ...')
+        known = ", ".join(list(CHANNEL_UNITS)[:7])
+        lines.append(f'# unit = "g"  # FILL IN where it is not {usual}{said}: {known}, ...')
     if several and guess.role != "force":
         lines.append(f'axis = "{guess.axis}"  # GUESSED from the name')
     lines.append("# sign = -1  # where the sensor points the other way; calibration = 1.0: a factor on the column")

@@ -22,7 +22,7 @@ from cvxshear.util.errors import InputError
 LARGEST_FILE = 5_000_000
 """Bytes; a larger file is taken for a mistake (a record in place of a measurement file, say)."""
 
-MEASURED = (
+MEASURED_FRAMES = (
     "los-alamos",
     "mini-flexible-northridge",
     "mini-flexible-sine",
@@ -36,7 +36,7 @@ MEASURED = (
 )
 """Tables of modes of measured frames that travel with the package, each with its source."""
 
-BUILT_IN = {"paper": ("paper", "paper.toml"), **{name: ("builtin", f"{name}.toml") for name in MEASURED}}
+BUILT_IN = {"paper": ("paper", "paper.toml"), **{name: ("builtin", f"{name}.toml") for name in MEASURED_FRAMES}}
 """Examples that travel with the package, and where they stand in it."""
 
 LONGEST_KEY = 16

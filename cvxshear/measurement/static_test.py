@@ -56,14 +56,14 @@ class StaticTest:
         put(
             self,
             "displacement",
-            checks.vector(self.displacement, self._at("displacement"), length=count, of=", one a floor", nan=True),
+            checks.vector(self.displacement, self._at("displacement"), length=count, each=", one a floor", nan=True),
         )
         if not np.any(self.force):
             raise InputError(f"{self._at('force')} is zero on every floor; a static test needs one that is not")
         if not np.any(np.abs(self.displacement[self.measured]) > 0):
             raise InputError(f"{self._at('displacement')} holds no displacement; give one floor's at least, in m")
         if np.size(self.added_mass):
-            added = checks.vector(self.added_mass, self._at("added_mass"), length=count, of=", one a floor", least=0.0)
+            added = checks.vector(self.added_mass, self._at("added_mass"), length=count, each=", one a floor", least=0.0)
             put(self, "added_mass", added)
         if self.displacement_std is not None:
             std = checks.number(self.displacement_std, self._at("displacement_std"), above=0.0)

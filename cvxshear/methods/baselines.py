@@ -13,36 +13,36 @@ from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.typing import Floats
 
 
-def _refuse_priors(of: CompleteTest, method: str) -> None:
-    if of.experiment.priors:
+def _refuse_priors(test: CompleteTest, method: str) -> None:
+    if test.experiment.priors:
         raise UnsuitableError(f"method {method} takes no priors; use two-stage, one-shot or efficient")
 
 
-def qi(of: CompleteTest, backend: Backend, initial_mass: Floats | None = None) -> SingleIdentification:
+def qi(test: CompleteTest, backend: Backend, initial_mass: Floats | None = None) -> SingleIdentification:
     """One least-squares correction without the constraint on the total (Eq. 10), on the initial normalization.
 
     Parameters
     ----------
-    of : CompleteTest
+    test : CompleteTest
     backend : Backend
     initial_mass : ndarray, shape (N,), optional
         Without added mass, kg.
     """
-    _refuse_priors(of, "qi")
-    start = start_mass(of, initial_mass)
-    program = mass_correction(normalized(of.shapes, start), start, of.total).replace(A=None, b=None)
+    _refuse_priors(test, "qi")
+    start = start_mass(test, initial_mass)
+    program = mass_correction(normalized(test.shapes, start), start, test.total).replace(A=None, b=None)
     mass = start + backend.solve(program).x
-    added = of.configuration.added_mass
+    added = test.configuration.added_mass
     return finished(
-        of,
+        test,
         mass,
-        identified_stiffness(of, mass, backend),
+        identified_stiffness(test, mass, backend),
         iterations=1,
         history=np.array([start - added, mass - added]),
     )
 
 
-def berman(of: CompleteTest, backend: Backend, initial_mass: Floats | None = None) -> SingleIdentification:
+def berman(test: CompleteTest, backend: Backend, initial_mass: Floats | None = None) -> SingleIdentification:
     """The smallest change of the mass matrix that makes the modes orthonormal (Berman, 1979).
 
     M = M0 + M0 P a^-1 (1 - a) a^-1 P' M0 with a = P' M0 P, the modes P normalized by M0. The result is a full
@@ -51,15 +51,15 @@ def berman(of: CompleteTest, backend: Backend, initial_mass: Floats | None = Non
 
     Parameters
     ----------
-    of : CompleteTest
+    test : CompleteTest
     backend : Backend
     initial_mass : ndarray, shape (N,), optional
         Without added mass, kg.
     """
-    _refuse_priors(of, "berman")
-    start = start_mass(of, initial_mass)
+    _refuse_priors(test, "berman")
+    start = start_mass(test, initial_mass)
     M0 = np.diag(start)
-    P = normalized(of.shapes, start)
+    P = normalized(test.shapes, start)
     a = P.T @ M0 @ P
     if not np.linalg.cond(a) < 1 / np.sqrt(np.finfo(np.float64).eps):
         raise UnsuitableError("method berman needs modes that differ from each other; use efficient")
@@ -71,11 +71,11 @@ def berman(of: CompleteTest, backend: Backend, initial_mass: Floats | None = Non
         raise UnsuitableError(
             "method berman corrects the mass matrix of these modes to one that is not positive definite; use efficient"
         )
-    added = of.configuration.added_mass
+    added = test.configuration.added_mass
     return finished(
-        of,
+        test,
         np.diag(M).copy(),
-        identified_stiffness(of, M, backend),
+        identified_stiffness(test, M, backend),
         iterations=1,
         history=np.array([start - added, np.diag(M) - added]),
         mass_matrix=M,

@@ -90,23 +90,23 @@ def _separate_programs(experiment: Experiment) -> tuple[list[BenchmarkProgram], 
     return programs, ""
 
 
-def _programs_of_one(of: CompleteTest) -> Iterator[BenchmarkProgram]:
-    added = of.configuration.added_mass
-    start = start_mass(of, None)
+def _programs_of_one(test: CompleteTest) -> Iterator[BenchmarkProgram]:
+    added = test.configuration.added_mass
+    start = start_mass(test, None)
     mass = constrained(
-        mass_correction(normalized(of.shapes, start), start, of.total), of.mass_statements, start - added
+        mass_correction(normalized(test.shapes, start), start, test.total), test.mass_statements, start - added
     )
-    one_shot = constrained(one_shot_masses(of.shapes, of.total), of.mass_statements, -added)
-    shapes = normalized(of.shapes, backends.get("auto").solve(one_shot).x)
+    one_shot = constrained(one_shot_masses(test.shapes, test.total), test.mass_statements, -added)
+    shapes = normalized(test.shapes, backends.get("auto").solve(one_shot).x)
     nothing = np.zeros(len(start))
-    stiffness = constrained(story_stiffnesses(shapes, of.eigenvalues), of.stiffness_statements, nothing)
+    stiffness = constrained(story_stiffnesses(shapes, test.eigenvalues), test.stiffness_statements, nothing)
     yield BenchmarkProgram("mass", mass, start)
     yield BenchmarkProgram("stiffness", stiffness, nothing)
     yield BenchmarkProgram("one-shot", one_shot, nothing)
     yield BenchmarkProgram("bounded mass", _tightened(mass, start), start)
     yield BenchmarkProgram("bounded stiffness", _tightened(stiffness, nothing), nothing)
     if len(start) > 1:
-        yield BenchmarkProgram("singular stiffness", _of_first_mode(shapes[:, 0], of.eigenvalues[0]), nothing)
+        yield BenchmarkProgram("singular stiffness", _of_first_mode(shapes[:, 0], test.eigenvalues[0]), nothing)
 
 
 def _tightened(program: LeastSquares, origin: Floats) -> LeastSquares:

@@ -96,15 +96,15 @@ def identify(
             undetermined=estimate.uncertainty.null_directions,
         )
     settings = [complete_test(experiment, each, method, rows=rows) for each in experiment.configurations]
-    parts = [_part(method, of, solver, start, tolerance, accelerate=accelerate) for of in settings]
+    parts = [_part(method, test, solver, start, tolerance, accelerate=accelerate) for test in settings]
     return Identification(experiment, method, solver.name, tuple(parts))
 
 
 def _part(
-    method: str, of: CompleteTest, solver: Backend, start: Floats | None, tolerance: float, *, accelerate: bool
+    method: str, test: CompleteTest, solver: Backend, start: Floats | None, tolerance: float, *, accelerate: bool
 ) -> SingleIdentification:
     if method == "one-shot":
-        return one_shot(of, solver)
+        return one_shot(test, solver)
     if method == "two-stage":
-        return two_stage(of, solver, start, tolerance, accelerate=accelerate)
-    return {"berman": berman, "qi": qi}[method](of, solver, start)
+        return two_stage(test, solver, start, tolerance, accelerate=accelerate)
+    return {"berman": berman, "qi": qi}[method](test, solver, start)

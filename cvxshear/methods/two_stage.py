@@ -37,7 +37,7 @@ MOST_ITERATIONS = 1000
 
 
 def two_stage(
-    of: CompleteTest,
+    test: CompleteTest,
     backend: Backend,
     initial_mass: Floats | None = None,
     tolerance: float = TOLERANCE,
@@ -52,7 +52,7 @@ def two_stage(
 
     Parameters
     ----------
-    of : CompleteTest
+    test : CompleteTest
     backend : Backend
     initial_mass : ndarray, shape (N,), optional
         Without added mass, kg; the total spread evenly where not given.
@@ -61,26 +61,26 @@ def two_stage(
     accelerate : bool, optional
         Fewer steps to the same masses, see above.
     """
-    history, converged = iterated(of, start_mass(of, initial_mass), backend, tolerance, accelerate=accelerate)
+    history, converged = iterated(test, start_mass(test, initial_mass), backend, tolerance, accelerate=accelerate)
     mass = history[-1]
     return finished(
-        of,
+        test,
         mass,
-        identified_stiffness(of, mass, backend),
+        identified_stiffness(test, mass, backend),
         iterations=len(history) - 1,
-        history=np.array(history) - of.configuration.added_mass,
+        history=np.array(history) - test.configuration.added_mass,
         reason=Ending.CORRECTION if converged else Ending.ITERATION_LIMIT,
     )
 
 
 def correction(
-    of: CompleteTest, mass: Floats, backend: Backend, start: Solution | None = None, *, diagonal: bool = True
+    test: CompleteTest, mass: Floats, backend: Backend, start: Solution | None = None, *, diagonal: bool = True
 ) -> Solution:
     """One step dm from these masses.
 
     Parameters
     ----------
-    of : CompleteTest
+    test : CompleteTest
     mass : ndarray, shape (N,)
         With added mass, kg.
     backend : Backend
@@ -94,23 +94,23 @@ def correction(
     Solution
         Its x is dm.
     """
-    net = mass - of.configuration.added_mass
-    program = mass_correction(normalized(of.shapes, mass), mass, of.total, rows=of.rows, diagonal=diagonal)
+    net = mass - test.configuration.added_mass
+    program = mass_correction(normalized(test.shapes, mass), mass, test.total, rows=test.rows, diagonal=diagonal)
     # The statements hold the total already.
     program = softened(
-        program.replace(A=None, b=None), of.experiment.priors, "floor_mass", net, of.shape_std, step=True
+        program.replace(A=None, b=None), test.experiment.priors, "floor_mass", net, test.shape_std, step=True
     )
-    return backend.solve(constrained(program, of.mass_statements, net), start)
+    return backend.solve(constrained(program, test.mass_statements, net), start)
 
 
 def iterated(
-    of: CompleteTest, start: Floats, backend: Backend, tolerance: float, *, accelerate: bool
+    test: CompleteTest, start: Floats, backend: Backend, tolerance: float, *, accelerate: bool
 ) -> tuple[list[Floats], bool]:
     """The masses with added mass at the start and after each step, and whether Eq. 15 was met.
 
     Parameters
     ----------
-    of : CompleteTest
+    test : CompleteTest
     start : ndarray, shape (N,)
     backend : Backend
     tolerance : float
@@ -127,7 +127,7 @@ def iterated(
     diagonal = not accelerate
     solution: Solution | None = None
     while len(history) <= MOST_ITERATIONS:
-        solution = correction(of, history[-1], backend, solution, diagonal=diagonal)
+        solution = correction(test, history[-1], backend, solution, diagonal=diagonal)
         dm = solution.x
         history.append(history[-1] + dm)
         length = float(np.max(np.abs(dm)))

@@ -40,7 +40,7 @@ def write_model(path: str | Path, result: RecordPrediction) -> None:
     UnsuitableError
         Where OpenSees cannot have such a frame.
     """
-    write_file(path, WRITERS[model_kind(path)](result))
+    write_file(path, MODEL_WRITERS[model_kind(path)](result))
 
 
 def model_kind(path: str | Path) -> str:
@@ -51,7 +51,7 @@ def model_kind(path: str | Path) -> str:
     InputError
         Where it ends in something else.
     """
-    return ending_of(path, WRITERS, "a model is written as", device="json")
+    return ending_of(path, MODEL_WRITERS, "a model is written as", device="json")
 
 
 def _npz(result: RecordPrediction) -> bytes:
@@ -149,14 +149,14 @@ def _residuals(result: RecordPrediction) -> Sheet:
     return Sheet("residuals", header, rows)
 
 
-def _parts(of: Fitted) -> list[Deviation]:
+def _parts(fitted: Fitted) -> list[Deviation]:
     """What a fit leaves of each part of every datum."""
-    misfit = Misfit(of.experiment, of.effects)
-    models = {id(model.state.tested): model for model in misfit.evaluate(of.theta, derivatives=False).models}
+    misfit = Misfit(fitted.experiment, fitted.effects)
+    models = {id(model.state.tested): model for model in misfit.evaluate(fitted.theta, derivatives=False).models}
     return [part for datum in misfit.data for part in datum.describe(models[id(datum.tested)])]
 
 
-WRITERS: dict[str, Callable[[RecordPrediction], str | bytes]] = {
+MODEL_WRITERS: dict[str, Callable[[RecordPrediction], str | bytes]] = {
     "npz": _npz,
     "mat": _mat,
     "json": _json,
