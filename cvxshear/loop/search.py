@@ -18,6 +18,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from cvxshear.effects import Placed
+from cvxshear.effects.open_class import OpenClass
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.gauss_newton import CONVERGED_STEP
 from cvxshear.loop.fitter import ROUGH, Fitter
@@ -36,8 +37,14 @@ WITHIN = 7.0
 A_PILE = 3
 """Effects from which on a set is no simple explanation: two causes at once are met now and then, three seldom."""
 
+WEAKEST = 2
+"""Effects, the weakest of a set, without which it must be worse before no more are taken out."""
+
 STAND_FOR_A_GROUP = 3
 """Single effects, the most promising ones, that are tried in place of a group."""
+
+MOST_CAUSES = 4
+"""Causes that are put one after the other in the place of a group."""
 
 MOST_SETS = 300
 """Sets that one search visits at most: twice what sound files of three states need (up to some 150), so that a file
@@ -72,6 +79,7 @@ class Search:
         fitter.base = base
         self.visited: dict[Set, ModelClass] = {start.effects: start}
         self.expanded: set[Set] = set()
+        self.pruned: set[Set] = set()
         self.thinned: set[Set] = set()
         self.regrouped: set[Set] = set()
         self.moved = False
@@ -89,20 +97,32 @@ class Search:
         fitted.sort(key=lambda model: -model.score)
         holding = {model.effects: any(placed.effect.kind == OPEN for placed in model.effects) for model in fitted}
         causes = [model for model in fitted if not holding[model.effects]][:BEAM]
-        others = [model for model in fitted if holding[model.effects]][: BEAM // 2]
+        others: list[ModelClass] = []
+        for model in fitted:
+            # What only adds to a better set would leave no room for sets that are other explanations.
+            if holding[model.effects] and not any(better.effects < model.effects for better in others):
+                others.append(model)
+            if len(others) == BEAM // 2:
+                break
         return sorted((*causes, *others), key=lambda model: -model.score)
 
     def run(self) -> None:
         """Visit sets until the beam has nothing left to expand, or the budget is spent."""
-        self._grow()
+        ways = (
+            (self._prune, self.pruned, 0.0),
+            (self._expand, self.expanded, 0.0),
+            (self._regroup, self.regrouped, 0.0),
+            (self._expand, self.expanded, REACH),
+            (self._regroup, self.regrouped, WITHIN),
+            (self._thin, self.thinned, WITHIN),
+        )
         while not self.spent:
-            if (model := self._next(self.regrouped, WITHIN)) is not None:
-                self._regroup(model)
-            elif (model := self._next(self.thinned, WITHIN)) is not None:
-                self._thin(model)
-            else:
+            nexts = ((way, self._next(done, within)) for way, done, within in ways)
+            found = next(((way, model) for way, model in nexts if model is not None), None)
+            if found is None:
                 break
-            self._grow()
+            way, model = found
+            way(model)
         if not self.moved and not self.spent and self._add_motions():
             self.run()
 
@@ -130,11 +150,6 @@ class Search:
     def spent(self) -> bool:
         """Whether the search has made as many fits as it may."""
         return len(self.visited) >= MOST_SETS
-
-    def _grow(self) -> None:
-        """Expand the beam until all of it has been."""
-        while not self.spent and (model := self._next(self.expanded, REACH)) is not None:
-            self._expand(model)
 
     def probe(self) -> None:
         """Expand the shear model alone."""
@@ -231,6 +246,39 @@ class Search:
             return
         linear = Linearised(model.estimate, lacking, self.fitter.expectation)
         self._visit(model.estimate, linear, self._promising(model, linear))
+        self._name_entries(model)
+
+    def _name_entries(self, model: ModelClass) -> None:
+        """Visit the sets in which the entries of an open class that stand out are causes of the catalogue, it gone.
+
+        Several large changes at once are hardly seen by derivatives at none of them; the class has found their sizes.
+        """
+        estimate, experiment = model.estimate, self.fitter.experiment
+        assert estimate is not None, "only sets with a fit are expanded"
+        known = {(item.placed.effect.name, item.placed.place): item.placed for item in self.fitter.hypotheses}
+        proposals = []
+        for placed in model.effects:
+            if not isinstance(placed.effect, OpenClass):
+                continue
+            own = estimate.own(placed)
+            values = estimate.theta[own]
+            standing = placed.effect.conspicuous(values, estimate.std[own])
+            causes = {
+                known[at]: float(values[i])
+                for i in standing
+                if (at := placed.effect.cause_at(i, placed.place, experiment)) in known
+            }
+            named = (model.effects - {placed}).union(causes)
+            if not causes or named in self.visited:
+                continue
+            rest = [each for each in estimate.effects if each is not placed]
+            new = [cause for cause in causes if cause not in rest]
+            proposal = self.fitter.proposal(estimate, (*rest, *new))
+            bounds = [(item.lower, item.upper) for each in new for item in each.effect.parameters]
+            sizes = np.clip([causes[each] for each in new], *np.reshape(bounds, (-1, 2)).T)
+            start = np.concatenate([proposal.starts[-1][: len(proposal.starts[-1]) - len(new)], sizes])
+            proposals.append(dataclasses.replace(proposal, starts=(start,)))
+        self._record(self.fitter.models(proposals))
 
     def _promising(self, model: ModelClass, linear: Linearised) -> list[Set]:
         """Sets with one more effect, or two, by what the linearised model promises."""
@@ -289,37 +337,67 @@ class Search:
             self.visited[model.effects] = model
 
     def _regroup(self, model: ModelClass) -> None:
-        """Visit the sets in which one effect stands for a whole group: all of a state, all of a name, or all at once.
+        """Visit sets in which other causes, one or several, stand for a whole group: all of a state, all of a name, ...
 
         Where every floor of a state is heavier, or every story softer, one cause takes the place of many; taking them
-        out one at a time never gets there.
+        out one at a time never gets there. In the place of an open class stand causes that explain only together
+        (joints that turn, and braces that turn none): beside a class that does the work of both neither is seen.
         """
         self.regrouped.add(model.effects)
         for group in self._groups(model.effects):
+            if self.spent:
+                break
             rest = model.effects - group
             self._fit_without(model, [rest])
-            base = self.visited[rest]
-            if base.estimate is None:
-                continue
-            linear = Linearised(base.estimate, self._lacking(base), self.fitter.expectation)
-            gains = {
-                placed: linear.gain(placed) + self.fitter.log_prior([placed])
-                for placed in linear.lacking
-                if placed not in group
-            }
-            best = sorted(gains, key=lambda placed: -gains[placed])[:STAND_FOR_A_GROUP]
-            new = [rest | {placed} for placed in best]
-            self._visit(base.estimate, linear, [each for each in new if each not in self.visited])
+            firsts = self._with_one_of(self._lacking(self.visited[rest]), self.visited[rest], group)
+            if len(group) > 1:
+                firsts = sorted(firsts, key=lambda each: -each.score)[:1]
+            for first in firsts:
+                at, best = None, first
+                while best is not at and len(best.effects - rest) < MOST_CAUSES:
+                    at = best
+                    causes = [placed for placed in self._lacking(at) if placed.effect.kind != OPEN]
+                    best = max((at, *self._with_one_of(causes, at, group)), key=lambda each: each.score)
+
+    def _with_one_of(self, effects: Sequence[Placed], model: ModelClass, barred: Set) -> list[ModelClass]:
+        """The most promising sets with one of these effects more, none that is barred, visited."""
+        effects = [placed for placed in effects if placed not in barred]
+        if model.estimate is None or not effects:
+            return []
+        linear = Linearised(model.estimate, effects, self.fitter.expectation)
+        gains = {placed: linear.gain(placed) + self.fitter.log_prior([placed]) for placed in effects}
+        best = sorted(gains, key=lambda placed: -gains[placed])[:STAND_FOR_A_GROUP]
+        sets = [model.effects | {placed} for placed in best]
+        self._visit(model.estimate, linear, [each for each in sets if each not in self.visited])
+        return [self.visited[each] for each in sets]
 
     def _groups(self, effects: Set) -> list[Set]:
-        """The groups of two effects or more, each once."""
+        """The groups of two effects or more, and each open class, each once."""
         by_state, by_name = defaultdict[str | None, set[Placed]](set), defaultdict[str, set[Placed]](set)
         for placed in effects:
             by_name[placed.effect.name].add(placed)
             if placed.place.state is not None:
                 by_state[placed.place.state].add(placed)
         groups = [frozenset(group) for group in (*by_state.values(), *by_name.values(), set(effects))]
-        return [group for group in dict.fromkeys(groups) if len(group) > 1]
+        classes = [frozenset([placed]) for placed in effects if placed.effect.kind == OPEN]
+        return [group for group in dict.fromkeys((*groups, *classes)) if len(group) > 1 or group in classes]
+
+    def _prune(self, model: ModelClass) -> None:
+        """Visit sets with ever fewer effects, the weakest taken out first: what came early may be superfluous."""
+        at, kept = model, set[Placed]()
+        while at.estimate is not None and len(kept) < WEAKEST:
+            self.pruned.add(at.effects)
+            left = [placed for placed in at.effects if placed not in kept]
+            if not left:
+                break
+            strength = {placed: _strength(at.estimate, placed) for placed in left}
+            weakest = min(left, key=lambda placed: (strength[placed], placed.label))
+            fewer = at.effects - {weakest}
+            self._fit_without(at, [fewer])
+            if self.visited[fewer].score > at.score:
+                at = self.visited[fewer]
+            else:
+                kept.add(weakest)
 
     def _thin(self, model: ModelClass) -> None:
         """Visit the sets with one effect less, and expand those: what is added takes its place."""
@@ -338,6 +416,15 @@ class Search:
         new = [each for each in sets if each not in self.visited]
         held = [[placed for placed in model.estimate.effects if placed in each | assumed] for each in new]
         self._record(self.fitter.models([self.fitter.proposal(model.estimate, effects) for effects in held]))
+
+
+def _strength(estimate: Estimate, placed: Placed) -> float:
+    """Largest distance of an effect's parameters from null, in standard deviations; zero where it has none."""
+    own = estimate.own(placed)
+    nulls = [item.null for item in placed.effect.parameters]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = np.abs(estimate.theta[own] - nulls) / estimate.std[own]
+    return float(np.max(np.nan_to_num(z), initial=0.0))
 
 
 def fits_alike(a: ModelClass, b: ModelClass) -> bool:
