@@ -63,7 +63,8 @@ class StaticTest:
         if not np.any(np.abs(self.displacement[self.measured]) > 0):
             raise InputError(f"{self._at('displacement')} holds no displacement; give one floor's at least, in m")
         if np.size(self.added_mass):
-            added = checks.vector(self.added_mass, self._at("added_mass"), length=count, each=", one a floor", least=0.0)
+            where = self._at("added_mass")
+            added = checks.vector(self.added_mass, where, length=count, each=", one a floor", least=0.0)
             put(self, "added_mass", added)
         if self.displacement_std is not None:
             std = checks.number(self.displacement_std, self._at("displacement_std"), above=0.0)
