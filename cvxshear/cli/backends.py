@@ -23,7 +23,7 @@ def backends(
     ] = None,
     repeat: Annotated[int, typer.Option(help="Solves of each program of which the fastest counts.")] = 3,
     tolerance: Annotated[
-        float | None, typer.Option(help="Accuracy that the solvers are told to reach, in place of their own here.")
+        float | None, typer.Option(help="Accuracy asked of the solvers, in place of their settings here.")
     ] = None,
     export: Annotated[
         str | None,

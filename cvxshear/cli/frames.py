@@ -136,7 +136,7 @@ def loop(
         ),
     ] = None,
     strict: Annotated[
-        bool, typer.Option("--strict", help="Status 3 where the verdict is ambiguous, located or unexplained.")
+        bool, typer.Option("--strict", help="Status 3 where the verdict is not one to rely on, such as ambiguous.")
     ] = False,
     units: UnitsOption = None,
     figure: FiguresOut = None,

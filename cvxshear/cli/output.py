@@ -223,7 +223,7 @@ def heading_of(report: str | None, **parts: str | None) -> dict[str, str]:
 
 
 def figures_for(*paths: str | None) -> ModuleType | None:
-    """The figures, where one is asked for; a wrong ending or a missing package is told before anything runs."""
+    """The figures, where one is asked for; refuses a wrong ending or a missing package before anything runs."""
     asked = [path for path in paths if path is not None]
     if not asked:
         return None

@@ -55,7 +55,7 @@ def plan(
         str,
         typer.Option(
             "--for",
-            help="masses, stiffnesses, all, or effects to tell apart: gravity,ground_spring@4=2000 (floor, size).",
+            help="masses, stiffnesses, all, or effects to distinguish: gravity,ground_spring@4=2000 (floor, size).",
         ),
     ] = "all",
     criterion: Annotated[

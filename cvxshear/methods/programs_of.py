@@ -42,7 +42,7 @@ def compare_backends(
     repeats : int, optional
         Solves of each program of which the fastest counts.
     tolerance : float, optional
-        Accuracy that the solvers are told to reach, in place of their own settings here.
+        Accuracy asked of the solvers, in place of their settings here.
 
     Returns
     -------
@@ -110,7 +110,7 @@ def _programs_of_one(test: CompleteTest) -> Iterator[BenchmarkProgram]:
 
 
 def _tightened(program: LeastSquares, origin: Floats) -> LeastSquares:
-    """The program with its largest answer held below what it would be."""
+    """The program with its largest answer bounded below what it would be."""
     answer = origin + backends.get("auto").solve(program).x
     upper = np.full(len(origin), np.inf) if program.upper is None else program.upper.copy()
     largest = int(np.argmax(answer))
@@ -119,7 +119,7 @@ def _tightened(program: LeastSquares, origin: Floats) -> LeastSquares:
 
 
 def _of_first_mode(shape: Floats, eigenvalue: float) -> LeastSquares:
-    """The stiffness program of one mode alone, the stiffnesses held below the uniform one that it asks for.
+    """The stiffness program of one mode alone, the stiffnesses bounded below the uniform one that it asks for.
 
     Its one row has no negative entry and asks for more than the bounds allow, so that they are the answer.
     """

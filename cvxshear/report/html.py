@@ -28,7 +28,7 @@ from cvxshear.util.typing import Json
 from cvxshear.util.writing import write_file
 
 try:
-    from cvxshear.report import figures  # noqa: F401 - told here, before the loop is closed, where it is missing
+    from cvxshear.report import figures  # noqa: F401 - raises here, before the loop is closed, where it is missing
     from cvxshear.report.pages import drawings, environment, readable_json, versions
 except ImportError as error:
     raise CvxshearError(

@@ -19,7 +19,7 @@ DISPLAY_UNITS = {
 """What a unit is in kg, N or m."""
 
 TONNES = 1e4
-"""kg from which on masses are told in tonnes."""
+"""Mass from which masses are written in tonnes, kg."""
 
 PLAIN = (1e-4, 1e6)
 """Sizes from which and up to which a number is written without a power of ten."""

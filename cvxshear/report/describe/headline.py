@@ -16,7 +16,7 @@ from cvxshear.report.describe.vocabulary import Facts, Row, Section, Table
 from cvxshear.util.quantities import chance, listed, percent, percents, significant, with_std
 
 DOUBT = 0.05
-"""Probability of other numbers above which a reader is told of them in a sentence."""
+"""Probability of other mode numbers above which a sentence mentions them."""
 
 
 def numbers_in_words(changes: Changes) -> str:

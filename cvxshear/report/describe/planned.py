@@ -124,7 +124,7 @@ def added_masses(result: Plan, units: Units) -> Table:
 
 
 def verdicts(result: Plan) -> Table:
-    """How far each effect is told from none and from the others."""
+    """For each effect, how far its data are from those without it and from those of the others."""
     rows = plain_rows(
         (
             each.label,

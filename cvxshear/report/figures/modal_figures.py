@@ -172,7 +172,7 @@ def modal_mac(*results: ModalResult) -> Figure:
     Returns
     -------
     Figure
-        One panel a record; beside the diagonal it is near 0 where the sensors tell the modes apart.
+        One panel a record; beside the diagonal it is near 0 where the sensors distinguish the modes.
     """
     matrices = []
     for result in results:
