@@ -40,7 +40,8 @@ def _kind(result: Comparison, kind: ProgramKind) -> Iterator[Block]:
     rows = [row for row in result.rows if row.kind == kind.kind]
     name = kind.kind.replace(" ", "-")
     title = f"{programs(kind)}, against the {rows[0].reference}"
-    head = ("backend", "difference", "primal", "dual", "gap", "error", "iterations", "tolerance", "time, ms", "time / kkt")
+    figures = ("difference", "primal", "dual", "gap", "error", "iterations", "tolerance")
+    head = ("backend", *figures, "time, ms", "time / kkt")
     yield Table(f"kind-{name}", title, head, tuple(_rows([row for row in rows if not row.failure])))
     failures = tuple(f"{row.backend}: {short(row.failure)}" for row in rows if row.failure)
     if failures:
