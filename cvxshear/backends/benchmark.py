@@ -14,7 +14,7 @@ from cvxshear.backends.installed import available, get
 from cvxshear.programs import LeastSquares
 from cvxshear.util import checks
 from cvxshear.util.errors import CvxshearError
-from cvxshear.util.showing import Shown
+from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats
 
 REPEATS = 3

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from cvxshear.programs import LeastSquares
-from cvxshear.util.plain import InJson
+from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
 NEAR_ZERO = 1e-3

@@ -11,7 +11,7 @@ from cvxshear.backends.closed_form import Auto, Kkt
 from cvxshear.backends.qpsolvers_backend import Qpsolvers
 from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS
 from cvxshear.util.errors import InputError
-from cvxshear.util.plain import InJson
+from cvxshear.util.results import InJson
 
 DEFINITE = ("daqp", "clarabel")
 SEMIDEFINITE = ("clarabel", "daqp")

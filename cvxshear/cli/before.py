@@ -29,9 +29,7 @@ def new(
     record: Annotated[
         str | None,
         typer.Option(
-            "--record",
-            help=f"Begin a record file for what a logger wrote: {endings_of('columns')}.",
-            metavar="DATA",
+            "--record", help=f"Begin a record file for what a logger wrote: {endings_of('columns')}.", metavar="DATA"
         ),
     ] = None,
 ) -> None:

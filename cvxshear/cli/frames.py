@@ -103,11 +103,7 @@ def identify(
     deliver(
         said,
         out,
-        lambda: [
-            *terminal.doubts(doubts),
-            *terminal.identification(result, beside, display),
-            *_damping_of(damping),
-        ],
+        lambda: [*terminal.doubts(doubts), *terminal.identification(result, beside, display), *_damping_of(damping)],
         *files,
         title=experiment.report.title or experiment.name,
     )
@@ -190,12 +186,7 @@ def loop(
     deliver(
         said,
         out,
-        lambda: [
-            *tables_of(found),
-            *terminal.doubts(doubts),
-            *terminal.shown(result, display),
-            *beside,
-        ],
+        lambda: [*tables_of(found), *terminal.doubts(doubts), *terminal.shown(result, display), *beside],
         *files,
         title=heading.title or experiment.name,
     )

@@ -59,8 +59,7 @@ def plan(
         ),
     ] = "all",
     criterion: Annotated[
-        str | None,
-        typer.Option(help="D (where the plan is for the frame), A, E or worst (where it is for effects)."),
+        str | None, typer.Option(help="D (where the plan is for the frame), A, E or worst (where it is for effects).")
     ] = None,
     solver: Annotated[str, typer.Option(help="clarabel or scs.")] = "clarabel",
     fresh: Annotated[bool, typer.Option("--fresh", help="Count nothing that FILE measured as known.")] = False,

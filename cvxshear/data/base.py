@@ -14,7 +14,7 @@ from cvxshear.data.pairing import paired
 from cvxshear.effects.state import State
 from cvxshear.measurement.experiment import Configuration, Experiment, Tested
 from cvxshear.model.shear import Modes, System, mode_derivatives, modes
-from cvxshear.util.plain import InJson
+from cvxshear.util.results import InJson
 from cvxshear.util.typing import Bools, Floats, Ints
 
 NOISES = ("frequency", "mode_shape", "displacement")

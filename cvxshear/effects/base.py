@@ -15,8 +15,8 @@ from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.priors import Constraints
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.plain import InJson
 from cvxshear.util.quantities import with_std
+from cvxshear.util.results import InJson
 from cvxshear.util.typing import Bools, Floats, Ints
 
 

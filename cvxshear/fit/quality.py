@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from cvxshear.data import Datum, Model
-from cvxshear.util.plain import InJson
+from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
 

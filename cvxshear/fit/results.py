@@ -12,8 +12,7 @@ from cvxshear.data import Model
 from cvxshear.fit.gauss_newton import Ending
 from cvxshear.fit.quality import Quality
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.util.plain import InJson, as_json, data_frame
-from cvxshear.util.showing import Shown
+from cvxshear.util.results import InJson, Shown, as_json, data_frame
 from cvxshear.util.typing import Bools, Floats, Json
 
 if TYPE_CHECKING:

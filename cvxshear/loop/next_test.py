@@ -12,7 +12,7 @@ from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.separation import Disagreement, disagreement, imagined
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.util.errors import NoModesError
-from cvxshear.util.plain import InJson
+from cvxshear.util.results import InJson
 from cvxshear.util.typing import Ints
 
 PARTS_OF_A_FLOOR = (0.1, 0.25, 0.5, 1.0)

@@ -13,7 +13,7 @@ from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.hypotheses import Hypothesis
 from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.numbering import Changes, NumberingProbability
-from cvxshear.util.plain import InJson
+from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
 ADDED = 0.5

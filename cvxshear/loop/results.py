@@ -18,8 +18,7 @@ from cvxshear.loop.posterior import Rival
 from cvxshear.loop.residual import by_floor, by_part
 from cvxshear.loop.verdicts import VERDICTS
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.util.plain import InJson, data_frame
-from cvxshear.util.showing import Shown
+from cvxshear.util.results import InJson, Shown, data_frame
 from cvxshear.util.typing import Json
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from cvxshear.measurement.measured_modes import OtherModes, copied_rows, other_m
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
-from cvxshear.util.plain import fields_as_table
+from cvxshear.util.results import fields_as_table
 from cvxshear.util.typing import Bools, Floats, Ints, Json
 
 DEFAULT_FREQUENCY_STD = 0.002

@@ -13,7 +13,7 @@ from cvxshear.priors import Prior
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
-from cvxshear.util.plain import fields_as_table
+from cvxshear.util.results import fields_as_table
 from cvxshear.util.typing import Floats, Json
 
 UNSAID = (("stories", 0), ("accept", ()), ("total_mass_placeholder", False))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.plain import fields_as_table
+from cvxshear.util.results import fields_as_table
 from cvxshear.util.typing import Json
 
 

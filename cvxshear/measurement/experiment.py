@@ -21,8 +21,7 @@ from cvxshear.priors import Prior, check_prior
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError, NoScaleError
-from cvxshear.util.plain import as_table
-from cvxshear.util.showing import Shown
+from cvxshear.util.results import Shown, as_table
 from cvxshear.util.typing import Json
 
 __all__ = [

@@ -10,7 +10,7 @@ import numpy as np
 
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.plain import fields_as_table
+from cvxshear.util.results import fields_as_table
 from cvxshear.util.typing import Bools, Floats, Json
 
 DEFAULT_DISPLACEMENT_STD = 0.01

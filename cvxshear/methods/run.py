@@ -11,10 +11,8 @@ from cvxshear.backends import Backend
 from cvxshear.fit.efficient import efficient, parameter_names
 from cvxshear.fit.results import Identification, SingleIdentification
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.methods.baselines import berman, qi
-from cvxshear.methods.one_shot import one_shot
+from cvxshear.methods.paper_methods import TOLERANCE, berman, one_shot, qi, two_stage
 from cvxshear.methods.separate import CompleteTest, complete_test
-from cvxshear.methods.two_stage import TOLERANCE, two_stage
 from cvxshear.priors import Prior
 from cvxshear.util import checks
 from cvxshear.util.errors import UnsuitableError

@@ -12,8 +12,7 @@ from scipy.optimize import nnls
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.picking import Sweep
 from cvxshear.records.record import Complexes, Finding
-from cvxshear.util.plain import data_frame
-from cvxshear.util.showing import Shown
+from cvxshear.util.results import Shown, data_frame
 from cvxshear.util.typing import Floats, Ints, Json
 
 if TYPE_CHECKING:

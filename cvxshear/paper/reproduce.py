@@ -10,7 +10,7 @@ from cvxshear.backends import Backend
 from cvxshear.paper import steel_frame, three_story
 from cvxshear.paper.scatter import SEED
 from cvxshear.paper.tables import DIFFERS, MISPRINTED, ROUNDED, TO_THE_DIGIT, Row, Section
-from cvxshear.util.plain import InJson
+from cvxshear.util.results import InJson
 
 
 @dataclass(frozen=True)

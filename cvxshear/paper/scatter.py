@@ -20,8 +20,7 @@ from cvxshear.paper.setups import Setup, bound, six_story, three_story
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError
 from cvxshear.util.parallel import Progress, each
-from cvxshear.util.plain import InJson
-from cvxshear.util.showing import Shown
+from cvxshear.util.results import InJson, Shown
 from cvxshear.util.typing import Bools, Floats
 
 SIGMAS = (0.01, 0.02, 0.03, 0.04, 0.05)

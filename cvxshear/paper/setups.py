@@ -17,7 +17,7 @@ from scipy import linalg
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.util import checks
-from cvxshear.util.plain import InJson
+from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats, Ints
 
 SMALL_STEP = 1e-5

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cvxshear.util.plain import InJson
+from cvxshear.util.results import InJson
 
 KILO = 1e3
 """The paper prints stiffnesses in kN/m."""

@@ -21,7 +21,7 @@ from cvxshear.loop.posterior import ADDED
 from cvxshear.measurement.experiment import Frame
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.plain import InJson
+from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
 DRAWS = 20_000

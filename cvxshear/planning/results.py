@@ -7,15 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from cvxshear.files.measurement import write_measurement
+from cvxshear.files.toml import write_measurement
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.planning.chances import Chance
 from cvxshear.planning.choice import choose
 from cvxshear.planning.criteria import CRITERIA, criterion_named
 from cvxshear.planning.design import Fitted
 from cvxshear.planning.model import AveragedModel, Expected, TestModel
-from cvxshear.util.plain import InJson
-from cvxshear.util.showing import Shown
+from cvxshear.util.results import InJson, Shown
 from cvxshear.util.typing import Floats, Ints, Json
 
 NO_DIFFERENCE = 0.01

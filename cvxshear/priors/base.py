@@ -16,8 +16,8 @@ import numpy as np
 
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.plain import fields_as_table
 from cvxshear.util.quantities import fitting
+from cvxshear.util.results import fields_as_table
 from cvxshear.util.typing import Floats, Json
 
 QUANTITIES = ("floor_mass", "story_stiffness", "story_damping")

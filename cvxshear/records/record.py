@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.plain import InJson
+from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats, Ints, Json
 
 

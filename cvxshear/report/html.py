@@ -22,8 +22,8 @@ from cvxshear.report.describe.closed_loop import open_questions
 from cvxshear.report.describe.headline import headline, verdict_of
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.util.errors import CvxshearError, InputError
-from cvxshear.util.plain import as_json
 from cvxshear.util.quantities import AUTOMATIC, Units, capital
+from cvxshear.util.results import as_json
 from cvxshear.util.typing import Json
 from cvxshear.util.writing import write_file
 

@@ -14,8 +14,8 @@ from scipy import signal
 
 from cvxshear.records.motion import Motion
 from cvxshear.response.model import Complexes, DampedModel, Response
-from cvxshear.util.plain import InJson
 from cvxshear.util.quantities import ranged
+from cvxshear.util.results import InJson
 from cvxshear.util.typing import Bools, Floats, Ints
 
 SEGMENTS = 4

@@ -15,7 +15,7 @@ from cvxshear.response.fitted import Fitted
 from cvxshear.response.uncertain import Damped, UncertainFrame, propagated
 from cvxshear.util import checks
 from cvxshear.util.quantities import percent, ranged
-from cvxshear.util.showing import Shown
+from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats
 
 

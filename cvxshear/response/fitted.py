@@ -15,7 +15,7 @@ from cvxshear.measurement.experiment import Experiment
 from cvxshear.methods import Identification
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.plain import InJson
+from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats, Json
 
 NO_VARIANCE = 1e-12

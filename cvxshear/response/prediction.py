@@ -22,7 +22,7 @@ from cvxshear.response.sources import ModelSource, MotionSource, models_of, moti
 from cvxshear.response.uncertain import Damped, UncertainFrame, propagated
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import percent
-from cvxshear.util.showing import Shown
+from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats
 
 BANDS = ("floor_acceleration", "story_drift", "story_drift_ratio")

@@ -40,9 +40,8 @@ from cvxshear.response.smoother import Observed, Smoothed, Steady, smooth
 from cvxshear.response.sources import ModelSource, models_of, state_of, state_remarks
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util.errors import InputError
-from cvxshear.util.plain import as_json
 from cvxshear.util.quantities import percent, ranged
-from cvxshear.util.showing import Shown
+from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Floats, Json
 
 NAMED_CHANGE = 0.95

@@ -38,7 +38,7 @@ from cvxshear.screening.shear_fit import (
     starts,
 )
 from cvxshear.util.errors import InputError
-from cvxshear.util.showing import Shown
+from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats, Json
 
 SHOWN_MODES = 3

@@ -172,6 +172,7 @@ def test_a_format_of_ones_own(values, run, tmp_path, monkeypatch):
         "from cvxshear.files.formats import Format, register; register(Format('raw', ('.raw64',), 'raw', 'a:b'))\n"
         "from cvxshear.cli import main; main(['new', '--help'])"
     )
-    assert ".raw64" in subprocess.run([sys.executable, "-c", help_of_new], capture_output=True, text=True).stdout
+    said = subprocess.run([sys.executable, "-c", help_of_new], capture_output=True, text=True, check=True).stdout
+    assert ".raw64" in said
     with pytest.raises(ValueError, match=r"the ending \.csv is that of delimited text already"):
         formats.register(formats.Format("mine", (".csv",), "mine", read))

@@ -10,7 +10,7 @@ import pytest
 
 import cvxshear
 from cvxshear.cli import main
-from cvxshear.files.measurement import write_measurement
+from cvxshear.files.toml import write_measurement
 from cvxshear.response import DampedModel, Drive, predict, response
 from tests.modal.shared import csv
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking

@@ -10,7 +10,7 @@ import pytest
 import cvxshear
 from cvxshear import close_loop
 from cvxshear.cli import main
-from cvxshear.files.measurement import write_measurement
+from cvxshear.files.toml import write_measurement
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.report.describe import describe
 from cvxshear.report.figures import transfer_functions

@@ -1,10 +1,15 @@
-"""Results as plain values, ready for JSON, and as tables of pandas, where that is installed."""
+"""What results share: they are plain values in JSON and in files, tables of pandas, and visible at a prompt.
+
+How a result is shown is asked of whoever has said how: a result itself knows nothing of it.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -135,3 +140,85 @@ def data_frame(columns: Mapping[str, Sequence[object]]) -> pd.DataFrame:
     except ImportError:
         raise InputError("to_dataframe needs pandas: pip install pandas") from None
     return pd.DataFrame(dict(columns))
+
+
+@dataclass(frozen=True)
+class Renderers:
+    """What makes a result visible.
+
+    Parameters
+    ----------
+    line : callable
+        The result in one short line.
+    text : callable
+        Its tables as plain text.
+    html : callable
+        Its tables for a notebook; None where that cannot be made.
+    figure : callable
+        One of its figures, by name; the first where the name is empty.
+    """
+
+    line: Callable[[Any], str]
+    text: Callable[[Any], str]
+    html: Callable[[Any], str | None]
+    figure: Callable[[Any, str], Any]
+
+
+_home: list[str] = []
+_renderers: list[Renderers] = []
+
+
+def shown_by(module: str) -> None:
+    """Name the module that calls `register` when it is imported, which is when a result is first looked at."""
+    _home[:] = [module]
+
+
+def register(renderers: Renderers) -> None:
+    """Show results in this way from now on."""
+    _renderers[:] = [renderers]
+
+
+def _found() -> Renderers | None:
+    if not _renderers and _home:
+        importlib.import_module(_home[0])
+    return _renderers[0] if _renderers else None
+
+
+class Shown(InJson):
+    """A result that a prompt shows in a line, `print` as tables, a notebook as HTML and `to_dict` as JSON."""
+
+    def __repr__(self) -> str:
+        renderers = _found()
+        return object.__repr__(self) if renderers is None else renderers.line(self)
+
+    def __str__(self) -> str:
+        renderers = _found()
+        return object.__repr__(self) if renderers is None else renderers.text(self)
+
+    def _repr_html_(self) -> str | None:
+        """What a notebook shows."""
+        renderers = _found()
+        return None if renderers is None else renderers.html(self)
+
+    def figure(self, name: str = "") -> Any:
+        """Draw a figure of this result.
+
+        Parameters
+        ----------
+        name : str, optional
+            As `--figure list` prints it; the first figure of such a result where not given.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A notebook shows it as the last expression of a cell.
+
+        Raises
+        ------
+        InputError
+            Where there is no figure of that name, the result does not hold what it shows, or matplotlib is missing.
+        """
+        renderers = _found()
+        if renderers is None:
+            raise InputError("nobody has said how this result is drawn")
+        return renderers.figure(self, name)
