@@ -12,8 +12,7 @@ from scipy.optimize import nnls
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.picking import Sweep
 from cvxshear.records.record import Complexes, Finding
-from cvxshear.util.plain import data_frame
-from cvxshear.util.showing import Shown
+from cvxshear.util.results import Shown, data_frame
 from cvxshear.util.typing import Floats, Ints, Json
 
 if TYPE_CHECKING:
@@ -165,30 +164,16 @@ class ModalResult(Shown):
     sweep: Sweep | None = None
     functions: Functions | None = None
 
-    def to_dict(self) -> Json:
-        """The result as plain values."""
-        return {
-            "name": self.name,
-            "method": self.method,
-            "stories": self.stories,
-            "floors": self.floors.tolist(),
-            "modes": self.modes.tolist(),
-            "frequencies": self.frequencies.tolist(),
-            "frequency_std": self.frequency_std.tolist(),
-            "damping_ratios": self.damping_ratios.tolist(),
-            "damping_std": self.damping_std.tolist(),
-            "mode_shapes": self.mode_shapes.tolist(),
-            "mode_shape_std": self.mode_shape_std.tolist(),
-            "entry_std": self.entry_std.tolist(),
-            "mass_normalized": self.mass_normalized,
-            "phase_collinearity": self.phase_collinearity.tolist(),
-            "lost_phase": self.lost_phase.tolist(),
-            "clock_offsets": {
-                name: {"seconds": offset, "std": std} for name, (offset, std) in self.clock_offsets.items()
-            },
-            "uncertainty": self.uncertainty,
-            "findings": [finding.to_dict() for finding in self.findings],
-        }
+    json_keys = (
+        "name method stories floors modes frequencies frequency_std damping_ratios damping_std mode_shapes "
+        "mode_shape_std entry_std mass_normalized phase_collinearity lost_phase clock_offsets=named_offsets "
+        "uncertainty findings"
+    )
+
+    @property
+    def named_offsets(self) -> dict[str, dict[str, float]]:
+        """The clock offset of each channel with its standard deviation, s, by name."""
+        return {name: {"seconds": offset, "std": std} for name, (offset, std) in self.clock_offsets.items()}
 
     @property
     def written_frequency_std(self) -> Floats:
