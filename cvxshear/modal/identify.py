@@ -12,9 +12,9 @@ from threadpoolctl import threadpool_limits
 from cvxshear.modal import diagnostics
 from cvxshear.modal.assemble import assembled
 from cvxshear.modal.diagnostics import left_out, overlooked_modes
-from cvxshear.modal.estimate import Replication, covariance, details, settle_truncation
+from cvxshear.modal.estimate import Replication, covariance, details, doubted, scattering, settle_truncation
 from cvxshear.modal.functions import measured_functions
-from cvxshear.modal.picking import REACH, Sweep, Values, strongest, sweep_orders
+from cvxshear.modal.picking import REACH, Choice, Doubts, Parts, Sweep, Values, strongest, sweep_orders
 from cvxshear.modal.prepare import BLOCKS, METHODS, default_method, settled, source_of
 from cvxshear.modal.realization import Source
 from cvxshear.modal.result import ModalResult
@@ -27,9 +27,6 @@ from cvxshear.records.signals import scaled, shifted
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError
 
-LARGEST_SHAPE_STD = 0.3
-"""Of an entry, over the mode's largest: a shape less sure is none."""
-LARGEST_FREQUENCY_STD = 0.05
 SHOWN = 1.5
 """Times the highest natural frequency: as far the functions of a record are kept."""
 
@@ -158,13 +155,9 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
         return source, sweep_orders(
             source,
             options.criteria,
-            count=wanted,
-            stories=record.stories,
-            by_signs=by_signs,
+            Choice(wanted, record.stories, by_signs, options.pick, order),
             band=record.band,
             shift=shift,
-            picked=options.pick,
-            order=order,
             turning=turning,
         )
 
@@ -191,18 +184,24 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
     if not sweep.chosen:
         raise NoSolutionError(method, _nothing(sweep))
     base = not isinstance(record, FrfRecord) and record.input == "base"
-    setting = Replication(source, sweep, record.floors, record.quantity, shift, options.rule, base)
+    parts = Parts(source, sweep.poles)
+    # What was picked by hand stays; its standard deviations say how sure it is.
+    while len(source.groups) and not options.pick and (shaky := scattering(parts, sweep.chosen)):
+        sweep = sweep.without(shaky)
+    if not sweep.chosen:
+        raise NoSolutionError(method, _nothing(sweep))
+    setting = Replication(parts, sweep, record.floors, record.quantity, shift, options.rule, base)
     while True:
         of_leakage = settle_truncation(record, setting, _chosen(sweep))
         full = details(setting, _chosen(sweep), None)
         spread, how, lost = covariance(setting, full, options.seed)
         result = assembled(record, setting, full, spread, method=method, uncertainty=how)
-        # What was picked by hand stays; its standard deviations say how sure it is.
-        sweep = sweep if options.pick else _reproducible(result, sweep)
+        shaky = {} if options.pick else _scattering(result, sweep)
+        if not shaky:
+            break
+        sweep = sweep.without(shaky)
         if not sweep.chosen:
             raise NoSolutionError(method, _nothing(sweep))
-        if len(sweep.chosen) == len(result.frequencies):
-            break
         setting = dataclasses.replace(setting, sweep=sweep)
     findings = of_places + of_leakage
     findings += diagnostics.modal_findings(record, result, setting, full, lost, wanted=wanted)
@@ -234,29 +233,14 @@ def _out_of_reach(sweep: Sweep, picked: tuple[float, ...]) -> str:
     return f"pick: no stable pole of its own within {100 * REACH:g} % of {named} Hz; there are {there or 'none'} Hz"
 
 
-def _reproducible(result: ModalResult, sweep: Sweep) -> Sweep:
-    """The sweep without modes that do not come back as themselves when a piece of the record is left out.
-
-    Poles that a model finds in noise are stable from order to order as well; their shapes are not from piece
-    to piece.
-    """
-    shaky = (result.mode_shape_std.max(axis=1) > LARGEST_SHAPE_STD) | (result.frequency_std > LARGEST_FREQUENCY_STD)
-    if not shaky.any():
-        return sweep
-    reasons = {
-        id(item): f"shape scatters by {100 * std:.0f} % and frequency by {100 * change:.1f} % over the record's pieces"
-        for item, std, change, bad in zip(
-            sweep.chosen, result.mode_shape_std.max(axis=1), result.frequency_std, shaky, strict=True
-        )
-        if bad
-    }
-    candidates = tuple(
-        dataclasses.replace(item, physical=False, reason=reasons[id(item)], shaky=True) if id(item) in reasons else item
-        for item in sweep.candidates
-    )
-    return dataclasses.replace(
-        sweep, candidates=candidates, chosen=tuple(item for item in sweep.chosen if id(item) not in reasons)
-    )
+def _scattering(result: ModalResult, sweep: Sweep) -> Doubts:
+    """The modes that scatter once clocks are right, and by surrogates where nothing can be left out."""
+    doubts: Doubts = {}
+    for item, shape, frequency in zip(
+        sweep.chosen, result.mode_shape_std.max(axis=1), result.frequency_std, strict=True
+    ):
+        doubts |= doubted(item, float(shape), float(frequency))
+    return doubts
 
 
 def _chosen(sweep: Sweep) -> Values:

@@ -29,8 +29,8 @@ def default_method(record: Record) -> str:
     if record.input == "none":
         return "ssi"
     if record.input == "base":
-        return "okid"
-    return "era" if all(impulsive(run) for run in record.runs) else "okid"
+        return "subspace"
+    return "era" if all(impulsive(run) for run in record.runs) else "subspace"
 
 
 def source_of(record: Record, method: str, *, estimator: str = "h1", blocks: int = BLOCKS) -> Source:
