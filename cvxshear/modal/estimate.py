@@ -12,8 +12,8 @@ from cvxshear.modal.frf import FixedSource, FrfSource, modal_products, modal_sca
 from cvxshear.modal.picking import FAINT, Doubts, Parts, PoleCandidate, Sweep, Values
 from cvxshear.modal.realization import DampedModes, Impulse, Source
 from cvxshear.records.clocks import Offsets, offsets, undone
+from cvxshear.records.mode_shapes import main_axis, real_shape, signed_projection
 from cvxshear.records.record import Complexes, Finding, FrfRecord, Record
-from cvxshear.records.shapes import main_axis, real_shape, signed_projection
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats, Ints
 
@@ -172,7 +172,7 @@ class Replication:
     def loud(self) -> Bools:
         """The modes whose phases tell clocks, shape (m,): those of some energy."""
         energy = np.array([item.energy for item in self.sweep.chosen])
-        return energy > FAINT * energy.max()
+        return np.asarray(energy > FAINT * energy.max())
 
     def values(self, keep: Bools | None) -> Values | None:
         """The chosen modes on a part of the data; None where one of them is not found there."""

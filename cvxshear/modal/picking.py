@@ -21,8 +21,8 @@ from cvxshear.modal.stabilization import (
     undivided,
 )
 from cvxshear.records.clocks import offsets, undone
+from cvxshear.records.mode_shapes import collinearity, mac, possible_changes, real_shape, sign_changes
 from cvxshear.records.record import Complexes
-from cvxshear.records.shapes import collinearity, mac, possible_changes, real_shape, sign_changes
 from cvxshear.util.typing import Bools, Floats
 
 MOST_CANDIDATES = 8
@@ -30,6 +30,9 @@ MOST_CANDIDATES = 8
 
 MOSTLY_ROTATION = "mostly rotation"
 """How the reason of a candidate begins that is set aside as a mode of rotation."""
+
+TWICE = "a mode found twice"
+"""How the reason of a candidate begins that has the frequency and the shape of another."""
 
 FAINT = 1e-3
 """Of the loudest resonance's energy: fainter ones may be of noise."""
@@ -112,12 +115,11 @@ class Sweep:
 
     def without(self, doubts: Doubts) -> Sweep:
         """The sweep without candidates whose values scatter, and modes chosen and numbered anew among the others."""
-        candidates = []
-        for item in self.candidates:
-            if item.members in doubts:
-                reason, shaky = doubts[item.members]
-                item = dataclasses.replace(item, physical=False, reason=reason, shaky=shaky)
-            candidates.append(item)
+        reasons = [doubts.get(item.members) for item in self.candidates]
+        candidates = [
+            item if why is None else dataclasses.replace(item, physical=False, reason=why[0], shaky=why[1])
+            for item, why in zip(self.candidates, reasons, strict=True)
+        ]
         return self.choose(self.poles, self.stable, candidates)
 
 
@@ -219,14 +221,20 @@ def _within(found: list[PoleCandidate], band: tuple[float, float] | None) -> lis
 
 
 def _distinct(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandidate]:
-    """Of clusters with one frequency and one shape, the one that first appeared; the others repeat it."""
+    """Of clusters with nearly one frequency and one shape the one that first appeared; lasting others named as such."""
     kept: list[PoleCandidate] = []
     for item in sorted(found, key=lambda item: (not item.physical, item.members[0][0])):
-        if not any(
-            abs(item.frequency - other.frequency) < 0.05 * other.frequency
-            and mac(item.shape, other.shape) > criteria.shape_agreement
+        twins = [
+            other
             for other in kept
-        ):
+            if abs(item.frequency - other.frequency) < 0.05 * other.frequency
+            and mac(item.shape, other.shape) > criteria.shape_agreement
+        ]
+        if twins and item.physical:
+            alike = mac(item.shape, twins[0].shape)
+            reason = f"{TWICE}: it has the shape of {twins[0].frequency:.4f} Hz, MAC {alike:.3f}"
+            kept.append(dataclasses.replace(item, physical=False, reason=reason))
+        elif not twins:
             kept.append(item)
     return sorted(kept, key=lambda item: item.frequency)
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from cvxshear.modal import sources
+from cvxshear.modal import continuous
 from cvxshear.modal.frf import DecaySource, FrfSource, cut, hit_spectra, reached_lines, table_spectra
 from cvxshear.modal.picking import Sweep
 from cvxshear.modal.realization import Source
@@ -115,8 +115,8 @@ def _release(responses: Floats) -> int:
 
 def _driven(record: TimeRecord, method: str, blocks: int) -> Source:
     samples = sum(run.samples for run in record.runs)
-    lags = sources.lags_for(record.stories, len(record.channels), samples)
-    rows = sources.rows_for(record.stories, len(record.channels))
+    lags = continuous.lags_for(record.stories, len(record.channels), samples)
+    rows = continuous.rows_for(record.stories, len(record.channels))
     before = lags if method == "okid" else 2 * rows - 1
     pieces = []
     for run, start, stop in _cuts(record, blocks, before, 0):
@@ -124,8 +124,8 @@ def _driven(record: TimeRecord, method: str, blocks: int) -> Source:
             raise InputError(f"{run.name} lacks the input channel")
         pieces.append((run.excitation[start - before : stop, None], run.responses[start - before : stop]))
     if method == "okid":
-        return sources.OkidSource(pieces, record.sampling_rate, _one_floor(record), lags)
-    return sources.SubspaceSource(pieces, record.sampling_rate, _one_floor(record), rows, lags)
+        return continuous.OkidSource(pieces, record.sampling_rate, _one_floor(record), lags)
+    return continuous.SubspaceSource(pieces, record.sampling_rate, _one_floor(record), rows, lags)
 
 
 def _one_floor(record: TimeRecord) -> int:
@@ -140,9 +140,9 @@ def _one_floor(record: TimeRecord) -> int:
 
 
 def _ambient(record: TimeRecord, blocks: int) -> Source:
-    after = sources.SSI_ROWS + sources.SSI_COLUMNS
+    after = continuous.SSI_ROWS + continuous.SSI_COLUMNS
     pieces = [run.responses[start : stop + after] for run, start, stop in _cuts(record, blocks, 0, after)]
-    return sources.CovarianceSource(pieces, record.sampling_rate)
+    return continuous.CovarianceSource(pieces, record.sampling_rate)
 
 
 def _cuts(record: TimeRecord, blocks: int, before: int, after: int) -> Iterator[tuple[Run, int, int]]:
@@ -167,7 +167,7 @@ FACTORS = (2, 4, 8, 16, 32, 64)
 LOWEST_SHARE = 0.1
 """Of the sampling rate: a highest mode below it asks for a lower rate."""
 
-Attempt = Callable[[Record], tuple[Source, Sweep]]
+Attempt = Callable[..., tuple[Source, Sweep]]
 
 
 def settled(record: Record, wanted: int, attempt: Attempt, highest: float = 0.0) -> tuple[Source, Sweep]:

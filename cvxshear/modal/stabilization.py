@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cvxshear.modal.realization import Poles
+from cvxshear.records.mode_shapes import mac
 from cvxshear.records.record import Complexes
-from cvxshear.records.shapes import mac
 from cvxshear.util import checks
 from cvxshear.util.typing import Floats
 

@@ -98,7 +98,7 @@ class OkidSource:
         # Poles and residues of the same pieces are asked for one after the other.
         self._latest: tuple[bytes | None, Floats] | None = None
         # Triangles, not products: a product would square the condition number of the regression.
-        self._triangles = [_okid_triangle(_regression(u, y, lags)) for u, y in pieces]
+        self._triangles = [_triangle(_regression(u, y, lags)) for u, y in pieces]
 
     def markov(self, keep: Bools | None = None) -> Floats:
         """Markov parameters, shape (samples, outputs, inputs), the first one D."""
@@ -109,7 +109,7 @@ class OkidSource:
 
     def _regressed(self, keep: Bools | None) -> Floats:
         chosen = self._triangles if keep is None else [t for t, k in zip(self._triangles, keep, strict=True) if k]
-        triangle = _okid_triangle(np.vstack(chosen))
+        triangle = _triangle(np.vstack(chosen))
         split = triangle.shape[1] - self.outputs
         weights = linalg.lstsq(triangle[:split, :split], triangle[:split, split:], check_finite=False)[0]
         direct = weights[: self.inputs].T
@@ -136,11 +136,6 @@ def _regression(excitation: Floats, response: Floats, lags: int) -> Floats:
     windows = np.lib.stride_tricks.sliding_window_view(both, lags + 1, axis=0)
     past = windows[:, :, lags - 1 :: -1].transpose(0, 2, 1).reshape(len(windows), -1)
     return np.hstack([excitation[lags:], past, response[lags:]])
-
-
-def _okid_triangle(matrix: Floats) -> Floats:
-    width = matrix.shape[1]
-    return np.asarray(linalg.qr(matrix, mode="r", check_finite=False)[0][:width])
 
 
 def _system_markov(direct: Floats, inputs: Floats, outputs: Floats, count: int) -> Floats:
@@ -214,8 +209,7 @@ class SubspaceSource:
         self.rows = rows
         self.inputs = pieces[0][0].shape[1]
         self.outputs = pieces[0][1].shape[1]
-        self.groups: Ints = np.zeros(len(pieces), dtype=np.int64)
-        self.energies: Floats = np.array([float(np.mean(response**2)) for _, response in pieces])
+        self.groups, self.energies = self._observer.groups, self._observer.energies
         self._triangles = [_triangle(_data(u, y, rows)) for u, y in pieces]
 
     def factor(self, keep: Bools | None = None) -> Floats:
