@@ -178,7 +178,7 @@ def test_a_roof_that_turns_with_the_sway_is_said_mode_by_mode():
     record = base_record(PAPER_FRAME, 0, noise=0.005, duration=300.0)
     run = record.runs[0]
     second = PAPER_FRAME.modes()[0][1]
-    turning = 1.5 * signal.lfilter(*signal.iirpeak(second, 5, fs=20), run.responses[:, 1])
+    turning = 1.5 * signal.lfilter(*signal.iirpeak(second, 30, fs=20), run.responses[:, 1])
     top = run.responses[:, 2]
     both = np.column_stack([run.responses[:, :2], top - 1.3 * turning, top + 0.5 * turning])
     channels = (

@@ -3,10 +3,13 @@
 import tomllib
 
 import pytest
+from matplotlib import pyplot
+from matplotlib.backend_bases import MouseEvent
 
 from cvxshear.files.record_file import write_pick
 from cvxshear.modal import from_arrays, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, hammer_record
+from cvxshear.report.figures.picked_poles import PolePicker
 from cvxshear.util.errors import InputError
 
 RECORD = '''# a test
@@ -28,8 +31,6 @@ def result():
 
 def click(picker, frequency):
     """A click on the diagram at a frequency, Hz."""
-    from matplotlib.backend_bases import MouseEvent
-
     axes = picker.figure.axes[0]
     x, y = axes.transData.transform((frequency, 10.0))
     canvas = picker.figure.canvas
@@ -37,9 +38,6 @@ def click(picker, frequency):
 
 
 def test_clicks_choose_and_give_up_and_are_written(result, tmp_path):
-    pytest.importorskip("matplotlib")
-    from cvxshear.report.figures.picked_poles import PolePicker
-
     file = tmp_path / "record.toml"
     file.write_text(RECORD.format(pick=""))
     picker = PolePicker(result, file)
@@ -76,15 +74,11 @@ def test_a_record_file_without_a_header_is_left_alone(tmp_path):
 
 def test_a_backend_without_windows_says_what_to_do(result):
     """The tests draw into files, as does a server."""
-    pyplot = pytest.importorskip("matplotlib.pyplot")
     pyplot.switch_backend("agg")
     with pytest.raises(InputError, match=r"%matplotlib widget .* cvxshear modes RECORD --pick list"):
         result.pick()
 
 
 def test_modes_that_were_given_have_no_poles_to_choose_from():
-    pytest.importorskip("matplotlib")
-    from cvxshear.report.figures.picked_poles import PolePicker
-
     with pytest.raises(InputError, match="no order sweep to draw"):
         PolePicker(from_arrays([1.0, 3.0], [[0.5, 1.0], [1.0, -0.5]]))
