@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from cvxshear.modal.estimate import Replication
-from cvxshear.modal.frf import FixedSource
+from cvxshear.modal.frf import ImpulseSource
 from cvxshear.modal.picking import Parts
 from cvxshear.modal.result import ModalResult
 from cvxshear.records.record import Finding
@@ -114,7 +114,7 @@ def _later(setting: Replication, keep: Bools | None) -> Floats | None:
     weak = np.flatnonzero(left < left[impulse.start] / 9)
     if not weak.size or weak[0] > 0.6 * len(power):
         return None
-    source = FixedSource(dataclasses.replace(impulse, start=int(weak[0])), setting.source.sampling_rate)
+    source = ImpulseSource(dataclasses.replace(impulse, start=int(weak[0])), setting.source.sampling_rate)
     values = Parts(source, setting.sweep.poles).values(setting.sweep.chosen, None)
     if values is None:
         return None

@@ -30,10 +30,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg
 
-from cvxshear.modal.realization import Impulse, block_hankel, left_factor
+from cvxshear.modal.realization import Impulse, Source, block_hankel, left_factor
 from cvxshear.records.record import Complexes
 from cvxshear.util.errors import NoSolutionError
-from cvxshear.util.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Bools, Floats
 
 LAGS, LAGS_A_STATE = 20, 7.0
 """Lags of the observer: so many at least, and as many as give seven past responses for each state of the frame. Under
@@ -68,7 +68,7 @@ def rows_for(stories: int, outputs: int) -> int:
     return max(SUBSPACE_ROWS, int(np.ceil(SAMPLES_A_STATE * 2 * stories / outputs)))
 
 
-class OkidSource:
+class OkidSource(Source):
     """A record with measured input, in blocks, for OKID followed by the eigensystem realization algorithm.
 
     Parameters
@@ -93,8 +93,8 @@ class OkidSource:
         self.lags = lags
         self.inputs = pieces[0][0].shape[1]
         self.outputs = pieces[0][1].shape[1]
-        self.groups: Ints = np.zeros(len(pieces), dtype=np.int64)
-        self.energies: Floats = np.array([float(np.mean(response**2)) for _, response in pieces])
+        self.groups = np.zeros(len(pieces), dtype=np.int64)
+        self.energies = np.array([float(np.mean(response**2)) for _, response in pieces])
         # Poles and residues of the same pieces are asked for one after the other.
         self._latest: tuple[bytes | None, Floats] | None = None
         # Triangles, not products: a product would square the condition number of the regression.
@@ -120,10 +120,6 @@ class OkidSource:
     def factor(self, keep: Bools | None = None) -> Floats:
         """Left factor of the block Hankel matrix of the Markov parameters."""
         return left_factor(block_hankel(self.markov(keep), OKID_ROWS, OKID_COLUMNS))
-
-    def data(self) -> Floats:
-        """The same: the data are not weighted."""
-        return self.factor()
 
     def impulse(self, keep: Bools | None = None) -> Impulse:
         """The Markov parameters, from the first that the direct term is not part of."""
@@ -174,7 +170,7 @@ SUBSPACE_ROWS, SAMPLES_A_STATE = 30, 3.0
 """Block rows of past and of future: so many at least, and as many as give three samples for each state of the frame."""
 
 
-class SubspaceSource:
+class SubspaceSource(Source):
     """A record with measured input, in blocks, for PO-MOESP.
 
     The poles and shapes are those of the projection, whose instruments no noise is correlated with. What is asked of
@@ -220,10 +216,6 @@ class SubspaceSource:
         past = future_inputs + self.rows * (self.inputs + self.outputs)
         return left_factor(triangle[past:, future_inputs:past])
 
-    def data(self) -> Floats:
-        """The same: the data are not weighted."""
-        return self.factor()
-
     def impulse(self, keep: Bools | None = None) -> Impulse:
         """The observer's Markov parameters, from the first that the direct term is not part of."""
         return self._observer.impulse(keep)
@@ -253,7 +245,7 @@ LEAST_NOISE = 1e-8
 """Of the largest variance, added to every channel's: an oversampled record's covariances are nearly singular."""
 
 
-class CovarianceSource:
+class CovarianceSource(Source):
     """An ambient record, in blocks, for covariance-driven SSI.
 
     Parameters
@@ -274,8 +266,8 @@ class CovarianceSource:
         self.sampling_rate = sampling_rate
         self.rows, self.columns = rows, columns
         self.outputs = pieces[0].shape[1]
-        self.groups: Ints = np.zeros(len(pieces), dtype=np.int64)
-        self.energies: Floats = np.array([float(np.mean(piece**2)) for piece in pieces])
+        self.groups = np.zeros(len(pieces), dtype=np.int64)
+        self.energies = np.array([float(np.mean(piece**2)) for piece in pieces])
         self._covariances = np.array([_covariances(piece, rows + columns) for piece in pieces])
         self._counts = np.array([len(piece) - rows - columns for piece in pieces], dtype=np.float64)
 
@@ -298,10 +290,6 @@ class CovarianceSource:
     def data(self) -> Floats:
         """Left factor of the block Hankel matrix as it is."""
         return left_factor(block_hankel(self.markov(), self.rows, self.columns))
-
-    def impulse(self, keep: Bools | None = None) -> None:
-        """None: covariances decay as impulse responses do, but of an input that nobody measured."""
-
 
 def _covariances(response: Floats, lags: int) -> Floats:
     count = len(response) - lags

@@ -8,7 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.modal.frf import FixedSource, FrfSource, modal_products, modal_scale, participations, residues, unwrapped
+from cvxshear.modal.frf import (
+    FrfSource,
+    ImpulseSource,
+    modal_products,
+    modal_scale,
+    participations,
+    residues,
+    unwrapped,
+)
 from cvxshear.modal.picking import FAINT, Doubts, Parts, PoleCandidate, Sweep, Values
 from cvxshear.modal.realization import DampedModes, Impulse, Source
 from cvxshear.records.clocks import Offsets, offsets, undone
@@ -315,7 +323,7 @@ def disturbed(setting: Replication, full: Details, seed: int) -> Floats:
     for _ in range(SURROGATES):
         noise = surrogate(residual.reshape(len(residual), -1), random).reshape(residual.shape)
         noisy = np.concatenate([impulse.sequence[: impulse.start], fit + noise])
-        source = FixedSource(dataclasses.replace(impulse, sequence=noisy), setting.source.sampling_rate)
+        source = ImpulseSource(dataclasses.replace(impulse, sequence=noisy), setting.source.sampling_rate)
         other = dataclasses.replace(setting, parts=Parts(source, setting.sweep.poles))
         values = other.values(None)
         if values is not None:

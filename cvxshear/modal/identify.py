@@ -24,7 +24,7 @@ from cvxshear.records.examination import Examined, clock_offset, examined
 from cvxshear.records.mode_shapes import RULES
 from cvxshear.records.placement import SURE, findings_of, weighed
 from cvxshear.records.record import Finding, FrfRecord, Record
-from cvxshear.records.signals import scaled, shifted
+from cvxshear.records.signals import in_step, scaled
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError
 
@@ -160,7 +160,7 @@ def _with_clocks(looked: Examined, options: Options, *, correct_clocks: bool) ->
     result = _identified(record, options, looked.turning)
     if not correct_clocks or not any(finding.kind == "clock offset" for finding in result.findings):
         return result, record
-    record = shifted(record, result.clock_offsets)
+    record = in_step(record, {name: (seconds, 0.0) for name, (seconds, _) in result.clock_offsets.items()})
     return _with_first_findings(result, _identified(record, options, looked.turning)), record
 
 

@@ -195,10 +195,11 @@ def sweep_orders(
     stable = stable_poles(poles, source.sampling_rate, criteria, shift)
     found = []
     for cluster in clusters(poles, stable, criteria):
-        if len(cluster.members) < 2:
+        if len(cluster) < 2:
             continue
         members = undivided(cluster, poles, criteria, shift)
-        value, shape = center(*Cluster(list(members)).gather(poles))
+        values = np.array([poles[i].eigenvalues[j] for i, j in members])
+        value, shape = center(values, np.array([poles[i].shapes[j] for i, j in members]))
         share = persistence(cluster, poles)
         found.append(PoleCandidate(tuple(members), value, shape, share, 0.0, *_lasting(cluster, share, criteria)))
     found.sort(key=lambda item: item.frequency)
@@ -207,8 +208,8 @@ def sweep_orders(
 
 
 def _lasting(cluster: Cluster, share: float, criteria: Criteria) -> tuple[bool, str]:
-    if len(cluster.members) < criteria.least_orders:
-        return False, f"stable in {len(cluster.members)} orders only"
+    if len(cluster) < criteria.least_orders:
+        return False, f"stable in {len(cluster)} orders only"
     if share < criteria.least_persistence:
         return False, f"stable in {100 * share:.0f} % of the orders only"
     return True, ""

@@ -87,6 +87,11 @@ def other_modes(findings: Sequence[Finding]) -> list[Json]:
     ]
 
 
+ARRAYS = (
+    "floors", "modes", "frequencies", "frequency_std", "damping_ratios", "damping_std", "mode_shapes",
+    "mode_shape_std", "entry_std", "phase_collinearity", "lost_phase",
+)  # fmt: skip
+"""Attributes of a result that are written as lists."""
 DRAWN = 0.3
 """Weight of equal variances against those that the covariance asks for."""
 LEAST_STD = 1e-6
@@ -169,25 +174,11 @@ class ModalResult(Shown):
     def to_dict(self) -> Json:
         """The result as plain values."""
         return {
-            "name": self.name,
-            "method": self.method,
-            "stories": self.stories,
-            "floors": self.floors.tolist(),
-            "modes": self.modes.tolist(),
-            "frequencies": self.frequencies.tolist(),
-            "frequency_std": self.frequency_std.tolist(),
-            "damping_ratios": self.damping_ratios.tolist(),
-            "damping_std": self.damping_std.tolist(),
-            "mode_shapes": self.mode_shapes.tolist(),
-            "mode_shape_std": self.mode_shape_std.tolist(),
-            "entry_std": self.entry_std.tolist(),
-            "mass_normalized": self.mass_normalized,
-            "phase_collinearity": self.phase_collinearity.tolist(),
-            "lost_phase": self.lost_phase.tolist(),
+            **{name: getattr(self, name) for name in ("name", "method", "stories", "mass_normalized", "uncertainty")},
+            **{name: getattr(self, name).tolist() for name in ARRAYS},
             "clock_offsets": {
                 name: {"seconds": offset, "std": std} for name, (offset, std) in self.clock_offsets.items()
             },
-            "uncertainty": self.uncertainty,
             "findings": [finding.to_dict() for finding in self.findings],
         }
 

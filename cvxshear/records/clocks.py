@@ -71,6 +71,10 @@ class BandClock:
     chance: float
     middle: float
 
+    def against(self, other: BandClock) -> tuple[float, float]:
+        """Drift of this clock against one that the other was compared with too, and its standard deviation."""
+        return self.drift - other.drift, float(np.hypot(self.drift_std, other.drift_std))
+
 
 @dataclass(frozen=True, eq=False)
 class Segments:
