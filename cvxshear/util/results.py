@@ -156,12 +156,15 @@ class Renderers:
         Its tables for a notebook; None where that cannot be made.
     figure : callable
         One of its figures, by name; the first where the name is empty.
+    pick : callable
+        The diagram of modes in which poles are chosen by clicking, given the record file that the choice is for.
     """
 
     line: Callable[[Any], str]
     text: Callable[[Any], str]
     html: Callable[[Any], str | None]
     figure: Callable[[Any, str], Any]
+    pick: Callable[[Any, Any], Any]
 
 
 _home: list[str] = []
@@ -182,6 +185,20 @@ def _found() -> Renderers | None:
     if not _renderers and _home:
         importlib.import_module(_home[0])
     return _renderers[0] if _renderers else None
+
+
+def drawing() -> Renderers:
+    """What draws results.
+
+    Raises
+    ------
+    InputError
+        Where no module has been named for it.
+    """
+    renderers = _found()
+    if renderers is None:
+        raise InputError("nobody has said how this result is drawn")
+    return renderers
 
 
 class Shown(InJson):
@@ -218,7 +235,4 @@ class Shown(InJson):
         InputError
             Where there is no figure of that name, the result does not hold what it shows, or matplotlib is missing.
         """
-        renderers = _found()
-        if renderers is None:
-            raise InputError("nobody has said how this result is drawn")
-        return renderers.figure(self, name)
+        return drawing().figure(self, name)
