@@ -42,11 +42,11 @@ class HeldAndLoaded(GroundSpring):
         dM[own.start + 1, at, at] += 1.0
         return held.with_mass(M, dM)
 
-    def sizes(self, of):
-        return np.array([0.1 * of.story_stiffness, 0.5 * of.floor_mass])
+    def sizes(self, scale):
+        return np.array([0.1 * scale.story_stiffness, 0.5 * scale.floor_mass])
 
-    def phrase(self, place, values, std, of, units):
-        return Effect.phrase(self, place, values, std, of, units)
+    def phrase(self, place, values, std, scale, units):
+        return Effect.phrase(self, place, values, std, scale, units)
 
 
 class Stiffer(Effect):
@@ -64,7 +64,7 @@ class Stiffer(Effect):
         dK[own] += state.system.K
         return state.with_stiffness((1.0 + values[0]) * state.system.K, dK)
 
-    def sizes(self, of):
+    def sizes(self, scale):
         return np.array([0.1])
 
 
