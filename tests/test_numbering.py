@@ -147,7 +147,7 @@ def test_the_loop_weighs_what_a_file_names_and_check_refuses(tmp_path, capsys):
     assert "write modes = [1, 2, 4, 5]" in capsys.readouterr().err
     configuration["other_modes"] = [{"modes": [1, 2, 4, 5], "probability": 0.3}]
     write_measurement(path, declared)
-    assert status(["loop", str(path), "--json", "-"]) == 0
+    assert status(["loop", str(path), "--effects", "attached_mass,ground_spring,sensor_gain", "--json", "-"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["numberings"][0]["changes"] == [{"configuration": "test 1", "modes": [1, 2, 4, 5]}]
     assert [(item["name"], item["refuses"]) for item in result["warnings"]] == [("missing_mode", False)]
@@ -230,7 +230,8 @@ def test_a_record_that_lacks_a_mode_is_numbered_by_the_loop_where_its_signs_do_n
     # The observer of `okid` bends the highest mode by more than its stated deviation.
     _, modes = shaken([3, 5, 8], count=5, method="subspace")
     assert modes.modes.tolist() == [1, 2, 3, 4, 5]
-    closure = close_loop(Experiment.from_dict(modes.to_experiment({"floor_masses": [10.0] * 8})))
+    rivals = ["attached_mass", "ground_spring", "sensor_gain", "story_change", "gravity"]
+    closure = close_loop(Experiment.from_dict(modes.to_experiment({"floor_masses": [10.0] * 8})), rivals)
     assert numbers(closure) == {modes.name: (1, 2, 4, 5, 6)}
     assert not closure.effects
 
