@@ -276,7 +276,7 @@ def test_a_prior_of_ones_own_in_a_file():
     assert isinstance(prior, Smooth)
     assert prior.width == 2.0
     assert_allclose(prior.residual(AT)[0], [-1.25, -1.25])
-    assert prior.to_dict() == {"kind": "test-smooth", "quantity": "floor_mass", "width": 2.0, "skipped": ()}
+    assert prior.to_dict() == {"kind": "test-smooth", "quantity": "floor_mass", "width": 2.0, "skipped": []}
 
 
 def test_its_keys_are_checked_too():

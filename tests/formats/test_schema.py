@@ -12,8 +12,8 @@ import pytest
 
 import cvxshear
 from cvxshear.cli.records import _said
-from cvxshear.files.measurement_template import template
 from cvxshear.files.modes import IdentifiedRecord, merged
+from cvxshear.files.to_fill_in import template
 from cvxshear.modal import from_arrays, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, base_record
 from cvxshear.util.errors import InputError

@@ -10,12 +10,11 @@ import pytest
 import cvxshear
 from cvxshear import close_loop
 from cvxshear.cli import main
-from cvxshear.files.measurement import write_measurement
+from cvxshear.files.toml import write_measurement
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.report.describe import describe
 from cvxshear.report.figures import transfer_functions
-from cvxshear.report.html import render
-from cvxshear.report.response_html import render_prediction
+from cvxshear.report.html import render, render_response
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
 from tests.modal.shared import csv
 from tests.report.conftest import NASTY
@@ -49,7 +48,7 @@ def prediction(closed, request):
 
 @pytest.fixture(scope="module")
 def text(prediction):
-    return render_prediction(prediction, COMMAND)
+    return render_response(prediction, COMMAND)
 
 
 @pytest.fixture(scope="module")
