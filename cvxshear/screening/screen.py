@@ -36,6 +36,7 @@ from cvxshear.screening.shear_fit import (
     odd_starts,
     robust_fit,
     starts,
+    story_start,
 )
 from cvxshear.util.errors import InputError
 from cvxshear.util.showing import Shown
@@ -233,7 +234,7 @@ class Verdict:
 def judge(reading: Reading) -> Verdict:
     """Compare a reading with shear frames, as given and after single repairs."""
     begin = starts(reading.stories)
-    given = distance(reading, begin)
+    given = distance(reading, [*begin, *story_start(reading)])
     if _may_stand(reading, given):
         return Verdict(given, ())
     robust = robust_fit(reading, given.theta)
