@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -102,8 +103,8 @@ def odd_starts(stories: int) -> list[Floats]:
     return [even + np.where(np.arange(2 * stories) == place, changes, 0.0) for place in range(2 * stories)]
 
 
-def story_start(reading: Reading) -> list[Floats]:
-    """The frame that the story equations of whole shapes lead to; none where some floor was not measured.
+def story_starts(reading: Reading, at: Iterable[Floats]) -> list[Floats]:
+    """The frames that the story equations of whole shapes lead to from these; none where some floor was not measured.
 
     Stories and floors whose sizes differ by thousands are in no valley that even frames lead into.
     """
@@ -111,17 +112,18 @@ def story_start(reading: Reading) -> list[Floats]:
     if not np.array_equal(reading.floors, np.arange(N)) or not reading.known.all():
         return []
     total = Constraints(A=np.concatenate([np.ones((1, N)), np.zeros((1, N))], axis=1), b=np.array([float(N)]))
+    unit = [NamedConstraints("unit of mass", total)]
     eigenvalues = (2 * np.pi * np.exp(reading.log_frequencies)) ** 2
-    theta = np.repeat([1.0, float(eigenvalues.max())], N)
-    for number in range(PASSES):
-        try:
-            theta = solved_story_equations(
-                reading.scaled, eigenvalues, np.zeros(reading.scaled.shape), theta,
-                [NamedConstraints("unit of mass", total)], weighed=number > 0,
-            )  # fmt: skip
-        except CvxshearError:
-            return []
-    return [np.log(theta)]
+    found = []
+    for start in at:
+        theta = np.exp(_tuned(reading, start))
+        with suppress(CvxshearError):
+            for _ in range(PASSES):
+                theta = solved_story_equations(
+                    reading.scaled, eigenvalues, np.zeros(reading.scaled.shape), theta, unit, weighed=True
+                )
+            found.append(np.log(theta))
+    return found
 
 
 def _clipped(theta: Floats) -> Floats:
