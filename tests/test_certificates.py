@@ -271,7 +271,8 @@ def test_an_unknown_that_the_objective_hardly_sees_still_keeps_the_constraints(n
 def test_every_figure_is_what_the_formulas_of_the_certificate_say():
     """Term by term, in plain sums, at a point that breaks everything a little."""
     rng = np.random.default_rng(12)
-    R, s, A, b = rng.standard_normal((6, 3)), rng.standard_normal(6), rng.standard_normal((1, 3)), rng.standard_normal(1)
+    R, s = rng.standard_normal((6, 3)), rng.standard_normal(6)
+    A, b = rng.standard_normal((1, 3)), rng.standard_normal(1)
     G, h = rng.standard_normal((2, 3)), rng.standard_normal(2)
     x, y, w = rng.standard_normal(3), rng.standard_normal(1), np.array([0.7, -0.4])
     found = certify(Assembled(LeastSquares(R, s, A=A, b=b, G=G, h=h)), Point(x, y, w))

@@ -132,9 +132,9 @@ def test_errors_of_shapes_are_those_of_the_textbook():
     datum = Shapes.of(of)[1]
     model = Model(compose(of, datum.tested, EFFECTS, AT), slice(None), False)
     found = datum.errors(model)
-    for row, (a, b) in enumerate(zip(datum.tested.mode_shapes, datum.seen(model), strict=True)):
-        known = np.isfinite(a)
-        a, b = a[known] / np.max(np.abs(a[known])), b[known]
+    for row, (measured, modelled) in enumerate(zip(datum.tested.mode_shapes, datum.seen(model), strict=True)):
+        known = np.isfinite(measured)
+        a, b = measured[known] / np.max(np.abs(measured[known])), modelled[known]
         assert found["mac"][row] == pytest.approx((a @ b) ** 2 / (a @ a) / (b @ b), rel=1e-12)
         share = (a @ b) / (b @ b)
         assert found["shape_error"][row] == pytest.approx(np.max(np.abs(share * b - a)), rel=1e-9)

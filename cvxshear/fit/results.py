@@ -53,30 +53,25 @@ class IdentifiedFrame:
         """Where "floor_mass" or "story_stiffness" is at a bound, shape (N,)."""
         return np.array([f"{quantity} {place}" in self.at_bounds for place in range(1, len(self.floor_mass) + 1)])
 
-    def _stds(self, quantity: str, std: Floats | None) -> Floats | None:
-        return None if std is None else np.where(self.stopped(quantity), np.nan, std)
+    @property
+    def _fields(self) -> dict[str, Floats | None]:
+        """Values and deviations by name; no deviation of what is at a bound."""
+        found: dict[str, Floats | None] = {}
+        for name in ("floor_mass", "story_stiffness"):
+            std = getattr(self, f"{name}_std")
+            found[name] = getattr(self, name)
+            found[f"{name}_std"] = None if std is None else np.where(self.stopped(name), np.nan, std)
+        return found
 
     @property
     def columns(self) -> dict[str, list[float]]:
         """Values and deviations by name, floor by floor from the lowest; nan where there is no standard deviation."""
         unknown = np.full(len(self.floor_mass), np.nan)
-        mass_std = self._stds("floor_mass", self.floor_mass_std)
-        stiffness_std = self._stds("story_stiffness", self.story_stiffness_std)
-        return {
-            "floor_mass": self.floor_mass.tolist(),
-            "floor_mass_std": (unknown if mass_std is None else mass_std).tolist(),
-            "story_stiffness": self.story_stiffness.tolist(),
-            "story_stiffness_std": (unknown if stiffness_std is None else stiffness_std).tolist(),
-        }
+        return {name: (unknown if values is None else values).tolist() for name, values in self._fields.items()}
 
     def to_dict(self) -> Json:
         """Values and deviations as lists."""
-        return {
-            "floor_mass": plain(self.floor_mass),
-            "floor_mass_std": plain(self._stds("floor_mass", self.floor_mass_std)),
-            "story_stiffness": plain(self.story_stiffness),
-            "story_stiffness_std": plain(self._stds("story_stiffness", self.story_stiffness_std)),
-        }
+        return {name: plain(values) for name, values in self._fields.items()}
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from cvxshear.util.typing import Json
 
@@ -46,14 +46,7 @@ class Finding:
 
     def to_dict(self) -> Json:
         """The finding as plain values."""
-        return {
-            "name": self.name,
-            "configuration": self.configuration,
-            "found": self.found,
-            "change": self.change,
-            "refuses": self.refuses,
-            "rivals": list(self.rivals),
-        }
+        return {**asdict(self), "rivals": list(self.rivals)}
 
 
 def in_json(found: Iterable[Finding] | None) -> Json:

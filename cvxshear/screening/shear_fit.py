@@ -136,7 +136,7 @@ def _clipped(theta: Floats) -> Floats:
 def _tuned(reading: Reading, theta: Floats) -> Floats:
     """The frame with its stiffnesses scaled to the right mean frequency."""
     off = np.mean(reading.log_frequencies - np.log(modes_at(theta).frequencies[reading.modes]))
-    return theta + np.repeat([0.0, 2.0 * float(off)], reading.stories)
+    return np.asarray(theta + np.repeat([0.0, 2.0 * float(off)], reading.stories))
 
 
 def fit(
