@@ -48,6 +48,9 @@ SAME_NOISE = 0.05
 """Relative change of such a standard deviation that counts as none: the evidence, stationary there, moves by a
 hundredth."""
 
+RESIDUAL_LEVEL = 0.01
+"""Probability below which a residual, or a noise, counts as improbable."""
+
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
@@ -115,6 +118,16 @@ class Estimate:
     def correlation(self) -> Floats:
         """Correlations of all parameters, shape (P, P)."""
         return self.uncertainty.correlation()
+
+    @property
+    def improbable(self) -> bool:
+        """Whether the residual is too large for the noise: less probable than `RESIDUAL_LEVEL`.
+
+        Where no degree of freedom is left bounds may hold the model back: the residual is then compared with one.
+        """
+        if self.dof <= 0:
+            return not self.misfit.open_noises and self.fit.at.chi2 > float(stats.chi2.isf(RESIDUAL_LEVEL, 1))
+        return self.p_value is not None and self.p_value < RESIDUAL_LEVEL
 
     @property
     def p_value(self) -> float | None:

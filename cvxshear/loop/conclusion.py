@@ -18,7 +18,7 @@ from cvxshear.loop.fitter import ROUGH, Fitter, with_stand_in
 from cvxshear.loop.held_out import held_out_frequency_errors
 from cvxshear.loop.hypotheses import OPEN, Hypothesis
 from cvxshear.loop.linear import Linearised
-from cvxshear.loop.model_class import RESIDUAL_LEVEL, ModelClass
+from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.next_test import next_test
 from cvxshear.loop.numbering import OVERLOOKED, NumberingProbability
 from cvxshear.loop.posterior import RIVAL, Posterior
@@ -85,9 +85,8 @@ def conclude(
     if widened:
         final = fitter.fit(judged.misfit.replaced(widened=1.0), judged.theta)
     steps = _steps(final, posterior, fitter, searches[0].fitter)
-    after = steps[-1]
     added = tuple(_added(posterior, judged, placed) for placed in _by_probability(posterior, judged, fitter))
-    significant = after.p_value is not None and after.p_value < RESIDUAL_LEVEL
+    significant = final.improbable
     negligible = significant and _negligible(final)
     fits = {model.effects: model.estimate for model in reversed(here.models)}
     rivals = [estimate for rival in _rival_sets(here, added) if (estimate := fits[rival]) is not None]
