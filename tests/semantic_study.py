@@ -1,8 +1,8 @@
 """What `check` and the loop make of files that are well formed and say something wrong.
 
 `python -m tests.semantic_study --faults 100 --seed 1` puts one fault into the measurement file of each of so many
-random frames and prints, a kind of fault a row, how many are refused by `check`, asked about (a warning of `check`),
-left open by the loop (ambiguous, located, unexplained), concluded rightly, and concluded wrongly: `explained` or
+random frames and prints, a kind of fault a row, how many are refused by `check`, asked about (a warning of `check`,
+whatever the loop concludes), left open by the loop (ambiguous, located, unexplained), concluded rightly, and concluded wrongly: `explained` or
 `adequate` with an effect that is not there, or with a mass or a stiffness more than `SURE` deviations off. Faults of
 which no datum can tell are listed with the reason.
 """
@@ -119,9 +119,6 @@ FAULTS = {
 
 UNTOLD = {
     "all_in_rad": "a frame (2 pi)^2 times as stiff has these modes; masses are right, every stiffness is wrong by that",
-    "in_percent": "larger deviations than the data need; what is found is right, and less sure than it might be",
-    "heights_added_up": "a shear frame does not depend on heights; none of the effects that do was there",
-    "mass_in_pounds": "where the only scale is the added mass and a soft total, all masses are wrong by one factor",
 }
 """Faults of which no datum can tell, with the reason."""
 
