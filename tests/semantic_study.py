@@ -2,9 +2,9 @@
 
 `python -m tests.semantic_study --faults 100 --seed 1` puts one fault into the measurement file of each of so many
 random frames and prints, a kind of fault a row, how many are refused by `check`, asked about (a warning of `check`,
-whatever the loop concludes), left open by the loop (ambiguous, located, unexplained), concluded rightly, and concluded wrongly: `explained` or
-`adequate` with an effect that is not there, or with a mass or a stiffness more than `SURE` deviations off. Faults of
-which no datum can tell are listed with the reason.
+whatever the loop concludes), left open by the loop (ambiguous, located, unexplained), concluded rightly, and concluded
+wrongly: `explained` or `adequate` with an effect that is not there, or with a mass or a stiffness more than `SURE`
+deviations off. Faults of which no datum can tell are listed with the reason.
 """
 
 from __future__ import annotations
