@@ -61,7 +61,8 @@ def told(task: tuple[str, tuple[int, ...], bool]) -> str:
     missed = sorted(changes - found - rivals)
     count = f"{len(found)} + {len((rivals - found) & changes)} of {len(changes)}"
     return (
-        f"{direction}  {who:3s}  {what:12s}  {closure.verdict:11s}  {count}  {', '.join(false) or '-':40s}  {', '.join(braces):16s}"
+        f"{direction}  {who:3s}  {what:12s}  {closure.verdict:11s}  {count}  "
+        f"{', '.join(false) or '-':40s}  {', '.join(braces):16s}"
         + (f"  missed: {', '.join(f'{story} in pattern {number}' for number, story in missed)}" if missed else "")
     )
 
