@@ -5,16 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from cvxshear.effects import (
-    Effect,
-    Parameter,
-    Place,
-    catalogue,
-    open_classes,
-    refuse_faulty,
-    refuse_repeated,
-    register,
-)
+from cvxshear.effects import Effect, Parameter, Place, catalogue, open_classes, refuse_faulty, refuse_repeated, register
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.priors import Constraints
 from cvxshear.util.errors import InputError
