@@ -20,7 +20,7 @@ import numpy as np
 from cvxshear.effects import Placed
 from cvxshear.effects.open_class import OpenClass
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.gauss_newton import CONVERGED_STEP
+from cvxshear.fit.gauss_newton import CONVERGED_STEP, HOPELESS
 from cvxshear.loop.fitter import ROUGH, Fitter
 from cvxshear.loop.hypotheses import OPEN
 from cvxshear.loop.linear import Linearised
@@ -130,8 +130,8 @@ class Search:
         """Visit sets with an effect that brings a motion of its own, where nothing simple explains the data."""
         self.moved = True
         motions = [item.placed for item in self.fitter.hypotheses if item.placed.effect.adds_motion]
-        simple = len(self.best.effects) < A_PILE and all(placed.effect.kind == "cause" for placed in self.best.effects)
-        if not motions or (simple and not self.best.improbable):
+        open_classes = any(placed.effect.kind == OPEN for placed in self.best.effects)
+        if not motions or not (open_classes or self._unsatisfied()):
             return False
         base = self.base.estimate
         assert base is not None, "the shear model was fitted"
@@ -145,6 +145,10 @@ class Search:
         # Each is fitted from several starts: the best of them is the set's fit.
         self._record(sorted(self.fitter.models(proposals), key=lambda model: model.score))
         return True
+
+    def _unsatisfied(self) -> bool:
+        """Whether nothing simple explains the data so far."""
+        return self.best.improbable or len(self.best.effects) >= A_PILE
 
     @property
     def spent(self) -> bool:
@@ -288,7 +292,9 @@ class Search:
         order = sorted(single, key=lambda each: -single[each])
         # A set with an effect taken out is far behind: what is put in must catch up with the best.
         floor = max(single[order[0]], 0.0, self.best.score - model.score) - WITHIN
-        new = [each for at, each in enumerate(order[:MOST]) if at < LEAST or single[each] > floor]
+        # Far from the data the model is not linear: the order of the gains still says something, their sizes do not.
+        least = MOST if _far_off(model) else LEAST
+        new = [each for at, each in enumerate(order[:MOST]) if at < least or single[each] > floor]
         if model.improbable:
             # What leaves the accuracy of some data open shows all that it is worth only once they weigh less.
             rescaling = sorted(
@@ -340,8 +346,9 @@ class Search:
         """Visit sets in which other causes, one or several, stand for a whole group: all of a state, all of a name, ...
 
         Where every floor of a state is heavier, or every story softer, one cause takes the place of many; taking them
-        out one at a time never gets there. In the place of an open class stand causes that explain only together
-        (joints that turn, and braces that turn none): beside a class that does the work of both neither is seen.
+        out one at a time never gets there. Where nothing simple explains the data, causes that explain only together
+        (joints that turn, and braces that turn none) stand in the place of an open class, too: beside a class that does
+        the work of both neither is seen.
         """
         self.regrouped.add(model.effects)
         for group in self._groups(model.effects):
@@ -352,7 +359,7 @@ class Search:
             firsts = self._with_one_of(self._lacking(self.visited[rest]), self.visited[rest], group)
             if len(group) > 1:
                 firsts = sorted(firsts, key=lambda each: -each.score)[:1]
-            for first in firsts:
+            for first in firsts if self._unsatisfied() else ():
                 at, best = None, first
                 while best is not at and len(best.effects - rest) < MOST_CAUSES:
                     at = best
@@ -379,7 +386,7 @@ class Search:
             if placed.place.state is not None:
                 by_state[placed.place.state].add(placed)
         groups = [frozenset(group) for group in (*by_state.values(), *by_name.values(), set(effects))]
-        classes = [frozenset([placed]) for placed in effects if placed.effect.kind == OPEN]
+        classes = [frozenset([placed]) for placed in effects if placed.effect.kind == OPEN and self._unsatisfied()]
         return [group for group in dict.fromkeys((*groups, *classes)) if len(group) > 1 or group in classes]
 
     def _prune(self, model: ModelClass) -> None:
@@ -425,6 +432,13 @@ def _strength(estimate: Estimate, placed: Placed) -> float:
     with np.errstate(divide="ignore", invalid="ignore"):
         z = np.abs(estimate.theta[own] - nulls) / estimate.std[own]
     return float(np.max(np.nan_to_num(z), initial=0.0))
+
+
+def _far_off(model: ModelClass) -> bool:
+    """Whether the residuals of a set are too large for its linearised model to tell how much an effect brings."""
+    assert model.estimate is not None
+    at = model.estimate.fit.at
+    return at.objective > HOPELESS * len(at.r)
 
 
 def fits_alike(a: ModelClass, b: ModelClass) -> bool:

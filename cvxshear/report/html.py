@@ -108,7 +108,7 @@ def render(
         One page that refers to nothing outside itself.
     """
     if comparison is None:
-        comparison = compare_backends(result.experiment)
+        comparison = compare_backends(result.experiment, repeats=1)
     page = environment().get_template("report.html")
     beside = None if prediction is None else _response_contents(prediction)
     drawn = {**drawings(comparison), **drawings(result)}

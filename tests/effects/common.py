@@ -56,7 +56,9 @@ def theta(*own: float | tuple[float, ...], mass: Floats = MASS, stiffness: Float
     return np.concatenate([mass, stiffness, *(np.atleast_1d(each) for each in own)])
 
 
-def composed(effects: list[Placed], *own: float | tuple[float, ...], number: int = 0, stiffness: Floats = STIFFNESS) -> State:
+def composed(
+    effects: list[Placed], *own: float | tuple[float, ...], number: int = 0, stiffness: Floats = STIFFNESS
+) -> State:
     """One configuration of the frame with these effects of this size."""
     tested = experiment()
     return compose(tested, tested.configurations[number], effects, theta(*own, stiffness=stiffness))

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 from cvxshear.data.pairing import numbered
 from cvxshear.effects.attached_mass import LEAST_MASS
@@ -299,6 +300,28 @@ def test_a_hinge_at_both_ends_of_a_story():
     base = placed("joint_release", floor=0, state="loaded")
     k = composed([base], 1e9, 0.0, number=1).system.K.sum()
     assert k == pytest.approx(STIFFNESS[0] / 4, rel=1e-6)
+
+
+@pytest.mark.parametrize("soil", [0.5, 3.0, 30.0])
+def test_a_base_on_soft_ground_is_a_mass_attached_to_floor_1(soil):
+    """Exact: a chain of one mass more, below story 1, seen from the floors alone."""
+    base, below = 5.0, soil * STIFFNESS[0]
+    chain = np.concatenate([[below], STIFFNESS])
+    T = np.eye(5) - np.eye(5, k=-1)
+    squares, vectors = eigh(T.T @ np.diag(chain) @ T, np.diag([base, *MASS]))
+    part = STIFFNESS[0] / (STIFFNESS[0] + below)
+    series = STIFFNESS * np.where(np.arange(4) == 0, below / (STIFFNESS[0] + below), 1.0)
+    frequency = np.sqrt((STIFFNESS[0] + below) / base) / (2 * np.pi)
+    state = composed([placed("attached_mass", floor=1)], (base * part**2, frequency), stiffness=series)
+    found, motions = eigh(state.system.K, state.system.M)
+    # The attachment has a millionth of a floor's mass more than its parameter says.
+    np.testing.assert_allclose(found, squares, rtol=1e-4)
+    seen, shown = motions[:4], vectors[1:]
+    np.testing.assert_allclose(
+        seen / seen[np.abs(seen).argmax(axis=0), range(5)],
+        shown / shown[np.abs(seen).argmax(axis=0), range(5)],
+        atol=1e-4,
+    )
 
 
 @pytest.mark.parametrize("number", NUMBERS)

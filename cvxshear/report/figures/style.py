@@ -145,8 +145,7 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
             figure = draw(*args, **kwargs)
             # The layout is found once; what is drawn later, under whichever settings, stays where it is.
             figure.draw_without_rendering()
-            if figure.get_layout_engine() is not None:
-                figure.set_layout_engine("none")
+            figure.set_layout_engine(None)
         return figure
 
     return drawn
