@@ -12,7 +12,7 @@ from typing import Any
 from cvxshear.files.formats import refuse_data
 from cvxshear.files.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES
-from cvxshear.records.record import QUANTITIES
+from cvxshear.records.record import RECORDED_QUANTITIES
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 
@@ -145,7 +145,7 @@ def _quantity(given: object, unit: str | None, usual: object, where: str) -> tup
     measured, in_si = ("acceleration", 1.0) if unit is None else CHANNEL_UNITS[unit]
     if given is None:
         given = measured if unit is not None or usual is None else usual
-    quantity = checks.choice(given, ("force", *QUANTITIES), f"{where}: quantity")
+    quantity = checks.choice(given, ("force", *RECORDED_QUANTITIES), f"{where}: quantity")
     if unit is not None and quantity != measured:
         raise InputError(f"{where}: unit = {unit!r} is one of {measured}, not of {quantity}")
     return quantity, in_si

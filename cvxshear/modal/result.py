@@ -18,7 +18,7 @@ from cvxshear.util.typing import Floats, Ints, Json
 if TYPE_CHECKING:
     import pandas as pd
 
-OVERLOOKED = "overlooked mode"
+OVERLOOKED_KIND = "overlooked mode"
 """The kind of the findings that put the numbers of modes in doubt."""
 
 SENSOR_STD = 0.005
@@ -81,7 +81,7 @@ def other_modes(findings: Sequence[Finding]) -> list[Json]:
     return [
         {"modes": item.numbers["modes"], "probability": item.numbers["probability"]}
         for item in findings
-        if item.kind == OVERLOOKED
+        if item.kind == OVERLOOKED_KIND
     ]
 
 

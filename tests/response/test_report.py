@@ -14,7 +14,7 @@ from cvxshear.files.toml import write_measurement
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.report.describe import describe
 from cvxshear.report.figures import transfer_functions
-from cvxshear.report.html import render
+from cvxshear.report.html import render, render_response
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
 from tests.modal.shared import csv
 from tests.report.conftest import NASTY
