@@ -115,6 +115,9 @@ def modes(
     method: Annotated[
         str | None, typer.Option(help="era, okid, subspace or ssi; what suits the record where none is named.")
     ] = None,
+    second: Annotated[
+        str | None, typer.Option(help="Second opinion of another method, or fdd: peaks in the frequency domain.")
+    ] = None,
     count: Annotated[int | None, typer.Option(help="How many modes; as many as stories where not given.")] = None,
     pick: Annotated[
         str | None,
@@ -152,6 +155,7 @@ def modes(
     options = {
         "functions": bool(pictures) or report is not None,
         "method": method,
+        "second": second,
         "count": count,
         "correct_clocks": correct_clocks,
         "accept_swapped": accept_swapped,

@@ -21,11 +21,12 @@ from cvxshear.effects import Placed
 from cvxshear.effects.open_class import OpenClass
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.gauss_newton import CONVERGED_STEP, HOPELESS
-from cvxshear.loop.fitter import ROUGH, Fitter
+from cvxshear.loop.fitter import ROUGH, FitProposal, Fitter
 from cvxshear.loop.hypotheses import OPEN
 from cvxshear.loop.linear import Linearised
 from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.twins import Invariances, invariances
+from cvxshear.util.errors import NoModesError
 
 BEAM = 6
 REACH = 20.0
@@ -52,6 +53,9 @@ that no set explains ends too. What is left out then is said."""
 
 ALIKE = 0.1
 """Difference of chi-square, relative where it is above one, that rounding and the priors of sizes leave of twins."""
+
+MOTIONS = 12
+"""Fits of effects that bring a motion of their own."""
 
 MOST = 10
 LEAST = 1
@@ -127,11 +131,13 @@ class Search:
             self.run()
 
     def _add_motions(self) -> bool:
-        """Visit sets with an effect that brings a motion of its own, where nothing simple explains the data."""
+        """Visit sets with an effect that brings a motion of its own, where the shear model does not explain the data.
+
+        Derivatives at a mass of none say nothing of it: one step from each of its starts tells which of them to follow.
+        """
         self.moved = True
         motions = [item.placed for item in self.fitter.hypotheses if item.placed.effect.adds_motion]
-        open_classes = any(placed.effect.kind == OPEN for placed in self.best.effects)
-        if not motions or not (open_classes or self._unsatisfied()):
+        if not motions or self.best is self.base:
             return False
         base = self.base.estimate
         assert base is not None, "the shear model was fitted"
@@ -142,8 +148,9 @@ class Search:
             for placed in motions
             for start in placed.effect.starts
         ]
-        # Each is fitted from several starts: the best of them is the set's fit.
-        self._record(sorted(self.fitter.models(proposals), key=lambda model: model.score))
+        promising = sorted(proposals, key=_after_a_step)[:MOTIONS]
+        # An effect may be fitted from several starts: the best of them is the set's fit.
+        self._record(sorted(self.fitter.models(promising), key=lambda model: model.score))
         return True
 
     def _unsatisfied(self) -> bool:
@@ -423,6 +430,16 @@ class Search:
         new = [each for each in sets if each not in self.visited]
         held = [[placed for placed in model.estimate.effects if placed in each | assumed] for each in new]
         self._record(self.fitter.models([self.fitter.proposal(model.estimate, effects) for effects in held]))
+
+
+def _after_a_step(proposal: FitProposal) -> float:
+    """The objective that the linearised model has after one step from a start."""
+    try:
+        at = proposal.misfit.evaluate(proposal.starts[0])
+    except NoModesError:
+        return np.inf
+    _, c = at.triangle
+    return at.objective - float(c @ c)
 
 
 def _strength(estimate: Estimate, placed: Placed) -> float:

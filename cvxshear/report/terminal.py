@@ -280,3 +280,12 @@ def drawn(result: Any, name: str) -> Any:
         raise InputError(f"figures need {error.name}: pip install matplotlib") from None
     first = next(iter(figures.figures_of(type(result))), "")
     return figures.drawn_figure(name or first, result)
+
+
+def picked(result: Any, record_file: Any) -> Any:
+    """The diagram of modes in which poles are chosen by clicking."""
+    try:
+        from cvxshear.report.figures.picked_poles import opened  # noqa: PLC0415 - matplotlib is optional
+    except ImportError as error:
+        raise InputError(f"choosing poles in a diagram needs {error.name}: pip install matplotlib") from None
+    return opened(result, record_file)

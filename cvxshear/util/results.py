@@ -151,7 +151,8 @@ def shown_by(module: str) -> None:
     ----------
     module : str
         With `line_of` (a result in a short line), `text` (its tables), `notebook_html` (the same for a notebook, or
-        None) and `drawn` (one of its figures, by name; the first where the name is empty).
+        None), `drawn` (one of its figures, by name; the first where the name is empty) and `picked` (the diagram in
+        which poles are chosen).
     """
     _home[:] = [module]
 
@@ -160,14 +161,14 @@ class Shown(InJson):
     """A result that a prompt shows in a line, `print` as tables, a notebook as HTML and `to_dict` as JSON."""
 
     def __repr__(self) -> str:
-        return str(_by("line_of", self)) if _home else object.__repr__(self)
+        return str(shown("line_of", self)) if _home else object.__repr__(self)
 
     def __str__(self) -> str:
-        return str(_by("text", self)) if _home else object.__repr__(self)
+        return str(shown("text", self)) if _home else object.__repr__(self)
 
     def _repr_html_(self) -> str | None:
         """What a notebook shows."""
-        found: str | None = _by("notebook_html", self) if _home else None
+        found: str | None = shown("notebook_html", self) if _home else None
         return found
 
     def figure(self, name: str = "") -> Any:
@@ -188,8 +189,24 @@ class Shown(InJson):
         InputError
             Where there is no figure of that name, the result does not hold what it shows, or matplotlib is missing.
         """
-        return _by("drawn", self, name)
+        return shown("drawn", self, name)
 
 
-def _by(name: str, *given: Any) -> Any:
+def shown(name: str, *given: Any) -> Any:
+    """What the module that shows results makes of one.
+
+    Parameters
+    ----------
+    name : str
+        The function of that module.
+    *given : object
+        The result, and what the function takes besides.
+
+    Raises
+    ------
+    InputError
+        Where no module has been named for it.
+    """
+    if not _home:
+        raise InputError("nobody has said how this result is drawn")
     return getattr(importlib.import_module(_home[0]), name)(*given)

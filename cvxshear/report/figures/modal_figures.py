@@ -13,8 +13,8 @@ from matplotlib.ticker import MaxNLocator
 from cvxshear.loop import Closure
 from cvxshear.methods import Identification
 from cvxshear.modal import ModalResult
-from cvxshear.records.shapes import mac as mac_of
-from cvxshear.records.shapes import scaled_to_one
+from cvxshear.records.mode_shapes import mac as mac_of
+from cvxshear.records.mode_shapes import scaled_to_one
 from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_shapes import SHAPES_A_ROW, mac_tables
 from cvxshear.report.figures.figure_table import figure
