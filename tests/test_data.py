@@ -8,7 +8,7 @@ import pytest
 
 from cvxshear import Experiment, close_loop, identify
 from cvxshear.data import Datum, Frequencies, Model, Residual, Shapes, Static, data_of, register
-from cvxshear.data import registry as registry_module
+from cvxshear.data import kinds as registry_module
 from cvxshear.effects import compose
 from cvxshear.fit.misfit import Misfit
 from tests.effects.common import ADDED, HEIGHTS, MASS, STIFFNESS, theta

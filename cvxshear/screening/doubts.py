@@ -54,7 +54,7 @@ STEEP = 0.15
 SLOWEST = 0.02
 """Hz; the tallest towers begin at some 0.1 Hz, and long bridges at 0.05 Hz."""
 
-LEAST_STD = 1e-6
+BEST_LABORATORY_STD = 1e-6
 """Relative standard deviation; the best counters and interferometers of a laboratory are no better."""
 
 LARGEST_STD = {"frequency_std": 0.05, "mode_shape_std": 0.3}
@@ -63,7 +63,7 @@ LARGEST_STD = {"frequency_std": 0.05, "mode_shape_std": 0.3}
 FACTORS = ((2 * np.pi, "2 pi, as of rad/s"), (60.0, "60, as of cycles a minute"), (1000.0, "1000, as of mHz"))
 """Factors between units of frequency."""
 
-SAME_FACTOR = 0.1
+ONE_FACTOR_STD = 0.1
 """Standard deviation of the logarithms of the modes' ratios below which they are one factor: what changes a frame
 between two tests changes its modes differently."""
 
@@ -83,7 +83,7 @@ frame is near enough to weigh."""
 VAGUE = 0.05
 """Weight, in the uncertainty of an implied total, of the rows that keep floors and stories alike."""
 
-ROUGH_STEPS = 8
+ROUGH_FIT_STEPS = 8
 """Steps of those fits."""
 
 UNIT_OFF = 0.5
@@ -197,7 +197,7 @@ def deviations(experiment: Experiment) -> Iterator[Finding]:
             std = std[np.isfinite(std) & (std > 0)]
             if not std.size:
                 continue
-            if std.min() < LEAST_STD:
+            if std.min() < BEST_LABORATORY_STD:
                 yield _deviation(each.name, f"{key} = {std.min():.1g} is finer than any instrument measures")
             elif np.median(std) > largest:
                 yield _deviation(
@@ -207,7 +207,7 @@ def deviations(experiment: Experiment) -> Iterator[Finding]:
     stated = [("total_mass_std", frame.total_mass_std)]
     stated += [(f"std of the prior {prior.describe()}", getattr(prior, "std", None)) for prior in experiment.priors]
     for words, value in stated:
-        if value is not None and float(value) < LEAST_STD:
+        if value is not None and float(value) < BEST_LABORATORY_STD:
             yield _deviation(None, f"{words} = {float(value):.1g} is finer than anything is known; exact without std")
 
 
@@ -257,7 +257,7 @@ def _off_by(configuration: Configuration, others: Sequence[Configuration]) -> tu
         for mode, frequency in zip(configuration.modes.tolist(), configuration.frequencies, strict=True)
         if mode in known
     ])  # fmt: skip
-    if not ratios.size or ratios.std() > SAME_FACTOR:
+    if not ratios.size or ratios.std() > ONE_FACTOR_STD:
         return None
     ratio = float(np.exp(ratios.mean()))
     for factor, words in FACTORS:
@@ -353,7 +353,7 @@ def implied_total(experiment: Experiment) -> tuple[float, float]:
     found = problem.nearest(tuned(np.zeros(2 * N)))
     count = sum(reading.count for reading in readings)
     if found.cost > POOR * count:
-        others = (problem.nearest(tuned(start), ROUGH_STEPS) for start in odd_starts(N))
+        others = (problem.nearest(tuned(start), ROUGH_FIT_STEPS) for start in odd_starts(N))
         found = problem.nearest(min((found, *others), key=lambda item: item.cost).theta)
     share = np.exp(found.theta[:N])
     if found.at is None or found.cost > POOR * count:
