@@ -31,9 +31,6 @@ MOST_CANDIDATES = 8
 MOSTLY_ROTATION = "mostly rotation"
 """How the reason of a candidate begins that is set aside as a mode of rotation."""
 
-TWICE = "a mode found twice"
-"""How the reason of a candidate begins that has the frequency and the shape of another."""
-
 FAINT = 1e-3
 """Of the loudest resonance's energy: fainter ones may be of noise."""
 
@@ -73,6 +70,8 @@ class PoleCandidate:
         Whether that is because pieces of the record give it another shape, at nearly the same frequency.
     number : int
         Which mode of the frame it is, where its changes of sign tell; 0 else.
+    twin : tuple of (int, int)
+        Members of the candidate whose frequency and shape it repeats; none else.
     """
 
     members: tuple[tuple[int, int], ...]
@@ -84,6 +83,7 @@ class PoleCandidate:
     reason: str = ""
     shaky: bool = False
     number: int = 0
+    twin: tuple[tuple[int, int], ...] = ()
 
     @property
     def frequency(self) -> float:
@@ -233,8 +233,8 @@ def _distinct(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandid
         ]
         if twins and item.physical:
             alike = mac(item.shape, twins[0].shape)
-            reason = f"{TWICE}: it has the shape of {twins[0].frequency:.4f} Hz, MAC {alike:.3f}"
-            kept.append(dataclasses.replace(item, physical=False, reason=reason))
+            reason = f"a mode found twice: it has the shape of {twins[0].frequency:.4f} Hz, MAC {alike:.3f}"
+            kept.append(dataclasses.replace(item, physical=False, reason=reason, twin=twins[0].members))
         elif not twins:
             kept.append(item)
     return sorted(kept, key=lambda item: item.frequency)
