@@ -22,8 +22,7 @@ from cvxshear.cli.output import (
     progress,
     typed,
 )
-from cvxshear.cli.pictures import LIST, FiguresOut, Pictures
-from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
+from cvxshear.cli.written import LIST, CsvOut, FiguresOut, Pictures, Spreadsheets, XlsxOut
 from cvxshear.util.errors import CvxshearError, InputError
 from cvxshear.util.text import shell_line
 from cvxshear.util.writing import check_output
@@ -78,7 +77,7 @@ def modes(
     sources = _files(records, output)
     pictures, tables = Pictures(figure, ModalResult), Spreadsheets(csv, xlsx)
     if report is not None:
-        from cvxshear.report.modal_html import write_modal_report
+        from cvxshear.report.html import write_modal_report
     options = {
         "functions": bool(pictures) or report is not None,
         "method": method,

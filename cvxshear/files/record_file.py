@@ -59,7 +59,7 @@ RECORD_KEYS = (
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 """Units of a time column, s."""
 
-GAP = 1.75
+LONG_STEP = 1.75
 """Times the usual step: a longer one has lost a sample at least, whatever the stamps are rounded to."""
 
 MOST_GAPS = 0.01
@@ -296,7 +296,7 @@ def pieces_of(
         time = columns.values[:, columns.names.index(name)]
         sound &= np.isfinite(time)
         steps = np.diff(time[sound])
-        jumps = np.flatnonzero(steps > GAP * np.median(steps)) if steps.size else np.zeros(0, dtype=int)
+        jumps = np.flatnonzero(steps > LONG_STEP * np.median(steps)) if steps.size else np.zeros(0, dtype=int)
         if 0 < jumps.size <= MOST_GAPS * len(time) and np.all(steps > 0):
             breaks[np.flatnonzero(sound)[jumps + 1]] = True
     first, last = _asked(columns, name, declared, run)

@@ -13,6 +13,7 @@ from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.hypotheses import Hypothesis
 from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.numbering import Changes, NumberingProbability
+from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
 ADDED = 0.5
@@ -30,7 +31,7 @@ optimum, and which of two equals comes first must not depend on the machine."""
 
 
 @dataclass(frozen=True)
-class Rival:
+class Rival(InJson):
     """What may be there in place of an effect.
 
     Parameters
@@ -45,6 +46,8 @@ class Rival:
     placed: Placed
     probability: float
     twin: bool
+
+    json_keys = "*placed probability twin"
 
 
 class Posterior:

@@ -13,8 +13,7 @@ from scipy.optimize import nnls
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.picking import Sweep
 from cvxshear.records.record import Complexes, Finding
-from cvxshear.util.plain import data_frame
-from cvxshear.util.showing import Shown, drawing
+from cvxshear.util.results import Shown, data_frame, drawing
 from cvxshear.util.typing import Floats, Ints, Json
 
 if TYPE_CHECKING:
@@ -87,11 +86,6 @@ def other_modes(findings: Sequence[Finding]) -> list[Json]:
     ]
 
 
-ARRAYS = (
-    "floors", "modes", "frequencies", "frequency_std", "damping_ratios", "damping_std", "mode_shapes",
-    "mode_shape_std", "entry_std", "phase_collinearity", "lost_phase",
-)  # fmt: skip
-"""Attributes of a result that are written as lists."""
 DRAWN = 0.3
 """Weight of equal variances against those that the covariance asks for."""
 LEAST_STD = 1e-6
@@ -171,16 +165,16 @@ class ModalResult(Shown):
     sweep: Sweep | None = None
     functions: Functions | None = None
 
-    def to_dict(self) -> Json:
-        """The result as plain values."""
-        return {
-            **{name: getattr(self, name) for name in ("name", "method", "stories", "mass_normalized", "uncertainty")},
-            **{name: getattr(self, name).tolist() for name in ARRAYS},
-            "clock_offsets": {
-                name: {"seconds": offset, "std": std} for name, (offset, std) in self.clock_offsets.items()
-            },
-            "findings": [finding.to_dict() for finding in self.findings],
-        }
+    json_keys = (
+        "name method stories floors modes frequencies frequency_std damping_ratios damping_std mode_shapes "
+        "mode_shape_std entry_std mass_normalized phase_collinearity lost_phase clock_offsets=named_offsets "
+        "uncertainty findings"
+    )
+
+    @property
+    def named_offsets(self) -> dict[str, dict[str, float]]:
+        """The clock offset of each channel with its standard deviation, s, by name."""
+        return {name: {"seconds": offset, "std": std} for name, (offset, std) in self.clock_offsets.items()}
 
     @property
     def written_frequency_std(self) -> Floats:

@@ -17,11 +17,12 @@ from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.records.data_frames import matrix_of, table_columns
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
+from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats, Ints, Json
 
 
 @dataclass(frozen=True)
-class Finding:
+class Finding(InJson):
     """One thing that is wrong with a record, or that it cannot tell.
 
     Parameters
@@ -39,10 +40,6 @@ class Finding:
     kind: str
     message: str
     numbers: Json = field(default_factory=dict)
-
-    def to_dict(self) -> Json:
-        """The finding as plain values."""
-        return {"kind": self.kind, "message": self.message, "numbers": dict(self.numbers)}
 
 
 Complexes = NDArray[np.complex128]

@@ -9,7 +9,7 @@ from typing import Any
 from cvxshear.report.describe import describe, line
 from cvxshear.report.terminal import text
 from cvxshear.util.errors import InputError
-from cvxshear.util.showing import Renderers, register
+from cvxshear.util.results import Renderers, register
 from cvxshear.util.text import printable
 
 FIRST_SECTION = "verdict"
