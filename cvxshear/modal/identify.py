@@ -10,6 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cvxshear.modal import diagnostics
+from cvxshear.modal.agreement import FDD, frequency_domain_decomposition, second_opinion
 from cvxshear.modal.assemble import assembled
 from cvxshear.modal.diagnostics import left_out, overlooked_modes
 from cvxshear.modal.estimate import Replication, covariance, details, doubted, scattering, settle_truncation
@@ -18,7 +19,6 @@ from cvxshear.modal.picking import REACH, Choice, Parts, Sweep, Values, stronges
 from cvxshear.modal.prepare import BLOCKS, METHODS, Attempt, default_method, settled, source_of
 from cvxshear.modal.realization import Source
 from cvxshear.modal.result import ModalResult
-from cvxshear.modal.second_opinion import FDD, frequency_domain_decomposition, second_opinion
 from cvxshear.modal.stabilization import Criteria
 from cvxshear.records.examination import Examined, clock_offset, examined
 from cvxshear.records.mode_shapes import RULES
