@@ -291,6 +291,7 @@ class CovarianceSource(Source):
         """Left factor of the block Hankel matrix as it is."""
         return left_factor(block_hankel(self.markov(), self.rows, self.columns))
 
+
 def _covariances(response: Floats, lags: int) -> Floats:
     count = len(response) - lags
     first = response[:count]
