@@ -24,6 +24,7 @@ unweighted, the chance scatter of a strong mode's covariances drowns a weak one.
 
 from __future__ import annotations
 
+import copy
 import warnings
 from collections.abc import Sequence
 
@@ -106,6 +107,14 @@ class OkidSource(Source):
         if self._latest is None or self._latest[0] != pieces:
             self._latest = (pieces, self._regressed(keep))
         return self._latest[1]
+
+    def rougher(self) -> OkidSource:
+        """The same data with half the lags: what changes is of the size of what noise bends, or larger."""
+        other = copy.copy(self)
+        other.lags, other._latest = self.lags // 2, None
+        width = self.inputs + other.lags * (self.inputs + self.outputs)
+        other._triangles = [np.hstack([t[:, :width], t[:, -self.outputs :]]) for t in self._triangles]
+        return other
 
     def _regressed(self, keep: Bools | None) -> Floats:
         chosen = self._triangles if keep is None else [t for t, k in zip(self._triangles, keep, strict=True) if k]
