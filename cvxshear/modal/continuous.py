@@ -217,6 +217,12 @@ class SubspaceSource(Source):
         self.groups, self.energies = self._observer.groups, self._observer.energies
         self._triangles = [_triangle(_data(u, y, rows)) for u, y in pieces]
 
+    def rougher(self) -> SubspaceSource:
+        """The same with half the observer's lags: the same poles, whose residues change."""
+        other = copy.copy(self)
+        other._observer = self._observer.rougher()
+        return other
+
     def factor(self, keep: Bools | None = None) -> Floats:
         """Left factor of the future outputs as the past explains them."""
         chosen = self._triangles if keep is None else [t for t, k in zip(self._triangles, keep, strict=True) if k]
