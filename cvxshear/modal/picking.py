@@ -34,6 +34,10 @@ MOSTLY_ROTATION = "mostly rotation"
 FAINT = 1e-3
 """Of the loudest resonance's energy: fainter ones may be of noise."""
 
+BESIDE = 0.1
+"""Relative distance to a louder resonance within which none of a frame's two lowest modes lies: the third is half as
+high again as the second."""
+
 UNSURE = 0.05
 """Of a shape's largest entry: smaller ones can have either sign, by noise or by a sensor that stands askew."""
 
@@ -369,7 +373,16 @@ def _straight(items: list[PoleCandidate], order: Sequence[int] | None = None) ->
 def strongest(sweep: Sweep, count: int) -> tuple[Floats, Floats]:
     """Frequencies and real shapes of the lowest resonances that hold a part of the energy worth the name."""
     usable = [item for item in sweep.candidates if item.physical]
-    loud = [item for item in usable if item.energy > FAINT * max(other.energy for other in usable)][:count]
+    loud = [item for item in usable if item.energy > FAINT * max(other.energy for other in usable)]
+    # A clipped channel has poles of its own close to each mode.
+    loud = [
+        item
+        for item in loud
+        if not any(
+            other.energy > item.energy and abs(other.frequency - item.frequency) < BESIDE * item.frequency
+            for other in loud
+        )
+    ][:count]
     if not loud:
         return np.zeros(0), np.zeros((0, 0))
     return np.array([item.frequency for item in loud]), _straight(loud)
