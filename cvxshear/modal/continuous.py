@@ -217,8 +217,10 @@ class SubspaceSource(Source):
         self.groups, self.energies = self._observer.groups, self._observer.energies
         self._triangles = [_triangle(_data(u, y, rows)) for u, y in pieces]
 
-    def rougher(self) -> SubspaceSource:
-        """The same with half the observer's lags: the same poles, whose residues change."""
+    def rougher(self) -> SubspaceSource | None:
+        """The same poles with residues of half the observer's lags; None under base motion, which scales no mode."""
+        if not self._observer.floor:
+            return None
         other = copy.copy(self)
         other._observer = self._observer.rougher()
         return other
