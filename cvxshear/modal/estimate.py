@@ -298,7 +298,9 @@ def covariance(setting: Replication, full: Details, seed: int) -> tuple[Floats, 
             freedom = len(groups) - len(np.unique(groups))
             result = result * (stats.t.isf(0.025, freedom) / stats.norm.isf(0.025)) ** 2
         bias = _bias(setting, full)
-        return (result, how, lost) if bias is None else (result + np.outer(bias, bias), f"{how}, and half the observer's lags", lost)
+        if bias is not None:
+            result, how = result + np.outer(bias, bias), f"{how}, and what half the observer's lags change"
+        return result, how, lost
     return disturbed(setting, full, seed), f"{SURROGATES} surrogates of the residual", 0
 
 
