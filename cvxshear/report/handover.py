@@ -14,7 +14,7 @@ from cvxshear.files.spreadsheets import Cell, Sheet, workbook
 from cvxshear.fit.misfit import Misfit
 from cvxshear.report.opensees import opensees_script
 from cvxshear.response import Fitted, RecordPrediction
-from cvxshear.response.model import DampedModel
+from cvxshear.response.damped import DampedModel
 from cvxshear.response.uncertain import Damped
 from cvxshear.util.text import json_text
 from cvxshear.util.typing import Floats

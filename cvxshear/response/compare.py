@@ -14,7 +14,7 @@ from scipy import signal
 
 from cvxshear.fit.results import plain
 from cvxshear.records.motion import Motion
-from cvxshear.response.model import Complexes, DampedModel, Response
+from cvxshear.response.damped import Complexes, DampedModel, Response
 from cvxshear.util.quantities import ranged
 from cvxshear.util.typing import Bools, Floats, Ints, Json
 

@@ -17,7 +17,7 @@ from cvxshear.priors import Prior
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.orthogonality import pair_products
 from cvxshear.programs.statements import constrained, refuse_contradictions, softened, statements
-from cvxshear.response.model import coupled, modal_damping
+from cvxshear.response.damped import coupled, modal_damping
 from cvxshear.util.errors import InputError, NoSolutionError, UnsuitableError
 from cvxshear.util.quantities import ranged
 from cvxshear.util.typing import Bools, Floats, Ints

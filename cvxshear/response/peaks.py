@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.fit.results import plain
-from cvxshear.response.model import Response, held
+from cvxshear.response.damped import Response, held
 from cvxshear.util.typing import Floats, Json
 
 RESPONSES = {

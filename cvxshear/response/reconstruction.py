@@ -20,26 +20,17 @@ from cvxshear.backends import Backend
 from cvxshear.fit.results import plain
 from cvxshear.measurement.experiment import Configuration, Limits
 from cvxshear.records.motion import Drive
+from cvxshear.response.damped import DampedModel, Response, response
 from cvxshear.response.dynamics import Noise, Setting, dynamics
 from cvxshear.response.fitted import Fitted
-from cvxshear.response.innovations import (
-    FIRST_FORCE,
-    FIRST_SENSOR,
-    FittedFrame,
-    PredictionErrors,
-    Prior,
-    Stretch,
-    Varied,
-    fit_frame,
-    refitted,
-    strongest,
-)
-from cvxshear.response.model import DampedModel, Response, response
+from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, fit_frame, informative, refitted
+from cvxshear.response.innovations import FIRST_FORCE, FIRST_SENSOR, PredictionErrors, Stretch
 from cvxshear.response.peaks import FloorSpectra, Peaks, floor_spectra, histories, spectrum_lines
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
 from cvxshear.response.smoother import Observed, Smoothed, Steady, smooth
 from cvxshear.response.sources import ModelSource, models_of, state_of, state_remarks
 from cvxshear.response.uncertain import UncertainFrame
+from cvxshear.response.varied_frame import FramePrior, VariedFrame
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import percent, ranged
 from cvxshear.util.showing import Shown
@@ -359,7 +350,7 @@ class _Reconstructing:
         self.frame, self.recording, self.backend = frame, recording, backend
         # Without the base motion a softer first story and another base motion are one and the same.
         self.free = free and recording.input != "none"
-        self.varied = Varied.of(frame)
+        self.varied = VariedFrame.around(frame)
         self._progress, self._done = progress, 0
         self._parts = 5 + len(recording.floors)
         model = self.varied.centre.model
@@ -442,30 +433,30 @@ class _Reconstructing:
             found.append(Observed(run.driven, run.measured, envelope, scale))
         return found
 
-    def _errors(self, smoothed: list[Smoothed] | None) -> PredictionErrors:
+    def _errors(self, smoothed: list[Smoothed] | None, p: Floats | None = None) -> PredictionErrors:
         """The innovations of the strongest part of each run, gaps and spikes filled in by the smoother."""
         stretches = []
         for place, run in enumerate(self.recording.runs):
             y = np.nan_to_num(run.measured) if smoothed is None else smoothed[place].completed
-            part = strongest(y)
             start = np.zeros(3 * len(self.varied.story_stiffness) + (0 if self.setting.base_measured else 1))
             if smoothed is not None:
-                start = smoothed[place].states[part.start]
-            stretches.append(Stretch(run.driven[part], y[part], start))
-        return PredictionErrors(self.varied, self.setting, stretches, self.noise, self.frame.fitted.lacking)
+                start = smoothed[place].states[0]
+            stretches.append(Stretch(run.driven, y, start))
+        errors = PredictionErrors(self.varied, self.setting, stretches, self.noise)
+        return errors.shortened(FITTED_SAMPLES, np.zeros(errors.size) if p is None else p)
 
     def _fitted(self) -> tuple[FittedFrame, list[Smoothed]]:
         """The frame and its motion: gaps and spikes are filled in by the identified frame, then by the fitted one."""
         fitted: FittedFrame | None = None
         smoothed: list[Smoothed] = []
         errors = self._errors(None)
-        prior = Prior.of(self.frame, errors)
+        prior = FramePrior.around(self.frame, self.varied, errors.size - errors.frame.stop)
         p = np.zeros(errors.size)
         whole = not any(np.isnan(run.measured).any() for run in self.recording.runs)
         for turn in range(2):
             if turn or not whole:
                 smoothed = self._smoothed(errors, p)
-                errors = self._errors(smoothed)
+                errors = self._errors(smoothed, p)
                 self._advance()
             if turn and fitted is not None and _clean(smoothed):
                 break
@@ -503,7 +494,7 @@ class _Reconstructing:
         return result
 
     def _run(
-        self, fitted: FittedFrame, model: DampedModel, directions: list[_Direction], place: int, found: Smoothed,
+        self, fitted: FittedFrame, model: DampedModel, directions: _Directions, place: int, found: Smoothed,
         wider: float,
     ) -> ReconstructedRun:  # fmt: skip
         """One run's motion and its deviations."""
@@ -513,8 +504,9 @@ class _Reconstructing:
         moved = self._outputs(found.states, whole.outputs.rows, whole.outputs.direct, recorded.driven)
         variance = found.output_std**2
         noise = fitted.errors.noise_at(fitted.p)
-        for direction in directions:
-            variance += self._moved_by(direction, noise, recorded.driven, found.completed, found.states[0]) ** 2
+        for sides in directions.sides:
+            moved_by = self._moved_by(sides, noise, recorded.driven, found.completed, found.states[0])
+            variance += directions.allowance * moved_by**2
         std: Floats = wider * np.sqrt(variance)
         acceleration, displacement, _, force = (moved[:, k * n : (k + 1) * n] for k in range(4))
         time = self.recording.step * np.arange(len(moved), dtype=np.float64)
@@ -538,24 +530,24 @@ class _Reconstructing:
             recorded.name, motion, stds, base, None if base is None else std[:, -1], recorded.measured, recorded.driven
         )
 
-    def _moved_by(self, direction: _Direction, noise: Noise, excitation: Floats, y: Floats, start: Floats) -> Floats:
+    def _moved_by(self, models: tuple[DampedModel, DampedModel], noise: Noise, excitation: Floats, y: Floats, start: Floats) -> Floats:
         """Half the difference of all outputs between plus and minus one standard deviation along a direction."""
         sides = []
-        for model in (direction.plus, direction.minus):
+        for model in models:
             moved = dynamics(model, noise, self.setting)
             states = Steady.of(moved).states(excitation, y, start)
             sides.append(self._outputs(states, moved.outputs.rows, moved.outputs.direct, excitation))
         result: Floats = 0.5 * (sides[0] - sides[1])
         return result
 
-    def _directions(self, fitted: FittedFrame, most: int) -> list[_Direction]:
+    def _directions(self, fitted: FittedFrame, most: int) -> _Directions:
         """The directions of the frame's uncertainty that move its motion most, one standard deviation long."""
         frame = fitted.errors.frame
         values, vectors = np.linalg.eigh(fitted.covariance[frame, frame])
         own = vectors * np.sqrt(np.maximum(values, 0.0))
         noise = fitted.errors.noise_at(fitted.p)
         run = max(fitted.errors.stretches, key=lambda each: float(np.mean(each.y**2)))
-        part = strongest(run.y, PROBED_SAMPLES)
+        part = run.strongest(PROBED_SAMPLES)
         excitation, y, start = run.excitation[part], run.y[part], np.zeros(len(run.start))
 
         def model_at(weights: Floats) -> DampedModel:
@@ -571,14 +563,18 @@ class _Reconstructing:
         centre = outputs(fitted.model)
         scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
         # A tenth of a standard deviation: the directions are needed to first order only.
-        slopes = [((outputs(model_at(0.1 * row)) - centre) / scale).ravel() / 0.1 for row in np.eye(len(own))]
-        strength, turned = np.linalg.eigh(np.array([[a @ b for b in slopes] for a in slopes]))
+        slopes = np.array([(outputs(model_at(0.1 * row)) - centre) / scale / 0.1 for row in np.eye(len(own))])
+        flat = slopes.reshape(len(own), -1)
+        strength, turned = np.linalg.eigh(flat @ flat.T)
         order = np.argsort(-strength)
         carried = np.cumsum(np.maximum(strength[order], 0.0))
         if carried[-1] <= 0:
-            return []
-        enough = int(np.searchsorted(carried, CARRIED_SHARE * carried[-1])) + 1
-        return [_Direction(model_at(turned[:, k]), model_at(-turned[:, k])) for k in order[: min(enough, most)]]
+            return _Directions((), np.ones(len(scale)))
+        chosen = order[: min(int(np.searchsorted(carried, CARRIED_SHARE * carried[-1])) + 1, most)]
+        part_of = np.sum(np.tensordot(turned[:, chosen].T, slopes, axes=1) ** 2, axis=(0, 1))
+        whole = np.sum(slopes**2, axis=(0, 1))
+        sides = tuple((model_at(turned[:, k]), model_at(-turned[:, k])) for k in chosen)
+        return _Directions(sides, whole / np.maximum(part_of, 1e-300))
 
     def _check(self, fitted: FittedFrame, channel: int, smoothed: list[Smoothed]) -> SensorCheck:
         """One sensor from the others: the frame fitted and the motion smoothed without it."""
@@ -588,9 +584,10 @@ class _Reconstructing:
         stretches = [
             dataclasses.replace(each, y=np.delete(each.y, channel, axis=1)) for each in fitted.errors.stretches
         ]
-        errors = PredictionErrors(self.varied, setting, stretches, noise, self.frame.fitted.lacking)
+        errors = PredictionErrors(self.varied, setting, stretches, noise)
         start = np.delete(fitted.p, fitted.errors.frame.stop + channel)
-        again = refitted(fitted, errors, start, self.backend, CHECK_STEPS if self.free else 0)
+        along = informative(errors, dataclasses.replace(fitted.prior, others=errors.size - errors.frame.stop), start)
+        again = refitted(fitted, errors, start, along, self.backend, CHECK_STEPS if self.free else 0)
         other = _Reconstructing.__new__(_Reconstructing)
         other.__dict__ |= self.__dict__ | {
             "setting": setting, "recording": self.recording.without(channel), "noise": noise
@@ -606,11 +603,9 @@ class _Reconstructing:
         for number, (run, given) in enumerate(zip(self.recording.runs, observed, strict=True)):
             found = smooth(model, given, row[None, :])
             variance = found.output_std[:, 0] ** 2 + sigma**2
-            for direction in directions:
-                moved = other._moved_by(
-                    direction, errors.noise_at(again.p), run.driven, found.completed, found.states[0]
-                )
-                variance += (gain * moved[:, place]) ** 2
+            for sides in directions.sides:
+                moved = other._moved_by(sides, errors.noise_at(again.p), run.driven, found.completed, found.states[0])
+                variance += directions.allowance[place] * (gain * moved[:, place]) ** 2
             there = smoothed[number].weights[:, channel] == 1.0
             value = found.states @ row + direct * run.driven
             error.append((value - run.measured[:, channel])[there])
@@ -654,11 +649,19 @@ class _Reconstructing:
 
 
 @dataclass(frozen=True, eq=False)
-class _Direction:
-    """The frame one standard deviation to either side."""
+class _Directions:
+    """Directions of the frame's uncertainty.
 
-    plus: DampedModel
-    minus: DampedModel
+    Parameters
+    ----------
+    sides : tuple of pairs of DampedModel
+        The frame one standard deviation to either side along each.
+    allowance : ndarray, shape (outputs,)
+        Variance of each output along all directions over that along these.
+    """
+
+    sides: tuple[tuple[DampedModel, DampedModel], ...]
+    allowance: Floats
 
 
 def _clean(smoothed: list[Smoothed]) -> bool:

@@ -17,9 +17,9 @@ from cvxshear.backends import Backend
 from cvxshear.effects import State, compose
 from cvxshear.measurement.experiment import DAMPING_KINDS, Configuration
 from cvxshear.model.shear import Modes, modes, stiffness_matrix
+from cvxshear.response.damped import DampedModel
 from cvxshear.response.dashpots import Dashpots, Ratios, damping_ratios, rayleigh, story_dashpots
 from cvxshear.response.fitted import Fitted
-from cvxshear.response.model import DampedModel
 from cvxshear.util import checks
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.typing import Floats

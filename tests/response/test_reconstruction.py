@@ -12,11 +12,12 @@ from cvxshear.measurement.declaration import Limits
 from cvxshear.modal import Channel, Run, TimeRecord
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.response import DampedModel, Fitted, Models, reconstruct, response
-from cvxshear.response.dynamics import Noise, Setting, doubled_lyapunov, dynamics, recursion, settled_covariance
-from cvxshear.response.innovations import PredictionErrors, Stretch, Varied
+from cvxshear.response.dynamics import Noise, Setting, doubled, dynamics, recursion, settled_covariance
+from cvxshear.response.innovations import PredictionErrors, Stretch
 from cvxshear.response.recording import recording_of
 from cvxshear.response.smoother import Observed, Steady, motion_program, smooth
 from cvxshear.response.uncertain import UncertainFrame
+from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util.errors import InputError
 from tests.benchmarks import reconstruction as study
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
@@ -82,7 +83,7 @@ def test_settled_covariances_solve_their_equations(three):
     system = three[2]
     expected = linalg.solve_discrete_lyapunov(system.A, system.Q)
     unit = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(doubled_lyapunov(system.A, system.Q) / np.outer(unit, unit),
+    np.testing.assert_allclose(doubled(system.A, system.Q) / np.outer(unit, unit),
                                expected / np.outer(unit, unit), atol=1e-9)  # fmt: skip
     P = settled_covariance(system)
     S = system.H @ P @ system.H.T + np.diag(system.R)
@@ -107,7 +108,7 @@ def test_the_gradient_of_the_likelihood_is_that_of_differences():
     omega = 2 * np.pi * 8.0
     setting = Setting(np.array([1, 3]), STEP, 0, True, omega, omega, 1e-3 * stiffness)
     errors = PredictionErrors(
-        Varied.of(frame), setting, [Stretch(excitation, y, np.zeros(9))], Noise(np.array([0.03, 0.02]), 0.02)
+        VariedFrame.around(frame), setting, [Stretch(excitation, y, np.zeros(9))], Noise(np.array([0.03, 0.02]), 0.02)
     )  # fmt: skip
     p = 0.02 * rng.standard_normal(errors.size)
     at = errors.linearised(p)
