@@ -23,7 +23,7 @@ from cvxshear.priors import Constraints
 from cvxshear.programs.statements import NamedConstraints
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.innovations import Directions, Likelihood, PredictionErrors
-from cvxshear.response.varied_frame import FramePrior
+from cvxshear.response.varied_frame import FORM_STDS, FramePrior, Gaussian
 from cvxshear.util.typing import Floats
 
 FIRST_SAMPLES, FITTED_SAMPLES = 2_000, 10_000
@@ -117,7 +117,7 @@ class _Point:
 
     def __init__(self, posterior: _Posterior, p: Floats) -> None:
         self.posterior, self.p = posterior, p
-        white = posterior.white @ p
+        white = posterior.white @ (p - posterior.prior.mean)
         self.objective = posterior.errors.objective(p) + float(white @ white)
 
     @cached_property
@@ -127,7 +127,7 @@ class _Point:
     @cached_property
     def triangle(self) -> tuple[Floats, Floats]:
         at, white = self.likelihood, self.posterior.white
-        return np.concatenate([at.U, white]), np.concatenate([at.c, white @ self.p])
+        return np.concatenate([at.U, white]), np.concatenate([at.c, white @ (self.p - self.posterior.prior.mean)])
 
     @property
     def r(self) -> Floats:
@@ -145,13 +145,12 @@ class _Posterior:
     ----------
     errors : PredictionErrors
     along : Directions
-    covariance : ndarray, shape (P, P)
-        Of the prior.
+    prior : Gaussian
     """
 
-    def __init__(self, errors: PredictionErrors, along: Directions, covariance: Floats) -> None:
-        self.errors, self.along = errors, along
-        self.white = np.linalg.inv(np.linalg.cholesky(covariance))
+    def __init__(self, errors: PredictionErrors, along: Directions, prior: Gaussian) -> None:
+        self.errors, self.along, self.prior = errors, along, prior
+        self.white = np.linalg.inv(np.linalg.cholesky(prior.covariance))
 
     def evaluate(self, theta: Floats, /, *, derivatives: bool = True) -> _Point:
         return _Point(self, theta)
@@ -180,23 +179,23 @@ def fit_frame(
         Whether the frame is fitted; otherwise only the noise is.
     """
     p = np.zeros(errors.size) if start is None else start
-    answer = Answer((), prior.form_stds[0], 1.0)
+    answer = Answer((), FORM_STDS[0], 1.0)
     if not free:
         noise = np.eye(errors.size)[errors.frame.stop :]
-        posterior = _Posterior(errors, Directions(noise.T, noise), prior.unfitted())
-        at, converged = posterior.maximum(p, backend, MOST_FIT_STEPS)
-        known = errors.setting.base_measured
-        covariance = prior.unfitted() if known else prior.covariance((), answer.form_std)
-        return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged)
+        identified = prior.gaussian((), answer.form_std, same=errors.setting.base_measured)
+        # The frame stays as it was identified; its uncertainty is in the bands.
+        still = Gaussian(np.zeros(errors.size), identified.covariance, 0.0)
+        at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(p, backend, MOST_FIT_STEPS)
+        return FittedFrame(errors, prior, at.p, still.covariance, (answer,), 1.0, converged)
     rough = _Posterior(
         errors.shortened(FIRST_SAMPLES, p),
         informative(errors, prior, p, FIRST_INFORMATION),
-        prior.covariance(range(errors.stories), prior.form_stds[-1]),
+        prior.gaussian(range(errors.stories), FORM_STDS[-1]),
     )
     p = rough.maximum(p, backend, MOST_FIT_STEPS, FIRST_FITTED)[0].p
     along = informative(errors, prior, p)
     for _ in range(MOST_DECISIONS):
-        posterior = _Posterior(errors, along, prior.covariance(answer.stories, answer.form_std))
+        posterior = _Posterior(errors, along, prior.gaussian(answer.stories, answer.form_std))
         at, converged = posterior.maximum(p, backend, MOST_FIT_STEPS)
         p, answers, before = at.p, possible_answers(at.likelihood, prior, at.p), answer
         answer = answers[0]
@@ -216,8 +215,8 @@ def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: f
     least : float, optional
     """
     short = errors.shortened(FIRST_SAMPLES, p)
-    widest = prior.covariance(range(errors.stories), prior.form_stds[-1])
-    return short.told(p, np.linalg.cholesky(widest), least * np.sqrt(short.samples / errors.samples))
+    widest = prior.gaussian(range(errors.stories), FORM_STDS[-1])
+    return short.told(p, np.linalg.cholesky(widest.covariance), least * np.sqrt(short.samples / errors.samples))
 
 
 def refitted(
@@ -238,8 +237,9 @@ def refitted(
     prior = dataclasses.replace(frame.prior, others=errors.size - errors.frame.stop)
     best = frame.answers[0]
     if not steps:
-        return FittedFrame(errors, prior, start, prior.unfitted(), frame.answers, 1.0, True)
-    posterior = _Posterior(errors, along, prior.covariance(best.stories, best.form_std))
+        covariance = prior.gaussian((), FORM_STDS[0], same=True).covariance
+        return FittedFrame(errors, prior, start, covariance, frame.answers, 1.0, True)
+    posterior = _Posterior(errors, along, prior.gaussian(best.stories, best.form_std))
     at, converged = posterior.maximum(start, backend, steps)
     return _mixed(errors, prior, at, frame.answers, converged)
 
@@ -251,38 +251,39 @@ def _mixed(
     total = sum(each.probability for each in answers)
     covariance = np.zeros((errors.size, errors.size))
     for each in answers:
-        mean, own = _Linear(at.likelihood, at.p, prior.covariance(each.stories, each.form_std)).posterior()
+        mean, own = _Linear(at.likelihood, at.p, prior.gaussian(each.stories, each.form_std)).posterior()
         away = mean - at.p
         covariance += each.probability / total * (own + np.outer(away, away))
     return FittedFrame(errors, prior, at.p, covariance, tuple(answers), at.likelihood.inflation, converged)
 
 
 class _Linear:
-    """Linear Gaussian data c - U p of unknowns whose prior has a mean of zero, the likelihood tempered by its inflation.
+    """Linear data of unknowns with a Gaussian prior, the likelihood tempered by its inflation.
 
     Parameters
     ----------
     at : Likelihood
     p : ndarray, shape (P,)
         Where it was linearised.
-    covariance : ndarray, shape (P, P)
+    prior : Gaussian
     """
 
-    def __init__(self, at: Likelihood, p: Floats, covariance: Floats) -> None:
-        self.U, self.data, self.covariance = at.U, at.U @ p - at.c, covariance
-        self.seen = at.U @ covariance @ at.U.T + at.inflation * np.eye(len(at.c))
+    def __init__(self, at: Likelihood, p: Floats, prior: Gaussian) -> None:
+        self.U, self.prior, self.covariance = at.U, prior, prior.covariance
+        self.data = at.U @ (p - prior.mean) - at.c
+        self.seen = at.U @ prior.covariance @ at.U.T + at.inflation * np.eye(len(at.c))
 
     def evidence(self, more: Floats | None = None) -> float:
         """Log evidence but for a constant, of a prior whose covariance is larger by more more' where given."""
         whole = self.seen if more is None else self.seen + (self.U @ more) @ (self.U @ more).T
         _, log_det = np.linalg.slogdet(whole)
-        return -0.5 * float(self.data @ np.linalg.solve(whole, self.data) + log_det)
+        return self.prior.evidence - 0.5 * float(self.data @ np.linalg.solve(whole, self.data) + log_det)
 
     def posterior(self) -> tuple[Floats, Floats]:
         """Mean and covariance of the unknowns."""
         spread = self.U @ self.covariance
         gain = np.linalg.solve(self.seen, spread).T
-        return gain @ self.data, self.covariance - gain @ spread
+        return self.prior.mean + gain @ self.data, self.covariance - gain @ spread
 
 
 def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answer, ...]:
@@ -301,8 +302,8 @@ def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answ
     stories = range(len(prior.identified))
     odds = float(np.log(prior.probability) - np.log1p(-prior.probability))
     scores: dict[tuple[tuple[int, ...], float], float] = {}
-    for rank, std in enumerate(prior.form_stds):
-        linear = _Linear(at, p, prior.covariance((), std))
+    for rank, std in enumerate(FORM_STDS):
+        linear = _Linear(at, p, prior.gaussian((), std))
         changes = prior.change_std * np.eye(len(p))
         level: list[tuple[int, ...]] = [()]
         for size in range(min(MOST_CHANGES, len(stories)) + 1):

@@ -16,9 +16,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 
 from cvxshear.effects.story_change import StoryChange
-from cvxshear.measurement.experiment import Experiment
+from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model.shear import modes, stiffness_matrix
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.uncertain import Damped, UncertainFrame, modal_matrix
@@ -43,6 +44,12 @@ NOISE_STD = 1.0
 FORM_STDS = (0.003, 0.01, 0.03, 0.1)
 """Standard deviations of e_ij that are compared by their evidence: from a model as good as the best data
 to one whose modes have little to do with the frame's."""
+
+MODAL_STEP = 1e-3
+"""Step of the unknowns by which modes are differentiated: their curvature leaves a thousandth of a derivative."""
+
+ASSUMED_FREQUENCY_STD, ASSUMED_SHAPE_STD = 0.005, 0.02
+"""Relative standard deviations of measured frequencies and shapes where none are declared: usual modal tests."""
 
 COUPLED_MODES = 6
 """Lowest modes that an error of the model's form mixes; of higher modes it changes the frequencies alone. Six have most
@@ -150,8 +157,71 @@ def _form(model: DampedModel, measured: int) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
+class ModalRows:
+    """What the measured modes say of a frame whose model may be wrong in form, linearised at the identified one.
+
+    Parameters
+    ----------
+    J : ndarray, shape (d, N + W + X)
+        Derivatives of frequencies and shape entries, in standard deviations, by the logarithms of the story
+        stiffnesses in the tests, by masses and effects, and by e_ij.
+    data : ndarray, shape (d,)
+        Measured less modelled.
+    """
+
+    J: Floats
+    data: Floats
+
+    @staticmethod
+    def around(frame: UncertainFrame, varied: VariedFrame) -> ModalRows:
+        """The rows of all tests of the frame's state."""
+        N, D, W, X = varied.sizes
+        configurations = frame.fitted.experiment.configurations
+        tests = [each for each in configurations if each.state == frame.configuration.state]
+
+        def described(z: Floats) -> Floats:
+            model = varied.model(np.concatenate([z[:N], np.zeros(D), z[N:]]))
+            return np.concatenate(
+                [np.zeros(0), *(_standardized(test, model, test.added_mass - frame.configuration.added_mass)
+                                for test in tests)]
+            )  # fmt: skip
+
+        centre = described(np.zeros(N + W + X))
+        if not len(centre) or not frame.uncertain:
+            return ModalRows(np.zeros((0, N + W + X)), np.zeros(0))
+        J = np.array([(described(MODAL_STEP * row) - centre) / MODAL_STEP for row in np.eye(N + W + X)]).T
+        return ModalRows(-J, centre)
+
+
+def _standardized(test: Configuration, model: DampedModel, added: Floats) -> Floats:
+    """Measured less modelled frequencies and shape entries of one test, in standard deviations."""
+    own = modes(model.M + np.diag(added), model.K)
+    at = test.modes - 1
+    std = ASSUMED_FREQUENCY_STD if test.frequency_std is None else test.frequency_std
+    parts = [np.log(test.frequencies / own.frequencies[at]) / std]
+    stds = np.broadcast_to(
+        np.reshape(ASSUMED_SHAPE_STD if test.mode_shape_std is None else test.mode_shape_std, (-1, 1))
+        if np.ndim(test.mode_shape_std) < 2 else test.mode_shape_std, test.mode_shapes.shape,
+    )  # fmt: skip
+    for measured, mode, noise in zip(test.mode_shapes, at, stds, strict=False):
+        there = np.isfinite(measured)
+        if there.sum() < 2:
+            continue
+        entry = (own.shapes[mode] * model.gain)[test.measured_floors - 1][there]
+        seen = measured[there]
+        largest = np.abs(seen) if test.mode_shape_noise == "multiplicative" else np.abs(seen).max()
+        weight = 1.0 / np.maximum(noise[there] * largest, 1e-12 * np.abs(seen).max())
+        scale = float((weight * entry) @ (weight * seen) / ((weight * entry) @ (weight * entry)))
+        parts.append(weight * (seen - scale * entry))
+    return np.concatenate(parts)
+
+
+@dataclass(frozen=True, eq=False)
 class FramePrior:
     """Gaussian prior of the unknowns of a `VariedFrame` and of the levels of the noise.
+
+    The measured modes are in it twice, in the identified stiffnesses and masses, where the form of the model counts as
+    right, and for what may be wrong of the form.
 
     Parameters
     ----------
@@ -168,8 +238,7 @@ class FramePrior:
         Relative change of the frame along each direction of masses and effects.
     others : int
         Number of noise levels.
-    form_stds : tuple of float
-        Standard deviations of e_ij that are possible.
+    measured : ModalRows
     """
 
     identified: Floats
@@ -179,7 +248,7 @@ class FramePrior:
     sizes: tuple[int, int, int, int]
     nuisance_share: Floats
     others: int
-    form_stds: tuple[float, ...]
+    measured: ModalRows
 
     @staticmethod
     def around(frame: UncertainFrame, varied: VariedFrame, others: int) -> FramePrior:
@@ -187,39 +256,51 @@ class FramePrior:
         change = _expected_change(frame.fitted.experiment)
         size = float(change.sizes(None)[0])  # type: ignore[arg-type]  # this effect's size needs no scale of the frame
         probability = 1.0 - (1.0 - change.probability) ** (1.0 / frame.fitted.experiment.stories)
-        lacking = frame.fitted.lacking
-        # A shape is off by e_ij over the relative distance of two modes: about as much, or half of it.
-        stds = tuple(std for std in FORM_STDS if std >= lacking / 2)
         return FramePrior(
             frame.conditional_stiffness(), size, probability, varied.own_std, varied.sizes, varied.nuisance_share,
-            others, stds or FORM_STDS[-1:],
+            others, ModalRows.around(frame, varied),
         )  # fmt: skip
 
-    def covariance(self, changed: Sequence[int], form_std: float) -> Floats:
-        """With given stories (from 0) changed, and a given standard deviation of e_ij.
+    def gaussian(self, changed: Sequence[int], form_std: float, *, same: bool = False) -> Gaussian:
+        """The prior with given stories (from 0) changed, and a given standard deviation of e_ij.
 
         Parameters
         ----------
         changed : sequence of int
         form_std : float
+        same : bool, optional
+            Whether stiffnesses and damping are still those of the tests.
         """
-        stories = self.identified + AMPLITUDE_STD**2 + SCATTER_STD**2 * np.eye(self.sizes[0])
-        stories[list(changed), list(changed)] += self.change_std**2
-        return self._whole(stories, DAMPING_STD**2 + np.diag(self.own_damping**2), form_std)
-
-    def unfitted(self) -> Floats:
-        """Covariance of a frame that stays as it was identified."""
-        return self._whole(self.identified, np.diag(self.own_damping**2), self.form_stds[0])
-
-    def _whole(self, stories: Floats, damping: Floats, form_std: float) -> Floats:
         N, D, W, X = self.sizes
         # What modes say of masses and effects is no better than the form of the model.
         nuisances = 1.0 + (form_std / self.nuisance_share) ** 2 / max(W, 1)
-        last = [nuisances, np.full(X, form_std**2), np.full(self.others, NOISE_STD**2)]
-        result = np.diag(np.concatenate([np.zeros(N + D), *last]))
-        result[:N, :N] = stories
-        result[N : N + D, N : N + D] = damping
-        return result
+        rest = np.concatenate([nuisances, np.full(X, form_std**2)])
+        tested = linalg.block_diag(self.identified, np.diag(rest))
+        damping = np.diag(self.own_damping**2) + (0.0 if same else DAMPING_STD**2)
+        whole = linalg.block_diag(self.identified, damping, np.diag(rest), NOISE_STD**2 * np.eye(self.others))
+        if not same:
+            whole[:N, :N] += AMPLITUDE_STD**2 + SCATTER_STD**2 * np.eye(N)
+            whole[list(changed), list(changed)] += self.change_std**2
+        # The record's stiffnesses are those of the tests times factors: both move along with the measured modes.
+        crossed = np.zeros((len(whole), len(tested)))
+        crossed[:N, :N] = self.identified
+        crossed[N + D : N + D + W + X, N:] = np.diag(rest)
+        J, data = self.measured.J, self.measured.data
+        seen = J @ tested @ J.T + np.eye(len(data))
+        gain = np.linalg.solve(seen, J @ crossed.T).T
+        _, log_det = np.linalg.slogdet(seen)
+        evidence = -0.5 * float(data @ np.linalg.solve(seen, data) + log_det)
+        covariance = whole - gain @ J @ crossed.T
+        return Gaussian(gain @ data, 0.5 * (covariance + covariance.T), evidence)
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussian:
+    """Mean and covariance of the unknowns, and the log evidence of the measured modes but for a constant."""
+
+    mean: Floats
+    covariance: Floats
+    evidence: float
 
 
 def _expected_change(experiment: Experiment) -> StoryChange:
