@@ -23,7 +23,7 @@ from cvxshear.priors import Constraints
 from cvxshear.programs.statements import NamedConstraints
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.innovations import Directions, Likelihood, PredictionErrors
-from cvxshear.response.varied_frame import FORM_STDS, FramePrior, Gaussian
+from cvxshear.response.varied_frame import FORM_STDS, NOISE_STD, FramePrior, Gaussian
 from cvxshear.util.typing import Floats
 
 FIRST_SAMPLES, FITTED_SAMPLES = 2_000, 10_000
@@ -182,11 +182,11 @@ def fit_frame(
     answer = Answer((), FORM_STDS[0], 1.0)
     if not free:
         noise = np.eye(errors.size)[errors.frame.stop :]
-        identified = prior.gaussian((), answer.form_std, same=errors.setting.base_measured)
-        # The frame stays as it was identified; its uncertainty is in the bands.
-        still = Gaussian(np.zeros(errors.size), identified.covariance, 0.0)
+        # The frame stays as it was identified: nothing of it is fitted, its uncertainty is in the bands.
+        still = Gaussian(np.zeros(errors.size), NOISE_STD**2 * np.eye(errors.size), 0.0)
         at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(p, backend, MOST_FIT_STEPS)
-        return FittedFrame(errors, prior, at.p, still.covariance, (answer,), 1.0, converged)
+        covariance = prior.gaussian((), answer.form_std, same=errors.setting.base_measured).covariance
+        return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged)
     rough = _Posterior(
         errors.shortened(FIRST_SAMPLES, p),
         informative(errors, prior, p, FIRST_INFORMATION),

@@ -13,7 +13,7 @@ from cvxshear.modal import Channel, Run, TimeRecord
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.response import DampedModel, Fitted, Models, reconstruct, response
 from cvxshear.response.dynamics import Noise, Setting, doubled, dynamics, recursion, settled_covariance
-from cvxshear.response.innovations import PredictionErrors, Stretch
+from cvxshear.response.innovations import Directions, PredictionErrors, Stretch
 from cvxshear.response.recording import recording_of
 from cvxshear.response.smoother import Observed, Steady, motion_program, smooth
 from cvxshear.response.uncertain import UncertainFrame
@@ -111,7 +111,7 @@ def test_the_gradient_of_the_likelihood_is_that_of_differences():
         VariedFrame.around(frame), setting, [Stretch(excitation, y, np.zeros(9))], Noise(np.array([0.03, 0.02]), 0.02)
     )  # fmt: skip
     p = 0.02 * rng.standard_normal(errors.size)
-    at = errors.linearised(p)
+    at = errors.linearised(p, Directions(np.eye(errors.size), np.eye(errors.size)))
     step = 1e-4 * np.eye(errors.size)
     differences = [(errors.objective(p + row) - errors.objective(p - row)) / 2e-4 for row in step]
     np.testing.assert_allclose(2 * at.U.T @ at.c, differences, rtol=1e-3, atol=0.05)
