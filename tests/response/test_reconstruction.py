@@ -169,7 +169,7 @@ def test_a_spike_a_gap_and_a_late_clock_change_no_drift_by_more_than_its_deviati
         drive = dataclasses.replace(motion.drives[0], responses=changed)
         again = reconstruct(models, dataclasses.replace(motion, drives=(drive,)))
         moved = np.abs(again.peaks.values["story_drift"] - found.peaks.values["story_drift"])
-        assert np.all(moved <= 2 * again.peaks.std["story_drift"]), changed is late
+        assert np.all(moved <= again.peaks.std["story_drift"]), changed is late
 
 
 def test_base_motion_that_nobody_measured_is_estimated(softened):
