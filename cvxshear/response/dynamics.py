@@ -109,6 +109,12 @@ class Outputs:
     rows: Floats
     direct: Floats
 
+    def of(self, states: Floats, excitation: Floats) -> Floats:
+        """The outputs over time, shape (samples, outputs), in the precision of the states."""
+        result: Floats = states @ self.rows.T.astype(states.dtype)
+        result += np.outer(excitation, self.direct.astype(states.dtype))
+        return result
+
 
 @dataclass(frozen=True, eq=False)
 class Setting:
@@ -138,6 +144,11 @@ class Setting:
     corner: float
     ground_corner: float
     story_force: Floats
+
+    @property
+    def states(self) -> int:
+        """n: displacements, velocities, story forces, and the base acceleration where nobody measured it."""
+        return 3 * len(self.story_force) + (0 if self.base_measured else 1)
 
     def without(self, channel: int) -> Setting:
         """The same with one channel fewer."""
@@ -260,6 +271,9 @@ def settled_covariance(model: Dynamics) -> Floats:
     return P
 
 
+MOST_BLOCKS = 128
+"""Blocks that are gone through at once: what they need besides the result stays within a few megabytes."""
+
 BLOCK = 64
 """Samples that one sweep of a linear recursion leaps over at once: about the root of the samples of a long record."""
 
@@ -283,29 +297,40 @@ def recursion(F: Floats, inputs: Floats, start: Floats, rows: Floats | None = No
     -------
     ndarray, shape (samples, n) or (samples, k)
     """
-    samples, n = inputs.shape
     kind = inputs.dtype
-    blocks = -(-samples // BLOCK)
-    padded = np.zeros((blocks * BLOCK, n), dtype=kind)
-    padded[:samples] = inputs
-    cut = np.ascontiguousarray(padded.reshape(blocks, BLOCK, n).transpose(1, 0, 2))
-    local = np.zeros((BLOCK, blocks, n), dtype=kind)
     turned = F.T.astype(kind)
-    for j in range(1, BLOCK):
-        local[j] = local[j - 1] @ turned + cut[j - 1]
-    ends = local[-1] @ turned + cut[-1]
-    seen = np.eye(n, dtype=kind) if rows is None else rows.T.astype(kind)
+    seen = np.eye(len(F), dtype=kind) if rows is None else rows.T.astype(kind)
     # F'^j seen for all j, then over a whole block.
     carried = [seen]
     for _ in range(BLOCK - 1):
         carried.append(turned @ carried[-1])
     leap = np.linalg.matrix_power(F.T, BLOCK)
-    starts = np.empty((blocks, n), dtype=kind)
+    result = np.empty((len(inputs), seen.shape[1]), dtype=kind)
     state = start
+    for first in range(0, len(inputs), BLOCK * MOST_BLOCKS):
+        part = inputs[first : first + BLOCK * MOST_BLOCKS]
+        result[first : first + len(part)], state = _blocks(turned, part, state, carried, leap, rows is None)
+    return result
+
+
+def _blocks(
+    turned: Floats, inputs: Floats, state: Floats, carried: list[Floats], leap: Floats, plain: bool
+) -> tuple[Floats, Floats]:
+    """The recursion over some blocks, and the state after the last."""
+    samples, n = inputs.shape
+    blocks = -(-samples // BLOCK)
+    padded = np.zeros((blocks * BLOCK, n), dtype=inputs.dtype)
+    padded[:samples] = inputs
+    cut = np.ascontiguousarray(padded.reshape(blocks, BLOCK, n).transpose(1, 0, 2))
+    local = np.zeros((BLOCK, blocks, n), dtype=inputs.dtype)
+    for j in range(1, BLOCK):
+        local[j] = local[j - 1] @ turned + cut[j - 1]
+    ends = local[-1] @ turned + cut[-1]
+    starts = np.empty((blocks, n), dtype=inputs.dtype)
     for k in range(blocks):
         starts[k] = state
         state = state @ leap + ends[k]
-    result = local if rows is None else local @ seen
+    result = local if plain else local @ carried[0]
     for j in range(BLOCK):
         result[j] += starts @ carried[j]
-    return result.transpose(1, 0, 2).reshape(blocks * BLOCK, -1)[:samples]
+    return result.transpose(1, 0, 2).reshape(blocks * BLOCK, -1)[:samples], state

@@ -31,8 +31,8 @@ FIRST_SAMPLES, FITTED_SAMPLES = 2_000, 10_000
 sharpen a linear frame by the root of their number, which model error does not allow, and cost in proportion."""
 
 LEAST_INFORMATION, FIRST_INFORMATION = 0.5, 10.0
-"""Length of a prior standard deviation in those of the record's from which on a direction is fitted along at last and at
-first. Along one of less the variance would fall by less than a fifth; it keeps that of the prior."""
+"""Length of a prior standard deviation in those of the record's from which on a direction is fitted along, at last and
+at first. Along one of less the variance would fall by less than a fifth; it keeps that of the prior."""
 
 MOST_FIT_STEPS = 12
 """Gauss-Newton steps at most; a fit that starts near takes four to six."""
@@ -78,6 +78,8 @@ class FittedFrame:
     inflation : float
         Of the covariance, for innovations that are not white.
     converged : bool
+    along : Directions
+        Along which it was fitted.
     """
 
     errors: PredictionErrors
@@ -87,6 +89,7 @@ class FittedFrame:
     answers: tuple[Answer, ...]
     inflation: float
     converged: bool
+    along: Directions
 
     @cached_property
     def story_probability(self) -> Floats:
@@ -186,7 +189,7 @@ def fit_frame(
         still = Gaussian(np.zeros(errors.size), NOISE_STD**2 * np.eye(errors.size), 0.0)
         at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(p, backend, MOST_FIT_STEPS)
         covariance = prior.gaussian((), answer.form_std, same=errors.setting.base_measured).covariance
-        return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged)
+        return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged, at.posterior.along)
     rough = _Posterior(
         errors.shortened(FIRST_SAMPLES, p),
         informative(errors, prior, p, FIRST_INFORMATION),
@@ -219,26 +222,26 @@ def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: f
     return short.told(p, np.linalg.cholesky(widest.covariance), least * np.sqrt(short.samples / errors.samples))
 
 
-def refitted(
-    frame: FittedFrame, errors: PredictionErrors, start: Floats, along: Directions, backend: Backend, steps: int
-) -> FittedFrame:
-    """The same frame fitted to other data, with the same answers possible.
+def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: Backend, steps: int) -> FittedFrame:
+    """The same frame fitted without one sensor, with the same answers possible.
 
     Parameters
     ----------
     frame : FittedFrame
     errors : PredictionErrors
-    start : ndarray, shape (P,)
-    along : Directions
+    gone : int
+        Unknown that the sensor's noise was.
     backend : Backend
     steps : int
-        At most; with none the frame stays as it was identified.
+        At most; with none the frame stays as it was.
     """
-    prior = dataclasses.replace(frame.prior, others=errors.size - errors.frame.stop)
-    best = frame.answers[0]
+    prior = dataclasses.replace(frame.prior, others=frame.prior.others - 1)
+    start = np.delete(frame.p, gone)
     if not steps:
-        covariance = prior.gaussian((), FORM_STDS[0], same=True).covariance
-        return FittedFrame(errors, prior, start, covariance, frame.answers, 1.0, True)
+        covariance = np.delete(np.delete(frame.covariance, gone, axis=0), gone, axis=1)
+        return FittedFrame(errors, prior, start, covariance, frame.answers, 1.0, True, frame.along)
+    along = frame.along.without(gone)
+    best = frame.answers[0]
     posterior = _Posterior(errors, along, prior.gaussian(best.stories, best.form_std))
     at, converged = posterior.maximum(start, backend, steps)
     return _mixed(errors, prior, at, frame.answers, converged)
@@ -254,7 +257,8 @@ def _mixed(
         mean, own = _Linear(at.likelihood, at.p, prior.gaussian(each.stories, each.form_std)).posterior()
         away = mean - at.p
         covariance += each.probability / total * (own + np.outer(away, away))
-    return FittedFrame(errors, prior, at.p, covariance, tuple(answers), at.likelihood.inflation, converged)
+    inflation, along = at.likelihood.inflation, at.posterior.along
+    return FittedFrame(errors, prior, at.p, covariance, tuple(answers), inflation, converged, along)
 
 
 class _Linear:
@@ -289,8 +293,8 @@ class _Linear:
 def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answer, ...]:
     """Which stories may have changed and how much the form may miss, by the evidence of the linearised likelihood.
 
-    Sets of each size grow from the best of the size before. Each larger error of the form is half as probable as the one
-    before it: most models describe the modes that they were fitted to.
+    Sets of each size grow from the best of the size before. Each larger error of the form is half as probable as the
+    one before it: most models describe the modes that they were fitted to.
 
     Parameters
     ----------

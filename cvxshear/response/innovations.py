@@ -36,7 +36,7 @@ FURTHEST = np.log(10.0)
 """Bound on the logarithm of factors on stiffness and damping: a story ten times softer is another frame."""
 
 FURTHEST_STDS = 20.0
-"""Bound on masses and effects, in their standard deviations: where a model lacks something these may be far too small."""
+"""Bound on masses and effects, in their standard deviations, which may be far too small where a model lacks something."""
 
 FURTHEST_FORM = 0.5
 """Bound on the errors of the model's form: beyond 1 the frame could have no modes."""
@@ -96,6 +96,14 @@ class Directions:
 
     columns: Floats
     rows: Floats
+
+    def without(self, gone: int) -> Directions:
+        """The same without one unknown, a level of the noise, which has a direction of its own."""
+        own = int(np.flatnonzero(self.rows[:, gone])[-1])
+        return Directions(*(
+            np.delete(np.delete(each, row, axis=0), column, axis=1)
+            for each, row, column in ((self.columns, gone, own), (self.rows, own, gone))
+        ))  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

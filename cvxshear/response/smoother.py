@@ -38,7 +38,7 @@ SETTLED = 1e-9
 """Relative change of a covariance over one sample at which it is taken as constant. What is still to come is this over
 the decay a sample, which is at least 1e-3 for a sampled vibration: the motion is then exact to about 1e-6."""
 
-MOST_TRANSIENT = 300
+MOST_TRANSIENT = 150
 """Samples after a change of the weights over which covariances are computed one by one; where they are still changing
 after so many, their limit is taken, so that long records need neither the time nor the memory."""
 
