@@ -219,7 +219,8 @@ def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: f
     """
     short = errors.shortened(FIRST_SAMPLES, p)
     widest = prior.gaussian(range(errors.stories), FORM_STDS[-1])
-    return short.told(p, np.linalg.cholesky(widest.covariance), least * np.sqrt(short.samples / errors.samples))
+    root = np.asarray(np.linalg.cholesky(widest.covariance), dtype=np.float64)
+    return short.told(p, root, least * np.sqrt(short.samples / errors.samples))
 
 
 def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: Backend, steps: int) -> FittedFrame:

@@ -15,7 +15,7 @@ import numpy as np
 from cvxshear.backends import Backend
 from cvxshear.records.motion import Drive
 from cvxshear.response.damped import DampedModel, Response, response
-from cvxshear.response.dynamics import Noise, Outputs, Setting, dynamics
+from cvxshear.response.dynamics import SHORT, Noise, Outputs, Setting, dynamics
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, fit_frame
 from cvxshear.response.innovations import FIRST_FORCE, FIRST_SENSOR, PredictionErrors, Stretch
 from cvxshear.response.recording import Recording
@@ -223,8 +223,8 @@ class FrameMotion:
             if model.heights is not None:
                 stds["story_drift_ratio"] = stds["story_drift"] / model.heights
                 stds["overturning_moment"] = std[:, 4 * n]
-            base = (None, None) if self.setting.base_measured else (moved[:, -1], std[:, -1])
-            result.append(ReconstructedRun(run.name, motion, stds, *base, run.measured, run.driven))
+            base, base_std = (None, None) if self.setting.base_measured else (moved[:, -1], std[:, -1])
+            result.append(ReconstructedRun(run.name, motion, stds, base, base_std, run.measured, run.driven))
         return result
 
     def moved_by(
@@ -240,12 +240,12 @@ class FrameMotion:
         found : Smoothed
             Whose measurements the frames are smoothed to.
         """
+        driven, seen = excitation.astype(SHORT), found.completed.astype(SHORT)
         ends = []
         for model in sides:
             moved = dynamics(model, noise, self.setting)
-            states = Steady.of(moved).states(excitation, found.completed, found.states[0])
-            # Deviations need no more digits than these.
-            ends.append(self.outputs(moved.outputs).of(states.astype(np.float32), excitation.astype(np.float32)))
+            states = Steady.of(moved).states(driven, seen, found.states[0])
+            ends.append(self.outputs(moved.outputs).of(states, driven))
         result: Floats = 0.5 * (ends[0] - ends[1])
         return result
 

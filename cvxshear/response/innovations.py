@@ -36,7 +36,7 @@ FURTHEST = np.log(10.0)
 """Bound on the logarithm of factors on stiffness and damping: a story ten times softer is another frame."""
 
 FURTHEST_STDS = 20.0
-"""Bound on masses and effects, in their standard deviations, which may be far too small where a model lacks something."""
+"""Bound on masses and effects, in standard deviations that may be far too small where the model lacks something."""
 
 FURTHEST_FORM = 0.5
 """Bound on the errors of the model's form: beyond 1 the frame could have no modes."""
@@ -245,9 +245,8 @@ class PredictionErrors:
             x, e = here.predicted(run.excitation, run.y, run.start)
             seen = run.y - np.outer(run.excitation, here.model.direct)
             following = np.append(run.excitation[1:], run.excitation[-1])
-            # Derivatives need no more digits than these.
-            told = np.column_stack([x, seen, run.excitation, following]).astype(np.float32)
-            J = np.empty((e.size, len(slopes)), dtype=np.float32)
+            told = np.column_stack([x, seen, run.excitation, following]).astype(SHORT)
+            J = np.empty((e.size, len(slopes)), dtype=SHORT)
             for j, slope in enumerate(slopes):
                 moved = recursion(here.F, told @ slope.inputs, at_rest, whitening @ here.model.H)
                 J[:, j] = -(moved + told @ slope.outputs).ravel()
@@ -306,7 +305,7 @@ class PredictionErrors:
             # y - D p changes by -D' p, which the gain turns into a change of the state.
             inputs = np.vstack([(dA - dK @ model.H - K @ dH).T, dK.T, each["before"] - K @ direct, each["after"]])
             outputs = whitening @ np.hstack([dH, np.zeros_like(here.S), direct[:, None], np.zeros((len(direct), 1))])
-            slopes.append(_Slope(inputs.astype(np.float32), outputs.T.astype(np.float32), whitening @ dS @ whitening.T))
+            slopes.append(_Slope(inputs.astype(SHORT), outputs.T.astype(SHORT), whitening @ dS @ whitening.T))
         return slopes
 
     def _rates(self, here: Dynamics, p: Floats, column: Floats) -> dict[str, Floats]:

@@ -116,7 +116,8 @@ class VariedFrame:
         masses = np.diagonal(self.dM, axis1=1, axis2=2) / np.diag(self.centre.model.M)
         stiffness = np.sum((own.shapes @ self.dK) * own.shapes, axis=2) / own.eigenvalues
         square: Floats = np.mean(masses**2, axis=1) + np.mean(stiffness**2, axis=1)
-        return np.sqrt(np.maximum(square, 1e-8))
+        share: Floats = np.sqrt(np.maximum(square, 1e-8))
+        return share
 
     def model(self, unknowns: Floats) -> DampedModel:
         """The frame of given unknowns: logarithms, logarithms, standard deviations, and e_ij.
@@ -199,10 +200,8 @@ def _standardized(test: Configuration, model: DampedModel, added: Floats) -> Flo
     at = test.modes - 1
     std = ASSUMED_FREQUENCY_STD if test.frequency_std is None else test.frequency_std
     parts = [np.log(test.frequencies / own.frequencies[at]) / std]
-    stds = np.broadcast_to(
-        np.reshape(ASSUMED_SHAPE_STD if test.mode_shape_std is None else test.mode_shape_std, (-1, 1))
-        if np.ndim(test.mode_shape_std) < 2 else test.mode_shape_std, test.mode_shapes.shape,
-    )  # fmt: skip
+    declared = np.asarray(ASSUMED_SHAPE_STD if test.mode_shape_std is None else test.mode_shape_std, dtype=np.float64)
+    stds = np.broadcast_to(declared if declared.ndim == 2 else declared.reshape(-1, 1), test.mode_shapes.shape)
     for measured, mode, noise in zip(test.mode_shapes, at, stds, strict=False):
         there = np.isfinite(measured)
         if there.sum() < 2:
