@@ -9,7 +9,6 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from cvxshear.util import showing
 from cvxshear.util.errors import (
     CvxshearError,
     InfeasibleError,
@@ -19,6 +18,7 @@ from cvxshear.util.errors import (
     NoSolutionError,
     UnsuitableError,
 )
+from cvxshear.util.results import shown_by
 from cvxshear.version import __version__ as __version__
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from cvxshear.priors import Prior
     from cvxshear.response import predict, reconstruct
 
-showing.shown_by("cvxshear.report.show")
+shown_by("cvxshear.report.show")
 
 __all__ = [
     "Closure",

@@ -184,4 +184,5 @@ def test_priors_of_any_size_and_curvature_pass():
         lambda x, r, J: (np.exp(x / 10) - 3, np.diag(np.exp(x / 10) / 10)),
         lambda x, r, J: (np.log(x / 1e5) / 0.01, np.diag(0.01**-1 / x)),
     ):
-        paper.with_priors([soft(change)])
+        prior = soft(change)
+        assert paper.with_priors([prior]).priors[-1] is prior

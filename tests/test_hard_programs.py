@@ -6,6 +6,7 @@ import pytest
 from cvxshear import Experiment, NoModesError, NoSolutionError, UnsuitableError, backends, identify
 from cvxshear.programs import LeastSquares
 from tests import frames
+from tests.benchmarks import hard_frames
 from tests.benchmarks.hard_programs import KINDS, exactly, study
 
 
@@ -80,3 +81,38 @@ def test_frames_of_extreme_stiffness_are_right_or_refused(method, stiffness):
         np.testing.assert_allclose(frame.story_stiffness, stiffness, rtol=1e-5)
         answered += 1
     assert answered >= 6
+
+
+@pytest.fixture(scope="module")
+def hard_frame_study():
+    return hard_frames.study(8, 5, backends.available())
+
+
+def test_the_efficient_method_is_equal_on_all_backends_or_refused(hard_frame_study):
+    counts, differing, _, _ = hard_frame_study
+    assert differing == []
+    assert sum(each["answered"] for each in counts.values()) > 0.8 * 8 * len(counts)
+
+
+@pytest.mark.parametrize("number", range(8))
+def test_hard_frames_are_found_within_their_deviations(number):
+    declared, truth = hard_frames.drawn(np.random.default_rng([6, number]))
+    frame = identify(Experiment.from_dict(declared)).frame
+    for found, std, right in zip(
+        (frame.floor_mass, frame.story_stiffness), (frame.floor_mass_std, frame.story_stiffness_std), truth, strict=True
+    ):
+        assert np.all(np.abs(found - right) <= 5 * std)
+
+
+@pytest.mark.parametrize(("prior", "own"), [("a mass", [0]), ("a ratio of masses", []), ("a stiffness", [3])])
+def test_very_sure_soft_priors_leave_the_other_deviations_as_they_are(prior, own):
+    """A prior of 1e-9 says no more of the rest than one of 1e-6 does; and its own value is known to 1e-9."""
+    of = frames.experiment([12.0, 12.0, 10.0], [2e4, 2e4, 2e4])
+    found = {}
+    for std in (1e-6, 1e-9):
+        declared = {**of, "prior": [{**PRIORS[prior], "std": std}]}
+        frame = identify(Experiment.from_dict(declared)).frame
+        found[std] = np.concatenate([frame.floor_mass_std, frame.story_stiffness_std])
+    sharp = np.isin(np.arange(6), own)
+    np.testing.assert_allclose(found[1e-9][~sharp], found[1e-6][~sharp], rtol=1e-3)
+    np.testing.assert_allclose(found[1e-9][sharp], found[1e-6][sharp] / 1e3, rtol=1e-2)

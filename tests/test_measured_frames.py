@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.files.toml import MEASURED, built_in_text
+from cvxshear.files.toml import MEASURED_FRAMES, built_in_text
 from tests import built_in_files
 from tests.frames import shared
 
@@ -122,7 +122,7 @@ def test_the_columns_of_the_eighteen_stories_stretch():
     assert closure.after.held_out < closure.before.held_out
 
 
-@pytest.mark.parametrize("name", MEASURED)
+@pytest.mark.parametrize("name", MEASURED_FRAMES)
 def test_a_built_in_frame_says_where_it_comes_from(name):
     text = built_in_text(name)
     assert "Source: " in text.partition("[frame]")[0]

@@ -75,7 +75,9 @@ def test_the_marginal_is_the_gaussian_integral_that_it_stands_for():
 
     first, second = marginal.here + np.array([0.3, -0.5]), marginal.here + np.array([-0.6, 0.2])
     expected = direct(first) - direct(second)
-    assert marginal.value(first) - marginal.value(second) == pytest.approx(expected, rel=1e-6)
+    here, there = marginal.values(np.array([first, second]))
+    assert here - there == pytest.approx(expected, rel=1e-6)
+    assert [here, there] == pytest.approx([-marginal.negative(each)[0] for each in (first, second)], rel=1e-12)
 
 
 @pytest.mark.parametrize(("frequency", "shape"), [(0.002, 0.01), (0.006, 0.005), (0.001, 0.02), (0.005, 0.03)])

@@ -10,7 +10,7 @@ import pytest
 import cvxshear
 from cvxshear import Experiment, backends, close_loop
 from cvxshear.cli import main
-from cvxshear.files.measurement import write_measurement
+from cvxshear.files.toml import write_measurement
 from cvxshear.fit.efficient import efficient
 from cvxshear.loop.numbering import named_numberings, overlooked_in_all, overlooked_in_one
 from cvxshear.modal import identify_modes

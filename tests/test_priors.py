@@ -276,7 +276,7 @@ def test_a_prior_of_ones_own_in_a_file():
     assert isinstance(prior, Smooth)
     assert prior.width == 2.0
     assert_allclose(prior.residual(AT)[0], [-1.25, -1.25])
-    assert prior.to_dict() == {"kind": "test-smooth", "quantity": "floor_mass", "width": 2.0, "skipped": ()}
+    assert prior.to_dict() == {"kind": "test-smooth", "quantity": "floor_mass", "width": 2.0, "skipped": []}
 
 
 def test_its_keys_are_checked_too():
@@ -443,12 +443,18 @@ def test_whatever_the_unit_a_contradiction_is_found_and_nothing_else(size):
 
 def test_soft_priors_contradict_nothing():
     priors = [Value("floor_mass", at=1, value=10.0, std=0.01), Value("floor_mass", at=1, value=20.0, std=0.01)]
-    refuse_contradictions(statements(priors, "floor_mass", 2, TOTAL), 2)
+    parts = statements(priors, "floor_mass", 2, TOTAL)
+    refuse_contradictions(parts, 2)
+    assert feasible(parts, 2)
+    assert len(core([Value("floor_mass", at=1, value=each) for each in (10.0, 20.0)])) == 2
 
 
 def test_priors_on_the_other_quantity_are_left_out():
     priors = [Value("story_stiffness", at=1, value=1.0), Value("story_stiffness", at=1, value=2.0)]
-    refuse_contradictions(statements(priors, "floor_mass", 2, TOTAL), 2)
+    parts = statements(priors, "floor_mass", 2, TOTAL)
+    refuse_contradictions(parts, 2)
+    assert [part.name for part in parts] == [part.name for part in statements((), "floor_mass", 2, TOTAL)]
+    assert len(core(priors, quantity="story_stiffness")) == 2
 
 
 def test_a_prior_of_ones_own_is_named_too():

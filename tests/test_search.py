@@ -1,5 +1,6 @@
 """The search among sets of effects, with effects made to provoke it, and an effect of two parameters."""
 
+import copy
 from collections import Counter
 from typing import ClassVar
 
@@ -104,6 +105,26 @@ def test_it_ends_and_visits_no_set_twice(fits, effect, seed):
     assert len(fits) <= result.fits
     assert sum(model.probability for model in result.models) <= 1 + 1e-9
     assert "stiffer_throughout" not in [item.placed.effect.name for item in result.effects]
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_hopeless_misfit_ends_after_few_fits(seed):
+    """All standard deviations a hundred times too small, or one test in rad/s: out of the question, and soon told."""
+    too_sure, _ = simulated(None, stories=3, configurations=3, rng=np.random.default_rng(seed))
+    in_rad = copy.deepcopy(too_sure)
+    for table in too_sure["configuration"]:
+        table["frequency_std"] /= 100
+        table["mode_shape_std"] /= 100
+    found = close_loop(Experiment.from_dict(too_sure))
+    assert found.fits <= 150
+    assert found.verdict not in ("adequate", "explained")
+    assert found.steps[0].p_value < 1e-12
+    in_rad["configuration"][0]["frequencies"] = [2 * np.pi * f for f in in_rad["configuration"][0]["frequencies"]]
+    found = close_loop(Experiment.from_dict(in_rad))
+    assert found.fits <= 150
+    # A frame (2 pi)^2 times as stiff has just these modes; `check` asks about the unit.
+    assert [each.placed.effect.name for each in found.effects] == ["state_stiffness"]
+    assert 1 + found.effects[0].parameters["e"] == pytest.approx((2 * np.pi) ** 2, rel=0.02)
 
 
 def test_duplicates_are_named_together_and_share_their_probability():

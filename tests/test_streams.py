@@ -133,26 +133,61 @@ def test_help_that_cannot_be_printed(options):
 PIPED = [["identify"], ["loop", "--effects", "ground_spring"], ["check"], ["plan"], ["backends", "--only", "kkt"]]
 
 
+WAITING = 120
+"""Seconds after which a command that reads a pipe again is taken to wait for ever."""
+
+
+@contextlib.contextmanager
+def standard_input(content):
+    """Standard input of this process, by its number, is a pipe with this content."""
+    before = os.dup(0)
+    out, into = os.pipe()
+    try:
+        os.dup2(out, 0)
+        os.close(out)
+        os.write(into, content)
+        os.close(into)
+        yield "/dev/stdin"
+    finally:
+        os.dup2(before, 0)
+        os.close(before)
+
+
+@contextlib.contextmanager
+def named_pipe(content, path):
+    """A named pipe with this content, which is written once."""
+    os.mkfifo(path)
+    threading.Thread(target=path.write_bytes, args=[content], daemon=True).start()
+    yield str(path)
+
+
+@contextlib.contextmanager
+def limited():
+    """An error where what is done waits for longer."""
+
+    def late(*_):
+        raise TimeoutError("the pipe was opened again")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(WAITING)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
 @pytest.mark.parametrize("command", PIPED, ids=lambda each: each[0])
 @pytest.mark.parametrize("named", [False, True])
-def test_a_pipe_is_read_once(command, named, tmp_path):
+def test_a_pipe_is_read_once(command, named, tmp_path, run):
     """A named pipe that is opened again would wait for ever, and standard input has nothing more to give."""
     text = files.measurement()
-    path = "/dev/stdin"
-    if named:
-        path = str(tmp_path / "pipe.toml")
-        os.mkfifo(path)
-        threading.Thread(target=Path(path).write_bytes, args=[text], daemon=True).start()
-    found = subprocess.run(
-        [*COMMAND, command[0], path, *command[1:], "--json", "-"],
-        input=None if named else text, capture_output=True, check=True, timeout=120,
-    )  # fmt: skip
     (tmp_path / "plain.toml").write_bytes(text)
-    plain = subprocess.run(
-        [*COMMAND, command[0], str(tmp_path / "plain.toml"), *command[1:], "--json", "-"],
-        capture_output=True, check=True,
-    )  # fmt: skip
-    assert json.loads(found.stdout).keys() == json.loads(plain.stdout).keys()
+    with named_pipe(text, tmp_path / "pipe.toml") if named else standard_input(text) as path, limited():
+        found = run(command[0], path, *command[1:], "--json", "-")
+    plain = run(command[0], tmp_path / "plain.toml", *command[1:], "--json", "-")
+    assert (found[0], found[2], plain[0]) == (0, "", 0)
+    assert json.loads(found[1]).keys() == json.loads(plain[1]).keys()
 
 
 def test_the_file_is_written_where_standard_output_takes_nothing(tmp_path):

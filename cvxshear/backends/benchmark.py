@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,8 +14,8 @@ from cvxshear.backends.installed import available, get
 from cvxshear.programs import LeastSquares
 from cvxshear.util import checks
 from cvxshear.util.errors import CvxshearError
-from cvxshear.util.showing import Shown
-from cvxshear.util.typing import Floats, Json
+from cvxshear.util.results import Shown
+from cvxshear.util.typing import Floats
 
 REPEATS = 3
 MOST_REPEATS = 10_000
@@ -129,14 +129,7 @@ class Comparison(Shown):
     rows: tuple[BackendResult, ...]
     left_out: str = ""
 
-    def to_dict(self) -> Json:
-        """The kinds and the rows as dicts."""
-        return {
-            "experiment": self.experiment,
-            "left_out": self.left_out,
-            "kinds": [asdict(kind) for kind in self.kinds],
-            "rows": [asdict(row) for row in self.rows],
-        }
+    json_keys = "experiment left_out kinds rows"
 
 
 def compare(

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from cvxshear.programs import LeastSquares
+from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
 NEAR_ZERO = 1e-3
@@ -25,7 +26,7 @@ nothing but rounding, and a violation of such a step is none. Well above the rou
 
 
 @dataclass(frozen=True)
-class Certificate:
+class Certificate(InJson):
     r"""How well a solution meets the optimality conditions, computed here from the program and the solution.
 
     Parameters
@@ -69,16 +70,6 @@ class Certificate:
     def worst(self) -> float:
         """The largest of the three residuals; nan where one is nan."""
         return float(np.max([self.primal_residual, self.dual_residual, self.duality_gap]))
-
-    def to_dict(self) -> dict[str, float | None]:
-        """The figures by their names; an error bound that is not finite is None."""
-        bound = self.error_bound
-        return {
-            "primal_residual": self.primal_residual,
-            "dual_residual": self.dual_residual,
-            "duality_gap": self.duality_gap,
-            "error_bound": bound if bound is not None and np.isfinite(bound) else None,
-        }
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 
 from cvxshear.backends.base import Backend
@@ -11,7 +11,7 @@ from cvxshear.backends.closed_form import Auto, Kkt
 from cvxshear.backends.qpsolvers_backend import Qpsolvers
 from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Json
+from cvxshear.util.results import InJson
 
 DEFINITE = ("daqp", "clarabel")
 SEMIDEFINITE = ("clarabel", "daqp")
@@ -55,7 +55,7 @@ def available() -> list[str]:
 
 
 @dataclass(frozen=True)
-class ListedBackend:
+class ListedBackend(InJson):
     """A backend that is there, or that could be.
 
     Parameters
@@ -78,10 +78,6 @@ class ListedBackend:
     installed: bool
     version: str | None
     how_to_get: str
-
-    def to_dict(self) -> Json:
-        """The fields by name."""
-        return asdict(self)
 
 
 def listed() -> list[ListedBackend]:

@@ -8,12 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from cvxshear.cli import backends, before, frames, records, studies
+from cvxshear.cli import before, frames, recorded, records, studies
 from cvxshear.cli import plan as planning
 from cvxshear.cli.checked import used
 from cvxshear.cli.output import OutputError, lost, silence, sound_streams, typed
-from cvxshear.cli.predict import predict
-from cvxshear.cli.reconstruct import reconstruct
 from cvxshear.files.inputs import streams_read_once
 from cvxshear.util.errors import CvxshearError, InputError, LostProcessError, NoSolutionError
 
@@ -35,12 +33,12 @@ study = typer.Typer(help="Many identifications at once.", no_args_is_help=True)
 for command in (
     frames.identify,
     frames.loop,
-    predict,
-    reconstruct,
+    recorded.predict,
+    recorded.reconstruct,
     records.modes,
     before.new,
     before.check,
-    backends.backends,
+    studies.backends,
     planning.plan,
     studies.reproduce,
 ):

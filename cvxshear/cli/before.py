@@ -29,9 +29,7 @@ def new(
     record: Annotated[
         str | None,
         typer.Option(
-            "--record",
-            help=f"Begin a record file for what a logger wrote: {endings_of('columns')}.",
-            metavar="DATA",
+            "--record", help=f"Begin a record file for what a logger wrote: {endings_of('columns')}.", metavar="DATA"
         ),
     ] = None,
 ) -> None:
@@ -39,8 +37,7 @@ def new(
 
     Example: cvxshear new --stories 5 -o test.toml
     """
-    from cvxshear.files.measurement_template import template, template_from
-    from cvxshear.files.record_template import record_template
+    from cvxshear.files.to_fill_in import record_template, template, template_from
 
     given = [
         name for name, value in (("--from", modes), ("--stories", stories), ("--record", record)) if value is not None
@@ -61,7 +58,7 @@ def new(
         write_file(output, text)
 
 
-MISTAKEN = 2
+MISTAKE_STATUS = 2
 
 
 def check(
@@ -86,4 +83,4 @@ def check(
     found = Screening.of(experiment, (item for each in tests for item in each.modes.findings))
     deliver(found.to_dict(), out, lambda: terminal.shown(found), title=experiment.report.title or experiment.name)
     if found.refused:
-        raise typer.Exit(MISTAKEN)
+        raise typer.Exit(MISTAKE_STATUS)

@@ -29,9 +29,8 @@ from cvxshear.cli.output import (
     progress,
     typed,
 )
-from cvxshear.cli.pictures import FiguresOut, Pictures
 from cvxshear.cli.records import measured, needs_mass, records_in_json, tables_of
-from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
+from cvxshear.cli.written import CsvOut, FiguresOut, Pictures, Spreadsheets, XlsxOut
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.text import shell_line
 
@@ -104,11 +103,7 @@ def identify(
     deliver(
         said,
         out,
-        lambda: [
-            *terminal.doubts(doubts),
-            *terminal.identification(result, beside, display),
-            *_damping_of(damping),
-        ],
+        lambda: [*terminal.doubts(doubts), *terminal.identification(result, beside, display), *_damping_of(damping)],
         *files,
         title=experiment.report.title or experiment.name,
     )
@@ -137,7 +132,7 @@ def loop(
         ),
     ] = None,
     strict: Annotated[
-        bool, typer.Option("--strict", help="Status 3 where the verdict is ambiguous, located or unexplained.")
+        bool, typer.Option("--strict", help="Status 3 where the verdict is not one to rely on, such as ambiguous.")
     ] = False,
     units: UnitsOption = None,
     figure: FiguresOut = None,
@@ -191,12 +186,7 @@ def loop(
     deliver(
         said,
         out,
-        lambda: [
-            *tables_of(found),
-            *terminal.doubts(doubts),
-            *terminal.shown(result, display),
-            *beside,
-        ],
+        lambda: [*tables_of(found), *terminal.doubts(doubts), *terminal.shown(result, display), *beside],
         *files,
         title=heading.title or experiment.name,
     )

@@ -65,8 +65,7 @@ JsonOut = Annotated[
 FigureOut = Annotated[str | None, writes("--figure", what="Draw into this file: .svg, .png or .pdf.", endings=FIGURES)]
 BoxesOut = Annotated[str | None, writes("--boxes", what="Draw box plots (Fig. 5) into this file.", endings=FIGURES)]
 ReportOut = Annotated[
-    str | None,
-    writes("--report", what="Write a report, one HTML file.", metavar="OUT.html", endings=(".html", ".htm")),
+    str | None, writes("--report", what="Write a report, one HTML file.", metavar="OUT.html", endings=(".html", ".htm"))
 ]
 TitleOption = Annotated[str | None, typer.Option("--title", help="Title of the report.")]
 ClientOption = Annotated[str | None, typer.Option("--client", help="For whom the report is.")]
@@ -223,7 +222,7 @@ def heading_of(report: str | None, **parts: str | None) -> dict[str, str]:
 
 
 def figures_for(*paths: str | None) -> ModuleType | None:
-    """The figures, where one is asked for; a wrong ending or a missing package is told before anything runs."""
+    """The figures, where one is asked for; refuses a wrong ending or a missing package before anything runs."""
     asked = [path for path in paths if path is not None]
     if not asked:
         return None

@@ -14,7 +14,7 @@ from cvxshear.util.errors import InputError
 if TYPE_CHECKING:
     from cvxshear.planning import TestNoise
 
-T = TypeVar("T")
+Number = TypeVar("Number")
 
 
 def plan(
@@ -55,12 +55,11 @@ def plan(
         str,
         typer.Option(
             "--for",
-            help="masses, stiffnesses, all, or effects to tell apart: gravity,ground_spring@4=2000 (floor, size).",
+            help="masses, stiffnesses, all, or effects to distinguish: gravity,ground_spring@4=2000 (floor, size).",
         ),
     ] = "all",
     criterion: Annotated[
-        str | None,
-        typer.Option(help="D (where the plan is for the frame), A, E or worst (where it is for effects)."),
+        str | None, typer.Option(help="D (where the plan is for the frame), A, E or worst (where it is for effects).")
     ] = None,
     solver: Annotated[str, typer.Option(help="clarabel or scs.")] = "clarabel",
     fresh: Annotated[bool, typer.Option("--fresh", help="Count nothing that FILE measured as known.")] = False,
@@ -164,7 +163,7 @@ def _masses(text: str | None) -> float | list[float] | None:
     return found[0] if "," not in text else found
 
 
-def _numbers(text: str, option: str, kind: Callable[[str], T], right: str) -> list[T]:
+def _numbers(text: str, option: str, kind: Callable[[str], Number], right: str) -> list[Number]:
     try:
         return [kind(part) for part in text.split(",")]
     except ValueError:

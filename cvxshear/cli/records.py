@@ -22,8 +22,7 @@ from cvxshear.cli.output import (
     progress,
     typed,
 )
-from cvxshear.cli.pictures import LIST, FiguresOut, Pictures
-from cvxshear.cli.spreadsheets import CsvOut, Spreadsheets, XlsxOut
+from cvxshear.cli.written import LIST, CsvOut, FiguresOut, Pictures, Spreadsheets, XlsxOut
 from cvxshear.util.errors import CvxshearError, InputError
 from cvxshear.util.text import shell_line
 from cvxshear.util.writing import check_output
@@ -41,6 +40,9 @@ def modes(
     uff: UniversalOut = None,
     method: Annotated[
         str | None, typer.Option(help="era, okid, subspace or ssi; what suits the record where none is named.")
+    ] = None,
+    second: Annotated[
+        str | None, typer.Option(help="Second opinion of another method, or fdd: peaks in the frequency domain.")
     ] = None,
     count: Annotated[int | None, typer.Option(help="How many modes; as many as stories where not given.")] = None,
     pick: Annotated[
@@ -75,10 +77,11 @@ def modes(
     sources = _files(records, output)
     pictures, tables = Pictures(figure, ModalResult), Spreadsheets(csv, xlsx)
     if report is not None:
-        from cvxshear.report.modal_html import write_modal_report
+        from cvxshear.report.html import write_modal_report
     options = {
         "functions": bool(pictures) or report is not None,
         "method": method,
+        "second": second,
         "count": count,
         "correct_clocks": correct_clocks,
         "accept_swapped": accept_swapped,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
@@ -14,7 +14,8 @@ from cvxshear.data.pairing import paired
 from cvxshear.effects.state import State
 from cvxshear.measurement.experiment import Configuration, Experiment, Tested
 from cvxshear.model.shear import Modes, System, mode_derivatives, modes
-from cvxshear.util.typing import Bools, Floats, Ints, Json
+from cvxshear.util.results import InJson
+from cvxshear.util.typing import Bools, Floats, Ints
 
 NOISES = ("frequency", "mode_shape", "displacement")
 """What is measured with a noise of its own."""
@@ -172,7 +173,7 @@ class Datum(ABC):
 
 
 @dataclass(frozen=True)
-class Deviation:
+class Deviation(InJson):
     """How far a part of the measurement lies from the model.
 
     Parameters
@@ -203,7 +204,3 @@ class Deviation:
         if not self.configuration:
             return f'the statement "{self.place}"'
         return f'the {self.noise.replace("_", " ")} of {self.place} of "{self.configuration}"'
-
-    def to_dict(self) -> Json:
-        """The fields by name."""
-        return asdict(self)

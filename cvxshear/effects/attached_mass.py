@@ -31,6 +31,11 @@ in kg; frequencies in parts of the lowest measured. From a mass of that order fi
 2 to 5 % of their mass end at the best place from one of these frequencies at least; from next to none they stay where
 they are."""
 
+AMONG_THE_HIGHEST = (0.6, 1.2)
+"""Frequencies where further fits start, in parts of the highest that was measured. A base with a mass of its own, on
+soil of stiffness s below story 1 of stiffness k, is to every floor the series of both with an attachment to floor 1 of
+(k / (k + s))^2 of the base's mass, at the frequency that the base has between soil and story: above most modes."""
+
 
 class AttachedMass(Effect):
     """M + m e_v e_v', K + m (2 pi f)^2 d d', d = e_v - e_j: one motion v more, which no sensor shows.
@@ -74,10 +79,11 @@ class AttachedMass(Effect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """One mass, and frequencies about those that were measured."""
+        """One mass, and frequencies among those that were measured."""
         mass, frequency = self.parameters
-        lowest = frequency.start / START_FREQUENCY
-        return tuple((mass.start, float(min(part * lowest, frequency.upper))) for part in START_FREQUENCIES)
+        lowest, highest = frequency.start / START_FREQUENCY, frequency.upper / FASTEST
+        places = (*(part * lowest for part in START_FREQUENCIES), *(part * highest for part in AMONG_THE_HIGHEST))
+        return tuple((mass.start, float(min(place, frequency.upper))) for place in places)
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         assert place.floor is not None
@@ -106,4 +112,5 @@ class AttachedMass(Effect):
 
     def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
         mass, frequency = (with_std(value, error, unit) for value, error, unit in zip(values, std, units, strict=True))
-        return f"a mass of {mass} swings on floor {place.floor} at {frequency} of its own"
+        said = f"a mass of {mass} swings on floor {place.floor} at {frequency} of its own"
+        return said if place.floor != 1 else f"{said}, or the base has a mass of its own on soft ground"

@@ -16,7 +16,8 @@ from cvxshear.priors import Constraints
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import with_std
-from cvxshear.util.typing import Bools, Floats, Ints, Json
+from cvxshear.util.results import InJson
+from cvxshear.util.typing import Bools, Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Place:
+class Place(InJson):
     """Where an effect sits; each part is None where it does not apply.
 
     Parameters
@@ -70,10 +71,7 @@ class Place:
     to: int | None = None
     prior: str | None = None
 
-    def to_dict(self) -> Json:
-        """Its parts; the state goes by the key `configuration`."""
-        parts = {"floor": self.floor, "to": self.to, "story": self.story, "configuration": self.state}
-        return {**parts, "prior": self.prior}
+    json_keys = "floor to story configuration=state prior"
 
     def describe(self) -> str:
         """In words, such as "floor 3 of test 2"; empty where it sits nowhere in particular."""
@@ -318,7 +316,7 @@ class Effect(ABC):
 
 
 @dataclass(frozen=True)
-class Placed:
+class Placed(InJson):
     """An effect at a place.
 
     Parameters
@@ -333,6 +331,8 @@ class Placed:
     place: Place = Place()
     fixed: tuple[float, ...] = ()
 
+    json_keys = "name=effect.name *place"
+
     @property
     def start(self) -> tuple[float, ...]:
         """Where a fit of its parameters starts."""
@@ -342,10 +342,6 @@ class Placed:
     def label(self) -> str:
         """Such as "ground spring at floor 4"."""
         return self.place.label(self.effect.label)
-
-    def to_dict(self) -> Json:
-        """Name and place."""
-        return {"name": self.effect.name, **self.place.to_dict()}
 
     def acts_on(self, tested: Tested) -> bool:
         """Whether this state of the frame has the effect in it."""

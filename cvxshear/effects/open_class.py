@@ -78,6 +78,10 @@ class OpenClass(Effect):
 
     place_in_words: ClassVar[str] = "what stands out is"
 
+    def cause_at(self, entry: int, place: Place, experiment: Experiment) -> tuple[str, Place] | None:
+        """The effect of the catalogue, by name and place, that one entry alone would be; None where there is none."""
+        return None
+
     def conspicuous(self, values: Floats, std: Floats) -> list[int]:
         """The entries that stand out of their deviations, the most significant first."""
         with np.errstate(divide="ignore", invalid="ignore"):

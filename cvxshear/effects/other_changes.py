@@ -35,6 +35,9 @@ class OtherChanges(OpenClass):
     def usual_size(self, of: Scale) -> float:
         return 0.1
 
+    def cause_at(self, entry: int, place: Place, experiment: Experiment) -> tuple[str, Place]:
+        return "story_change", Place(story=entry + 1, state=place.state)
+
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         for at, change in enumerate(values):
             state = with_changed_story(state, at, float(change), own.start + at)

@@ -33,6 +33,9 @@ class OtherGains(OpenClass):
     def usual_size(self, of: Scale) -> float:
         return 0.05
 
+    def cause_at(self, entry: int, place: Place, experiment: Experiment) -> tuple[str, Place]:
+        return "sensor_gain", Place(floor=_floors(experiment)[entry])
+
     def lacks(self, experiment: Experiment) -> str:
         return "" if len(_floors(experiment)) > 1 else "shapes at two floors or more"
 

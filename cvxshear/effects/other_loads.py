@@ -37,6 +37,9 @@ class OtherLoads(OpenClass):
     def usual_size(self, of: Scale) -> float:
         return 0.1 * of.floor_mass
 
+    def cause_at(self, entry: int, place: Place, experiment: Experiment) -> tuple[str, Place]:
+        return "added_mass", Place(floor=entry + 1, state=place.state)
+
     def limits(self, experiment: Experiment, place: Place) -> Constraints:
         n = experiment.stories
         declared = np.array([each.added_mass for each in experiment.tested if each.state == place.state])

@@ -34,6 +34,10 @@ class OtherStiffness(OpenClass):
     def entries(self, experiment: Experiment) -> Sequence[Parameter]:
         return [Parameter(named_pair(i, j), "N/m") for i, j in pairs(experiment.stories, ground=True)]
 
+    def cause_at(self, entry: int, place: Place, experiment: Experiment) -> tuple[str, Place]:
+        i, j = pairs(experiment.stories, ground=True)[entry]
+        return ("spring", Place(floor=i, to=j)) if i else ("ground_spring", Place(floor=j))
+
     def lacks(self, experiment: Experiment) -> str:
         tall = experiment.stories > MOST_STORIES
         return f"at most {MOST_STORIES} stories" if tall else super().lacks(experiment)

@@ -24,7 +24,7 @@ FEWEST_ROWS = 32
 LIMIT = 100_000_000
 """Bytes that a file of a record, and the numbers in it, may have where nothing else is said."""
 TOO_LARGE = "cut it into runs, or raise the limit by size_limit, in MB, in the table [record]"
-UNEVEN = 0.25
+UNEVEN_STEP = 0.25
 """Of the median step: a step further off than that is a gap, a repetition or another rate."""
 
 COARSE = 0.1
@@ -38,7 +38,7 @@ SLACK = 0.1
 """Of the rounding step on either side, for the line's own error."""
 SHORTEST = 0.75
 """Of the rounding step: an interval between samples that still shows when one is missing."""
-EXACT = 1.5
+LONGEST_IN_BAND = 1.5
 """Of the rounding step: an interval so long leaves the band where a sample is missing from exact stamps too."""
 LEAST_SHARE = 0.02
 """Of the steps: where fewer differ from the usual one, they are gaps and not the work of rounding."""
@@ -136,7 +136,7 @@ def sampling_rate_of(time: Floats, columns: Columns, name: str, declared: float 
     """
     steps = np.diff(time)
     step = float(np.median(steps))
-    odd = np.flatnonzero(np.abs(steps - step) > UNEVEN * abs(step))
+    odd = np.flatnonzero(np.abs(steps - step) > UNEVEN_STEP * abs(step))
     if step > 0 and not odd.size:
         return float((len(time) - 1) / (time[-1] - time[0]))
     rounded = rate_within_rounding(time, declared)
@@ -169,10 +169,10 @@ def _refuse_uneven(steps: Floats, step: float, odd: Ints, columns: Columns, name
         )
     # A handful of odd steps are gaps; a fifth of all, each like the next, are a second rate.
     others = float(np.median(steps[odd]))
-    alike = np.mean(np.abs(steps[odd] - others) < UNEVEN * others)
+    alike = np.mean(np.abs(steps[odd] - others) < UNEVEN_STEP * others)
     if odd.size > 0.1 * len(steps) and alike > 0.9:
         before = float(steps[0])
-        change = int(np.argmax(np.abs(steps - before) > UNEVEN * before))
+        change = int(np.argmax(np.abs(steps - before) > UNEVEN_STEP * before))
         raise InputError(
             f'{columns.at(change + 1)}: channel "{name}" has two sampling rates, {1 / before:.6g} Hz and from here '
             f"{1 / float(steps[change]):.6g} Hz; hand in the stretches as separate records or resample them to one rate"
@@ -224,7 +224,7 @@ def rate_within_rounding(time: Floats, declared: float | None = None) -> float |
         return None
     if declared is None and interval < SHORTEST * rounding:
         return None
-    if interval < EXACT * rounding and _share_of_odd_steps(time, rounding) < LEAST_SHARE:
+    if interval < LONGEST_IN_BAND * rounding and _share_of_odd_steps(time, rounding) < LEAST_SHARE:
         return None
     return 1.0 / interval
 

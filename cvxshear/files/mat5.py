@@ -38,7 +38,7 @@ CELL, STRUCTURE = 1, 2
 NUMERIC = range(6, 16)
 """Classes of matrices that are read; characters, sparse matrices and objects hold no columns of a record."""
 
-COMPLEX = 0x0800
+COMPLEX_FLAG = 0x0800
 """The flag of a matrix with an imaginary part."""
 
 Element = tuple[int, memoryview]
@@ -148,7 +148,7 @@ def _matrix(payload: memoryview, order: str, budget: _Budget, depth: int) -> tup
         return known_as, None
     if flag & 0xFF == STRUCTURE:
         return known_as, _structure(shape, rest, order, budget, depth)
-    return known_as, _numbers(shape, rest, bool(flag & COMPLEX), order, budget)
+    return known_as, _numbers(shape, rest, bool(flag & COMPLEX_FLAG), order, budget)
 
 
 def _cells(parts: list[Element], order: str, budget: _Budget, depth: int) -> None:

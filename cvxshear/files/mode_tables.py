@@ -24,9 +24,9 @@ from cvxshear.files.uff import read_modes
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 
-LARGEST = 5_000_000
+LARGEST_TABLE = 5_000_000
 """Bytes of a table of modes."""
-TOO_LARGE = "too many for a table of modes; is it a record?"
+TOO_LARGE_TABLE = "too many for a table of modes; is it a record?"
 COLUMNS = {
     "mode": "modes",
     "frequency": "frequencies",
@@ -62,7 +62,7 @@ def read_mode_csv(path: str | Path) -> dict[str, Any]:
     InputError
         Naming the file, the line and the column.
     """
-    rows: Rows = [(number, list(cells)) for number, cells in read_rows(path, LARGEST, TOO_LARGE)]
+    rows: Rows = [(number, list(cells)) for number, cells in read_rows(path, LARGEST_TABLE, TOO_LARGE_TABLE)]
     return _modes_of(rows, str(path))
 
 
@@ -83,7 +83,7 @@ def read_mode_xlsx(path: str | Path) -> dict[str, Any]:
     InputError
         Naming the file, the row and the column; where openpyxl (the extra `xlsx`) is not installed.
     """
-    rows: Rows = list(read_xlsx_rows(path, LARGEST, TOO_LARGE))
+    rows: Rows = list(read_xlsx_rows(path, LARGEST_TABLE, TOO_LARGE_TABLE))
     return _modes_of(rows, str(path))
 
 

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from cvxshear.files.measurement import write_measurement
 from cvxshear.files.record_file import read_record
-from cvxshear.files.toml import files_of, is_record_file
+from cvxshear.files.toml import files_of, is_record_file, write_measurement
 from cvxshear.files.uff import write_uff
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.modal.diagnostics import cables_changed
@@ -103,11 +102,7 @@ def record_files(names: Iterable[str | Path]) -> tuple[list[Path], list[Path]]:
 
 
 def identify_modes_many(
-    files: Iterable[str | Path],
-    *,
-    jobs: int = 1,
-    progress: Progress | None = None,
-    **options: Any,
+    files: Iterable[str | Path], *, jobs: int = 1, progress: Progress | None = None, **options: Any
 ) -> list[IdentifiedRecord | CvxshearError]:
     """`identify_modes` for each of many record files; where one fails, its error stands in its place.
 
@@ -137,11 +132,7 @@ def identify_modes_many(
 
 
 def modes_from_file(
-    path: str | Path,
-    *,
-    output: str | Path | None = None,
-    uff: str | Path | None = None,
-    **options: Any,
+    path: str | Path, *, output: str | Path | None = None, uff: str | Path | None = None, **options: Any
 ) -> tuple[ModalResult, Json]:
     """Identify the modes of a record file and write what was asked for.
 

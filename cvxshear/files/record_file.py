@@ -7,6 +7,7 @@ has them all.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -27,12 +28,14 @@ from cvxshear.files.record_tables import (
     runs_of,
     tables_of,
 )
+from cvxshear.files.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.records.record import FEWEST_SAMPLES, INPUTS, Channel, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats
+from cvxshear.util.writing import write_file
 
 RECORD_KEYS = (
     "name",
@@ -56,7 +59,7 @@ RECORD_KEYS = (
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 """Units of a time column, s."""
 
-GAP = 1.75
+LONG_STEP = 1.75
 """Times the usual step: a longer one has lost a sample at least, whatever the stamps are rounded to."""
 
 MOST_GAPS = 0.01
@@ -64,6 +67,11 @@ MOST_GAPS = 0.01
 
 LEAST_USED = 0.5
 """Share of the samples that sound pieces must hold: a record that has lost more is for a person to look at."""
+
+HEADER = re.compile(r"^[ \t]*\[record\][ \t]*(#.*)?\n", re.MULTILINE)
+NEXT_TABLE = re.compile(r"^[ \t]*\[+\w", re.MULTILINE)
+PICK = re.compile(r"^[ \t]*pick[ \t]*=[ \t]*\[[^\]]*\]", re.MULTILINE)
+"""Where the table of the record begins and the next one, and what stands in it of poles picked by hand."""
 
 TIME_NAMES = ("time", "time_s", "t", "t_s", "Time", "TIME", "seconds")
 FREQUENCY_NAMES = ("frequency", "frequency_hz", "freq", "f", "f_hz", "Frequency", "hz")
@@ -137,6 +145,35 @@ def read_record(path: str | Path) -> RecordFile:
     if picked is not None:
         picked = checks.vector(picked, f"{where}: record: pick", above=0.0).tolist()
     return RecordFile(record, frame, priors, added, state, picked, files, tuple(notes))
+
+
+def write_pick(path: str | Path, frequencies: Sequence[float]) -> None:
+    """Write the frequencies of modes that were chosen by hand into a record file; all else in it stays.
+
+    Parameters
+    ----------
+    path : str or Path
+    frequencies : sequence of float
+        Hz.
+
+    Raises
+    ------
+    InputError
+        Where the file has no table `[record]` under a header of its own, or cannot be written.
+    """
+    path = Path(path)
+    text = read_text(path)
+    line = f"pick = [{', '.join(f'{frequency:.5g}' for frequency in frequencies)}]"
+    header = HEADER.search(text)
+    if header is not None:
+        end = NEXT_TABLE.search(text, header.end())
+        body = text[header.end() : end.start() if end else len(text)]
+        changed, count = PICK.subn(line, body, count=1)
+        text = text[: header.end()] + (changed if count else f"{line}\n{body}") + (text[end.start() :] if end else "")
+    table = parse(text, path).get("record")
+    if header is None or not isinstance(table, dict) or len(table.get("pick", ())) != len(frequencies):
+        raise InputError(f"{path} has no table [record] that a line could be written into; write there: {line}")
+    write_file(path, text)
 
 
 def _record(table: Mapping[str, Any], path: Path, lines: list[int], notes: list[Finding]) -> Record:
@@ -259,7 +296,7 @@ def pieces_of(
         time = columns.values[:, columns.names.index(name)]
         sound &= np.isfinite(time)
         steps = np.diff(time[sound])
-        jumps = np.flatnonzero(steps > GAP * np.median(steps)) if steps.size else np.zeros(0, dtype=int)
+        jumps = np.flatnonzero(steps > LONG_STEP * np.median(steps)) if steps.size else np.zeros(0, dtype=int)
         if 0 < jumps.size <= MOST_GAPS * len(time) and np.all(steps > 0):
             breaks[np.flatnonzero(sound)[jumps + 1]] = True
     first, last = _asked(columns, name, declared, run)

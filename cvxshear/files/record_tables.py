@@ -21,7 +21,7 @@ RUN_KEYS = ("file", "name", "input_floor", "start", "end")
 STANDARD_GRAVITY = 9.80665
 """m/s2, by definition (CGPM 1901): what a sensor's "g" is."""
 
-UNITS = {
+CHANNEL_UNITS = {
     "m/s2": ("acceleration", 1.0),
     "g": ("acceleration", STANDARD_GRAVITY),
     "mg": ("acceleration", 1e-3 * STANDARD_GRAVITY),
@@ -112,7 +112,7 @@ def channels_of(tables: object, declared: Mapping[str, Any], path: Path, lines: 
         one = checks.keys(item, CHANNEL_KEYS, ["column"], where)
         column = checks.text(one["column"], f"{where}: column")
         where = f'{where} ("{column}")'
-        unit = None if one.get("unit") is None else checks.choice(one["unit"], tuple(UNITS), f"{where}: unit")
+        unit = None if one.get("unit") is None else checks.choice(one["unit"], tuple(CHANNEL_UNITS), f"{where}: unit")
         quantity, in_si = _quantity(one.get("quantity"), unit, declared.get("quantity"), where)
         if quantity != "force" and "floor" not in one:
             raise InputError(f"{where}: the key 'floor' is missing (0 for the ground)")
@@ -142,7 +142,7 @@ def channels_of(tables: object, declared: Mapping[str, Any], path: Path, lines: 
 
 def _quantity(given: object, unit: str | None, usual: object, where: str) -> tuple[str, float]:
     """What a channel measures, and its unit in SI units: what the unit says goes before what all channels have."""
-    measured, in_si = ("acceleration", 1.0) if unit is None else UNITS[unit]
+    measured, in_si = ("acceleration", 1.0) if unit is None else CHANNEL_UNITS[unit]
     if given is None:
         given = measured if unit is not None or usual is None else usual
     quantity = checks.choice(given, ("force", *QUANTITIES), f"{where}: quantity")

@@ -1,15 +1,19 @@
-"""The measurement file: an experiment as TOML."""
+"""The measurement file: an experiment as TOML, read and written."""
 
 from __future__ import annotations
 
 import dataclasses
 import os
 import re
+import secrets
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import tomli_w
 
 from cvxshear.effects import catalogue
 from cvxshear.files.formats import FORMATS, format_of, naming_keys, refuse_data
@@ -18,11 +22,13 @@ from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import checks
 from cvxshear.util.checks import shown
 from cvxshear.util.errors import InputError
+from cvxshear.util.text import escaped, printable
+from cvxshear.util.writing import write_file
 
 LARGEST_FILE = 5_000_000
 """Bytes; a larger file is taken for a mistake (a record in place of a measurement file, say)."""
 
-MEASURED = (
+MEASURED_FRAMES = (
     "los-alamos",
     "mini-flexible-northridge",
     "mini-flexible-sine",
@@ -36,7 +42,7 @@ MEASURED = (
 )
 """Tables of modes of measured frames that travel with the package, each with its source."""
 
-BUILT_IN = {"paper": ("paper", "paper.toml"), **{name: ("builtin", f"{name}.toml") for name in MEASURED}}
+BUILT_IN = {"paper": ("paper", "paper.toml"), **{name: ("builtin", f"{name}.toml") for name in MEASURED_FRAMES}}
 """Examples that travel with the package, and where they stand in it."""
 
 LONGEST_KEY = 16
@@ -217,3 +223,100 @@ def _resolved(table: object, place: int, folder: Path) -> object:
     key = named[0]
     file = folder / checks.text(table[key], f"{where}: {key}")
     return {**readers[key].read_modes(file), **{name: value for name, value in table.items() if name != key}}
+
+
+COMMENT_WIDTH = 110
+WRITTEN_DIGITS = 8
+"""Significant ones: no record tells more."""
+
+LARGE = 2_500
+"""Numbers of a table from which on it is written in one piece: shapes of fifty modes at fifty floors."""
+
+_NUMBERS = re.compile(r"\[\n((?:\s*[-+.\w]+,\n)+)\s*\]")
+"""A list of numbers with one on each line. No text matches: line breaks in texts are written as escapes."""
+
+
+def write_measurement(path: str | Path, declared: Mapping[str, Any], comments: Iterable[str] = ()) -> None:
+    """Write a dict of the measurement file's shape as TOML.
+
+    Parameters
+    ----------
+    path : str or Path
+        Replaced where it exists, and only once the whole file has been written.
+    declared : dict
+        Tables, lists of tables, and in them texts, numbers, flags and lists of numbers.
+    comments : iterable of str, optional
+        Lines for the head of the file.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
+    """
+    head = [f"# {part}\n" for comment in comments for part in _wrapped(comment)]
+    tables = _Tables()
+    text = _NUMBERS.sub(_in_one_line, escaped(tomli_w.dumps(_plain(declared, tables))))
+    write_file(path, "".join([*head, "\n" * bool(head), tables.put_into(text)]))
+
+
+def _wrapped(comment: str) -> list[str]:
+    """The comment in lines of readable length; a line break in it must not end the comment."""
+    lines, current = [], ""
+    for word in printable(" ".join(comment.split())).split(" "):
+        if current and len(current) + len(word) + 1 > COMMENT_WIDTH:
+            lines.append(current)
+            current = "  " + word
+        else:
+            current = f"{current} {word}" if current else word
+    return [*lines, current]
+
+
+def _in_one_line(numbers: re.Match[str]) -> str:
+    """A row of a shape is a line of the file."""
+    return "[" + ", ".join(numbers[1].replace(",", " ").split()) + "]"
+
+
+class _Tables:
+    """Large tables of numbers, which are written row by row: number by number takes ten times as long."""
+
+    def __init__(self) -> None:
+        self._mark = secrets.token_hex(8)
+        self._texts: list[str] = []
+
+    def mark(self, table: np.ndarray[Any, Any]) -> str:
+        """What stands for a table until the rest has been written."""
+        row = "    [" + ", ".join([f"%.{WRITTEN_DIGITS}g"] * table.shape[1]) + "],\n"
+        self._texts.append("[\n" + "".join(row % tuple(numbers) for numbers in table.tolist()) + "]")
+        return f"{self._mark}{len(self._texts) - 1}"
+
+    def put_into(self, text: str) -> str:
+        """The text with the tables in their places."""
+        return re.sub(rf'"{self._mark}(\d+)"', lambda found: self._texts[int(found[1])], text)
+
+
+def _table_of(value: Any) -> np.ndarray[Any, Any] | None:
+    """The value as a table, where it is a large one of numbers."""
+    rows = len(value)
+    width = len(value[0]) if rows and isinstance(value[0], list | tuple | np.ndarray) else 0
+    if rows * width < LARGE:
+        return None
+    try:
+        found = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+    return found if found.ndim == 2 else None
+
+
+def _plain(value: Any, tables: _Tables) -> Any:
+    """The value in Python's own types, numbers rounded; a mark for a large table."""
+    if isinstance(value, Mapping):
+        return {key: _plain(each, tables) for key, each in value.items()}
+    if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim):
+        table = _table_of(value)
+        if table is not None:
+            return tables.mark(table)
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(each, tables) for each in value]
+    return float(f"{value:.{WRITTEN_DIGITS}g}") if isinstance(value, float) else value

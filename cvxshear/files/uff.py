@@ -153,7 +153,7 @@ def _pyuff() -> Any:
 def _sets(path: Path, kind: int, limit: float) -> list[Json]:
     """The data sets of one kind, `FUNCTION` or `MODE`."""
     where = str(path)
-    # pyuff opens the file by its name; that it can be read, and how large it is, is told here.
+    # pyuff opens the file by its name; that it can be read, and how large it is, is checked here.
     read_bytes(path, limit, TOO_LARGE, named=True)
     pyuff = _pyuff()
     try:

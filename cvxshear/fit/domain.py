@@ -17,8 +17,9 @@ from cvxshear.programs.statements import NamedConstraints, refuse_contradictions
 from cvxshear.util.typing import Floats, Ints
 
 SMALLEST_VALUE = 1e-3
+PART_OF_START = 0.1
 """Part of the mean declared floor mass, else of the median at the start: a smaller mass or stiffness does not count as
-positive."""
+positive. Where the start itself is less than half of that, as with stiffnesses that differ by 1e6, this part of it."""
 
 
 FARTHEST = 1e5
@@ -77,8 +78,8 @@ def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) 
     """The domain of the parameters of a fit with these effects."""
     n, size = experiment.stories, len(theta)
     known = experiment.frame.known_total
-    mass = SMALLEST_VALUE * (np.median(theta[:n]) if known is None else known / n)
-    stiffness = SMALLEST_VALUE * np.median(theta[n : 2 * n])
+    mass = _least(theta[:n], float(np.median(theta[:n])) if known is None else known / n)
+    stiffness = _least(theta[n : 2 * n], float(np.median(theta[n : 2 * n])))
     frame = _exact(experiment.frame, effects)
     parts = spread(
         statements(experiment.priors, "floor_mass", n, frame, least=mass),
@@ -106,6 +107,12 @@ def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) 
         parts.append(NamedConstraints(f"what {placed.label} can be", embedded(limits, columns, size)))
     scale = np.where(scale == 0, 1.0, scale)
     return Domain(parts, scale, interval_std, np.where(np.arange(size) < 2 * n, FARTHEST * scale, np.inf))
+
+
+def _least(start: Floats, typical: float) -> float:
+    """The least mass, or the least stiffness, that counts as positive."""
+    least, smallest = SMALLEST_VALUE * typical, float(start.min())
+    return PART_OF_START * smallest if smallest < 0.5 * least else least
 
 
 def _exact(frame: Frame, effects: Sequence[Placed]) -> Frame:

@@ -10,13 +10,14 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
+from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.data import Noise
 from cvxshear.effects import Placed, Scale
 from cvxshear.effects.composition import slices
 from cvxshear.effects.state import heights_of
 from cvxshear.fit.domain import Domain, domain_of, refuse_contradicting
-from cvxshear.fit.gauss_newton import CONVERGED_STEP, HOPELESS, Fit, gauss_newton
+from cvxshear.fit.gauss_newton import CONVERGED_STEP, FLAT, HOPELESS, Fit, gauss_newton
 from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.fit.noise import LARGEST_NOISE, NoiseEstimate, estimated_noise
 from cvxshear.fit.quality import Quality, quality
@@ -46,6 +47,9 @@ HELD = 1e-9
 SAME_NOISE = 0.05
 """Relative change of such a standard deviation that counts as none: the evidence, stationary there, moves by a
 hundredth."""
+
+RESIDUAL_LEVEL = 0.01
+"""Probability below which a residual, or a noise, counts as improbable."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +118,16 @@ class Estimate:
     def correlation(self) -> Floats:
         """Correlations of all parameters, shape (P, P)."""
         return self.uncertainty.correlation()
+
+    @property
+    def improbable(self) -> bool:
+        """Whether the residual is too large for the noise: less probable than `RESIDUAL_LEVEL`.
+
+        Where no degree of freedom is left bounds may hold the model back: the residual is then compared with one.
+        """
+        if self.dof <= 0:
+            return not self.misfit.open_noises and self.fit.at.chi2 > float(stats.chi2.isf(RESIDUAL_LEVEL, 1))
+        return self.p_value is not None and self.p_value < RESIDUAL_LEVEL
 
     @property
     def p_value(self) -> float | None:
@@ -321,11 +335,14 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed
     own = np.array([value for placed in effects for value in placed.start])
     best: Estimate | None = None
     failure: CvxshearError | None = None
+    missed = np.inf
     for start in nearest_first(misfit, own):
+        theta = np.concatenate([start, own])
         try:
-            found = fitted(misfit, np.concatenate([start, own]), backend)
+            found = fitted(misfit, theta, backend)
         except NoSolutionError as error:
-            failure = error
+            failure = failure or error
+            missed = min(missed, misfit.evaluate(theta, derivatives=False).chi2)
             continue
         if best is None or found.chi2 < best.chi2:
             best = found
@@ -333,7 +350,28 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed
             break
     if best is None:
         raise failure if failure is not None else NoSolutionError(backend.name, "no starting point has modes")
+    if failure is not None and best.misfit.replaced(noise=misfit.noise).evaluate(best.theta).chi2 > missed:
+        # A point that fits worse than one from which the backend did not get anywhere is no minimum.
+        raise failure
+    if backend.name != "auto" and not misfit.open_noises and best.chi2 > HOPELESS * max(best.dof, 1):
+        _refuse_local_minimum(best, backend, efficient(experiment, backends.get("auto"), effects))
     return best
+
+
+def _refuse_local_minimum(found: Estimate, backend: Backend, reference: Estimate) -> None:
+    """Raise where a fit that is far from the data ended above that of the default backend.
+
+    Raises
+    ------
+    NoSolutionError
+        Backends that solve every step to a millionth end in different valleys only where the problem magnifies that.
+    """
+    above = found.fit.at.objective - reference.fit.at.objective
+    if above > FLAT * max(1.0, reference.fit.at.objective / max(len(reference.fit.at.r), 1)):
+        raise NoSolutionError(
+            backend.name,
+            f"its fit ended in a local minimum, {above:.3g} above another backend's: too ill-conditioned to tell",
+        )
 
 
 def _refuse_large(misfit: Misfit) -> None:

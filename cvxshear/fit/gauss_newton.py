@@ -17,16 +17,7 @@ import numpy as np
 
 from cvxshear.backends import Backend, Solution
 from cvxshear.fit.domain import Domain
-from cvxshear.fit.optimality import (
-    DERIVATIVE_ERROR,
-    KEPT_TO,
-    E,
-    Optimality,
-    Problem,
-    Residuals,
-    best_step,
-    optimality,
-)
+from cvxshear.fit.optimality import DERIVATIVE_ERROR, KEPT_TO, E, Optimality, Problem, Residuals, best_step, optimality
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.statements import constrained
 from cvxshear.util.errors import NoModesError, NoSolutionError

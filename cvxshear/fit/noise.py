@@ -102,10 +102,7 @@ def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats, *, here: bool 
     if not misfit.unknown:
         return NoiseEstimate()
     marginal = _Marginal(misfit, at, free)
-    if here:
-        best = marginal.start
-    else:
-        best = optimize.fmin_bfgs(marginal.loss, marginal.start, fprime=marginal.slope, disp=False)
+    best = marginal.start if here else optimize.minimize(marginal.negative, marginal.start, jac=True, method="BFGS").x
     # Where the marginal has no maximum the search runs off.
     v: Floats = np.clip(best, -LARGEST, LARGEST)
     covariance: Floats = np.asarray(np.linalg.inv(_curvature(marginal, v)), dtype=np.float64)
@@ -113,7 +110,7 @@ def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats, *, here: bool 
     u, slope = marginal.log_factors(v)
     spread = slope[:, None] * covariance * slope
     if here:
-        local = marginal.value(v) + 0.5 * float(np.linalg.slogdet(covariance)[1])
+        local = -marginal.negative(v)[0] + 0.5 * float(np.linalg.slogdet(covariance)[1])
         local -= float(np.sum(np.log(marginal.widths)))
         return NoiseEstimate(kinds, u, spread, local, settled=False)
     return NoiseEstimate(kinds, u, spread, _log_integral(marginal, v, covariance))
@@ -125,7 +122,7 @@ def _log_integral(marginal: _Marginal, u: Floats, covariance: Floats) -> float:
     nodes, weights = np.polynomial.hermite.hermgauss(NODES.get(len(u), 1))
     points = np.array(list(itertools.product(nodes, repeat=len(u))))
     logs = np.array([sum(each) for each in itertools.product(np.log(weights) + nodes**2, repeat=len(u))])
-    values = np.array([marginal.value(u + root @ point) for point in points]) + logs
+    values = marginal.values(u + points @ root.T) + logs
     log_det = float(np.linalg.slogdet(root)[1])
     return float(special.logsumexp(values)) + log_det - float(np.sum(np.log(marginal.widths * np.sqrt(2 * np.pi))))
 
@@ -178,17 +175,21 @@ class _Marginal:
         known = np.einsum("ij,gji->g", inverse, self._information)
         return -float(value), -(slope * (weight * (left + known) - self._counts) - v / self.widths**2)
 
-    def loss(self, u: Floats) -> float:
-        """Minus log p(data, u), without those terms."""
-        return self.negative(u)[0]
-
-    def slope(self, u: Floats) -> Floats:
-        """Derivative of `loss`."""
-        return self.negative(u)[1]
-
-    def value(self, u: Floats) -> float:
-        """log p(data, u), without those terms."""
-        return -self.negative(u)[0]
+    def values(self, points: Floats) -> Floats:
+        """log p(data, u(v)), without those terms, at points v, shape (n, g): all at once, as one at a time is slow."""
+        u = np.array([self.log_factors(v)[0] for v in points])
+        change = np.exp(-2.0 * np.clip(u - self.here, -LARGEST, LARGEST)) - 1.0
+        H = np.eye(self._information.shape[1]) + np.tensordot(change, self._information, 1)
+        try:
+            root = np.linalg.cholesky(H)
+        except np.linalg.LinAlgError:
+            return np.array([-self.negative(v)[0] for v in points])
+        gradient = self._left + change @ self._gradient
+        scaled = np.linalg.solve(root, gradient[..., None])[..., 0]
+        log_det = 2.0 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)
+        prior = np.sum((points / self.widths) ** 2, axis=1)
+        gained = np.sum(scaled**2, axis=1) - self._left @ self._left
+        return np.asarray(0.5 * (gained - change @ self._chi2 - log_det - prior) - u @ self._counts)
 
 
 def _curvature(marginal: _Marginal, u: Floats) -> Floats:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
 from cvxshear.data import Datum, Model
-from cvxshear.util.typing import Floats, Json
+from cvxshear.util.results import InJson
+from cvxshear.util.typing import Floats
 
 
 @dataclass(frozen=True)
-class Quality:
+class Quality(InJson):
     """Errors of a model, relative and not in percent.
 
     Parameters
@@ -45,10 +46,6 @@ class Quality:
     dof: int
     p_value: float | None
     max_displacement_error: float | None = None
-
-    def to_dict(self) -> Json:
-        """The fields by name."""
-        return asdict(self)
 
 
 def quality(data: Sequence[Datum], models: Sequence[Model], chi2: float, dof: int, *, declared: bool) -> Quality:

@@ -12,22 +12,15 @@ from cvxshear.data import Model
 from cvxshear.fit.gauss_newton import Ending
 from cvxshear.fit.quality import Quality
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.util.plain import as_json, data_frame
-from cvxshear.util.showing import Shown
+from cvxshear.util.results import InJson, Shown, as_json, data_frame
 from cvxshear.util.typing import Bools, Floats, Json
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-def plain(values: Floats | None) -> list[object] | None:
-    """An array as lists, None in place of nan, as JSON has it."""
-    found: list[object] | None = as_json(values)
-    return found
-
-
 @dataclass(frozen=True, eq=False)
-class IdentifiedFrame:
+class IdentifiedFrame(InJson):
     """Floor masses and story stiffnesses, nan where the data do not determine one.
 
     Parameters
@@ -49,38 +42,31 @@ class IdentifiedFrame:
     story_stiffness_std: Floats | None = None
     at_bounds: tuple[str, ...] = ()
 
+    json_keys = "*known"
+
     def stopped(self, quantity: str) -> Bools:
         """Where "floor_mass" or "story_stiffness" is at a bound, shape (N,)."""
         return np.array([f"{quantity} {place}" in self.at_bounds for place in range(1, len(self.floor_mass) + 1)])
 
-    def _stds(self, quantity: str, std: Floats | None) -> Floats | None:
-        return None if std is None else np.where(self.stopped(quantity), np.nan, std)
+    @property
+    def known(self) -> dict[str, Floats | None]:
+        """Values and standard deviations by name, shape (N,); nan where a value stopped at a bound."""
+        found: dict[str, Floats | None] = {}
+        for name in ("floor_mass", "story_stiffness"):
+            std = getattr(self, f"{name}_std")
+            found[name] = getattr(self, name)
+            found[f"{name}_std"] = None if std is None else np.where(self.stopped(name), np.nan, std)
+        return found
 
     @property
     def columns(self) -> dict[str, list[float]]:
         """Values and deviations by name, floor by floor from the lowest; nan where there is no standard deviation."""
         unknown = np.full(len(self.floor_mass), np.nan)
-        mass_std = self._stds("floor_mass", self.floor_mass_std)
-        stiffness_std = self._stds("story_stiffness", self.story_stiffness_std)
-        return {
-            "floor_mass": self.floor_mass.tolist(),
-            "floor_mass_std": (unknown if mass_std is None else mass_std).tolist(),
-            "story_stiffness": self.story_stiffness.tolist(),
-            "story_stiffness_std": (unknown if stiffness_std is None else stiffness_std).tolist(),
-        }
-
-    def to_dict(self) -> Json:
-        """Values and deviations as lists."""
-        return {
-            "floor_mass": plain(self.floor_mass),
-            "floor_mass_std": plain(self._stds("floor_mass", self.floor_mass_std)),
-            "story_stiffness": plain(self.story_stiffness),
-            "story_stiffness_std": plain(self._stds("story_stiffness", self.story_stiffness_std)),
-        }
+        return {name: (unknown if values is None else values).tolist() for name, values in self.known.items()}
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class Prediction(InJson):
     """All modes of the model at all floors, in one configuration.
 
     Parameters
@@ -104,14 +90,6 @@ class Prediction:
         largest = shapes[np.arange(len(shapes)), np.argmax(np.abs(shapes), axis=1)]
         return Prediction(model.state.tested.name, model.modes.frequencies, shapes / largest[:, None])
 
-    def to_dict(self) -> Json:
-        """The fields as lists."""
-        return {
-            "configuration": self.configuration,
-            "frequencies": plain(self.frequencies),
-            "mode_shapes": plain(self.mode_shapes),
-        }
-
 
 def predictions(models: Sequence[Model]) -> tuple[Prediction, ...]:
     """One prediction a configuration."""
@@ -119,7 +97,7 @@ def predictions(models: Sequence[Model]) -> tuple[Prediction, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class SingleIdentification:
+class SingleIdentification(InJson):
     """An identification from one configuration, or from all together.
 
     Parameters
@@ -147,26 +125,16 @@ class SingleIdentification:
     mass_matrix: Floats | None = None
     reason: Ending = Ending.SOLVED
 
+    json_keys = "name converged iterations reason frame fit predictions history"
+
     @property
     def converged(self) -> bool:
         """Whether the iteration stopped because there was nothing left to gain."""
         return self.reason.converged
 
     def to_dict(self) -> Json:
-        """The fields as plain values; the full mass matrix only where there is one."""
-        result: Json = {
-            "name": self.name,
-            "converged": self.converged,
-            "iterations": self.iterations,
-            "reason": str(self.reason),
-            "frame": self.frame.to_dict(),
-            "fit": self.fit.to_dict(),
-            "predictions": [item.to_dict() for item in self.predictions],
-            "history": plain(self.history),
-        }
-        if self.mass_matrix is not None:
-            result["mass_matrix"] = plain(self.mass_matrix)
-        return result
+        """The documented JSON; the full mass matrix only where there is one."""
+        return super().to_dict() | ({} if self.mass_matrix is None else {"mass_matrix": as_json(self.mass_matrix)})
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -250,7 +218,7 @@ class Identification(Shown):
             result["mass_matrix"] = single["mass_matrix"]
         if self.joint:
             result["parameters"] = list(self.parameter_names)
-            result["correlation"] = plain(self.correlation)
+            result["correlation"] = as_json(self.correlation)
             result["undetermined"] = [list(names) for names in self.undetermined]
             result["at_bounds"] = [name for part in self.parts for name in part.frame.at_bounds]
         else:

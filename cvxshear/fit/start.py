@@ -4,8 +4,10 @@
 
     k_i (phi_i - phi_(i-1)) - lambda sum over l >= i of m_l phi_l = lambda sum over l >= i of a_l phi_l,
 
-with a the added mass. Every mode of every configuration gives N such rows for the 2N unknowns. Floors
-without a sensor are filled in from the modes of the model found so far.
+with a the added mass. Every mode of every configuration gives N such rows for the 2N unknowns. A row is as uncertain
+as the shape's error makes its two sides: it weighs 1 / (sqrt(2) k_i + lambda |m + a| above), the masses and
+stiffnesses those found before. So a stiff story, whose drift in the low modes is nothing but error, is found from the
+modes that move it. Floors without a sensor are filled in from the modes of the model found so far.
 
 **Smooth frames**, where no other start is near the data. A tall frame has many local minima: a high mode of the model
 with its nodes half a wave off fits worse on the way to where it fits. The lowest modes have hardly any, and they see
@@ -37,11 +39,14 @@ from cvxshear.programs.statements import NamedConstraints, constrained, statemen
 from cvxshear.util.errors import CvxshearError, InputError, NoModesError, NoSolutionError
 from cvxshear.util.typing import Floats
 
-FILLINGS = 6
-"""Times that missing entries are filled in and the story equations solved again."""
+PASSES = 6
+"""Times that the story equations are weighed, missing entries filled in, and solved: with stiffnesses that differ by
+1e6 the first pass has them wrong by a factor of thirty, the third to the noise."""
 
 SMALLEST_START = 0.05
-"""Smallest start of a mass or stiffness, as a part of their mean: a start at zero is none."""
+POSITIVE = 1e-9
+"""Start of a mass or stiffness that the equations find not positive, and the least that counts as positive, as parts
+of their mean: a start at zero is none."""
 
 TAPERS = (0.2, 0.4, 0.6, 0.8)
 """Parts of the bottom story's stiffness by which the top story's is smaller."""
@@ -72,9 +77,9 @@ def starts(experiment: Experiment) -> list[Floats]:
     even = uniform(experiment)
     points = []
     theta = even
-    for _ in range(1 if all(each.complete for each in experiment.configurations) else FILLINGS):
+    for number in range(PASSES):
         try:
-            theta = _from_story_equations(experiment, theta)
+            theta = _from_story_equations(experiment, theta, weighed=number > 0)
         except CvxshearError:
             break
         points.append(theta)
@@ -148,20 +153,25 @@ def _guessed_total(experiment: Experiment) -> float:
     return float(np.max([each.added_mass.sum() for each in experiment.configurations])) or 1.0
 
 
-def _from_story_equations(experiment: Experiment, theta: Floats) -> Floats:
-    """One least-squares program for all masses and stiffnesses, shapes filled in by the model at theta."""
+def _from_story_equations(experiment: Experiment, theta: Floats, *, weighed: bool) -> Floats:
+    """One least-squares program for all masses and stiffnesses, shapes filled in by the model at theta.
+
+    The stiffnesses of theta count in the weights only if `weighed`.
+    """
     n = experiment.stories
     mass, stiffness = theta[:n], theta[n:]
     rows, sides = [], []
     for each in experiment.configurations:
         model = modes(mass_matrix(mass + each.added_mass), stiffness_matrix(stiffness))
+        inertia = np.sqrt(np.cumsum((mass + each.added_mass)[::-1] ** 2)[::-1])
         for j in range(len(each.frequencies)):
             phi = filled(each, j, model)
             lam = (2 * np.pi * each.frequencies[j]) ** 2
             above = np.triu(np.broadcast_to(phi, (n, n)))
             drifts = np.diag(transformation(n).T @ phi)
-            weight = 1.0 / (lam * np.linalg.norm(phi) * mass.mean())
-            rows.append(weight * np.hstack([-lam * above, drifts]))
+            sizes = lam * inertia + (np.sqrt(2.0) * stiffness if weighed else 0.0)
+            weight = 1.0 / (np.linalg.norm(phi) * sizes)
+            rows.append(weight[:, None] * np.hstack([-lam * above, drifts]))
             sides.append(weight * lam * (above @ each.added_mass))
     ridge = 1e-6 / theta
     program = LeastSquares(
@@ -173,7 +183,7 @@ def _from_story_equations(experiment: Experiment, theta: Floats) -> Floats:
     m, k = x[:n], x[n:]
     if m.mean() <= 0 or k.mean() <= 0:
         raise InputError("the story equations have no solution of positive masses and stiffnesses")
-    return np.concatenate([np.maximum(m, SMALLEST_START * m.mean()), np.maximum(k, SMALLEST_START * k.mean())])
+    return np.concatenate([np.where(x > POSITIVE * x.mean(), x, SMALLEST_START * x.mean()) for x in (m, k)])
 
 
 def filled(configuration: Configuration, j: int, model: Modes) -> Floats:

@@ -27,6 +27,10 @@ NULL = 1e-6
 """A direction along which the data change by less than this, each parameter in units of its own sensitivity, is one
 that they do not determine."""
 
+LEAST_UNIT = 1e-4
+"""Least change of a parameter, relative to its size, that it is counted in for `NULL`. In units of its own sensitivity
+alone one that a prior of 1e-9 holds would make all that the other data say of it look like nothing."""
+
 TAKES_PART = 0.1
 """Share of a null direction's largest entry from which on a parameter is named as part of it."""
 
@@ -55,6 +59,8 @@ class Uncertainty:
         Number of free directions that the data determine, those held only by an active bound included.
     active : tuple of str
         Parameters that sit on a bound.
+    least_units : ndarray, shape (P,)
+        Least change of each parameter that it is counted in, see `LEAST_UNIT`.
     """
 
     J: Floats
@@ -66,6 +72,7 @@ class Uncertainty:
     null_directions: tuple[tuple[str, ...], ...]
     free: int
     active: tuple[str, ...]
+    least_units: Floats
 
     @cached_property
     def root(self) -> Floats:
@@ -73,17 +80,23 @@ class Uncertainty:
 
         Shape (P, f); J root has orthonormal columns.
         """
-        return _unit_directions(self.J, np.concatenate([self.equalities, self.touching, self.ends]))
+        return self.root_of(self.J)
 
     @cached_property
     def reach(self) -> Floats:
         """The same with parameters of an interval free to leave its ends, and known to lie in it, shape (P, g)."""
         known = np.concatenate([self.J, _interval_rows(self.interval_std)])
-        return _unit_directions(known, np.concatenate([self.equalities, self.touching]))
+        return self._unit_directions(known, self.equalities, self.touching)
 
     def root_of(self, J: Floats) -> Floats:
         """Directions that the constraints leave free, of unit effect on other residuals than these, shape (P, f)."""
-        return _unit_directions(J, np.concatenate([self.equalities, self.touching, self.ends]))
+        return self._unit_directions(J, self.equalities, self.touching, self.ends)
+
+    def _unit_directions(self, J: Floats, *held: Floats) -> Floats:
+        """Directions on which the held rows are zero and that J determines, each of unit effect on J's residuals."""
+        unit = _units(J, self.least_units)
+        (basis, values), _ = _split(J * unit, _null_space(np.concatenate(held) * unit))
+        return unit[:, None] * (basis / values)
 
     def covariance(self) -> Floats:
         """Covariance of the determined part, shape (P, P), in the parameters' own units."""
@@ -114,13 +127,15 @@ def uncertainty(J: Floats, theta: Floats, domain: Domain, names: Sequence[str]) 
         Of the P parameters.
     """
     here = constrained(LeastSquares(R=J, s=np.zeros(len(J))), domain.statements, theta)
-    unit = _units(np.concatenate([J, _interval_rows(domain.interval_std)]))
+    # What is even over an interval is known to within it, whatever the data say.
+    known = np.concatenate([J, _interval_rows(domain.interval_std)])
+    least_units = LEAST_UNIT * np.abs(theta)
+    unit = _units(known, least_units)
     A, _ = here.equalities
     G, h = here.inequalities
-    touching = G[h <= TOUCHING * np.linalg.norm(G * unit, axis=1)]
+    touching = G[h <= TOUCHING * np.linalg.norm(G * _units(known, np.zeros(len(theta))), axis=1)]
     free = _null_space(A * unit)
-    # What is even over an interval is known to within it, whatever the data say.
-    _, null = _split(np.concatenate([J, _interval_rows(domain.interval_std)]) * unit, free)
+    _, null = _split(known * unit, free)
     ends = np.any(touching[:, np.isfinite(domain.interval_std)], axis=1)
     open_part = np.linalg.norm(null, axis=1) if null.size else np.zeros(len(theta))
     return Uncertainty(
@@ -133,6 +148,7 @@ def uncertainty(J: Floats, theta: Floats, domain: Domain, names: Sequence[str]) 
         null_directions=tuple(_words(column, names) for column in null.T),
         free=_split(J * unit, free)[0][0].shape[1],
         active=tuple(name for name, on in zip(names, np.any(touching, axis=0), strict=True) if on),
+        least_units=least_units,
     )
 
 
@@ -142,17 +158,10 @@ def _interval_rows(interval_std: Floats) -> Floats:
     return rows
 
 
-def _units(J: Floats) -> Floats:
-    """The change of each parameter that changes the data by one; one where none does."""
+def _units(J: Floats, least: Floats) -> Floats:
+    """The change of each parameter that changes the data by one, or the least one given; one where none does."""
     length = np.linalg.norm(J, axis=0)
-    return 1.0 / np.where(length > 0, length, 1.0)
-
-
-def _unit_directions(J: Floats, held: Floats) -> Floats:
-    """Directions on which the held rows are zero and that the data determine, each of unit effect on the data."""
-    unit = _units(J)
-    (basis, values), _ = _split(J * unit, _null_space(held * unit))
-    return unit[:, None] * (basis / values)
+    return np.where(length > 0, np.maximum(1.0 / np.where(length > 0, length, 1.0), least), 1.0)
 
 
 def _null_space(rows: Floats) -> Floats:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from cvxshear import backends
 from cvxshear.backends import Backend
@@ -23,7 +22,7 @@ from cvxshear.loop.conclusion import conclude
 from cvxshear.loop.duals import dual_frame, dual_set, frequencies_alone
 from cvxshear.loop.fitter import ROUGH, Fitter
 from cvxshear.loop.hypotheses import Hypothesis, assumed, chosen, hypotheses
-from cvxshear.loop.model_class import RESIDUAL_LEVEL, ModelClass
+from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.numbering import Numbering
 from cvxshear.loop.otherwise import searches
 from cvxshear.loop.results import Closure
@@ -149,10 +148,7 @@ def without_repeated(experiment: Experiment) -> tuple[Experiment, tuple[tuple[st
 def _excess(loop: _Loop, result: Closure) -> float | None:
     """By how much the noise must be widened for the residual to be probable; None where it is."""
     judged = result.judged
-    chi2 = judged.fit.at.chi2
-    if judged.dof <= 0 or stats.chi2.sf(chi2, judged.dof) >= RESIDUAL_LEVEL:
-        return None
-    return float(np.sqrt(chi2 / judged.dof))
+    return float(np.sqrt(judged.fit.at.chi2 / max(judged.dof, 1))) if judged.improbable else None
 
 
 @dataclass(frozen=True)

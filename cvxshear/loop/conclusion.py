@@ -9,22 +9,23 @@ from functools import partial
 import numpy as np
 from scipy import stats
 
+from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.effects import Effect, Placed
 from cvxshear.fit.efficient import Estimate, fitted_with, parameter_names
 from cvxshear.loop.duals import dual_set, frequencies_alone
-from cvxshear.loop.fitter import Fitter, with_stand_in
+from cvxshear.loop.fitter import ROUGH, Fitter, with_stand_in
 from cvxshear.loop.held_out import held_out_frequency_errors
 from cvxshear.loop.hypotheses import OPEN, Hypothesis
 from cvxshear.loop.linear import Linearised
-from cvxshear.loop.model_class import RESIDUAL_LEVEL, ModelClass
+from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.next_test import next_test
 from cvxshear.loop.numbering import OVERLOOKED, NumberingProbability
 from cvxshear.loop.posterior import RIVAL, Posterior
 from cvxshear.loop.residual import where_it_sits
 from cvxshear.loop.results import AddedEffect, Candidate, Closure, EffectSet, Step, parameters_of, stds_of
 from cvxshear.loop.search import Search, fits_alike
-from cvxshear.util.errors import NoModesError
+from cvxshear.util.errors import NoModesError, NoSolutionError
 
 EXPLAINED = 0.95
 """Probability at its place that each added effect has where the data are called explained."""
@@ -84,9 +85,8 @@ def conclude(
     if widened:
         final = fitter.fit(judged.misfit.replaced(widened=1.0), judged.theta)
     steps = _steps(final, posterior, fitter, searches[0].fitter)
-    after = steps[-1]
     added = tuple(_added(posterior, judged, placed) for placed in _by_probability(posterior, judged, fitter))
-    significant = after.p_value is not None and after.p_value < RESIDUAL_LEVEL
+    significant = final.improbable
     negligible = significant and _negligible(final)
     fits = {model.effects: model.estimate for model in reversed(here.models)}
     rivals = [estimate for rival in _rival_sets(here, added) if (estimate := fits[rival]) is not None]
@@ -213,7 +213,11 @@ def _in_noise_of(final: Estimate, effects: Sequence[Placed], fitter: Fitter) -> 
         except NoModesError:
             return fitted_with(misfit, proposals[1].starts[0], by)
 
-    return with_stand_in(fitter.backend, fit)[0]
+    try:
+        return with_stand_in(fitter.backend, fit)[0]
+    except NoSolutionError:
+        # Far from the data a fit may follow a curved valley without an end; a rough one is near enough to compare with.
+        return fitted_with(misfit, proposals[1].starts[0], backends.get("auto"), ROUGH)
 
 
 def _added(posterior: Posterior, final: Estimate, placed: Placed) -> AddedEffect:

@@ -146,7 +146,7 @@ class Linearised:
             Logarithm of the prior odds of each effect that is lacking.
         """
         taken: list[Placed] = []
-        own, left = self._own, self.base.fit.at.r
+        own, left, basis = self._own.copy(), self.base.fit.at.r.copy(), self._reached.copy()
         for _ in range(min(len(self.lacking), MOST_TAKEN)):
             gains = {
                 placed: self._gain(placed, own[:, self._at[placed]], left) + log_prior
@@ -158,8 +158,15 @@ class Linearised:
                 break
             taken.append(best)
             if best.effect.rescales:
-                continue
-            basis, _ = np.linalg.qr(own[:, self._at[best]])
+                # Residuals whose accuracy is left open weigh less in all that follows.
+                rows = self.base.misfit.rescaled_rows(self.base.fit.at, best)
+                weight = np.exp(-_best_log_noise(self._reached[rows], left[rows], best.effect.size_width))
+                basis[rows] *= weight
+                own[rows] *= weight
+                left[rows] *= weight
+                basis, _ = np.linalg.qr(basis)
+            else:
+                basis, _ = np.linalg.qr(np.column_stack([basis, own[:, self._at[best]]]))
             own, left = own - basis @ (basis.T @ own), left - basis @ (basis.T @ left)
         return taken
 
@@ -305,11 +312,11 @@ def _best_log_size(b: Floats, h: Floats, stds: Floats, width: float) -> float:
     return float(u[np.argmax(gained)])
 
 
-def _gain_of_noise(reached: Floats, r: Floats, width: float) -> float:
-    """The log evidence gained where a factor e^u = sqrt(1 + s^2) on the deviation of some residuals is left open.
+def _log_evidence_by_noise(reached: Floats, r: Floats, width: float) -> tuple[Floats, Floats]:
+    """Logarithms u of factors on the deviation of some residuals, and the log evidence gained with each.
 
-    The fit follows: with G = m'm and g = m'r of these rows m of the free directions and w = e^-2u,
-    chi-square changes by (w - 1) r'r - (w - 1)^2 g' (1 + (w - 1) G)^-1 g.
+    e^u = sqrt(1 + s^2), s having a common size. The fit follows: with G = m'm and g = m'r of these rows m of the free
+    directions and w = e^-2u, chi-square changes by (w - 1) r'r - (w - 1)^2 g' (1 + (w - 1) G)^-1 g.
     """
     values, vectors = np.linalg.eigh(reached.T @ reached)
     c = vectors.T @ (reached.T @ r)
@@ -318,4 +325,16 @@ def _gain_of_noise(reached: Floats, r: Floats, width: float) -> float:
     left = np.maximum(1.0 + change * values, LEAST_CURVATURE)
     chi2 = change[:, 0] * float(r @ r) - np.sum(change**2 * c**2 / left, axis=1)
     gained = -0.5 * chi2 - 0.5 * np.sum(np.log(left), axis=1) - np.count_nonzero(r) * u - 0.5 * LOG_SIZES**2
+    return u, gained
+
+
+def _gain_of_noise(reached: Floats, r: Floats, width: float) -> float:
+    """The log evidence gained where the accuracy of some residuals is left open, its factor integrated out."""
+    _, gained = _log_evidence_by_noise(reached, r, width)
     return float(np.logaddexp.reduce(gained) - np.logaddexp.reduce(-0.5 * LOG_SIZES**2))
+
+
+def _best_log_noise(reached: Floats, r: Floats, width: float) -> float:
+    """The logarithm of the factor on the deviation of some residuals that is most probable."""
+    u, gained = _log_evidence_by_noise(reached, r, width)
+    return float(u[np.argmax(gained)])

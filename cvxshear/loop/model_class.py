@@ -9,9 +9,6 @@ from cvxshear.fit.efficient import Estimate
 from cvxshear.loop.numbering import Changes
 from cvxshear.util.errors import CvxshearError
 
-RESIDUAL_LEVEL = 0.01
-"""Probability below which a residual, or a noise, counts as improbable."""
-
 
 @dataclass(frozen=True, eq=False)
 class ModelClass:
@@ -47,5 +44,4 @@ class ModelClass:
     @property
     def improbable(self) -> bool:
         """Whether its residual, or the noise that it asks for, is improbable."""
-        p_value = None if self.estimate is None else self.estimate.p_value
-        return p_value is not None and p_value < RESIDUAL_LEVEL
+        return self.estimate is not None and self.estimate.improbable

@@ -12,7 +12,8 @@ from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.separation import Disagreement, disagreement, imagined
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.util.errors import NoModesError
-from cvxshear.util.typing import Ints, Json
+from cvxshear.util.results import InJson
+from cvxshear.util.typing import Ints
 
 PARTS_OF_A_FLOOR = (0.1, 0.25, 0.5, 1.0)
 """Added masses that are tried, as parts of the mean floor mass."""
@@ -37,7 +38,7 @@ PROMISING = 8
 
 
 @dataclass(frozen=True)
-class NextTest:
+class NextTest(InJson):
     """A test that would tell the rivals apart.
 
     Parameters
@@ -58,10 +59,6 @@ class NextTest:
     state: str
     standard_deviations: float
     measured_floors: tuple[int, ...] | None = None
-
-    def to_dict(self) -> Json:
-        """The documented JSON."""
-        return dataclasses.asdict(self)
 
 
 def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None:

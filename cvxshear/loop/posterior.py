@@ -13,6 +13,7 @@ from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.hypotheses import Hypothesis
 from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.numbering import Changes, NumberingProbability
+from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
 ADDED = 0.5
@@ -30,7 +31,7 @@ optimum, and which of two equals comes first must not depend on the machine."""
 
 
 @dataclass(frozen=True)
-class Rival:
+class Rival(InJson):
     """What may be there in place of an effect.
 
     Parameters
@@ -45,6 +46,8 @@ class Rival:
     placed: Placed
     probability: float
     twin: bool
+
+    json_keys = "*placed probability twin"
 
 
 class Posterior:
@@ -156,8 +159,28 @@ class Posterior:
 
     @cached_property
     def _kept_odds(self) -> frozenset[Placed]:
-        """Effects whose odds the data left about as they were: they come and go with any set, and replace nothing."""
+        """Effects whose odds the data left about as they were."""
         return frozenset(placed for placed in self.of_effects if 1.0 / RAISED < self._raised([placed]) < RAISED)
+
+    @cached_property
+    def _indifferent(self) -> frozenset[Placed]:
+        """Those of them that come and go with any set and replace nothing: no probable set is better for holding one.
+
+        What is there only in the place of another may keep its odds, too; without that other it would be missed.
+        """
+        score = {model.effects: model.score for model in self.models}
+        missed = {
+            placed
+            for model in self.models
+            if model.score >= self.models[0].score + np.log(RIVAL)
+            for placed in model.effects
+            if model.score - score.get(model.effects - {placed}, np.inf) - self._log_odds(placed) > np.log(RAISED)
+        }
+        return self._kept_odds - missed
+
+    def _log_odds(self, placed: Placed) -> float:
+        """The logarithm of an effect's prior odds."""
+        return float(np.log(self._prior[placed]) - np.log1p(-self._prior[placed]))
 
     def untold(self) -> list[Placed]:
         """Effects whose odds the data left about as they were, though they are, or were, even or better."""
@@ -193,7 +216,7 @@ class Posterior:
             if placed in model.effects or placed not in best.effects:
                 continue
             gone, come = best.effects - model.effects, model.effects - best.effects
-            other = replacement(placed, gone - (self._kept_odds - {placed}), come - self._kept_odds)
+            other = replacement(placed, gone - (self._indifferent - {placed}), come - self._indifferent)
             if other is not None:
                 found[other] = found.get(other, 0.0) + float(probability)
         return found

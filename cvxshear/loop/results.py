@@ -18,15 +18,14 @@ from cvxshear.loop.posterior import Rival
 from cvxshear.loop.residual import by_floor, by_part
 from cvxshear.loop.verdicts import VERDICTS
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.util.plain import data_frame
-from cvxshear.util.showing import Shown
+from cvxshear.util.results import InJson, Shown, data_frame
 from cvxshear.util.typing import Json
 
 if TYPE_CHECKING:
     import pandas as pd
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class Step(InJson):
     """One fit on the way.
 
     Parameters
@@ -47,14 +46,11 @@ class Step:
     p_value: float | None
     held_out: float | None = None
 
-    def to_dict(self) -> Json:
-        """The figures that `before` and `after` have, and the effects so far."""
-        figures = self.estimate.quality.to_dict()
-        return {**figures, "p_value": self.p_value, "held_out_frequency_error": self.held_out}
+    json_keys = "*estimate.quality p_value held_out_frequency_error=held_out"
 
 
 @dataclass(frozen=True, eq=False)
-class AddedEffect:
+class AddedEffect(InJson):
     """An effect that was added, with its rivals.
 
     Parameters
@@ -79,24 +75,11 @@ class AddedEffect:
     rivals: tuple[Rival, ...]
     remarks: tuple[str, ...] = ()
 
-    def to_dict(self) -> Json:
-        """Name, place, probability, parameters, standard deviations, size in words, rivals."""
-        return {
-            **self.placed.to_dict(),
-            "kind": self.placed.effect.kind,
-            "probability": self.probability,
-            "parameters": self.parameters,
-            "std": self.std,
-            "size": self.size,
-            "rivals": [
-                {**rival.placed.to_dict(), "probability": rival.probability, "twin": rival.twin}
-                for rival in self.rivals
-            ],
-        }
+    json_keys = "*placed kind=placed.effect.kind probability parameters std size rivals"
 
 
 @dataclass(frozen=True)
-class Candidate:
+class Candidate(InJson):
     """An effect that was looked for.
 
     Parameters
@@ -124,17 +107,7 @@ class Candidate:
     p_value: float
     confounded_with: tuple[str, ...] = ()
 
-    def to_dict(self) -> Json:
-        """Name, place and figures."""
-        return {
-            **self.placed.to_dict(),
-            "probability": self.probability,
-            "prior_probability": self.prior,
-            "chi2": self.chi2,
-            "dof": self.dof,
-            "p_value": self.p_value,
-            "confounded_with": list(self.confounded_with),
-        }
+    json_keys = "*placed probability prior_probability=prior chi2 dof p_value confounded_with"
 
 
 @dataclass(frozen=True)
@@ -230,6 +203,13 @@ class Closure(Shown):
     fits: int
     programs: int
 
+    json_keys = (
+        "verdict rests_on backend provisional effects assumed numberings models averaged noise before after steps "
+        "candidates not_considered frame undetermined=estimate.uncertainty.null_directions "
+        "at_bounds=estimate.uncertainty.active predictions=estimate.predictions residual remains information "
+        "next_test fits programs"
+    )
+
     @property
     def before(self) -> Step:
         """The model that the loop began with."""
@@ -273,50 +253,31 @@ class Closure(Shown):
         columns |= {f"averaged_{key}": values for key, values in self.averaged.columns.items()}
         return data_frame(columns)
 
+    @property
+    def provisional(self) -> bool:
+        """Whether the verdict says that something remains unexplained."""
+        return VERDICTS[self.verdict].provisional
+
+    @property
+    def residual(self) -> Json:
+        """The residual of each part of the data and of each floor, by the first model and the last."""
+        models = {"before": self.before.estimate, "after": self.estimate}
+        return {
+            "by_part": {name: by_part(model) for name, model in models.items()},
+            "by_floor": {name: by_floor(model) for name, model in models.items()},
+        }
+
     def to_dict(self) -> Json:
         """The documented JSON."""
-        return {
-            "verdict": self.verdict,
-            "rests_on": list(self.rests_on),
-            "backend": self.backend,
-            "provisional": VERDICTS[self.verdict].provisional,
-            "effects": [item.to_dict() for item in self.effects],
-            "assumed": [{**p.to_dict(), "parameters": parameters_of(self.estimate, p)} for p in self.assumed],
-            "numberings": [item.to_dict() for item in self.numberings],
-            "models": [item.to_dict() for item in self.models],
-            "averaged": self.averaged.to_dict(),
-            "noise": self.noise.to_dict(),
-            "before": self.before.to_dict(),
-            "after": self.after.to_dict(),
-            "steps": [
-                {
-                    "action": step.action,
-                    "effects": [
-                        {**p.to_dict(), "parameters": parameters_of(step.estimate, p)} for p in step.estimate.effects
-                    ],
-                    **step.to_dict(),
-                }
-                for step in self.steps
-            ],
-            "candidates": [item.to_dict() for item in self.candidates],
-            "not_considered": self.not_considered,
-            "frame": self.frame.to_dict(),
-            "undetermined": [list(names) for names in self.estimate.uncertainty.null_directions],
-            "at_bounds": list(self.estimate.uncertainty.active),
-            "predictions": [item.to_dict() for item in self.estimate.predictions],
-            "residual": {
-                "by_part": {
-                    "before": [item.to_dict() for item in by_part(self.before.estimate)],
-                    "after": [item.to_dict() for item in by_part(self.estimate)],
-                },
-                "by_floor": {"before": by_floor(self.before.estimate), "after": by_floor(self.estimate)},
-            },
-            "remains": list(self.remains),
-            "information": list(self.information),
-            "next_test": None if self.next_test is None else self.next_test.to_dict(),
-            "fits": self.fits,
-            "programs": self.programs,
-        }
+        steps = [
+            {"action": step.action, "effects": _with_parameters(step.estimate, step.estimate.effects), **step.to_dict()}
+            for step in self.steps
+        ]
+        return super().to_dict() | {"assumed": _with_parameters(self.estimate, self.assumed), "steps": steps}
+
+
+def _with_parameters(estimate: Estimate, effects: Sequence[Placed]) -> list[Json]:
+    return [{**placed.to_dict(), "parameters": parameters_of(estimate, placed)} for placed in effects]
 
 
 def parameters_of(estimate: Estimate, placed: Placed) -> dict[str, float]:

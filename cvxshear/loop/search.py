@@ -18,13 +18,15 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from cvxshear.effects import Placed
+from cvxshear.effects.open_class import OpenClass
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.gauss_newton import CONVERGED_STEP
-from cvxshear.loop.fitter import ROUGH, Fitter
+from cvxshear.fit.gauss_newton import CONVERGED_STEP, HOPELESS
+from cvxshear.loop.fitter import ROUGH, FitProposal, Fitter
 from cvxshear.loop.hypotheses import OPEN
 from cvxshear.loop.linear import Linearised
 from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.twins import Invariances, invariances
+from cvxshear.util.errors import NoModesError
 
 BEAM = 6
 REACH = 20.0
@@ -36,8 +38,14 @@ WITHIN = 7.0
 A_PILE = 3
 """Effects from which on a set is no simple explanation: two causes at once are met now and then, three seldom."""
 
+WEAKEST = 2
+"""Effects, the weakest of a set, without which it must be worse before no more are taken out."""
+
 STAND_FOR_A_GROUP = 3
 """Single effects, the most promising ones, that are tried in place of a group."""
+
+MOST_CAUSES = 4
+"""Causes that are put one after the other in the place of a group."""
 
 MOST_SETS = 300
 """Sets that one search visits at most: twice what sound files of three states need (up to some 150), so that a file
@@ -45,6 +53,9 @@ that no set explains ends too. What is left out then is said."""
 
 ALIKE = 0.1
 """Difference of chi-square, relative where it is above one, that rounding and the priors of sizes leave of twins."""
+
+MOTIONS = 12
+"""Fits of effects that bring a motion of their own."""
 
 MOST = 10
 LEAST = 1
@@ -72,6 +83,7 @@ class Search:
         fitter.base = base
         self.visited: dict[Set, ModelClass] = {start.effects: start}
         self.expanded: set[Set] = set()
+        self.pruned: set[Set] = set()
         self.thinned: set[Set] = set()
         self.regrouped: set[Set] = set()
         self.moved = False
@@ -89,29 +101,43 @@ class Search:
         fitted.sort(key=lambda model: -model.score)
         holding = {model.effects: any(placed.effect.kind == OPEN for placed in model.effects) for model in fitted}
         causes = [model for model in fitted if not holding[model.effects]][:BEAM]
-        others = [model for model in fitted if holding[model.effects]][: BEAM // 2]
+        others: list[ModelClass] = []
+        for model in fitted:
+            # What only adds to a better set would leave no room for sets that are other explanations.
+            if holding[model.effects] and not any(better.effects < model.effects for better in others):
+                others.append(model)
+            if len(others) == BEAM // 2:
+                break
         return sorted((*causes, *others), key=lambda model: -model.score)
 
     def run(self) -> None:
         """Visit sets until the beam has nothing left to expand, or the budget is spent."""
-        self._grow()
+        ways = (
+            (self._prune, self.pruned, 0.0),
+            (self._expand, self.expanded, 0.0),
+            (self._regroup, self.regrouped, 0.0),
+            (self._expand, self.expanded, REACH),
+            (self._regroup, self.regrouped, WITHIN),
+            (self._thin, self.thinned, WITHIN),
+        )
         while not self.spent:
-            if (model := self._next(self.regrouped, WITHIN)) is not None:
-                self._regroup(model)
-            elif (model := self._next(self.thinned, WITHIN)) is not None:
-                self._thin(model)
-            else:
+            nexts = ((way, self._next(done, within)) for way, done, within in ways)
+            found = next(((way, model) for way, model in nexts if model is not None), None)
+            if found is None:
                 break
-            self._grow()
+            way, model = found
+            way(model)
         if not self.moved and not self.spent and self._add_motions():
             self.run()
 
     def _add_motions(self) -> bool:
-        """Visit sets with an effect that brings a motion of its own, where nothing simple explains the data."""
+        """Visit sets with an effect that brings a motion of its own, where the shear model does not explain the data.
+
+        Derivatives at a mass of none say nothing of it: one step from each of its starts tells which of them to follow.
+        """
         self.moved = True
         motions = [item.placed for item in self.fitter.hypotheses if item.placed.effect.adds_motion]
-        simple = len(self.best.effects) < A_PILE and all(placed.effect.kind == "cause" for placed in self.best.effects)
-        if not motions or (simple and not self.best.improbable):
+        if not motions or self.best is self.base:
             return False
         base = self.base.estimate
         assert base is not None, "the shear model was fitted"
@@ -122,19 +148,19 @@ class Search:
             for placed in motions
             for start in placed.effect.starts
         ]
-        # Each is fitted from several starts: the best of them is the set's fit.
-        self._record(sorted(self.fitter.models(proposals), key=lambda model: model.score))
+        promising = sorted(proposals, key=_after_a_step)[:MOTIONS]
+        # An effect may be fitted from several starts: the best of them is the set's fit.
+        self._record(sorted(self.fitter.models(promising), key=lambda model: model.score))
         return True
+
+    def _unsatisfied(self) -> bool:
+        """Whether nothing simple explains the data so far."""
+        return self.best.improbable or len(self.best.effects) >= A_PILE
 
     @property
     def spent(self) -> bool:
         """Whether the search has made as many fits as it may."""
         return len(self.visited) >= MOST_SETS
-
-    def _grow(self) -> None:
-        """Expand the beam until all of it has been."""
-        while not self.spent and (model := self._next(self.expanded, REACH)) is not None:
-            self._expand(model)
 
     def probe(self) -> None:
         """Expand the shear model alone."""
@@ -231,6 +257,39 @@ class Search:
             return
         linear = Linearised(model.estimate, lacking, self.fitter.expectation)
         self._visit(model.estimate, linear, self._promising(model, linear))
+        self._name_entries(model)
+
+    def _name_entries(self, model: ModelClass) -> None:
+        """Visit the sets in which the entries of an open class that stand out are causes of the catalogue, it gone.
+
+        Several large changes at once are hardly seen by derivatives at none of them; the class has found their sizes.
+        """
+        estimate, experiment = model.estimate, self.fitter.experiment
+        assert estimate is not None, "only sets with a fit are expanded"
+        known = {(item.placed.effect.name, item.placed.place): item.placed for item in self.fitter.hypotheses}
+        proposals = []
+        for placed in model.effects:
+            if not isinstance(placed.effect, OpenClass):
+                continue
+            own = estimate.own(placed)
+            values = estimate.theta[own]
+            standing = placed.effect.conspicuous(values, estimate.std[own])
+            causes = {
+                known[at]: float(values[i])
+                for i in standing
+                if (at := placed.effect.cause_at(i, placed.place, experiment)) in known
+            }
+            named = (model.effects - {placed}).union(causes)
+            if not causes or named in self.visited:
+                continue
+            rest = [each for each in estimate.effects if each is not placed]
+            new = [cause for cause in causes if cause not in rest]
+            proposal = self.fitter.proposal(estimate, (*rest, *new))
+            bounds = [(item.lower, item.upper) for each in new for item in each.effect.parameters]
+            sizes = np.clip([causes[each] for each in new], *np.reshape(bounds, (-1, 2)).T)
+            start = np.concatenate([proposal.starts[-1][: len(proposal.starts[-1]) - len(new)], sizes])
+            proposals.append(dataclasses.replace(proposal, starts=(start,)))
+        self._record(self.fitter.models(proposals))
 
     def _promising(self, model: ModelClass, linear: Linearised) -> list[Set]:
         """Sets with one more effect, or two, by what the linearised model promises."""
@@ -240,7 +299,9 @@ class Search:
         order = sorted(single, key=lambda each: -single[each])
         # A set with an effect taken out is far behind: what is put in must catch up with the best.
         floor = max(single[order[0]], 0.0, self.best.score - model.score) - WITHIN
-        new = [each for at, each in enumerate(order[:MOST]) if at < LEAST or single[each] > floor]
+        # Far from the data the model is not linear: the order of the gains still says something, their sizes do not.
+        least = MOST if _far_off(model) else LEAST
+        new = [each for at, each in enumerate(order[:MOST]) if at < least or single[each] > floor]
         if model.improbable:
             # What leaves the accuracy of some data open shows all that it is worth only once they weigh less.
             rescaling = sorted(
@@ -289,37 +350,68 @@ class Search:
             self.visited[model.effects] = model
 
     def _regroup(self, model: ModelClass) -> None:
-        """Visit the sets in which one effect stands for a whole group: all of a state, all of a name, or all at once.
+        """Visit sets in which other causes, one or several, stand for a whole group: all of a state, all of a name, ...
 
         Where every floor of a state is heavier, or every story softer, one cause takes the place of many; taking them
-        out one at a time never gets there.
+        out one at a time never gets there. Where nothing simple explains the data, causes that explain only together
+        (joints that turn, and braces that turn none) stand in the place of an open class, too: beside a class that does
+        the work of both neither is seen.
         """
         self.regrouped.add(model.effects)
         for group in self._groups(model.effects):
+            if self.spent:
+                break
             rest = model.effects - group
             self._fit_without(model, [rest])
-            base = self.visited[rest]
-            if base.estimate is None:
-                continue
-            linear = Linearised(base.estimate, self._lacking(base), self.fitter.expectation)
-            gains = {
-                placed: linear.gain(placed) + self.fitter.log_prior([placed])
-                for placed in linear.lacking
-                if placed not in group
-            }
-            best = sorted(gains, key=lambda placed: -gains[placed])[:STAND_FOR_A_GROUP]
-            new = [rest | {placed} for placed in best]
-            self._visit(base.estimate, linear, [each for each in new if each not in self.visited])
+            firsts = self._with_one_of(self._lacking(self.visited[rest]), self.visited[rest], group)
+            if len(group) > 1:
+                firsts = sorted(firsts, key=lambda each: -each.score)[:1]
+            for first in firsts if self._unsatisfied() else ():
+                at, best = None, first
+                while best is not at and len(best.effects - rest) < MOST_CAUSES:
+                    at = best
+                    causes = [placed for placed in self._lacking(at) if placed.effect.kind != OPEN]
+                    best = max((at, *self._with_one_of(causes, at, group)), key=lambda each: each.score)
+
+    def _with_one_of(self, effects: Sequence[Placed], model: ModelClass, barred: Set) -> list[ModelClass]:
+        """The most promising sets with one of these effects more, none that is barred, visited."""
+        effects = [placed for placed in effects if placed not in barred]
+        if model.estimate is None or not effects:
+            return []
+        linear = Linearised(model.estimate, effects, self.fitter.expectation)
+        gains = {placed: linear.gain(placed) + self.fitter.log_prior([placed]) for placed in effects}
+        best = sorted(gains, key=lambda placed: -gains[placed])[:STAND_FOR_A_GROUP]
+        sets = [model.effects | {placed} for placed in best]
+        self._visit(model.estimate, linear, [each for each in sets if each not in self.visited])
+        return [self.visited[each] for each in sets]
 
     def _groups(self, effects: Set) -> list[Set]:
-        """The groups of two effects or more, each once."""
+        """The groups of two effects or more, and each open class, each once."""
         by_state, by_name = defaultdict[str | None, set[Placed]](set), defaultdict[str, set[Placed]](set)
         for placed in effects:
             by_name[placed.effect.name].add(placed)
             if placed.place.state is not None:
                 by_state[placed.place.state].add(placed)
         groups = [frozenset(group) for group in (*by_state.values(), *by_name.values(), set(effects))]
-        return [group for group in dict.fromkeys(groups) if len(group) > 1]
+        classes = [frozenset([placed]) for placed in effects if placed.effect.kind == OPEN and self._unsatisfied()]
+        return [group for group in dict.fromkeys((*groups, *classes)) if len(group) > 1 or group in classes]
+
+    def _prune(self, model: ModelClass) -> None:
+        """Visit sets with ever fewer effects, the weakest taken out first: what came early may be superfluous."""
+        at, kept = model, set[Placed]()
+        while at.estimate is not None and len(kept) < WEAKEST:
+            self.pruned.add(at.effects)
+            left = [placed for placed in at.effects if placed not in kept]
+            if not left:
+                break
+            strength = {placed: _strength(at.estimate, placed) for placed in left}
+            weakest = min(left, key=lambda placed: (strength[placed], placed.label))
+            fewer = at.effects - {weakest}
+            self._fit_without(at, [fewer])
+            if self.visited[fewer].score > at.score:
+                at = self.visited[fewer]
+            else:
+                kept.add(weakest)
 
     def _thin(self, model: ModelClass) -> None:
         """Visit the sets with one effect less, and expand those: what is added takes its place."""
@@ -338,6 +430,32 @@ class Search:
         new = [each for each in sets if each not in self.visited]
         held = [[placed for placed in model.estimate.effects if placed in each | assumed] for each in new]
         self._record(self.fitter.models([self.fitter.proposal(model.estimate, effects) for effects in held]))
+
+
+def _after_a_step(proposal: FitProposal) -> float:
+    """The objective that the linearised model has after one step from a start."""
+    try:
+        at = proposal.misfit.evaluate(proposal.starts[0])
+    except NoModesError:
+        return np.inf
+    _, c = at.triangle
+    return at.objective - float(c @ c)
+
+
+def _strength(estimate: Estimate, placed: Placed) -> float:
+    """Largest distance of an effect's parameters from null, in standard deviations; zero where it has none."""
+    own = estimate.own(placed)
+    nulls = [item.null for item in placed.effect.parameters]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = np.abs(estimate.theta[own] - nulls) / estimate.std[own]
+    return float(np.max(np.nan_to_num(z), initial=0.0))
+
+
+def _far_off(model: ModelClass) -> bool:
+    """Whether the residuals of a set are too large for its linearised model to tell how much an effect brings."""
+    assert model.estimate is not None
+    at = model.estimate.fit.at
+    return at.objective > HOPELESS * len(at.r)
 
 
 def fits_alike(a: ModelClass, b: ModelClass) -> bool:

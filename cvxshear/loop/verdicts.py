@@ -31,7 +31,7 @@ class Verdict:
     bare : str
         The same for a result without effects.
     advice : str
-        What to do with such a result; stands in the help of `cvxshear loop` and at the end of a report.
+        What to do with such a result; stands below what to test next.
     colour, dark : str
         CSS colour of its mark on a light and on a dark page.
     provisional : bool

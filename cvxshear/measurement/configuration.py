@@ -13,6 +13,7 @@ from cvxshear.measurement.measured_modes import OtherModes, copied_rows, other_m
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
+from cvxshear.util.results import fields_as_table
 from cvxshear.util.typing import Bools, Floats, Ints, Json
 
 DEFAULT_FREQUENCY_STD = 0.002
@@ -126,7 +127,7 @@ class Configuration:
         self._put("other_modes", other_modes(self.other_modes, self.modes, self._at("other_modes")))
         if self.damping_ratios is not None:
             where = self._at("damping_ratios")
-            ratios = checks.one_or_many(self.damping_ratios, where, count, of=", one a mode", least=0.0, nan=True)
+            ratios = checks.one_or_many(self.damping_ratios, where, count, each=", one a mode", least=0.0, nan=True)
             if np.all(np.isnan(ratios)):
                 raise InputError(f"{where} must have a number for one mode at least; leave it out otherwise")
             if np.any(ratios >= 1):
@@ -136,7 +137,7 @@ class Configuration:
             self._put("damping_ratios", ratios)
         if self.damping_ratio_std is not None:
             where = self._at("damping_ratio_std")
-            std = checks.one_or_many(self.damping_ratio_std, where, count, of=", one a mode", above=0.0)
+            std = checks.one_or_many(self.damping_ratio_std, where, count, each=", one a mode", above=0.0)
             self._put("damping_ratio_std", std)
 
     def _check_shapes(self) -> None:
@@ -194,7 +195,7 @@ class Configuration:
         count, width = self.mode_shapes.shape
         if self.frequency_std is not None:
             where = self._at("frequency_std")
-            std = checks.one_or_many(self.frequency_std, where, count, of=", one a mode", above=0.0)
+            std = checks.one_or_many(self.frequency_std, where, count, each=", one a mode", above=0.0)
             self._put("frequency_std", std)
         if self.mode_shape_std is not None:
             self._put("mode_shape_std", self._checked_shape_std(self.mode_shape_std, count, width))
@@ -210,7 +211,7 @@ class Configuration:
             if std.shape[1] != width:
                 raise InputError(f"{where} has {checks.entries(std.shape[1])} a row, mode_shapes has {width}")
             return std
-        each = checks.one_or_many(value, where, count, of=", one a mode", above=0.0)
+        each = checks.one_or_many(value, where, count, each=", one a mode", above=0.0)
         return checks.frozen(np.repeat(each[:, None], width, axis=1))
 
     @staticmethod
@@ -240,13 +241,7 @@ class Configuration:
 
     def to_dict(self) -> Json:
         """The table that declares this configuration in a measurement file, every default written out."""
-        values = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
-        values["other_modes"] = [item.to_dict() for item in self.other_modes]
-        return {
-            key: value.tolist() if isinstance(value, np.ndarray) else value
-            for key, value in values.items()
-            if not _absent(value) and (key, value) != ("state", self.name)
-        }
+        return fields_as_table(self, state=self.name)
 
     def in_frame(self, stories: int) -> Configuration:
         """The same configuration in a frame of so many stories: added mass filled in, floors and modes within it.

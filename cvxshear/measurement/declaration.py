@@ -13,6 +13,7 @@ from cvxshear.priors import Prior
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
+from cvxshear.util.results import fields_as_table
 from cvxshear.util.typing import Floats, Json
 
 UNSAID = (("stories", 0), ("accept", ()), ("total_mass_placeholder", False))
@@ -160,12 +161,7 @@ class Frame:
 
     def to_dict(self) -> Json:
         """The table that declares this frame in a measurement file."""
-        values = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
-        given = {key: value for key, value in values.items() if value is not None and (key, value) not in UNSAID}
-        return {
-            key: value.tolist() if isinstance(value, np.ndarray) else list(value) if isinstance(value, tuple) else value
-            for key, value in given.items()
-        }
+        return fields_as_table(self, stories=0, total_mass_placeholder=False)
 
     @property
     def elevations(self) -> Floats | None:
@@ -243,7 +239,7 @@ class Heading:
 
     def to_dict(self) -> Json:
         """The table that declares it in a measurement file."""
-        return {key: value for key, value in dataclasses.asdict(self).items() if value is not None}
+        return fields_as_table(self)
 
     @property
     def lines(self) -> list[tuple[str, str]]:
@@ -292,4 +288,4 @@ class Limits:
 
     def to_dict(self) -> Json:
         """The table that declares these limits."""
-        return {"story_drift": self.story_drift.tolist(), "names": list(self.names)}
+        return fields_as_table(self)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
+from cvxshear.util.results import fields_as_table
 from cvxshear.util.typing import Json
 
 
@@ -72,7 +73,7 @@ class ExpectedEffect:
 
     def to_dict(self) -> Json:
         """The table that declares it."""
-        return {key: value for key, value in dataclasses.asdict(self).items() if value not in (None, False)}
+        return fields_as_table(self, exclude=False)
 
     def check(self, stories: int, states: Sequence[str]) -> None:
         """Raise `InputError` where it names a floor, story or state that an experiment has not."""

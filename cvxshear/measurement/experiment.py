@@ -21,7 +21,7 @@ from cvxshear.priors import Prior, check_prior
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError, NoScaleError
-from cvxshear.util.showing import Shown
+from cvxshear.util.results import Shown, as_table
 from cvxshear.util.typing import Json
 
 __all__ = [
@@ -220,21 +220,17 @@ class Experiment(Shown):
 
     def to_dict(self) -> Json:
         """The dict of the measurement file's shape that declares this experiment."""
-        result: Json = {"frame": self.frame.to_dict()}
-        if self.damping.kind != Damping().kind:
-            result["damping"] = {"kind": self.damping.kind}
-        if self.limits is not None:
-            result["limits"] = self.limits.to_dict()
-        if self.priors or self.damping.priors:
-            result["prior"] = [prior.to_dict() for prior in (*self.priors, *self.damping.priors)]
-        if self.expected:
-            result["effect"] = [each.to_dict() for each in self.expected]
-        result["configuration"] = [each.to_dict() for each in self.configurations]
-        if self.static:
-            result["static"] = [each.to_dict() for each in self.static]
-        if self.report != Heading():
-            result["report"] = self.report.to_dict()
-        return result
+        tables = {
+            "frame": self.frame,
+            "damping": {} if self.damping.kind == Damping().kind else {"kind": self.damping.kind},
+            "limits": self.limits,
+            "prior": (*self.priors, *self.damping.priors),
+            "effect": self.expected,
+            "configuration": self.configurations,
+            "static": self.static,
+            "report": self.report,
+        }
+        return {name: table for name, found in tables.items() if (table := as_table(found))}
 
     @property
     def tested(self) -> tuple[Tested, ...]:

@@ -10,6 +10,7 @@ import numpy as np
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
+from cvxshear.util.results import fields_as_table
 from cvxshear.util.typing import Floats, Ints, Json
 
 
@@ -59,7 +60,7 @@ class OtherModes:
 
     def to_dict(self) -> Json:
         """The table that declares it."""
-        return {"modes": self.modes.tolist(), "probability": self.probability}
+        return fields_as_table(self)
 
 
 def other_modes(declared: object, own: Ints, where: str) -> tuple[OtherModes, ...]:

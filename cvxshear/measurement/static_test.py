@@ -10,6 +10,7 @@ import numpy as np
 
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
+from cvxshear.util.results import fields_as_table
 from cvxshear.util.typing import Bools, Floats, Json
 
 DEFAULT_DISPLACEMENT_STD = 0.01
@@ -55,14 +56,15 @@ class StaticTest:
         put(
             self,
             "displacement",
-            checks.vector(self.displacement, self._at("displacement"), length=count, of=", one a floor", nan=True),
+            checks.vector(self.displacement, self._at("displacement"), length=count, each=", one a floor", nan=True),
         )
         if not np.any(self.force):
             raise InputError(f"{self._at('force')} is zero on every floor; a static test needs one that is not")
         if not np.any(np.abs(self.displacement[self.measured]) > 0):
             raise InputError(f"{self._at('displacement')} holds no displacement; give one floor's at least, in m")
         if np.size(self.added_mass):
-            added = checks.vector(self.added_mass, self._at("added_mass"), length=count, of=", one a floor", least=0.0)
+            where = self._at("added_mass")
+            added = checks.vector(self.added_mass, where, length=count, each=", one a floor", least=0.0)
             put(self, "added_mass", added)
         if self.displacement_std is not None:
             std = checks.number(self.displacement_std, self._at("displacement_std"), above=0.0)
@@ -84,9 +86,7 @@ class StaticTest:
 
     def to_dict(self) -> Json:
         """The table that declares this test in a measurement file."""
-        values = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
-        given = {key: value for key, value in values.items() if value is not None and np.size(value)}
-        return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in given.items()}
+        return fields_as_table(self)
 
     def in_frame(self, stories: int) -> StaticTest:
         """The same test in a frame of so many stories, added mass filled in."""

@@ -42,7 +42,7 @@ def compare_backends(
     repeats : int, optional
         Solves of each program of which the fastest counts.
     tolerance : float, optional
-        Accuracy that the solvers are told to reach, in place of their own settings here.
+        Accuracy asked of the solvers, in place of their settings here.
 
     Returns
     -------
@@ -90,27 +90,27 @@ def _separate_programs(experiment: Experiment) -> tuple[list[BenchmarkProgram], 
     return programs, ""
 
 
-def _programs_of_one(of: CompleteTest) -> Iterator[BenchmarkProgram]:
-    added = of.configuration.added_mass
-    start = start_mass(of, None)
+def _programs_of_one(test: CompleteTest) -> Iterator[BenchmarkProgram]:
+    added = test.configuration.added_mass
+    start = start_mass(test, None)
     mass = constrained(
-        mass_correction(normalized(of.shapes, start), start, of.total), of.mass_statements, start - added
+        mass_correction(normalized(test.shapes, start), start, test.total), test.mass_statements, start - added
     )
-    one_shot = constrained(one_shot_masses(of.shapes, of.total), of.mass_statements, -added)
-    shapes = normalized(of.shapes, backends.get("auto").solve(one_shot).x)
+    one_shot = constrained(one_shot_masses(test.shapes, test.total), test.mass_statements, -added)
+    shapes = normalized(test.shapes, backends.get("auto").solve(one_shot).x)
     nothing = np.zeros(len(start))
-    stiffness = constrained(story_stiffnesses(shapes, of.eigenvalues), of.stiffness_statements, nothing)
+    stiffness = constrained(story_stiffnesses(shapes, test.eigenvalues), test.stiffness_statements, nothing)
     yield BenchmarkProgram("mass", mass, start)
     yield BenchmarkProgram("stiffness", stiffness, nothing)
     yield BenchmarkProgram("one-shot", one_shot, nothing)
     yield BenchmarkProgram("bounded mass", _tightened(mass, start), start)
     yield BenchmarkProgram("bounded stiffness", _tightened(stiffness, nothing), nothing)
     if len(start) > 1:
-        yield BenchmarkProgram("singular stiffness", _of_first_mode(shapes[:, 0], of.eigenvalues[0]), nothing)
+        yield BenchmarkProgram("singular stiffness", _of_first_mode(shapes[:, 0], test.eigenvalues[0]), nothing)
 
 
 def _tightened(program: LeastSquares, origin: Floats) -> LeastSquares:
-    """The program with its largest answer held below what it would be."""
+    """The program with its largest answer bounded below what it would be."""
     answer = origin + backends.get("auto").solve(program).x
     upper = np.full(len(origin), np.inf) if program.upper is None else program.upper.copy()
     largest = int(np.argmax(answer))
@@ -119,7 +119,7 @@ def _tightened(program: LeastSquares, origin: Floats) -> LeastSquares:
 
 
 def _of_first_mode(shape: Floats, eigenvalue: float) -> LeastSquares:
-    """The stiffness program of one mode alone, the stiffnesses held below the uniform one that it asks for.
+    """The stiffness program of one mode alone, the stiffnesses bounded below the uniform one that it asks for.
 
     Its one row has no negative entry and asks for more than the bounds allow, so that they are the answer.
     """

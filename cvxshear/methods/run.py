@@ -11,10 +11,8 @@ from cvxshear.backends import Backend
 from cvxshear.fit.efficient import efficient, parameter_names
 from cvxshear.fit.results import Identification, SingleIdentification
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.methods.baselines import berman, qi
-from cvxshear.methods.one_shot import one_shot
+from cvxshear.methods.paper_methods import TOLERANCE, berman, one_shot, qi, two_stage
 from cvxshear.methods.separate import CompleteTest, complete_test
-from cvxshear.methods.two_stage import TOLERANCE, two_stage
 from cvxshear.priors import Prior
 from cvxshear.util import checks
 from cvxshear.util.errors import UnsuitableError
@@ -96,15 +94,15 @@ def identify(
             undetermined=estimate.uncertainty.null_directions,
         )
     settings = [complete_test(experiment, each, method, rows=rows) for each in experiment.configurations]
-    parts = [_part(method, of, solver, start, tolerance, accelerate=accelerate) for of in settings]
+    parts = [_part(method, test, solver, start, tolerance, accelerate=accelerate) for test in settings]
     return Identification(experiment, method, solver.name, tuple(parts))
 
 
 def _part(
-    method: str, of: CompleteTest, solver: Backend, start: Floats | None, tolerance: float, *, accelerate: bool
+    method: str, test: CompleteTest, solver: Backend, start: Floats | None, tolerance: float, *, accelerate: bool
 ) -> SingleIdentification:
     if method == "one-shot":
-        return one_shot(of, solver)
+        return one_shot(test, solver)
     if method == "two-stage":
-        return two_stage(of, solver, start, tolerance, accelerate=accelerate)
-    return {"berman": berman, "qi": qi}[method](of, solver, start)
+        return two_stage(test, solver, start, tolerance, accelerate=accelerate)
+    return {"berman": berman, "qi": qi}[method](test, solver, start)

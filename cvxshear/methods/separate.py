@@ -124,19 +124,19 @@ def _listed(what: str, numbers: list[int]) -> str:
     return f"{what} {numbers[0]} is" if len(numbers) == 1 else f"{what}s {ranged(numbers)} are"
 
 
-def start_mass(of: CompleteTest, initial: Floats | None) -> Floats:
+def start_mass(test: CompleteTest, initial: Floats | None) -> Floats:
     """The first guess of the floor masses with added mass: the one handed in, else the total spread evenly."""
-    n = of.experiment.stories
-    net = of.total - of.configuration.added_mass.sum()
-    return (np.full(n, net / n) if initial is None else initial) + of.configuration.added_mass
+    n = test.experiment.stories
+    net = test.total - test.configuration.added_mass.sum()
+    return (np.full(n, net / n) if initial is None else initial) + test.configuration.added_mass
 
 
-def identified_stiffness(of: CompleteTest, mass: Floats, backend: Backend) -> Floats:
+def identified_stiffness(test: CompleteTest, mass: Floats, backend: Backend) -> Floats:
     """Solve Eq. 24 with the priors.
 
     Parameters
     ----------
-    of : CompleteTest
+    test : CompleteTest
     mass : ndarray, shape (N,) or (N, N)
         Floor masses with added mass, or a full mass matrix.
     backend : Backend
@@ -146,49 +146,49 @@ def identified_stiffness(of: CompleteTest, mass: Floats, backend: Backend) -> Fl
     ndarray, shape (N,)
         N/m.
     """
-    shapes = normalized(of.shapes, mass)
-    plain = story_stiffnesses(shapes, of.eigenvalues, rows=of.rows)
+    shapes = normalized(test.shapes, mass)
+    plain = story_stiffnesses(shapes, test.eigenvalues, rows=test.rows)
     origin = np.zeros(plain.unknowns)
-    solution = backend.solve(constrained(plain, of.stiffness_statements, origin))
+    solution = backend.solve(constrained(plain, test.stiffness_statements, origin))
     k = solution.x
-    if not keeps_rows(of.rows, len(k)) and digits_lost(plain.R) > LOST:
-        again = story_stiffnesses(shapes, of.eigenvalues, rows=of.rows, at=k)
-        k = k + backend.solve(constrained(again, of.stiffness_statements, k)).x
-    row_std = of.shape_std * float(of.eigenvalues.max())
+    if not keeps_rows(test.rows, len(k)) and digits_lost(plain.R) > LOST:
+        again = story_stiffnesses(shapes, test.eigenvalues, rows=test.rows, at=k)
+        k = k + backend.solve(constrained(again, test.stiffness_statements, k)).x
+    row_std = test.shape_std * float(test.eigenvalues.max())
     for _ in range(MOST_ROUNDS):
-        soft = softened(plain, of.experiment.priors, "story_stiffness", k, row_std, step=False)
+        soft = softened(plain, test.experiment.priors, "story_stiffness", k, row_std, step=False)
         if soft is plain:
             return k
-        solution = backend.solve(constrained(soft, of.stiffness_statements, origin), solution)
+        solution = backend.solve(constrained(soft, test.stiffness_statements, origin), solution)
         before, k = k, solution.x
         if np.max(np.abs(k - before)) <= UNCHANGED * np.max(np.abs(k)):
             break
     return k
 
 
-def finished(of: CompleteTest, mass: Floats, stiffness: Floats, **more: object) -> SingleIdentification:
+def finished(test: CompleteTest, mass: Floats, stiffness: Floats, **more: object) -> SingleIdentification:
     """The part for a configuration: the frame without its added mass, its errors and predictions.
 
     Parameters
     ----------
-    of : CompleteTest
+    test : CompleteTest
     mass : ndarray, shape (N,)
         With added mass.
     stiffness : ndarray, shape (N,)
     **more
         Further fields of `SingleIdentification`.
     """
-    net = mass - of.configuration.added_mass
-    frame = dataclasses.replace(of.experiment.frame, reference=None)
-    alone = Experiment(frame, (of.configuration,), of.experiment.priors, of.experiment.name)
+    net = mass - test.configuration.added_mass
+    frame = dataclasses.replace(test.experiment.frame, reference=None)
+    alone = Experiment(frame, (test.configuration,), test.experiment.priors, test.experiment.name)
     misfit = Misfit(alone)
     theta = np.concatenate([net, stiffness])
     # The stiffnesses, and the masses less the known total, are what the data had to determine.
-    free = len(net) + (0 if of.experiment.frame.floor_masses is not None else len(net) - 1)
+    free = len(net) + (0 if test.experiment.frame.floor_masses is not None else len(net) - 1)
     at = misfit.evaluate(theta, derivatives=False)
     declared = not misfit.open_noises
     return SingleIdentification(
-        name=of.configuration.name,
+        name=test.configuration.name,
         frame=IdentifiedFrame(net, stiffness),
         fit=quality(misfit.data, at.models, at.chi2, misfit.count(theta) - free, declared=declared),
         predictions=predictions(at.models),

@@ -3,6 +3,7 @@
 from cvxshear.modal.adapters import from_arrays, from_pyoma, from_sdypy
 from cvxshear.modal.identify import identify_modes
 from cvxshear.modal.result import ModalResult
+from cvxshear.modal.second_opinion import second_opinion
 from cvxshear.modal.stabilization import Criteria
 from cvxshear.records.record import Channel, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord
 
@@ -20,4 +21,5 @@ __all__ = [
     "from_pyoma",
     "from_sdypy",
     "identify_modes",
+    "second_opinion",
 ]

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cvxshear.modal.result import ModalResult
+from cvxshear.records.mode_shapes import collinearity, lost_phase, main_axis, real_shape
 from cvxshear.records.record import Complexes
-from cvxshear.records.shapes import collinearity, lost_phase, main_axis, real_shape
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 
 from cvxshear.modal.estimate import Replication
-from cvxshear.modal.frf import FixedSource
-from cvxshear.modal.picking import values_on
+from cvxshear.modal.frf import ImpulseSource
+from cvxshear.modal.picking import Parts
 from cvxshear.modal.result import ModalResult
 from cvxshear.records.record import Finding
 from cvxshear.util.typing import Bools, Floats
@@ -59,7 +59,7 @@ def _strong_against_weak(setting: Replication, result: ModalResult) -> list[Find
 
 
 def _log_frequencies(setting: Replication, keep: Bools) -> Floats | None:
-    values = values_on(setting.source, setting.sweep, keep)
+    values = setting.values(keep)
     if values is None:
         return None
     return np.asarray(np.log(np.abs(values.eigenvalues + setting.shift) / (2 * np.pi)))
@@ -114,8 +114,8 @@ def _later(setting: Replication, keep: Bools | None) -> Floats | None:
     weak = np.flatnonzero(left < left[impulse.start] / 9)
     if not weak.size or weak[0] > 0.6 * len(power):
         return None
-    source = FixedSource(dataclasses.replace(impulse, start=int(weak[0])), setting.source.sampling_rate)
-    values = values_on(source, setting.sweep, None)
+    source = ImpulseSource(dataclasses.replace(impulse, start=int(weak[0])), setting.source.sampling_rate)
+    values = Parts(source, setting.sweep.poles).values(setting.sweep.chosen, None)
     if values is None:
         return None
     return np.asarray(np.log(np.abs(values.eigenvalues + setting.shift) / (2 * np.pi)))

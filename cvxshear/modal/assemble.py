@@ -9,8 +9,8 @@ import numpy as np
 from cvxshear.modal.estimate import Details, Replication
 from cvxshear.modal.picking import PoleCandidate
 from cvxshear.modal.result import ModalResult, independent_std
+from cvxshear.records.mode_shapes import collinearity, lost_phase, sign_changes
 from cvxshear.records.record import Record
-from cvxshear.records.shapes import collinearity, lost_phase, sign_changes
 from cvxshear.util.typing import Floats, Ints
 
 

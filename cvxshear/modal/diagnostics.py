@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from cvxshear.modal.amplitude import amplitude_findings
 from cvxshear.modal.estimate import Details, Replication
 from cvxshear.modal.picking import MOSTLY_ROTATION, PoleCandidate
 from cvxshear.modal.result import OVERLOOKED, ModalResult
+from cvxshear.records.floors import ROTATES
 from cvxshear.records.record import Finding, FrfRecord, Record
 from cvxshear.util.quantities import listed, ranged, significant
 from cvxshear.util.typing import Floats, Ints
@@ -99,13 +100,28 @@ def modal_findings(
     lost: int,
     *,
     wanted: int,
+    turning: Callable[[float], float] | None = None,
 ) -> list[Finding]:
-    """Everything the modes say about the record they came from; `wanted` is how many modes were asked for."""
+    """Everything the modes say about the record they came from.
+
+    `wanted` is how many modes were asked for, `turning` the share of rotation at a frequency, Hz.
+    """
     found = clock_findings(result, full)
     found += resolution_findings(record, result)
     found += reciprocity_findings(full, setting)
     found += amplitude_findings(setting, result)
     found += _mode_findings(record, result, setting, wanted)
+    shares = [] if turning is None else [turning(frequency) for frequency in result.frequencies.tolist()]
+    found += [
+        Finding(
+            "rotation",
+            f"mode {mode}: {100 * share:.0f} % of the motion at its frequency is rotation, by the difference of "
+            "sensors on one floor; its shape is that of the floors without it",
+            {"mode": mode, "share": share},
+        )
+        for mode, share in zip(result.modes.tolist(), shares, strict=False)
+        if share > ROTATES
+    ]
     if lost:
         found.append(
             Finding(
@@ -116,6 +132,16 @@ def modal_findings(
             )
         )
     return found
+
+
+def found_twice(item: PoleCandidate) -> Finding:
+    """A second stable pole with the shape of another, which comes back in every piece of the record."""
+    return Finding(
+        "split mode",
+        f"{item.frequency:.4f} Hz is {item.reason}; the frame has one mode there: its frequency changed during the "
+        "record, or two states or directions are in it",
+        {"frequency": item.frequency},
+    )
 
 
 def clock_findings(result: ModalResult, full: Details) -> list[Finding]:
@@ -233,11 +259,13 @@ def _mode_findings(record: Record, result: ModalResult, setting: Replication, wa
                 {"modes": absent},
             )
         )
-    if not by_signs and len(record.channels) < record.stories:
+    if len(record.channels) < record.stories and len(sweep.chosen) < record.stories:
         found.append(
             Finding(
                 "missing mode",
-                f"{len(record.channels)} of {record.stories} floors are measured: the modes found are taken to be the "
+                f"{len(sweep.chosen)} of {record.stories} modes "
+                + ("were asked for" if asked else "were found")
+                + f", and {len(record.channels)} of {record.stories} floors are measured: they are taken to be the "
                 f"lowest that their changes of sign allow ({listed([str(mode) for mode in result.modes])}), which the "
                 "record cannot show",
                 {"measured": len(record.channels), "stories": record.stories},

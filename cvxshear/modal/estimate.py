@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.modal.frf import FixedSource, FrfSource, modal_products, modal_scale, participations, residues, unwrapped
-from cvxshear.modal.picking import Sweep, Values, values_on
+from cvxshear.modal.frf import (
+    FrfSource,
+    ImpulseSource,
+    modal_products,
+    modal_scale,
+    participations,
+    residues,
+    unwrapped,
+)
+from cvxshear.modal.picking import FAINT, Doubts, Parts, PoleCandidate, Sweep, Values
 from cvxshear.modal.realization import DampedModes, Impulse, Source
 from cvxshear.records.clocks import Offsets, offsets, undone
+from cvxshear.records.mode_shapes import main_axis, real_shape, signed_projection
 from cvxshear.records.record import Complexes, Finding, FrfRecord, Record
-from cvxshear.records.shapes import main_axis, real_shape, signed_projection
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats, Ints
 
@@ -66,6 +74,57 @@ def jackknife(estimate: Estimate, groups: Ints) -> tuple[Floats, int]:
     return total, lost
 
 
+LARGEST_SHAPE_STD = 0.3
+"""Standard deviation of a shape entry, over the mode's largest, above which the shape is none."""
+LARGEST_FREQUENCY_STD = 0.02
+"""Relative standard deviation of a frequency above which there is no resonance: a mode's is a part of its half-power
+bandwidth, twice its damping ratio, and smaller by the root of the number of decays in the record."""
+
+
+def scattering(parts: Parts, chosen: Sequence[PoleCandidate]) -> Doubts:
+    """Modes that do not come back as themselves when a piece of the record is left out, by their members, and why.
+
+    Poles that a model finds in noise are stable from order to order as well; their shapes are not from piece to piece.
+    Each mode is judged by itself and by its complex shape: what the others and the clocks make of it comes after.
+    """
+    doubts: Doubts = {}
+    for item in chosen:
+
+        def replicate(keep: Bools, item: PoleCandidate = item) -> Floats | None:
+            found = parts.found_again(item, keep)
+            if found is None:
+                return None
+            value, shape = found
+            shape = shape * (np.vdot(item.shape, item.shape) / np.vdot(item.shape, shape))
+            return np.concatenate([[np.log(abs(value))], shape.real, shape.imag])
+
+        pieces = len(parts.source.groups)
+        try:
+            spread, lost = jackknife(replicate, parts.source.groups)
+        except InputError:
+            lost = pieces
+        if 2 * lost > pieces:
+            doubts[item.members] = f"without any of {lost} of {pieces} {parts.source.unit}s it is not found", False
+            continue
+        std = np.sqrt(np.diag(spread))
+        of_shape = np.hypot(*np.split(std[1:], 2)).max() / np.abs(item.shape).max()
+        doubts |= doubted(item, float(of_shape), float(std[0]))
+    return doubts
+
+
+def doubted(item: PoleCandidate, of_shape: float, of_frequency: float) -> Doubts:
+    """The mode, where these standard deviations, over its largest entry and relative, say that it is none."""
+    if of_shape <= LARGEST_SHAPE_STD and of_frequency <= LARGEST_FREQUENCY_STD:
+        return {}
+    return {
+        item.members: (
+            f"shape scatters by {100 * of_shape:.0f} % and frequency by {100 * of_frequency:.1f} % over the record's "
+            "pieces",
+            of_frequency <= LARGEST_FREQUENCY_STD,
+        )
+    }
+
+
 def surrogate(residual: Floats, random: np.random.Generator) -> Floats:
     """Noise with the spectra and cross-spectra of a residual, shape (samples, channels), of random phase.
 
@@ -91,7 +150,8 @@ class Replication:
 
     Parameters
     ----------
-    source : Source
+    parts : Parts
+        The source of the data and the poles of its parts.
     sweep : Sweep
     floors : array of int, shape (n,)
     quantity : str
@@ -103,13 +163,28 @@ class Replication:
         Whether the input is a base acceleration.
     """
 
-    source: Source
+    parts: Parts
     sweep: Sweep
     floors: Ints
     quantity: str
     shift: float
     rule: str
     base: bool
+
+    @property
+    def source(self) -> Source:
+        """The data."""
+        return self.parts.source
+
+    @property
+    def loud(self) -> Bools:
+        """The modes whose phases tell clocks, shape (m,): those of some energy."""
+        energy = np.array([item.energy for item in self.sweep.chosen])
+        return np.asarray(energy > FAINT * energy.max())
+
+    def values(self, keep: Bools | None) -> Values | None:
+        """The chosen modes on a part of the data; None where one of them is not found there."""
+        return self.parts.values(self.sweep.chosen, keep)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,6 +232,7 @@ def details(setting: Replication, values: Values, keep: Bools | None, reference:
         turned,
         None if reference is None else reference.clocks.reference,
         setting.source.sampling_rate,
+        setting.loud,
     )
     straight = undone(values.eigenvalues, values.shapes, clocks.seconds)
     shapes = np.array([main_axis(shape) for shape in straight])
@@ -203,7 +279,7 @@ def covariance(setting: Replication, full: Details, seed: int) -> tuple[Floats, 
     groups = setting.source.groups
 
     def replicate(keep: Bools) -> Floats | None:
-        values = values_on(setting.source, setting.sweep, keep)
+        values = setting.values(keep)
         if values is None:
             return None
         part = details(setting, values, keep, full)
@@ -247,10 +323,11 @@ def disturbed(setting: Replication, full: Details, seed: int) -> Floats:
     for _ in range(SURROGATES):
         noise = surrogate(residual.reshape(len(residual), -1), random).reshape(residual.shape)
         noisy = np.concatenate([impulse.sequence[: impulse.start], fit + noise])
-        source = FixedSource(dataclasses.replace(impulse, sequence=noisy), setting.source.sampling_rate)
-        values = values_on(source, setting.sweep, None)
+        source = ImpulseSource(dataclasses.replace(impulse, sequence=noisy), setting.source.sampling_rate)
+        other = dataclasses.replace(setting, parts=Parts(source, setting.sweep.poles))
+        values = other.values(None)
         if values is not None:
-            replicates.append(details(dataclasses.replace(setting, source=source), values, None, full))
+            replicates.append(details(other, values, None, full))
     rows = [item.vector() for item in replicates if (item.scales is None) == (full.scales is None)]
     if len(rows) < SURROGATES // 2:
         raise InputError("the modes drown in the noise that the fit leaves; record longer, or more hits")

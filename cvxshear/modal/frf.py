@@ -6,12 +6,13 @@ H1 = S_yf / S_ff is free of the response's noise, H2 = S_yy / S_fy of the force'
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.modal.realization import Impulse, block_hankel, left_factor
+from cvxshear.modal.realization import Impulse, Source, block_hankel, left_factor
 from cvxshear.records.record import Complexes, FrfRecord, Run, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
@@ -124,7 +125,7 @@ class Spectra:
     floor: int
 
 
-class FrfSource:
+class FrfSource(Source):
     """Impulse responses to forces at one or several floors, for the eigensystem realization algorithm.
 
     Parameters
@@ -166,14 +167,14 @@ class FrfSource:
         counts = [sum(item.floor == floor for item in spectra) for floor in self.floors]
         if min(counts) >= 2:
             self.unit = "hit"
-            self.groups: Ints = np.searchsorted(self.floors, [item.floor for item in spectra])
+            self.groups = np.searchsorted(self.floors, [item.floor for item in spectra])
         elif len(spectra) == len(self.floors) >= 3:
             self.unit = "driving point"
             self.groups = np.zeros(len(spectra), dtype=np.int64)
         else:
             self.unit = "none"
             self.groups = np.zeros(0, dtype=np.int64)
-        self.energies: Floats = np.array([float(item.response_response.sum()) for item in spectra])
+        self.energies = np.array([float(item.response_response.sum()) for item in spectra])
 
     def response(self, keep: Bools | None = None) -> tuple[Complexes, Ints]:
         """Frequency responses, shape (lines, channels, inputs), and their driving floors, shape (inputs,)."""
@@ -197,85 +198,43 @@ class FrfSource:
         """Left factor of the block Hankel matrix of the impulse responses."""
         return markov_factor(self.markov(keep), SKIPPED)
 
-    def data(self) -> Floats:
-        """The same: the data are not weighted."""
-        return self.factor()
-
     def impulse(self, keep: Bools | None = None) -> Impulse:
         """The impulse responses."""
         return Impulse(self.markov(keep), SKIPPED, self.response(keep)[1], self.wrapped)
 
 
-class DecaySource:
-    """Free decays, one column a release, for the eigensystem realization algorithm.
-
-    Parameters
-    ----------
-    decays : array, shape (samples, channels, releases)
-        Each release from its start.
-    sampling_rate : float
-        Hz.
-    start : int, optional
-        The first sample used.
-    """
-
-    def __init__(self, decays: Floats, sampling_rate: float, start: int = 0) -> None:
-        self.decays = decays
-        self.sampling_rate = sampling_rate
-        self.start = start
-        self.outputs = decays.shape[1]
-        self.unit = "release" if decays.shape[2] >= 3 else "none"
-        self.groups: Ints = np.zeros(decays.shape[2] if decays.shape[2] >= 3 else 0, dtype=np.int64)
-        self.energies: Floats = np.mean(decays**2, axis=(0, 1))
-
-    def markov(self, keep: Bools | None = None) -> Floats:
-        """The decays kept, shape (samples, channels, releases)."""
-        return self.decays if keep is None else self.decays[:, :, keep]
-
-    def factor(self, keep: Bools | None = None) -> Floats:
-        """Left factor of the block Hankel matrix of the decays."""
-        return markov_factor(self.markov(keep), self.start)
-
-    def data(self) -> Floats:
-        """The same: the data are not weighted."""
-        return self.factor()
-
-    def impulse(self, keep: Bools | None = None) -> Impulse:
-        """The decays, which no measured force began."""
-        decays = self.markov(keep)
-        return Impulse(decays, self.start, np.zeros(decays.shape[2], dtype=np.int64))
-
-
-class FixedSource:
-    """Impulse responses as they stand, for what is done to them afterwards: noise added, a start left out.
+class ImpulseSource(Source):
+    """Impulse responses or free decays as they stand, for the eigensystem realization algorithm.
 
     Parameters
     ----------
     impulse : Impulse
     sampling_rate : float
         Hz.
+    releases : bool, optional
+        Whether the columns are decays from several releases, of which three can be left out one at a time.
     """
 
-    unit = "none"
-
-    def __init__(self, impulse: Impulse, sampling_rate: float) -> None:
+    def __init__(self, impulse: Impulse, sampling_rate: float, *, releases: bool = False) -> None:
         self._impulse = impulse
         self.sampling_rate = sampling_rate
-        self.outputs = impulse.sequence.shape[1]
-        self.groups: Ints = np.zeros(0, dtype=np.int64)
-        self.energies: Floats = np.zeros(0)
+        _, self.outputs, columns = impulse.sequence.shape
+        several = releases and columns >= 3
+        self.unit = "release" if several else "none"
+        self.groups = np.zeros(columns if several else 0, dtype=np.int64)
+        self.energies = np.mean(impulse.sequence**2, axis=(0, 1))
 
     def factor(self, keep: Bools | None = None) -> Floats:
         """Left factor of the block Hankel matrix."""
-        return markov_factor(self._impulse.sequence, self._impulse.start)
-
-    def data(self) -> Floats:
-        """The same: the data are not weighted."""
-        return self.factor()
+        impulse = self.impulse(keep)
+        return markov_factor(impulse.sequence, impulse.start)
 
     def impulse(self, keep: Bools | None = None) -> Impulse:
-        """The impulse responses."""
-        return self._impulse
+        """The impulse responses, or the decays kept."""
+        whole = self._impulse
+        if keep is None:
+            return whole
+        return dataclasses.replace(whole, sequence=whole.sequence[:, :, keep], driven=whole.driven[keep])
 
 
 def markov_factor(sequence: Floats, start: int) -> Floats:

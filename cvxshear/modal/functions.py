@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import signal
 
 from cvxshear.modal.frf import Spectra, hit_spectra, table_spectra
-from cvxshear.modal.picking import Sweep
 from cvxshear.records.record import Complexes, FrfRecord, Record, TimeRecord
 from cvxshear.records.signals import detrended, impulsive, without_offset
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats, Ints
+
+if TYPE_CHECKING:
+    from cvxshear.modal.result import ModalResult
 
 LINES = 512
 """Lines of a continuous record over the range that is shown: fine enough to see, averaged as often as that allows."""
@@ -94,23 +96,31 @@ def measured_functions(record: Record, highest: float) -> Functions:
     -------
     Functions
     """
+    rate = record.sampling_rate
     if isinstance(record, FrfRecord):
         spectra, _ = table_spectra(record)
         lines = record.step * np.arange(len(spectra[0].force_force), dtype=np.float64)
         found = _of_spectra(record, spectra, lines, averaged=False)
     elif record.input == "force" and all(impulsive(run) for run in record.runs):
         spectra, samples = hit_spectra(without_offset(record))
-        found = _of_spectra(record, spectra, _lines(samples, record.sampling_rate), averaged=True)
+        several = min(np.unique([item.floor for item in spectra], return_counts=True)[1]) > 1
+        found = _of_spectra(record, spectra, _lines(samples, rate), averaged=several)
     elif record.input in ("force", "base"):
-        found = _of_driven(detrended(record), _segment(record, highest))
+        record, segment = detrended(record), _segment(record, highest)
+        spectra = []
+        for run in record.runs:
+            assert run.excitation is not None
+            cross, power = _welch(np.column_stack([run.excitation, run.responses]), 0, rate, segment)
+            spectra.append(Spectra(cross[:, 1:], power[:, 0], power[:, 1:], run.floor))
+        found = _of_spectra(record, spectra, _lines(segment, rate), averaged=True)
     else:
         found = _of_undriven(detrended(record), _segment(record, highest))
     return found.up_to(highest)
 
 
 def _of_spectra(record: Record, spectra: list[Spectra], lines: Floats, *, averaged: bool) -> Functions:
-    floors = np.unique([item.floor for item in spectra])
-    several = averaged and min(sum(item.floor == floor for item in spectra) for floor in floors) > 1
+    """Functions of a driven record, summed over what was recorded at each driving floor."""
+    floors = np.unique([item.floor for item in spectra]).astype(np.int64)
     values, coherence = [], []
     for floor in floors:
         hits = [item for item in spectra if item.floor == floor]
@@ -119,40 +129,15 @@ def _of_spectra(record: Record, spectra: list[Spectra], lines: Floats, *, averag
         response = np.sum([hit.response_response for hit in hits], axis=0)
         values.append(cross / force)
         coherence.append(_ratio(np.abs(cross) ** 2, force * response))
-    decay = 0.0 if record.exponential_window is None else 1.0 / record.exponential_window
     return Functions(
         lines[1:],
         np.stack(values, axis=2)[1:],
         record.floors,
-        floors.astype(np.int64),
+        floors,
         True,
-        np.stack(coherence, axis=2)[1:] if several else None,
+        np.stack(coherence, axis=2)[1:] if averaged else None,
         record.quantity,
-        decay,
-    )
-
-
-def _of_driven(record: TimeRecord, segment: int) -> Functions:
-    floors = np.unique([run.floor for run in record.runs])
-    values, coherence = [], []
-    for floor in floors:
-        runs = [run for run in record.runs if run.floor == floor]
-        spectra = [
-            _welch(np.column_stack([_known(run.excitation), run.responses]), 0, record.sampling_rate, segment)
-            for run in runs
-        ]
-        cross, power = (np.sum([item[part] for item in spectra], axis=0) for part in (0, 1))
-        values.append(cross[:, 1:] / power[:, :1])
-        coherence.append(_ratio(np.abs(cross[:, 1:]) ** 2, power[:, :1] * power[:, 1:]))
-    lines = _lines(segment, record.sampling_rate)
-    return Functions(
-        lines[1:],
-        np.stack(values, axis=2)[1:],
-        record.floors,
-        floors.astype(np.int64),
-        True,
-        np.stack(coherence, axis=2)[1:],
-        record.quantity,
+        0.0 if record.exponential_window is None else 1.0 / record.exponential_window,
     )
 
 
@@ -204,29 +189,7 @@ def _ratio(above: Floats, below: Floats) -> Floats:
     return np.asarray(np.divide(above, below, out=np.zeros_like(above), where=below > 0))
 
 
-def _known(excitation: Floats | None) -> Floats:
-    assert excitation is not None
-    return excitation
-
-
-class Identified(Protocol):
-    """What is asked of a `ModalResult`, which holds functions itself."""
-
-    @property
-    def functions(self) -> Functions | None: ...
-    @property
-    def sweep(self) -> Sweep | None: ...
-    @property
-    def floors(self) -> Ints: ...
-    @property
-    def frequencies(self) -> Floats: ...
-    @property
-    def damping_ratios(self) -> Floats: ...
-    @property
-    def complex_shapes(self) -> Complexes: ...
-
-
-def synthesized(result: Identified) -> Complexes:
+def synthesized(result: ModalResult) -> Complexes:
     """What the identified modes make of the measured functions, shape (lines, outputs, inputs).
 
     H_ij = sum_r (psi_ir L_rj / (i w - l_r) + its conjugate) + C_ij + D_ij / w^2 over the band of the modes, the poles
@@ -287,7 +250,7 @@ def _basis(omega: Floats, poles: Complexes, shapes: Complexes) -> Complexes:
     return np.column_stack(columns)
 
 
-def _poles_and_shapes(functions: Functions, result: Identified) -> tuple[Complexes, Complexes]:
+def _poles_and_shapes(functions: Functions, result: ModalResult) -> tuple[Complexes, Complexes]:
     """The poles as the functions show them, windows and all, and the shapes as recorded where they are known."""
     omega = 2 * np.pi * result.frequencies
     decay = result.damping_ratios * omega

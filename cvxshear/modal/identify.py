@@ -12,24 +12,22 @@ from threadpoolctl import threadpool_limits
 from cvxshear.modal import diagnostics
 from cvxshear.modal.assemble import assembled
 from cvxshear.modal.diagnostics import left_out, overlooked_modes
-from cvxshear.modal.estimate import Replication, covariance, details, settle_truncation
+from cvxshear.modal.estimate import Replication, covariance, details, doubted, scattering, settle_truncation
 from cvxshear.modal.functions import measured_functions
-from cvxshear.modal.picking import REACH, Sweep, Values, strongest, sweep_orders
-from cvxshear.modal.prepare import BLOCKS, METHODS, default_method, settled, source_of
+from cvxshear.modal.picking import REACH, TWICE, Choice, Parts, Sweep, Values, strongest, sweep_orders
+from cvxshear.modal.prepare import BLOCKS, METHODS, Attempt, default_method, settled, source_of
 from cvxshear.modal.realization import Source
 from cvxshear.modal.result import ModalResult
+from cvxshear.modal.second_opinion import FDD, frequency_domain_decomposition, second_opinion
 from cvxshear.modal.stabilization import Criteria
 from cvxshear.records.examination import Examined, clock_offset, examined
+from cvxshear.records.mode_shapes import RULES
 from cvxshear.records.placement import SURE, findings_of, weighed
 from cvxshear.records.record import Finding, FrfRecord, Record
-from cvxshear.records.shapes import RULES
-from cvxshear.records.signals import scaled, shifted
+from cvxshear.records.signals import in_step, scaled
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError
 
-LARGEST_SHAPE_STD = 0.3
-"""Of an entry, over the mode's largest: a shape less sure is none."""
-LARGEST_FREQUENCY_STD = 0.05
 SHOWN = 1.5
 """Times the highest natural frequency: as far the functions of a record are kept."""
 
@@ -70,6 +68,7 @@ def identify_modes(
     seed: int = 0,
     pick: Sequence[float] | None = None,
     functions: bool = False,
+    second: str | None = None,
 ) -> ModalResult:
     """Identify the sway modes of a frame from a record.
 
@@ -101,6 +100,8 @@ def identify_modes(
         Frequencies in Hz, as read off a stabilization diagram: the nearest stable poles, within 3 %, are the modes.
     functions : bool, optional
         Whether the result keeps what the record shows over frequency, for figures.
+    second : str, optional
+        Another method, or "fdd" for the peaks in the frequency domain, whose opinion of each mode is a finding.
 
     Returns
     -------
@@ -115,6 +116,8 @@ def identify_modes(
     NoSolutionError
         Where no mode of the frame was found.
     """
+    if second is not None:
+        checks.choice(second, (*METHODS, FDD), "second")
     picked = () if pick is None else tuple(checks.vector(pick, "pick", above=0.0).tolist())
     options = Options(method, estimator, blocks, criteria or Criteria(), count, rule, accept_swapped, seed, picked)
     try:
@@ -128,13 +131,27 @@ def identify_modes(
             except InputError as error:
                 raise type(error)(str(error) + _besides(looked)) from None
             result = _with_what_was_seen(looked, result)
-            if not functions:
-                return result
-            return dataclasses.replace(result, functions=measured_functions(record, SHOWN * result.frequencies[-1]))
+            if functions or second == FDD:
+                result = dataclasses.replace(
+                    result, functions=measured_functions(record, SHOWN * result.frequencies[-1])
+                )
+            if second is not None:
+                other = _second(record, result, dataclasses.replace(options, pick=()), second)
+                opinion = (*result.findings, *second_opinion(result, other))
+                result = dataclasses.replace(result, findings=opinion)
+            return result if functions else dataclasses.replace(result, functions=None)
     except np.linalg.LinAlgError as error:
         # Records that no frame made, a channel twice or a constant, have no decomposition somewhere.
         reason = f"the record determines no model ({error}); is one channel a copy of another, or constant?"
         raise NoSolutionError(options.method or default_method(record), reason) from error
+
+
+def _second(record: Record, result: ModalResult, options: Options, method: str) -> ModalResult:
+    """The modes by another method."""
+    if method == FDD and result.functions is not None:
+        return frequency_domain_decomposition(result.functions, len(result.frequencies), record.stories)
+    other = _identified(record, dataclasses.replace(options, method=method))
+    return dataclasses.replace(other, name=method)
 
 
 def _with_clocks(looked: Examined, options: Options, *, correct_clocks: bool) -> tuple[ModalResult, Record]:
@@ -143,7 +160,7 @@ def _with_clocks(looked: Examined, options: Options, *, correct_clocks: bool) ->
     result = _identified(record, options, looked.turning)
     if not correct_clocks or not any(finding.kind == "clock offset" for finding in result.findings):
         return result, record
-    record = shifted(record, result.clock_offsets)
+    record = in_step(record, {name: (seconds, 0.0) for name, (seconds, _) in result.clock_offsets.items()})
     return _with_first_findings(result, _identified(record, options, looked.turning)), record
 
 
@@ -158,54 +175,44 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
         return source, sweep_orders(
             source,
             options.criteria,
-            count=wanted,
-            stories=record.stories,
-            by_signs=by_signs,
+            Choice(wanted, record.stories, by_signs, options.pick, order),
             band=record.band,
             shift=shift,
-            picked=options.pick,
-            order=order,
             turning=turning,
         )
 
-    highest = max(options.pick, default=0.0)
-    source, sweep = settled(record, wanted, attempt, highest=highest)
-    frequencies, lowest = strongest(sweep, 2)
-    of_places: list[Finding] = []
-    if len(record.channels) > 1 and len(lowest) > 1:
-        hypotheses = weighed(frequencies, lowest, record.floors, record.stories)
-        of_places = findings_of(hypotheses, record.channels, lowest[0])
-        if of_places and of_places[0].kind == "swapped channels" and hypotheses[0].probability >= SURE:
-            if not options.accept_swapped:
-                raise InputError(of_places[0].message)
-            order = list(range(len(record.channels)))
-            low, high = hypotheses[0].places
-            order[low], order[high] = high, low
-            source, sweep = settled(record, wanted, lambda record: attempt(record, order), highest=highest)
-        elif of_places and of_places[0].numbers["corrected"]:
-            factor = -1.0 if hypotheses[0].kind == "sign" else hypotheses[0].factor
-            record = scaled(record, {record.channels[place].name: factor for place in hypotheses[0].places})
-            source, sweep = settled(record, wanted, attempt, highest=highest)
+    record, (source, sweep), of_places = _repaired(record, wanted, attempt, options)
     if len(sweep.chosen) < len(options.pick):
         raise InputError(_out_of_reach(sweep, options.pick))
-    if not sweep.chosen:
-        raise NoSolutionError(method, _nothing(sweep))
+    parts = Parts(source, sweep.poles)
+    # What was picked by hand stays; its standard deviations say how sure it is.
+    while len(source.groups) and not options.pick and (doubts := scattering(parts, sweep.chosen)):
+        sweep = sweep.without(doubts)
     base = not isinstance(record, FrfRecord) and record.input == "base"
-    setting = Replication(source, sweep, record.floors, record.quantity, shift, options.rule, base)
-    while True:
+    while sweep.chosen:
+        setting = Replication(parts, sweep, record.floors, record.quantity, shift, options.rule, base)
         of_leakage = settle_truncation(record, setting, _chosen(sweep))
         full = details(setting, _chosen(sweep), None)
         spread, how, lost = covariance(setting, full, options.seed)
         result = assembled(record, setting, full, spread, method=method, uncertainty=how)
-        # What was picked by hand stays; its standard deviations say how sure it is.
-        sweep = sweep if options.pick else _reproducible(result, sweep)
-        if not sweep.chosen:
-            raise NoSolutionError(method, _nothing(sweep))
-        if len(sweep.chosen) == len(result.frequencies):
+        # Once clocks are right, and by surrogates where nothing can be left out.
+        each = zip(sweep.chosen, result.mode_shape_std.max(axis=1).tolist(), result.frequency_std.tolist(), strict=True)
+        doubts = {} if options.pick else {k: v for item in each for k, v in doubted(*item).items()}
+        if not doubts:
             break
+        sweep = sweep.without(doubts)
+    else:
+        raise NoSolutionError(method, _nothing(sweep))
+    twice = []
+    if len(source.groups):
+        # What else is stable is said only where it comes back in every piece: models of noise have such poles as well.
+        modes = {item.members for item in sweep.chosen}
+        others = [item for item in sweep.candidates if item.members not in modes]
+        twice = [item for item in others if item.reason.startswith(TWICE) and not scattering(parts, [item])]
+        sweep = sweep.without(scattering(parts, [item for item in others if item.physical]))
         setting = dataclasses.replace(setting, sweep=sweep)
-    findings = of_places + of_leakage
-    findings += diagnostics.modal_findings(record, result, setting, full, lost, wanted=wanted)
+    findings = of_places + of_leakage + [diagnostics.found_twice(item) for item in twice]
+    findings += diagnostics.modal_findings(record, result, setting, full, lost, wanted=wanted, turning=turning)
     findings += overlooked_modes(
         result.frequencies,
         result.modes,
@@ -213,7 +220,39 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
         floors=len(record.channels),
         stories=record.stories,
     )
-    return dataclasses.replace(result, findings=tuple(findings))
+    return dataclasses.replace(result, findings=tuple(findings), sweep=sweep)
+
+
+def _repaired(
+    record: Record, wanted: int, attempt: Attempt, options: Options
+) -> tuple[Record, tuple[Source, Sweep], list[Finding]]:
+    """The record with signs and units that its lowest modes show to be wrong set right, and its source and sweep.
+
+    Raises
+    ------
+    InputError
+        Where two channels are in each other's place, and that was not accepted.
+    """
+    highest = max(options.pick, default=0.0)
+    found = settled(record, wanted, attempt, highest=highest)
+    frequencies, lowest = strongest(found[1], 2)
+    if len(record.channels) < 2 or len(lowest) < 2:
+        return record, found, []
+    hypotheses = weighed(frequencies, lowest, record.floors, record.stories)
+    findings = findings_of(hypotheses, record.channels, lowest[0])
+    best = hypotheses[0]
+    if findings and findings[0].kind == "swapped channels" and best.probability >= SURE:
+        if not options.accept_swapped:
+            raise InputError(findings[0].message)
+        order = list(range(len(record.channels)))
+        low, high = best.places
+        order[low], order[high] = high, low
+        return record, settled(record, wanted, lambda record: attempt(record, order), highest=highest), findings
+    if findings and findings[0].numbers["corrected"]:
+        factor = -1.0 if best.kind == "sign" else best.factor
+        record = scaled(record, {record.channels[place].name: factor for place in best.places})
+        found = settled(record, wanted, attempt, highest=highest)
+    return record, found, findings
 
 
 def _wanted(record: Record, options: Options) -> int:
@@ -232,31 +271,6 @@ def _out_of_reach(sweep: Sweep, picked: tuple[float, ...]) -> str:
     named = ", ".join(f"{f:g}" for f in missing or picked)
     there = ", ".join(f"{item.frequency:.4g}" for item in sweep.candidates)
     return f"pick: no stable pole of its own within {100 * REACH:g} % of {named} Hz; there are {there or 'none'} Hz"
-
-
-def _reproducible(result: ModalResult, sweep: Sweep) -> Sweep:
-    """The sweep without modes that do not come back as themselves when a piece of the record is left out.
-
-    Poles that a model finds in noise are stable from order to order as well; their shapes are not from piece
-    to piece.
-    """
-    shaky = (result.mode_shape_std.max(axis=1) > LARGEST_SHAPE_STD) | (result.frequency_std > LARGEST_FREQUENCY_STD)
-    if not shaky.any():
-        return sweep
-    reasons = {
-        id(item): f"shape scatters by {100 * std:.0f} % and frequency by {100 * change:.1f} % over the record's pieces"
-        for item, std, change, bad in zip(
-            sweep.chosen, result.mode_shape_std.max(axis=1), result.frequency_std, shaky, strict=True
-        )
-        if bad
-    }
-    candidates = tuple(
-        dataclasses.replace(item, physical=False, reason=reasons[id(item)], shaky=True) if id(item) in reasons else item
-        for item in sweep.candidates
-    )
-    return dataclasses.replace(
-        sweep, candidates=candidates, chosen=tuple(item for item in sweep.chosen if id(item) not in reasons)
-    )
 
 
 def _chosen(sweep: Sweep) -> Values:

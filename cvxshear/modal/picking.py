@@ -21,8 +21,8 @@ from cvxshear.modal.stabilization import (
     undivided,
 )
 from cvxshear.records.clocks import offsets, undone
+from cvxshear.records.mode_shapes import collinearity, mac, possible_changes, real_shape, sign_changes
 from cvxshear.records.record import Complexes
-from cvxshear.records.shapes import collinearity, mac, possible_changes, real_shape, sign_changes
 from cvxshear.util.typing import Bools, Floats
 
 MOST_CANDIDATES = 8
@@ -30,6 +30,9 @@ MOST_CANDIDATES = 8
 
 MOSTLY_ROTATION = "mostly rotation"
 """How the reason of a candidate begins that is set aside as a mode of rotation."""
+
+TWICE = "a mode found twice"
+"""How the reason of a candidate begins that has the frequency and the shape of another."""
 
 FAINT = 1e-3
 """Of the loudest resonance's energy: fainter ones may be of noise."""
@@ -40,6 +43,9 @@ UNSURE = 0.05
 REACH = 0.03
 """Relative; a pole picked by hand is looked for so far around the frequency given."""
 
+
+Doubts = dict[tuple[tuple[int, int], ...], tuple[str, bool]]
+"""Of candidates that are none, by their members: why, and whether their frequency comes back all the same."""
 
 _Rank = tuple[int, int, float]
 """Modes, those among them whose signs fit as they stand, and the logarithm of the product of their energies."""
@@ -64,7 +70,7 @@ class PoleCandidate:
     reason : str
         Why not, where it is not.
     shaky : bool
-        Whether that is because pieces of the record give it another shape or frequency.
+        Whether that is because pieces of the record give it another shape, at nearly the same frequency.
     number : int
         Which mode of the frame it is, where its changes of sign tell; 0 else.
     """
@@ -105,27 +111,24 @@ class Sweep:
     stable: list[list[int]]
     candidates: tuple[PoleCandidate, ...]
     chosen: tuple[PoleCandidate, ...]
+    choose: Choice
+
+    def without(self, doubts: Doubts) -> Sweep:
+        """The sweep without candidates whose values scatter, and modes chosen and numbered anew among the others."""
+        reasons = [doubts.get(item.members) for item in self.candidates]
+        candidates = [
+            item if why is None else dataclasses.replace(item, physical=False, reason=why[0], shaky=why[1])
+            for item, why in zip(self.candidates, reasons, strict=True)
+        ]
+        return self.choose(self.poles, self.stable, candidates)
 
 
-def sweep_orders(
-    source: Source,
-    criteria: Criteria,
-    *,
-    count: int,
-    stories: int,
-    by_signs: bool,
-    band: tuple[float, float] | None = None,
-    shift: float = 0.0,
-    picked: Sequence[float] = (),
-    order: Sequence[int] | None = None,
-    turning: Callable[[float], float] | None = None,
-) -> Sweep:
-    """Sweep the orders, cluster the stable poles and choose the frame's modes.
+@dataclass(frozen=True)
+class Choice:
+    """Which candidates are the frame's modes.
 
     Parameters
     ----------
-    source : Source
-    criteria : Criteria
     count : int
         Most modes to choose.
     stories : int
@@ -134,14 +137,52 @@ def sweep_orders(
         Choose for mode r a shape with r - 1 changes of sign, which is what the modes of a shear frame have
         when every floor is measured (its stiffness matrix is a Jacobi matrix: Gantmacher and Krein 1950).
         Otherwise the modes of most energy are chosen, and numbered as low as their changes of sign allow.
+    picked : tuple of float
+        Frequencies in Hz whose nearest stable poles are the modes, whatever else would choose them.
+    order : sequence of int, optional
+        The channels from the ground up, where two are known to be in each other's place.
+    """
+
+    count: int
+    stories: int
+    by_signs: bool
+    picked: tuple[float, ...] = ()
+    order: Sequence[int] | None = None
+
+    def __call__(self, poles: list[Poles], stable: list[list[int]], found: list[PoleCandidate]) -> Sweep:
+        """The sweep with its modes chosen among the candidates, which are ascending in frequency."""
+        if self.picked:
+            return Sweep(poles, stable, tuple(found), tuple(_by_hand(found, self.picked)), self)
+        usable = [dataclasses.replace(item, number=0) for item in found if item.physical]
+        if self.by_signs:
+            chosen = _by_signs(usable, self.count, self.order)
+        else:
+            chosen = _as_low(_by_energy(usable, self.count), self.stories, self.order)
+        numbered = {item.members: item for item in chosen}
+        found = [numbered.get(item.members, dataclasses.replace(item, number=0)) for item in found]
+        return Sweep(poles, stable, tuple(found), tuple(chosen), self)
+
+
+def sweep_orders(
+    source: Source,
+    criteria: Criteria,
+    choose: Choice,
+    *,
+    band: tuple[float, float] | None = None,
+    shift: float = 0.0,
+    turning: Callable[[float], float] | None = None,
+) -> Sweep:
+    """Sweep the orders, cluster the stable poles and choose the frame's modes.
+
+    Parameters
+    ----------
+    source : Source
+    criteria : Criteria
+    choose : Choice
     band : (float, float), optional
         Hz.
     shift : float, optional
         Decay that an exponential window added, 1/s.
-    picked : sequence of float, optional
-        Frequencies in Hz whose nearest stable poles are the modes, whatever else would choose them.
-    order : sequence of int, optional
-        The channels from the ground up, where two are known to be in each other's place.
     turning : callable, optional
         The share of rotation in the motion at a frequency, Hz; a mode of more than half is none of sway.
 
@@ -150,31 +191,25 @@ def sweep_orders(
     Sweep
     """
     factor = source.factor()
-    poles = realize(factor, source.outputs, source.sampling_rate, criteria.orders(count))
+    poles = realize(factor, source.outputs, source.sampling_rate, criteria.orders(choose.count))
     stable = stable_poles(poles, source.sampling_rate, criteria, shift)
     found = []
     for cluster in clusters(poles, stable, criteria):
-        if len(cluster.members) < 2:
+        if len(cluster) < 2:
             continue
         members = undivided(cluster, poles, criteria, shift)
-        value, shape = center(*Cluster(list(members)).gather(poles))
+        values = np.array([poles[i].eigenvalues[j] for i, j in members])
+        value, shape = center(values, np.array([poles[i].shapes[j] for i, j in members]))
         share = persistence(cluster, poles)
         found.append(PoleCandidate(tuple(members), value, shape, share, 0.0, *_lasting(cluster, share, criteria)))
     found.sort(key=lambda item: item.frequency)
     found = _weighed(_distinct(_within(found, band), criteria), source.data(), source.sampling_rate)
-    found = _swaying(_collinear(found, criteria), turning)
-    if picked:
-        return Sweep(poles, stable, tuple(found), tuple(_by_hand(found, picked)))
-    usable = [item for item in found if item.physical]
-    chosen = _by_signs(usable, count, order) if by_signs else _as_low(_by_energy(usable, count), stories, order)
-    numbered = {item.members: item for item in chosen}
-    found = [numbered.get(item.members, item) for item in found]
-    return Sweep(poles, stable, tuple(found), tuple(chosen))
+    return choose(poles, stable, _swaying(_collinear(found, criteria), turning))
 
 
 def _lasting(cluster: Cluster, share: float, criteria: Criteria) -> tuple[bool, str]:
-    if len(cluster.members) < criteria.least_orders:
-        return False, f"stable in {len(cluster.members)} orders only"
+    if len(cluster) < criteria.least_orders:
+        return False, f"stable in {len(cluster)} orders only"
     if share < criteria.least_persistence:
         return False, f"stable in {100 * share:.0f} % of the orders only"
     return True, ""
@@ -187,14 +222,20 @@ def _within(found: list[PoleCandidate], band: tuple[float, float] | None) -> lis
 
 
 def _distinct(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandidate]:
-    """Of clusters with one frequency and one shape, the one that first appeared; the others repeat it."""
+    """Of clusters with nearly one frequency and one shape the one that first appeared; lasting others named as such."""
     kept: list[PoleCandidate] = []
     for item in sorted(found, key=lambda item: (not item.physical, item.members[0][0])):
-        if not any(
-            abs(item.frequency - other.frequency) < 0.05 * other.frequency
-            and mac(item.shape, other.shape) > criteria.shape_agreement
+        twins = [
+            other
             for other in kept
-        ):
+            if abs(item.frequency - other.frequency) < 0.05 * other.frequency
+            and mac(item.shape, other.shape) > criteria.shape_agreement
+        ]
+        if twins and item.physical:
+            alike = mac(item.shape, twins[0].shape)
+            reason = f"{TWICE}: it has the shape of {twins[0].frequency:.4f} Hz, MAC {alike:.3f}"
+            kept.append(dataclasses.replace(item, physical=False, reason=reason))
+        elif not twins:
             kept.append(item)
     return sorted(kept, key=lambda item: item.frequency)
 
@@ -206,16 +247,26 @@ def _weighed(found: list[PoleCandidate], factor: Floats, sampling_rate: float) -
     return [dataclasses.replace(item, energy=energy.get(id(item), 0.0)) for item in found]
 
 
-def _collinear(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandidate]:
-    """Judge the phases, those that a clock offset explains taken away first, by the strongest candidates."""
+def _clocks(found: Sequence[PoleCandidate]) -> Floats | None:
+    """Clock offsets of the channels, s, by the strongest candidates; None where one alone would tell them.
+
+    Each mode has the same weight in a straight line through the phases, and that of a pole of noise is no phase.
+    """
     usable = sorted((item for item in found if item.physical), key=lambda item: -item.energy)[:MOST_CANDIDATES]
+    strong = [item for item in usable if item.energy > FAINT * usable[0].energy]
     if len(usable) < 2 or len(usable[0].shape) < 2:
+        return None
+    return offsets(np.array([item.eigenvalue for item in strong]), np.array([item.shape for item in strong])).seconds
+
+
+def _collinear(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandidate]:
+    """Judge the phases, those that a clock offset explains taken away first."""
+    seconds = _clocks(found)
+    if seconds is None:
         return found
-    strong = [item for item in usable if item.energy > 1e-3 * usable[0].energy]
-    clocks = offsets(np.array([item.eigenvalue for item in strong]), np.array([item.shape for item in strong]))
     result = []
     for item in found:
-        straight = undone(np.array([item.eigenvalue]), item.shape[None], clocks.seconds)[0]
+        straight = undone(np.array([item.eigenvalue]), item.shape[None], seconds)[0]
         measure = max(collinearity(straight), collinearity(item.shape))
         if item.physical and measure < criteria.least_collinearity:
             reason = f"modal phase collinearity {measure:.2f} only"
@@ -309,8 +360,9 @@ def _as_low(chosen: list[PoleCandidate], stories: int, order: Sequence[int] | No
 def _straight(items: list[PoleCandidate], order: Sequence[int] | None = None) -> Floats:
     """Real shapes, the turns of clock offsets taken back first."""
     eigenvalues, shapes = np.array([item.eigenvalue for item in items]), np.array([item.shape for item in items])
-    clocks = offsets(eigenvalues, shapes)
-    real = np.array([real_shape(shape) for shape in undone(eigenvalues, shapes, clocks.seconds)])
+    seconds = _clocks(items)
+    straight = shapes if seconds is None else undone(eigenvalues, shapes, seconds)
+    real = np.array([real_shape(shape) for shape in straight])
     return real if order is None else real[:, list(order)]
 
 
@@ -337,30 +389,43 @@ class Values:
     shapes: Complexes
 
 
-def values_on(source: Source, sweep: Sweep, keep: Bools | None) -> Values | None:
-    """The chosen modes on a part of the data; None where one of them is not found there.
+class Parts:
+    """The poles of parts of the data, at the orders of a sweep; those of one part are found once.
 
-    The same orders are used as on all the data, in each the pole nearest to that order's.
+    Parameters
+    ----------
+    source : Source
+    poles : sequence of Poles
+        Of all the data, one an order.
     """
-    needed = sorted({i for item in sweep.chosen for i, _ in item.members})
-    factor = source.factor(keep)
-    by_order = {
-        poles.order: poles
-        for poles in realize(factor, source.outputs, source.sampling_rate, [sweep.poles[i].order for i in needed])
-    }
-    eigenvalues, shapes = [], []
-    for item in sweep.chosen:
-        found = []
+
+    def __init__(self, source: Source, poles: Sequence[Poles]) -> None:
+        self.source, self._whole = source, poles
+        self._found: dict[bytes, list[Poles]] = {}
+
+    def found_again(self, item: PoleCandidate, keep: Bools | None) -> tuple[complex, Complexes] | None:
+        """Eigenvalue and shape of a candidate on a part of the data; None where it is not found there.
+
+        The same orders are used as on all the data, in each the pole nearest to that order's.
+        """
+        key = b"" if keep is None else keep.tobytes()
+        if key not in self._found:
+            orders = [poles.order for poles in self._whole]
+            factor = self.source.factor(keep)
+            self._found[key] = realize(factor, self.source.outputs, self.source.sampling_rate, orders)
+        values, shapes = [], []
         for i, j in item.members:
-            poles = by_order.get(sweep.poles[i].order)
-            if poles is None:
-                continue
-            k = nearest(poles, complex(sweep.poles[i].eigenvalues[j]), sweep.poles[i].shapes[j])
+            poles, whole = self._found[key][i], self._whole[i]
+            k = nearest(poles, complex(whole.eigenvalues[j]), whole.shapes[j])
             if k is not None:
-                found.append((poles.eigenvalues[k], poles.shapes[k]))
-        if 2 * len(found) < len(item.members):
+                values.append(poles.eigenvalues[k])
+                shapes.append(poles.shapes[k])
+        return None if 2 * len(values) < len(item.members) else center(np.array(values), np.array(shapes))
+
+    def values(self, chosen: Sequence[PoleCandidate], keep: Bools | None) -> Values | None:
+        """The chosen modes on a part of the data; None where one of them is not found there."""
+        found = [self.found_again(item, keep) for item in chosen]
+        known = [each for each in found if each is not None]
+        if len(known) < len(found):
             return None
-        value, shape = center(np.array([f[0] for f in found]), np.array([f[1] for f in found]))
-        eigenvalues.append(value)
-        shapes.append(shape)
-    return Values(np.array(eigenvalues), np.array(shapes))
+        return Values(np.array([value for value, _ in known]), np.array([shape for _, shape in known]))

@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from cvxshear.modal import sources
-from cvxshear.modal.frf import DecaySource, FrfSource, cut, hit_spectra, reached_lines, table_spectra
+from cvxshear.modal import continuous
+from cvxshear.modal.frf import FrfSource, ImpulseSource, cut, hit_spectra, reached_lines, table_spectra
 from cvxshear.modal.picking import Sweep
-from cvxshear.modal.realization import Source
+from cvxshear.modal.realization import Impulse, Source
 from cvxshear.records.record import FrfRecord, Record, Run, TimeRecord
 from cvxshear.records.signals import decimated, detrended, impulsive, without_offset
 from cvxshear.util import checks
@@ -24,13 +24,7 @@ BLOCKS = 20
 
 def default_method(record: Record) -> str:
     """The method that suits the record's input."""
-    if isinstance(record, FrfRecord) or record.input == "free_decay":
-        return "era"
-    if record.input == "none":
-        return "ssi"
-    if record.input == "base":
-        return "okid"
-    return "era" if all(impulsive(run) for run in record.runs) else "okid"
+    return _suited(record)[0]
 
 
 def source_of(record: Record, method: str, *, estimator: str = "h1", blocks: int = BLOCKS) -> Source:
@@ -77,14 +71,12 @@ def source_of(record: Record, method: str, *, estimator: str = "h1", blocks: int
 
 
 def _suited(record: Record) -> tuple[str, ...]:
+    """The methods that can use the record's input, the one that suits it best first."""
     if isinstance(record, FrfRecord):
         return ("era",)
-    return {
-        "none": ("ssi",),
-        "free_decay": ("era", "ssi"),
-        "force": (default_method(record), "era", "okid", "subspace"),
-        "base": ("okid", "subspace"),
-    }[record.input]
+    if record.input == "force":
+        return ("era", "subspace", "okid") if all(map(impulsive, record.runs)) else ("subspace", "okid", "era")
+    return {"none": ("ssi",), "free_decay": ("era", "ssi"), "base": ("subspace", "okid")}[record.input]
 
 
 def _hits(record: TimeRecord, estimator: str) -> FrfSource:
@@ -99,12 +91,14 @@ def _hits(record: TimeRecord, estimator: str) -> FrfSource:
     return FrfSource(spectra, 2 * (lines - 1) * step, samples, estimator)
 
 
-def _decays(record: TimeRecord) -> DecaySource:
+def _decays(record: TimeRecord) -> ImpulseSource:
     record = decimated(without_offset(record))
     starts = [_release(run.responses) for run in record.runs]
     samples = min(run.samples - start for run, start in zip(record.runs, starts, strict=True))
     pieces = [run.responses[start : start + samples] for run, start in zip(record.runs, starts, strict=True)]
-    return DecaySource(np.stack(pieces, axis=2), record.sampling_rate)
+    decays = np.stack(pieces, axis=2)
+    impulse = Impulse(decays, 0, np.zeros(decays.shape[2], dtype=np.int64))
+    return ImpulseSource(impulse, record.sampling_rate, releases=True)
 
 
 def _release(responses: Floats) -> int:
@@ -115,8 +109,8 @@ def _release(responses: Floats) -> int:
 
 def _driven(record: TimeRecord, method: str, blocks: int) -> Source:
     samples = sum(run.samples for run in record.runs)
-    lags = sources.lags_for(record.stories, len(record.channels), samples)
-    rows = sources.rows_for(record.stories, len(record.channels))
+    lags = continuous.lags_for(record.stories, len(record.channels), samples)
+    rows = continuous.rows_for(record.stories, len(record.channels))
     before = lags if method == "okid" else 2 * rows - 1
     pieces = []
     for run, start, stop in _cuts(record, blocks, before, 0):
@@ -124,8 +118,8 @@ def _driven(record: TimeRecord, method: str, blocks: int) -> Source:
             raise InputError(f"{run.name} lacks the input channel")
         pieces.append((run.excitation[start - before : stop, None], run.responses[start - before : stop]))
     if method == "okid":
-        return sources.OkidSource(pieces, record.sampling_rate, _one_floor(record), lags)
-    return sources.SubspaceSource(pieces, record.sampling_rate, _one_floor(record), rows, lags)
+        return continuous.OkidSource(pieces, record.sampling_rate, _one_floor(record), lags)
+    return continuous.SubspaceSource(pieces, record.sampling_rate, _one_floor(record), rows, lags)
 
 
 def _one_floor(record: TimeRecord) -> int:
@@ -140,9 +134,9 @@ def _one_floor(record: TimeRecord) -> int:
 
 
 def _ambient(record: TimeRecord, blocks: int) -> Source:
-    after = sources.SSI_ROWS + sources.SSI_COLUMNS
+    after = continuous.SSI_ROWS + continuous.SSI_COLUMNS
     pieces = [run.responses[start : stop + after] for run, start, stop in _cuts(record, blocks, 0, after)]
-    return sources.CovarianceSource(pieces, record.sampling_rate)
+    return continuous.CovarianceSource(pieces, record.sampling_rate)
 
 
 def _cuts(record: TimeRecord, blocks: int, before: int, after: int) -> Iterator[tuple[Run, int, int]]:
@@ -167,7 +161,7 @@ FACTORS = (2, 4, 8, 16, 32, 64)
 LOWEST_SHARE = 0.1
 """Of the sampling rate: a highest mode below it asks for a lower rate."""
 
-Attempt = Callable[[Record], tuple[Source, Sweep]]
+Attempt = Callable[..., tuple[Source, Sweep]]
 
 
 def settled(record: Record, wanted: int, attempt: Attempt, highest: float = 0.0) -> tuple[Source, Sweep]:

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from scipy import linalg
@@ -19,7 +19,7 @@ from cvxshear.records.record import Complexes
 from cvxshear.util.typing import Bools, Floats, Ints
 
 
-class Source(Protocol):
+class Source(ABC):
     """Data of one record, reduced to pieces that can be left out one at a time.
 
     Attributes
@@ -42,14 +42,17 @@ class Source(Protocol):
     unit: str
     energies: Floats
 
+    @abstractmethod
     def factor(self, keep: Bools | None = None) -> Floats:
         """Left factor of the data, shape (rows * outputs, m), columns by descending singular value."""
 
     def data(self) -> Floats:
         """The same of all the data, in no other weight than their own size."""
+        return self.factor()
 
     def impulse(self, keep: Bools | None = None) -> Impulse | None:
-        """The impulse responses behind the factor; None where the method knows none."""
+        """The impulse responses behind the factor; None where no input was measured, and none can be known."""
+        return None
 
 
 @dataclass(frozen=True, eq=False)

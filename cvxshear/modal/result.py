@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,8 +13,7 @@ from scipy.optimize import nnls
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.picking import Sweep
 from cvxshear.records.record import Complexes, Finding
-from cvxshear.util.plain import data_frame
-from cvxshear.util.showing import Shown
+from cvxshear.util.results import Shown, data_frame, drawing
 from cvxshear.util.typing import Floats, Ints, Json
 
 if TYPE_CHECKING:
@@ -165,30 +165,16 @@ class ModalResult(Shown):
     sweep: Sweep | None = None
     functions: Functions | None = None
 
-    def to_dict(self) -> Json:
-        """The result as plain values."""
-        return {
-            "name": self.name,
-            "method": self.method,
-            "stories": self.stories,
-            "floors": self.floors.tolist(),
-            "modes": self.modes.tolist(),
-            "frequencies": self.frequencies.tolist(),
-            "frequency_std": self.frequency_std.tolist(),
-            "damping_ratios": self.damping_ratios.tolist(),
-            "damping_std": self.damping_std.tolist(),
-            "mode_shapes": self.mode_shapes.tolist(),
-            "mode_shape_std": self.mode_shape_std.tolist(),
-            "entry_std": self.entry_std.tolist(),
-            "mass_normalized": self.mass_normalized,
-            "phase_collinearity": self.phase_collinearity.tolist(),
-            "lost_phase": self.lost_phase.tolist(),
-            "clock_offsets": {
-                name: {"seconds": offset, "std": std} for name, (offset, std) in self.clock_offsets.items()
-            },
-            "uncertainty": self.uncertainty,
-            "findings": [finding.to_dict() for finding in self.findings],
-        }
+    json_keys = (
+        "name method stories floors modes frequencies frequency_std damping_ratios damping_std mode_shapes "
+        "mode_shape_std entry_std mass_normalized phase_collinearity lost_phase clock_offsets=named_offsets "
+        "uncertainty findings"
+    )
+
+    @property
+    def named_offsets(self) -> dict[str, dict[str, float]]:
+        """The clock offset of each channel with its standard deviation, s, by name."""
+        return {name: {"seconds": offset, "std": std} for name, (offset, std) in self.clock_offsets.items()}
 
     @property
     def written_frequency_std(self) -> Floats:
@@ -226,6 +212,26 @@ class ModalResult(Shown):
             for floor, entries in zip(self.floors.tolist(), self.mode_shapes.T, strict=True)
         }
         return data_frame(columns).set_index("mode")
+
+    def pick(self, record_file: str | Path | None = None) -> Any:
+        """Open the stabilization diagram, where a click on a pole chooses it as a mode and another gives it up.
+
+        Parameters
+        ----------
+        record_file : str or Path, optional
+            The record file (TOML) whose key `pick` is to hold the choice; it is rewritten after each click.
+
+        Returns
+        -------
+        PolePicker
+            Its `frequencies`, Hz, are `pick` for `identify_modes`.
+
+        Raises
+        ------
+        InputError
+            Where matplotlib has no interactive backend, or the result holds no order sweep.
+        """
+        return drawing().pick(self, record_file)
 
     def configuration(self, *, added_mass: Sequence[float] | None = None, state: str | None = None) -> Json:
         """The table `[[configuration]]` of a measurement file that these modes make."""

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from cvxshear.modal.realization import Poles
+from cvxshear.records.mode_shapes import mac
 from cvxshear.records.record import Complexes
-from cvxshear.records.shapes import mac
 from cvxshear.util import checks
 from cvxshear.util.typing import Floats
 
@@ -68,23 +68,8 @@ class Criteria:
         return range(2, highest + 1, 2)
 
 
-@dataclass(eq=False)
-class Cluster:
-    """Poles of several orders that are taken for one mode.
-
-    Parameters
-    ----------
-    members : list of (int, int)
-        Places in the sweep: index of the order, index of the pole.
-    """
-
-    members: list[tuple[int, int]] = field(default_factory=list)
-
-    def gather(self, sweep: Sequence[Poles]) -> tuple[Complexes, Complexes]:
-        """Eigenvalues, shape (members,), and shapes, shape (members, outputs)."""
-        eigenvalues = np.array([sweep[i].eigenvalues[j] for i, j in self.members])
-        shapes = np.array([sweep[i].shapes[j] for i, j in self.members])
-        return eigenvalues, shapes
+Cluster = list[tuple[int, int]]
+"""Poles of several orders that are taken for one mode, by their places: index of the order, index of the pole."""
 
 
 def plausible(poles: Poles, sampling_rate: float, highest_damping: float, shift: float = 0.0) -> list[int]:
@@ -134,17 +119,17 @@ def clusters(sweep: Sequence[Poles], stable: Sequence[Sequence[int]], criteria: 
         pairs = []
         for j in indices:
             for number, cluster in enumerate(found):
-                i0, j0 = cluster.members[-1]
+                i0, j0 = cluster[-1]
                 if _alike(sweep[i0], j0, sweep[place], j, criteria):
                     pairs.append((_distance(sweep[i0], j0, sweep[place], j), number, j))
         joined: set[int] = set()
         grown: set[int] = set()
         for _, number, j in sorted(pairs):
             if j not in joined and number not in grown:
-                found[number].members.append((place, j))
+                found[number].append((place, j))
                 joined.add(j)
                 grown.add(number)
-        found.extend(Cluster([(place, j)]) for j in indices if j not in joined)
+        found.extend([(place, j)] for j in indices if j not in joined)
     return found
 
 
@@ -155,7 +140,7 @@ def _distance(before: Poles, i: int, after: Poles, j: int) -> float:
 
 def persistence(cluster: Cluster, sweep: Sequence[Poles]) -> float:
     """Share of the sweep's orders, from the cluster's first on, that hold a member."""
-    return len(cluster.members) / (len(sweep) - cluster.members[0][0])
+    return len(cluster) / (len(sweep) - cluster[0][0])
 
 
 def undivided(
@@ -167,7 +152,7 @@ def undivided(
     which is it. All members where every order does.
     """
     alone = []
-    for i, j in cluster.members:
+    for i, j in cluster:
         poles = sweep[i]
         twins = [
             k
@@ -179,7 +164,7 @@ def undivided(
         ]
         if not twins:
             alone.append((i, j))
-    return alone or cluster.members
+    return alone or cluster
 
 
 def nearest(poles: Poles, eigenvalue: complex, shape: Complexes, reach: float = 0.05) -> int | None:
@@ -194,8 +179,7 @@ def nearest(poles: Poles, eigenvalue: complex, shape: Complexes, reach: float = 
 
 def center(eigenvalues: Complexes, shapes: Complexes) -> tuple[complex, Complexes]:
     """The middle of a cluster: the median of eigenvalues and of shapes turned to one phase, part by part."""
-    reference = shapes[0]
-    turns = np.array([np.vdot(shape, reference) for shape in shapes])
+    turns = np.array([np.vdot(shape, shapes[0]) for shape in shapes])
     aligned = shapes * (turns / np.abs(turns))[:, None]
     value = complex(float(np.median(eigenvalues.real)), float(np.median(eigenvalues.imag)))
     return value, np.median(aligned.real, axis=0) + 1j * np.median(aligned.imag, axis=0)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.methods.two_stage import MOST_ITERATIONS, TOLERANCE
+from cvxshear.methods.paper_methods import MOST_ITERATIONS, TOLERANCE
 from cvxshear.model.shear import transformation
 from cvxshear.programs.normal import pair_normal
 from cvxshear.util.typing import Bools, Floats, Ints

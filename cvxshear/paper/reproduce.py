@@ -10,11 +10,11 @@ from cvxshear.backends import Backend
 from cvxshear.paper import steel_frame, three_story
 from cvxshear.paper.scatter import SEED
 from cvxshear.paper.tables import DIFFERS, MISPRINTED, ROUNDED, TO_THE_DIGIT, Row, Section
-from cvxshear.util.typing import Json
+from cvxshear.util.results import InJson
 
 
 @dataclass(frozen=True)
-class Reproduction:
+class Reproduction(InJson):
     """The paper's figures and ours.
 
     Parameters
@@ -30,6 +30,8 @@ class Reproduction:
     backend: str
     samples: tuple[int, ...]
     seed: int
+
+    json_keys = "backend samples seed summary sections"
 
     @property
     def rows(self) -> tuple[Row, ...]:
@@ -52,16 +54,6 @@ class Reproduction:
     def section(self, title: str) -> Section:
         """The first section whose title begins so."""
         return next(each for each in self.sections if each.title.startswith(title))
-
-    def to_dict(self) -> Json:
-        """The documented JSON."""
-        return {
-            "backend": self.backend,
-            "samples": list(self.samples),
-            "seed": self.seed,
-            "summary": self.summary,
-            "sections": [section.to_dict() for section in self.sections],
-        }
 
 
 def reproduce(

@@ -14,15 +14,14 @@ from functools import partial
 
 import numpy as np
 
-from cvxshear.fit.results import plain
 from cvxshear.methods import METHODS, identify
 from cvxshear.paper.batch import one_shot_batch, two_stage_batch
 from cvxshear.paper.setups import Setup, bound, six_story, three_story
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError
 from cvxshear.util.parallel import Progress, each
-from cvxshear.util.showing import Shown
-from cvxshear.util.typing import Bools, Floats, Json
+from cvxshear.util.results import InJson, Shown
+from cvxshear.util.typing import Bools, Floats
 
 SIGMAS = (0.01, 0.02, 0.03, 0.04, 0.05)
 """The paper's noise levels."""
@@ -38,7 +37,7 @@ NORMAL_95 = 1.959964
 
 
 @dataclass(frozen=True, eq=False)
-class Scatter:
+class Scatter(InJson):
     """One method on the samples of one noise level.
 
     Parameters
@@ -61,10 +60,25 @@ class Scatter:
     bound: Floats
     seconds: float
 
+    json_keys = (
+        "setup method samples failures seconds mean bias bias_error variation rmse bound=relative_bound "
+        "ratio coverage"
+    )
+
     @property
     def answered(self) -> Bools:
         """Which samples have an answer, shape (S,); every figure is of these."""
         return np.asarray(np.isfinite(self.estimates).all(axis=1), dtype=np.bool_)
+
+    @property
+    def samples(self) -> int:
+        """Number of samples S."""
+        return len(self.estimates)
+
+    @property
+    def failures(self) -> int:
+        """Number of samples without an answer."""
+        return int(np.sum(~self.answered))
 
     @property
     def errors(self) -> Floats:
@@ -115,25 +129,6 @@ class Scatter:
         distance = np.abs(self.estimates - self.setup.truth)[self.answered]
         return np.asarray(np.mean(distance <= NORMAL_95 * self.stated_std[self.answered], axis=0))
 
-    def to_dict(self) -> Json:
-        """The figures, errors relative and not in percent."""
-        coverage = self.coverage
-        return {
-            "setup": self.setup.to_dict(),
-            "method": self.method,
-            "samples": len(self.estimates),
-            "failures": int(np.sum(~self.answered)),
-            "seconds": self.seconds,
-            "mean": self.mean.tolist(),
-            "bias": self.bias.tolist(),
-            "bias_error": self.bias_error.tolist(),
-            "variation": self.variation.tolist(),
-            "rmse": self.rmse.tolist(),
-            "bound": self.relative_bound.tolist(),
-            "ratio": plain(self.ratio),
-            "coverage": None if coverage is None else coverage.tolist(),
-        }
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NoiseStudy(Shown):
@@ -152,6 +147,8 @@ class NoiseStudy(Shown):
     seed: int
     backend: str
 
+    json_keys = "samples seed backend scatters"
+
     def of(self, method: str, mode_shape_std: float | None = None) -> Scatter:
         """The first scatter of a method, at one noise level if given."""
         for scatter in self.scatters:
@@ -159,15 +156,6 @@ class NoiseStudy(Shown):
                 return scatter
         level = "" if mode_shape_std is None else f" at mode_shape_std {mode_shape_std:g}"
         raise InputError(f"the study has no method {method!r}{level}")
-
-    def to_dict(self) -> Json:
-        """The documented JSON."""
-        return {
-            "samples": self.samples,
-            "seed": self.seed,
-            "backend": self.backend,
-            "scatters": [scatter.to_dict() for scatter in self.scatters],
-        }
 
 
 def noise_study(

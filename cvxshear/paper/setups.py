@@ -17,7 +17,8 @@ from scipy import linalg
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.util import checks
-from cvxshear.util.typing import Floats, Ints, Json
+from cvxshear.util.results import InJson
+from cvxshear.util.typing import Floats, Ints
 
 SMALL_STEP = 1e-5
 """Relative step of the bound's central differences, whose error is of its square."""
@@ -28,7 +29,7 @@ def _none() -> Ints:
 
 
 @dataclass(frozen=True, eq=False)
-class Setup:
+class Setup(InJson):
     """A known frame and a noisy measurement of it.
 
     Parameters
@@ -66,6 +67,11 @@ class Setup:
     modes: Ints = field(default_factory=_none)
     measured_floors: Ints = field(default_factory=_none)
     name: str = "frame"
+
+    json_keys = (
+        "name floor_mass story_stiffness modes measured_floors mode_shape_std mode_shape_noise frequency_std "
+        "exact_frequencies"
+    )
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -155,20 +161,6 @@ class Setup:
         )
         frame = Frame(stories=self.stories, total_mass=float(self.floor_mass.sum()))
         return Experiment(frame, (configuration,), name=self.name)
-
-    def to_dict(self) -> Json:
-        """The fields as plain values."""
-        return {
-            "name": self.name,
-            "floor_mass": self.floor_mass.tolist(),
-            "story_stiffness": self.story_stiffness.tolist(),
-            "modes": self.modes.tolist(),
-            "measured_floors": self.measured_floors.tolist(),
-            "mode_shape_std": self.mode_shape_std,
-            "mode_shape_noise": self.mode_shape_noise,
-            "frequency_std": self.frequency_std,
-            "exact_frequencies": self.exact_frequencies,
-        }
 
 
 def three_story(mode_shape_std: float) -> Setup:

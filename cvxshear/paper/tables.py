@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cvxshear.util.typing import Json
+from cvxshear.util.results import InJson
 
 KILO = 1e3
 """The paper prints stiffnesses in kN/m."""
@@ -139,7 +139,7 @@ DIFFERS = "differs"
 
 
 @dataclass(frozen=True)
-class Row:
+class Row(InJson):
     """One figure.
 
     Parameters
@@ -169,6 +169,8 @@ class Row:
     std_error: float | None = None
     chance: float | None = None
     misprint: bool = False
+
+    json_keys = "what where printed recomputed difference agrees from_rounded std_error distance misprint verdict"
 
     @property
     def difference(self) -> float:
@@ -200,25 +202,9 @@ class Row:
             return ROUNDED
         return DIFFERS
 
-    def to_dict(self) -> Json:
-        """The fields and what follows from them."""
-        return {
-            "what": self.what,
-            "where": self.where,
-            "printed": self.printed,
-            "recomputed": self.recomputed,
-            "difference": self.difference,
-            "agrees": self.agrees,
-            "from_rounded": self.from_rounded,
-            "std_error": self.std_error,
-            "distance": self.distance,
-            "misprint": self.misprint,
-            "verdict": self.verdict,
-        }
-
 
 @dataclass(frozen=True)
-class Section:
+class Section(InJson):
     """The rows of one table or statement of the paper.
 
     Parameters
@@ -239,9 +225,7 @@ class Section:
     printed_in: str = "printed"
     counted: bool = True
 
-    def to_dict(self) -> Json:
-        """Title, rows and notes."""
-        return {"title": self.title, "rows": [row.to_dict() for row in self.rows], "notes": list(self.notes)}
+    json_keys = "title rows notes"
 
 
 def same_digits(number: float, printed: str) -> bool:

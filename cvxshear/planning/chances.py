@@ -21,7 +21,8 @@ from cvxshear.loop.posterior import ADDED
 from cvxshear.measurement.experiment import Frame
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Floats, Json
+from cvxshear.util.results import InJson
+from cvxshear.util.typing import Floats
 
 DRAWS = 20_000
 """Simulated outcomes a possibility: a probability of 90 % is then known to 0.2 %."""
@@ -131,7 +132,7 @@ def _place(name: str, sits_at: tuple[str, ...], lowest: int, where: str, stories
 
 
 @dataclass(frozen=True)
-class Chance:
+class Chance(InJson):
     """What becomes of one of the possibilities.
 
     Parameters
@@ -160,22 +161,15 @@ class Chance:
     nearest_distance: float | None
     probability: float
 
+    json_keys = (
+        "effect=label size unit standard_deviations=distance nearest "
+        "nearest_standard_deviations=nearest_distance probability"
+    )
+
     @property
     def suffices(self) -> bool:
         """Whether these tests can be said to show it."""
         return self.probability >= SUFFICES
-
-    def to_dict(self) -> Json:
-        """The fields by name."""
-        return {
-            "effect": self.label,
-            "size": self.size,
-            "unit": self.unit,
-            "standard_deviations": self.distance,
-            "nearest": self.nearest,
-            "nearest_standard_deviations": self.nearest_distance,
-            "probability": self.probability,
-        }
 
 
 def chances(targets: Sequence[Target], information: Floats) -> tuple[Chance, ...]:

@@ -67,9 +67,10 @@ class TestNoise(ABC):
         """Coefficients of variation of the damping ratios of modes at these frequencies (Hz), where the noise tells."""
         return None
 
+    @property
     @abstractmethod
-    def describe(self) -> str:
-        """In words."""
+    def words(self) -> str:
+        """What it is, as a sentence has it."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,8 @@ class Declared(TestNoise):
     def of(self, found: Modes, mass: Floats, which: Ints) -> tuple[Floats, Floats]:
         return np.full(len(which), self.frequency_std), np.full(len(which), self.mode_shape_std)
 
-    def describe(self) -> str:
+    @property
+    def words(self) -> str:
         return f"frequencies to {100 * self.frequency_std:.3g} %, shapes to {100 * self.mode_shape_std:.3g} %"
 
 
@@ -171,7 +173,8 @@ class Recorded(TestNoise):
         turn /= shape[largest]
         return float(np.sqrt(np.trace(turn @ spread @ turn.T) / len(shape)))
 
-    def describe(self) -> str:
+    @property
+    def words(self) -> str:
         return (
             f"{self.kind} records of {self.duration:g} s, damping {100 * self.damping:g} %, sensor noise "
             f"{100 * self.noise:g} %"

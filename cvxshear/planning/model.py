@@ -93,6 +93,11 @@ class TestModel:
     noise: TestNoise
 
     @property
+    def numbers(self) -> Ints:
+        """Numbers of the modes that are measured, 1 the lowest; shape (m,)."""
+        return self.which + 1
+
+    @property
     def effects(self) -> tuple[Placed, ...]:
         """The effects of the model: those that were found, and those that are free to be there or not."""
         return (*self.design.effects, *(each.placed for each in self.targets))

@@ -79,7 +79,7 @@ class Limits:
             if total is not None:
                 raise InputError("a limit of the added mass in all needs one of each floor: give added_mass as well")
             return Limits(np.zeros(stories), 0.0)
-        each = checks.one_or_many(floor, "added_mass", stories, of=", one a floor", least=0.0)
+        each = checks.one_or_many(floor, "added_mass", stories, each=", one a floor", least=0.0)
         whole = float(each.sum()) if total is None else checks.number(total, "added_mass_total", least=0.0)
         return Limits(each, min(whole, float(each.sum())))
 

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from cvxshear.files.measurement import write_measurement
-from cvxshear.fit.results import plain
+from cvxshear.files.toml import write_measurement
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.planning.chances import Chance
 from cvxshear.planning.choice import choose
 from cvxshear.planning.criteria import CRITERIA, criterion_named
 from cvxshear.planning.design import Fitted
 from cvxshear.planning.model import AveragedModel, Expected, TestModel
-from cvxshear.util.showing import Shown
+from cvxshear.util.results import InJson, Shown
 from cvxshear.util.typing import Floats, Ints, Json
 
 NO_DIFFERENCE = 0.01
@@ -31,7 +30,7 @@ MOST_POINTS = 10
 
 
 @dataclass(frozen=True, eq=False)
-class Outlook:
+class Outlook(InJson):
     """What is expected with sensors on some floors.
 
     Parameters
@@ -55,6 +54,8 @@ class Outlook:
     floor_mass_std: Floats
     story_stiffness_std: Floats
 
+    json_keys = "sensors=floors objective std"
+
     @property
     def gap(self) -> float:
         """How far the choice is above what none can beat, relative."""
@@ -65,17 +66,14 @@ class Outlook:
         """Whether every choice of as many floors gives the same, so that nothing speaks for these."""
         return self.worst <= (1 + NO_DIFFERENCE) * self.bound
 
-    def to_dict(self) -> Json:
-        """The fields by name."""
-        return {
-            "sensors": self.floors.tolist(),
-            "objective": self.objective,
-            "std": {"floor_mass": plain(self.floor_mass_std), "story_stiffness": plain(self.story_stiffness_std)},
-        }
+    @property
+    def std(self) -> dict[str, Floats]:
+        """Standard deviations by quantity, shape (N,)."""
+        return {"floor_mass": self.floor_mass_std, "story_stiffness": self.story_stiffness_std}
 
 
 @dataclass(frozen=True)
-class ExpectedMode:
+class ExpectedMode(InJson):
     """A mode before it is measured.
 
     Parameters
@@ -95,10 +93,6 @@ class ExpectedMode:
     frequency_std: float
     mode_shape_std: float
     damping_std: float | None
-
-    def to_dict(self) -> Json:
-        """The fields by name."""
-        return asdict(self)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -139,6 +133,13 @@ class Plan(Shown):
     grid_bound: float | None
     grid_worst: float | None
     apart: tuple[Chance, ...]
+
+    json_keys = (
+        "sensors tests=planned_tests modes=model.numbers noise=model.noise.words expected_modes for=goal criterion "
+        "solver objective bound gap floors_arbitrary grid_bound masses_arbitrary=arbitrary_masses "
+        "averaged_over=frames frame std=chosen.std one_sensor_less=fewer one_sensor_more=more every_floor=everywhere "
+        "apart"
+    )
 
     @property
     def model(self) -> TestModel:
@@ -212,39 +213,20 @@ class Plan(Shown):
         """What the objective is, in words."""
         return CRITERIA[self.criterion].summary
 
-    def to_dict(self) -> Json:
-        """The documented JSON."""
-        design = self.model.design
-        return {
-            "sensors": self.sensors,
-            "tests": [
-                {"name": name, "added_mass": test.tolist()} for name, test in zip(self.names, self.tests, strict=True)
-            ],
-            "modes": (self.model.which + 1).tolist(),
-            "noise": self.model.noise.describe(),
-            "expected_modes": [each.to_dict() for each in self.expected_modes],
-            "for": self.goal,
-            "criterion": self.criterion,
-            "solver": self.solver,
-            "objective": self.objective,
-            "bound": self.bound,
-            "gap": self.gap if np.isfinite(self.gap) else None,
-            "floors_arbitrary": self.chosen.arbitrary and len(self.sensors) < design.stories,
-            "grid_bound": self.grid_bound,
-            "masses_arbitrary": self.arbitrary_masses,
-            "averaged_over": self.frames,
-            "frame": {
-                "floor_mass": design.floor_mass.tolist(),
-                "story_stiffness": design.story_stiffness.tolist(),
-                "effects": [placed.to_dict() for placed in design.effects],
-                "state": design.state,
-            },
-            "std": self.chosen.to_dict()["std"],
-            "one_sensor_less": None if self.fewer is None else self.fewer.to_dict(),
-            "one_sensor_more": None if self.more is None else self.more.to_dict(),
-            "every_floor": self.everywhere.to_dict(),
-            "apart": [each.to_dict() for each in self.apart],
-        }
+    @property
+    def floors_arbitrary(self) -> bool:
+        """Whether floors were chosen, and every choice of as many gives the same."""
+        return self.chosen.arbitrary and len(self.sensors) < self.model.design.stories
+
+    @property
+    def planned_tests(self) -> list[dict[str, object]]:
+        """Name and added mass (kg) of each test."""
+        return [{"name": name, "added_mass": mass} for name, mass in zip(self.names, self.tests, strict=True)]
+
+    @property
+    def frame(self) -> dict[str, object]:
+        """The frame that the plan is for."""
+        return {key: getattr(self.model.design, key) for key in ("floor_mass", "story_stiffness", "effects", "state")}
 
 
 def accuracy_curve(plan: Plan) -> list[tuple[int, float, float]]:
@@ -333,7 +315,7 @@ def write_template(path: str | Path, plan: Plan) -> None:
     ]
     comments = [
         "Planned by cvxshear plan: put what you measure in place of every nan.",
-        f"Sensors on floors {', '.join(map(str, plan.sensors))}; {plan.model.noise.describe()} expected.",
+        f"Sensors on floors {', '.join(map(str, plan.sensors))}; {plan.model.noise.words} expected.",
         *(
             f"{each.name}: expected frequencies {', '.join(f'{value:.4g}' for value in each.frequencies)} Hz"
             for each in exact.configurations

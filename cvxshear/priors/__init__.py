@@ -1,6 +1,6 @@
 """Priors: what is known of the masses and stiffnesses before anything is measured."""
 
-from cvxshear.priors.base import QUANTITIES, UNITS, Constraints, Prior, check_prior, check_quantity
+from cvxshear.priors.base import QUANTITIES, QUANTITY_UNITS, Constraints, Prior, check_prior, check_quantity
 from cvxshear.priors.bounds import Bounds
 from cvxshear.priors.monotone import Monotone
 from cvxshear.priors.nominal import Nominal
@@ -9,7 +9,7 @@ from cvxshear.priors.value import Value
 
 __all__ = [
     "QUANTITIES",
-    "UNITS",
+    "QUANTITY_UNITS",
     "Bounds",
     "Constraints",
     "Monotone",

@@ -17,6 +17,7 @@ import numpy as np
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import fitting
+from cvxshear.util.results import fields_as_table
 from cvxshear.util.typing import Floats, Json
 
 QUANTITIES = ("floor_mass", "story_stiffness", "story_damping")
@@ -24,13 +25,13 @@ SIZES = (1.0, 1e2, 1e4, 1e6, 1e8)
 """Sizes of masses (kg), stiffnesses (N/m) and dashpots at which a prior from elsewhere is tried: from bench models to
 towers. What it returns is compared at the size where its residual is smallest, the nearest to what it means."""
 
-QUOTIENT_STEP = 1e-5
+RESIDUAL_STEP = 1e-5
 """Relative step of a difference quotient: its rounding and its curvature are both far below a part in a thousand."""
 
 _CHECKED = "_checked_for_stories"
 """Name of the mark on a prior that was checked."""
 
-UNITS = {"floor_mass": "kg", "story_stiffness": "N/m", "story_damping": "N s/m"}
+QUANTITY_UNITS = {"floor_mass": "kg", "story_stiffness": "N/m", "story_damping": "N s/m"}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -141,12 +142,8 @@ class Prior(ABC):
 
     def to_dict(self) -> Json:
         """The table that declares this prior in a measurement file."""
-        kind = self.kind or type(self).__name__
-        if not dataclasses.is_dataclass(self):
-            return {"kind": kind, "quantity": self.quantity}
-        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.init}
-        plain = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items() if v is not None}
-        return {"kind": kind, **plain}
+        table = fields_as_table(self, empty=True) if dataclasses.is_dataclass(self) else {"quantity": self.quantity}
+        return {"kind": self.kind or type(self).__name__, **table}
 
     @property
     def fixes_scale(self) -> bool:
@@ -244,8 +241,8 @@ def _check_residual(prior: Prior, stories: int, name: str) -> None:
         raise InputError(f"{name}: residual returns another value the second time; it must be a function of x alone")
     for _ in range(2):
         d = x * rng.choice([-1.0, 1.0], stories)
-        ends = [_evaluated(prior, x + sign * QUOTIENT_STEP * d, name)[0] for sign in (1.0, -1.0)]
-        quotient, stated = (ends[0] - ends[1]) / (2 * QUOTIENT_STEP), J @ d
+        ends = [_evaluated(prior, x + sign * RESIDUAL_STEP * d, name)[0] for sign in (1.0, -1.0)]
+        quotient, stated = (ends[0] - ends[1]) / (2 * RESIDUAL_STEP), J @ d
         tolerance = 1e-3 * (np.abs(J) @ np.abs(d) + np.abs(quotient)) + 1e-8 * np.max(np.abs(r), initial=1.0)
         wrong = ~(np.abs(quotient - stated) <= tolerance)
         if np.any(wrong):
@@ -311,7 +308,7 @@ def check_place(prior: Prior, name: str, stories: int = checks.MOST_STORIES) -> 
 def listed(value: float | Floats, quantity: str) -> str:
     """A number or a list of numbers on one line, in the unit of the quantity that fits their size."""
     values = np.ravel(np.asarray(value, dtype=float))
-    factor, unit = fitting(values.tolist(), UNITS[quantity])
+    factor, unit = fitting(values.tolist(), QUANTITY_UNITS[quantity])
     shown = ", ".join(f"{entry / factor:g}" for entry in values)
     return f"{shown if np.ndim(value) == 0 else f'[{shown}]'} {unit}"
 

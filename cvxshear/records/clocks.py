@@ -15,7 +15,7 @@ from scipy import stats
 
 from cvxshear.records.record import Complexes, TimeRecord
 from cvxshear.records.signals import impulsive
-from cvxshear.util.typing import Floats, Ints
+from cvxshear.util.typing import Bools, Floats, Ints
 
 SEGMENT = 20.0
 """s; long beside the longest delay, short enough that a record has many."""
@@ -70,6 +70,10 @@ class BandClock:
     agreement: float
     chance: float
     middle: float
+
+    def against(self, other: BandClock) -> tuple[float, float]:
+        """Drift of this clock against one that the other was compared with too, and its standard deviation."""
+        return self.drift - other.drift, float(np.hypot(self.drift_std, other.drift_std))
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,6 +283,7 @@ def offsets(
     participations: Complexes | None = None,
     reference: int | None = None,
     sampling_rate: float = np.inf,
+    loud: Bools | None = None,
 ) -> Offsets:
     """Estimate the offset of every channel's clock.
 
@@ -294,16 +299,20 @@ def offsets(
         The clock to count from; the one nearest to all the others where None.
     sampling_rate : float, optional
         Hz. Modes above `FOLDED` of its half do not count, where two others are left.
+    loud : array of bool, shape (modes,), optional
+        The modes that count, where they are two at least: a straight line takes each for as sure as the others.
 
     Returns
     -------
     Offsets
     """
     omega = np.abs(eigenvalues.imag)
-    heard = omega <= FOLDED * np.pi * sampling_rate
-    if 2 <= np.count_nonzero(heard) < len(omega):
-        omega, shapes = omega[heard], shapes[heard]
-        participations = None if participations is None else participations[heard]
+    used = np.ones(len(omega), dtype=bool)
+    for heard in (omega <= FOLDED * np.pi * sampling_rate, used if loud is None else loud):
+        if np.count_nonzero(used & heard) >= 2:
+            used = used & heard
+    omega, shapes = omega[used], shapes[used]
+    participations = None if participations is None else participations[used]
     if participations is not None:
         phasors = shapes * participations[:, None]
     else:

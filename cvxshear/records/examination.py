@@ -29,6 +29,8 @@ LATE = 0.5
 """Samples; a delay of less is left to the phases of the modes, which tell it finer."""
 CERTAIN = 4.0
 """Standard deviations of a delay that is taken out."""
+SEEN = 5.0
+"""Standard deviations of a drift that another clock must show it by, or contradict it."""
 QUIET = 0.5
 """Of the frequency at which the motion of some floor is twice the base's: below it the floors move with the base."""
 FEWEST_LINES = 3
@@ -126,6 +128,7 @@ def _in_step(record: TimeRecord) -> tuple[TimeRecord, list[Finding], dict[str, t
         spread = [against[k] for k in (i, right) if k in against]
         std = float(np.hypot.reduce([item.std for item in spread])) if spread else 0.0
         slope = drift - zero[1]
+        slope = slope if slope and _drifts(segments, i, right, slope, clocks) else 0.0
         if i == right or (abs(middle - zero[2]) < max(limit, CERTAIN * std) and not slope):
             continue
         if not slope and not _confirmed(segments, i, right, middle - zero[2], 2 * limit, clocks):
@@ -154,6 +157,17 @@ def _confirmed(segments: Segments, late: int, right: int, seconds: float, within
     others = [k for k in range(len(clocks)) if k not in (late, right)]
     said = [band_clock(segments, late, k).middle - band_clock(segments, right, k).middle for k in others]
     return not said or sum(abs(each - seconds) < within for each in said) >= len(said) / 2
+
+
+def _drifts(segments: Segments, late: int, right: int, slope: float, clocks: list[str]) -> bool:
+    """Whether no more than a few other clocks contradict a drift: of those that it would have to show against."""
+    against = [
+        band_clock(segments, late, k).against(band_clock(segments, right, k))
+        for k in range(len(clocks))
+        if k not in (late, right)
+    ]
+    sharp = [drift for drift, std in against if SEEN * std < abs(slope)]
+    return sum(abs(drift - slope) > abs(slope) / 2 for drift in sharp) <= len(sharp) / 2
 
 
 def _silent(record: TimeRecord, column: int, clock: BandClock) -> Finding:

@@ -1,4 +1,9 @@
-"""Several sensors on one floor: their mean is the floor's motion, their difference its rotation."""
+"""Several sensors on one floor: what they have in common is the floor's motion, their difference its rotation.
+
+A rigid floor that moves by U in the direction of test and turns by t moves by u = U - t y at the distance y across that
+direction from its center. Sensors whose positions are declared give U and t by least squares; where positions are not
+declared, or the center lies far beyond the sensors, their mean stands for U.
+"""
 
 from __future__ import annotations
 
@@ -20,16 +25,20 @@ ROTATES = 0.05
 """Share of a floor's mean square motion in its rotation that is worth a word."""
 LINES_A_HERTZ, NEARBY = 20.0, 0.01
 """Lines of the spectra that a mode's rotation is told by, and how far about its frequency, relative."""
+LARGEST_WEIGHTS = 1.5
+"""Root of the sum of squares of the weights by which sensors make the motion of the center: a center so far beyond
+them that their noise grows by half is not reached, and their mean (0.7 for two) is taken."""
 CONTRADICTING = 4.0
 """Mean square of the difference over that of the mean from which on two sensors on one floor contradict each other,
 both counted as far as they move with the other floors, where there are any: a rotation that only they see is none."""
 
 
 def one_a_floor(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
-    """The record with one channel a floor, each the mean of those that sit there, in the direction of test.
+    """The record with one channel a floor, the motion of the floor's center in the direction of test.
 
     A sensor at `direction` degrees from that of test shows the floor's motion times the cosine; one more than
-    30 degrees off is left out. Of two sensors half the difference is the rotation's part.
+    30 degrees off is left out. Of several sensors the center's motion follows from their positions across the
+    direction of test, or is their mean.
 
     Raises
     ------
@@ -48,14 +57,30 @@ def one_a_floor(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
         channels.append(dataclasses.replace(first, name=name, position=None, direction=None))
         if len(group) > 1:
             findings.append(_rotation(record, group))
-    means = [np.column_stack([run.responses[:, group].mean(axis=1) for group in groups]) for run in record.runs]
-    return with_responses(record, means, tuple(channels)), findings
+    weights = [center_weights(record, group)[0] for group in groups]
+    centers = [
+        np.column_stack([run.responses[:, group] @ weight for group, weight in zip(groups, weights, strict=True)])
+        for run in record.runs
+    ]
+    return with_responses(record, centers, tuple(channels)), findings
+
+
+def center_weights(record: Record, group: Ints) -> tuple[Floats, bool]:
+    """The weights by which a floor's sensors make its motion, shape (sensors,), and whether by their positions."""
+    places = [record.channels[int(column)].position for column in group]
+    across = np.array([0.0 if place is None else place[1] for place in places])
+    if None not in places and np.ptp(across) > 1e-3 * np.abs(across).max():
+        weights = np.asarray(np.linalg.pinv(np.column_stack([np.ones(len(group)), -across]))[0])
+        if np.linalg.norm(weights) <= LARGEST_WEIGHTS:
+            return weights, True
+    return np.full(len(group), 1.0 / len(group)), False
 
 
 def turning(record: TimeRecord) -> Callable[[float], float] | None:
     """How much of a frame's motion at a frequency, Hz, is rotation; None where no floor has two sensors.
 
-    The power spectra of the sensors' differences on the floors that have several, over those and the means together.
+    The power spectra of the sensors' differences from the center on the floors that have several, over those and the
+    center's together.
     """
     groups = [np.flatnonzero(record.floors == floor) for floor in np.unique(record.floors)]
     groups = [group for group in groups if len(group) > 1]
@@ -68,7 +93,7 @@ def turning(record: TimeRecord) -> Callable[[float], float] | None:
     for run in record.runs:
         for group in groups:
             values = run.responses[:, group]
-            middle = values.mean(axis=1, keepdims=True)
+            middle = (values @ center_weights(record, group)[0])[:, None]
             mean += run.samples * signal.welch(middle, rate, nperseg=length, axis=0)[1].mean(axis=1)
             apart += run.samples * signal.welch(values - middle, rate, nperseg=length, axis=0)[1].mean(axis=1)
 
@@ -104,32 +129,32 @@ def _along(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
 def _rotation(record: Record, group: Ints) -> Finding:
     names = [record.channels[int(column)] for column in group]
     others = np.flatnonzero(record.floors != names[0].floor)
-    mean, apart, together, against = 0.0, 0.0, 0.0, 0.0
+    weights, placed = center_weights(record, group)
+    center, turned, together, against = np.zeros(4)
     for run in record.runs:
         values, rest = run.responses[:, group], None
         if isinstance(run, Run):
             values = values - values.mean(axis=0)
             rest = run.responses[:, others] - run.responses[:, others].mean(axis=0) if len(others) else None
+        center += _mean_square((values @ weights)[:, None])
+        turned += _mean_square(values - (values @ weights)[:, None])
         middle = values.mean(axis=1, keepdims=True)
-        mean += _mean_square(middle)
-        apart += _mean_square(values - middle)
         together += _mean_square(_moving_with(rest, middle))
         against += _mean_square(_moving_with(rest, values - middle))
     if against > CONTRADICTING * together:
+        what = "what moves with the other floors is" if len(others) else "the motion is"
         raise InputError(
-            f"{' and '.join(map(str, names))} are on one floor and contradict each other: what moves with the other "
-            f"floors is {np.sqrt(against / max(together, 1e-300)):.1f} times as large in their difference as in their "
-            "mean; is one of them reversed, or on another floor?"
-            if len(others)
-            else f"{' and '.join(map(str, names))} are on one floor and contradict each other: their difference is "
-            f"{np.sqrt(apart / max(mean, 1e-300)):.1f} times their mean; is one of them reversed, or on another floor?"
+            f"{' and '.join(map(str, names))} are on one floor and contradict each other: {what} "
+            f"{np.sqrt(against / max(together, 1e-300)):.1f} times as large in their difference as in their mean; is "
+            "one of them reversed, or on another floor?"
         )
-    share = apart / max(mean + apart, 1e-300)
+    share = float(turned / max(center + turned, 1e-300))
     said = "the floor turns as well" if share > ROTATES else "the floor hardly turns"
+    how = "by their positions they give its center's motion" if placed else "their mean is its motion"
     return Finding(
         "rotation",
-        f"floor {names[0].floor} has {len(names)} sensors, {', '.join(item.name for item in names)}: their mean is its "
-        f"motion, and {100 * share:.1f} % of the mean square is in their difference; {said}",
+        f"floor {names[0].floor} has {len(names)} sensors, {', '.join(item.name for item in names)}: {how}, "
+        f"and {100 * share:.1f} % of the mean square is in their difference; {said}",
         {"floor": names[0].floor, "channels": [item.name for item in names], "share": share},
     )
 

@@ -14,13 +14,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cvxshear.measurement.experiment import MOST_STORIES
+from cvxshear.records.data_frames import matrix_of, table_columns
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
+from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats, Ints, Json
 
 
 @dataclass(frozen=True)
-class Finding:
+class Finding(InJson):
     """One thing that is wrong with a record, or that it cannot tell.
 
     Parameters
@@ -38,10 +40,6 @@ class Finding:
     kind: str
     message: str
     numbers: Json = field(default_factory=dict)
-
-    def to_dict(self) -> Json:
-        """The finding as plain values."""
-        return {"kind": self.kind, "message": self.message, "numbers": dict(self.numbers)}
 
 
 Complexes = NDArray[np.complex128]
@@ -120,10 +118,10 @@ class Run:
     end: float | None = None
 
     def __post_init__(self) -> None:
-        responses = _matrix(self.responses, f"{self.name}: responses", np.float64)
+        responses = matrix_of(self.responses, f"{self.name}: responses", np.float64)
         object.__setattr__(self, "responses", responses)
         if self.excitation is not None:
-            excitation = np.asarray(_matrix([self.excitation], f"{self.name}: excitation", np.float64)[0])
+            excitation = np.asarray(matrix_of([self.excitation], f"{self.name}: excitation", np.float64)[0])
             if excitation.shape != (len(responses),):
                 raise InputError(
                     f"{self.name}: excitation has {excitation.size} samples, the responses have {len(responses)}"
@@ -160,18 +158,8 @@ class FrfRun:
     name: str = "run 1"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "responses", _matrix(self.responses, f"{self.name}: responses", np.complex128))
+        object.__setattr__(self, "responses", matrix_of(self.responses, f"{self.name}: responses", np.complex128))
         checks.whole(self.floor, f"{self.name}: input_floor", least=1, most=MOST_STORIES)
-
-
-def _matrix(value: Any, where: str, dtype: type) -> Any:
-    try:
-        result: NDArray[Any] = np.array(value, dtype=dtype)
-    except (TypeError, ValueError):
-        raise InputError(f"{where} must be a table of numbers, samples by channels") from None
-    if result.ndim != 2 or 0 in result.shape:
-        raise InputError(f"{where} must be a table of samples by channels, not of shape {result.shape}")
-    return checks.frozen(result)
 
 
 INPUTS = ("none", "free_decay", "force", "base")
@@ -338,34 +326,21 @@ class TimeRecord(_Recorded):
         InputError
             Where a channel is not in the table, or nothing tells the sampling rate.
         """
-        values, names, times = _columns_of(table)
-        force: Any = excitation
-        if isinstance(excitation, str):
-            force = values[:, _place(excitation, names)]
-        left = [name for name in names if not (isinstance(excitation, str) and name == excitation)]
+        columns = table_columns(table)
+        force: Any = columns.samples(excitation) if isinstance(excitation, str) else excitation
+        left = [name for name in columns.names if not (isinstance(excitation, str) and name == excitation)]
         if isinstance(floors, Mapping):
             chosen = dict(floors)
         else:
             chosen = dict(zip(left, range(1, len(left) + 1) if floors is None else floors, strict=False))
             if floors is not None and len(floors) != len(left):
                 raise InputError(f"floors must have {len(left)} entries, one a channel, not {len(floors)}")
-        if sampling_rate is None:
-            if times is None or len(times) < 2:
-                raise InputError("give sampling_rate, in Hz: the table has no time that tells it")
-            steps = np.diff(times)
-            sampling_rate = 1.0 / float(np.median(steps))
-            uneven = np.flatnonzero(np.abs(steps * sampling_rate - 1.0) > UNEVEN)
-            if uneven.size:
-                raise InputError(
-                    f"the table's time steps from {times[uneven[0]]:g} s to {times[uneven[0] + 1]:g} s, where its step "
-                    f"is {1 / sampling_rate:g} s; samples must be evenly spaced"
-                )
         if drive is None:
             drive = "none" if force is None else "force" if input_floor else "base"
-        columns = [_place(name, names) for name in chosen]
         channels = tuple(Channel(name, floor) for name, floor in chosen.items())
-        run = Run(values[:, columns], force, input_floor)
-        return TimeRecord(channels, runs=(run,), sampling_rate=sampling_rate, input=drive, **options)
+        run = Run(np.column_stack([columns.samples(name) for name in chosen]), force, input_floor)
+        rate = columns.sampling_rate() if sampling_rate is None else sampling_rate
+        return TimeRecord(channels, runs=(run,), sampling_rate=rate, input=drive, **options)
 
     @property
     def duration(self) -> float:
@@ -440,39 +415,6 @@ class FrfRecord(_Recorded):
 
 
 Record = TimeRecord | FrfRecord
-
-
-UNEVEN = 0.01
-"""Of a step; time stamps are rounded, and a gap is at least one step."""
-
-
-def _columns_of(table: Any) -> tuple[Floats, list[str], Floats | None]:
-    """The values of a table, shape (samples, channels), the names of its columns, and its times, s, if it has any."""
-    names: Sequence[object] | None = None
-    times = None
-    if hasattr(table, "columns") and hasattr(table, "index"):
-        names, times = list(table.columns), np.asarray(table.index)
-    elif hasattr(table, "dims") and hasattr(table, "coords"):
-        if len(table.dims) != 2:
-            raise InputError(f"the data array has the dimensions {tuple(table.dims)}; it needs two, time and channels")
-        time, channel = table.dims
-        names = list(table.coords[channel].values) if channel in table.coords else None
-        times = np.asarray(table.coords[time].values) if time in table.coords else None
-    values = _matrix(getattr(table, "values", table), "the table", np.float64)
-    if times is not None and times.dtype.kind in "mM":
-        times = (times - times[0]) / np.timedelta64(1, "s")
-    # A plain count of rows is no time.
-    if times is not None and (times.dtype.kind not in "f" or len(times) != len(values)):
-        times = None
-    if names is None:
-        names = [f"channel {place}" for place in range(1, values.shape[1] + 1)]
-    return values, [str(name) for name in names], times
-
-
-def _place(name: str, names: Sequence[str]) -> int:
-    if name not in names:
-        raise InputError(f'there is no channel "{name}" in the table; there are {", ".join(names)}')
-    return names.index(name)
 
 
 def _refuse_nonfinite(values: NDArray[Any], where: str) -> None:

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy import signal
 
-from cvxshear.records.record import Channel, FrfRecord, FrfRun, Record, Run, TimeRecord
+from cvxshear.records.record import Channel, FrfRecord, Run, TimeRecord
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
 
@@ -95,73 +95,30 @@ def _mapped(record: TimeRecord, change: Callable[[Floats], Floats], rate: float)
     return dataclasses.replace(record, runs=runs, sampling_rate=rate)
 
 
-def shifted(record: Record, offsets: Mapping[str, tuple[float, float]]) -> Record:
-    """The record with each channel advanced by its clock offset.
-
-    Time histories are turned in the frequency domain, which moves a band-limited signal by any fraction of a
-    sample; the ends, where the record wraps round, are dropped.
-
-    Parameters
-    ----------
-    record : TimeRecord or FrfRecord
-    offsets : mapping
-        Channel name, and "input", to (seconds, std); seconds positive where the channel is late. A clock that
-        is not named stays.
-
-    Returns
-    -------
-    TimeRecord or FrfRecord
-    """
-    late = np.array([offsets.get(channel.name, (0.0, 0.0))[0] for channel in record.channels])
-    of_input = offsets.get("input", (0.0, 0.0))[0]
-    if isinstance(record, FrfRecord):
-        turn = np.exp(2j * np.pi * record.frequencies[:, None] * (late - of_input)[None, :])
-        frf_runs = tuple(FrfRun(run.responses * turn, run.floor, run.name) for run in record.runs)
-        return dataclasses.replace(record, runs=frf_runs)
-    runs = tuple(_shifted_run(run, late, of_input, record) for run in record.runs)
-    return dataclasses.replace(record, runs=runs)
-
-
-def _shifted_run(run: Run, late: Floats, of_input: float, record: TimeRecord) -> Run:
-    rate = record.sampling_rate
-    edge = int(np.ceil(rate * max(np.abs(late).max(), abs(of_input)))) + 8
-    responses = _advanced(run.responses, late, rate)[edge:-edge]
-    excitation = run.excitation
-    if excitation is not None:
-        excitation = _advanced(excitation[:, None], np.array([of_input]), rate)[edge:-edge, 0]
-    return dataclasses.replace(run, responses=responses, excitation=excitation)
-
-
-def _advanced(values: Floats, seconds: Floats, rate: float) -> Floats:
-    # A straight line through the ends is taken off first: the jump where the record wraps would ring.
-    line = np.linspace(values[0], values[-1], len(values))
-    spectrum = np.fft.rfft(values - line, axis=0)
-    frequencies = np.fft.rfftfreq(len(values), 1 / rate)
-    turned = spectrum * np.exp(2j * np.pi * frequencies[:, None] * seconds[None, :])
-    slope = (values[-1] - values[0]) / (len(values) - 1)
-    return np.asarray(np.fft.irfft(turned, n=len(values), axis=0) + line + slope * rate * seconds)
-
-
 SINC_TERMS = 48
 """Samples that a value between two samples is made of; a windowed sinc of so many is flat to 0.9 of half the rate."""
 
 
-def in_step(record: TimeRecord, late: Mapping[str, tuple[float, float]]) -> TimeRecord:
+def in_step(record: AnyRecord, late: Mapping[str, tuple[float, float]]) -> AnyRecord:
     """The record with clocks that are late, and run slow, set right.
 
     Parameters
     ----------
-    record : TimeRecord
+    record : TimeRecord or FrfRecord
     late : mapping
-        Channel name, and "input", to (seconds at the start of the record, seconds more in each second after).
+        Channel name, and "input", to (seconds at the start of the record, seconds more in each second after). Frequency
+        response functions are turned by the seconds at the start.
 
     Returns
     -------
-    TimeRecord
-        Its runs without the ends for which some channel has no samples.
+    TimeRecord or FrfRecord
+        Runs in time without the ends for which some channel has no samples.
     """
-    if not any(drift for _, drift in late.values()):
-        return shifted(record, {name: (seconds, 0.0) for name, (seconds, _) in late.items()})  # type: ignore[return-value]
+    if isinstance(record, FrfRecord):
+        seconds = np.array([late.get(channel.name, (0.0, 0.0))[0] for channel in record.channels])
+        seconds = seconds - late.get("input", (0.0, 0.0))[0]
+        turn = np.exp(2j * np.pi * record.frequencies[:, None] * seconds)
+        return with_responses(record, [run.responses * turn for run in record.runs])
     rate, started, runs = record.sampling_rate, 0, []
     for run in record.runs:
         index = np.arange(run.samples)

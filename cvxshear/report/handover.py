@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from importlib import resources
 from io import BytesIO
 from pathlib import Path
 
@@ -12,11 +13,11 @@ from scipy import io
 from cvxshear.data import Deviation
 from cvxshear.files.spreadsheets import Cell, Sheet, workbook
 from cvxshear.fit.misfit import Misfit
-from cvxshear.report.opensees import opensees_script
 from cvxshear.response import Fitted, RecordPrediction
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.uncertain import Damped
-from cvxshear.util.text import json_text
+from cvxshear.util.errors import UnsuitableError
+from cvxshear.util.text import json_text, printable
 from cvxshear.util.typing import Floats
 from cvxshear.util.writing import ending_of, write_file
 
@@ -39,7 +40,7 @@ def write_model(path: str | Path, result: RecordPrediction) -> None:
     UnsuitableError
         Where OpenSees cannot have such a frame.
     """
-    write_file(path, WRITERS[model_kind(path)](result))
+    write_file(path, MODEL_WRITERS[model_kind(path)](result))
 
 
 def model_kind(path: str | Path) -> str:
@@ -50,7 +51,7 @@ def model_kind(path: str | Path) -> str:
     InputError
         Where it ends in something else.
     """
-    return ending_of(path, WRITERS, "a model is written as", device="json")
+    return ending_of(path, MODEL_WRITERS, "a model is written as", device="json")
 
 
 def _npz(result: RecordPrediction) -> bytes:
@@ -148,14 +149,14 @@ def _residuals(result: RecordPrediction) -> Sheet:
     return Sheet("residuals", header, rows)
 
 
-def _parts(of: Fitted) -> list[Deviation]:
+def _parts(fitted: Fitted) -> list[Deviation]:
     """What a fit leaves of each part of every datum."""
-    misfit = Misfit(of.experiment, of.effects)
-    models = {id(model.state.tested): model for model in misfit.evaluate(of.theta, derivatives=False).models}
+    misfit = Misfit(fitted.experiment, fitted.effects)
+    models = {id(model.state.tested): model for model in misfit.evaluate(fitted.theta, derivatives=False).models}
     return [part for datum in misfit.data for part in datum.describe(models[id(datum.tested)])]
 
 
-WRITERS: dict[str, Callable[[RecordPrediction], str | bytes]] = {
+MODEL_WRITERS: dict[str, Callable[[RecordPrediction], str | bytes]] = {
     "npz": _npz,
     "mat": _mat,
     "json": _json,
@@ -210,3 +211,45 @@ def state_space(model: DampedModel) -> dict[str, Floats]:
         "state_C": rows,
         "state_D": np.hstack([np.zeros((n, 1)), inverse]),
     }
+
+
+def opensees_script(damped: Damped, title: str) -> str:
+    """A script that makes the frame in OpenSeesPy, with its damping.
+
+    Any symmetric stiffness matrix is that of springs -K_ij between floors i and j and of sum_j K_ij to the ground.
+
+    Parameters
+    ----------
+    damped : Damped
+    title : str
+
+    Raises
+    ------
+    UnsuitableError
+        Where the mass matrix is not diagonal: nodes have masses of their own only.
+    """
+    M = damped.model.M
+    if np.any(np.abs(M - np.diag(np.diag(M))) > 1e-12 * np.abs(M).max()):
+        raise UnsuitableError(
+            "OpenSees has masses at nodes only, and the mass matrix of this frame couples its floors (mass_coupling); "
+            "hand it on as .npz, .mat or .json"
+        )
+    script = resources.files("cvxshear.report").joinpath("templates", "opensees.py.txt").read_text(encoding="utf-8")
+    modal = damped.dashpots is None and damped.rayleigh is None
+    return script.format(
+        title=printable(" ".join(title.split())).replace("\\", "/").replace('"', "'") or "frame",
+        masses=np.diag(M).tolist(),
+        springs=_links(damped.model.K),
+        dashpots=[] if damped.dashpots is None else _links(damped.model.C),
+        ratios=damped.model.ratios.tolist() if modal else [],
+        rayleigh=[] if damped.rayleigh is None else damped.rayleigh.tolist(),
+    )
+
+
+def _links(matrix: Floats) -> list[tuple[int, int, float]]:
+    """Links between nodes, the ground being 0, whose matrix this is."""
+    n = len(matrix)
+    ground = [(0, i + 1, float(matrix[i].sum())) for i in range(n)]
+    between = [(i + 1, j + 1, float(-matrix[i, j])) for i in range(n) for j in range(i + 1, n)]
+    # Rounding of the row sums is no spring to the ground.
+    return [link for link in (*ground, *between) if abs(link[2]) > 1e-12 * np.abs(matrix).max()]

@@ -1,8 +1,10 @@
-"""The report of a closed loop as one HTML file that stands by itself: no network, figures inside."""
+"""Reports of a closed loop, of a response and of modes: one HTML file each that stands by itself, figures inside."""
 
 from __future__ import annotations
 
 import base64
+import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,29 +16,24 @@ from cvxshear.loop import Closure
 from cvxshear.measurement.declaration import Heading
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.methods import Prediction, compare_backends
-from cvxshear.report.describe import describe
+from cvxshear.modal import ModalResult
+from cvxshear.report.describe import Sentence, Table, describe
 from cvxshear.report.describe.closed_loop import open_questions
 from cvxshear.report.describe.headline import headline, verdict_of
-from cvxshear.response import RecordPrediction
-from cvxshear.response.fitted import without_nan
+from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.util.errors import CvxshearError, InputError
 from cvxshear.util.quantities import AUTOMATIC, Units, capital
+from cvxshear.util.results import as_json
+from cvxshear.util.typing import Json
 from cvxshear.util.writing import write_file
 
 try:
-    from cvxshear.report import figures  # noqa: F401 - told here, before the loop is closed, where it is missing
+    from cvxshear.report import figures  # noqa: F401 - raises here, before the loop is closed, where it is missing
     from cvxshear.report.pages import drawings, environment, readable_json, versions
-    from cvxshear.report.response_html import (
-        prediction_contents,
-        write_prediction_report,
-        write_reconstruction_report,
-    )
 except ImportError as error:
     raise CvxshearError(
         f"the report needs {error.name}, which is not installed: pip install jinja2 matplotlib"
     ) from error
-
-__all__ = ["render", "write_prediction_report", "write_reconstruction_report", "write_report"]
 
 FIRST_SECTIONS = ("verdict",)
 """Sections of the description that stand on the first screen."""
@@ -111,9 +108,9 @@ def render(
         One page that refers to nothing outside itself.
     """
     if comparison is None:
-        comparison = compare_backends(result.experiment)
+        comparison = compare_backends(result.experiment, repeats=1)
     page = environment().get_template("report.html")
-    beside = None if prediction is None else prediction_contents(prediction)
+    beside = None if prediction is None else _response_contents(prediction)
     drawn = {**drawings(comparison), **drawings(result)}
     if beside is not None:
         drawn |= beside["figure"]
@@ -136,7 +133,7 @@ def render(
         motion_size=(WIDTH, HEIGHT),
         versions=list(versions()),
         command=command,
-        experiment_json=readable_json(without_nan(result.experiment.to_dict())),
+        experiment_json=readable_json(as_json(result.experiment)),
         result_json=readable_json(result.to_dict()),
         beside=beside,
     )
@@ -158,6 +155,94 @@ def photograph_of(heading: Heading) -> str:
     if kind is None:
         raise InputError(f"report: photograph = {str(path)!r} must be a PNG or JPEG file")
     return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def write_response_report(result: RecordPrediction | Reconstruction, path: str | Path, command: str) -> None:
+    """Write the report of a prediction or of a reconstruction.
+
+    Parameters
+    ----------
+    result : RecordPrediction or Reconstruction
+    path, command
+        As for `write_report`.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
+    """
+    write_file(path, render_response(result, command))
+
+
+def render_response(result: RecordPrediction | Reconstruction, command: str) -> str:
+    """The report of a prediction or of a reconstruction as HTML."""
+    word = "Reconstructed" if isinstance(result, Reconstruction) else "Predicted"
+    return (
+        environment()
+        .get_template("prediction_report.html")
+        .render(**_response_contents(result), heading=f"{word} response", command=command, versions=list(versions()))
+    )
+
+
+def _response_contents(result: RecordPrediction | Reconstruction) -> Json:
+    """What the templates put on a page of a response, or into the section that the report of a loop has of it."""
+    drawn = {
+        name: dataclasses.replace(each, section=f"predicted-{each.section}") for name, each in drawings(result).items()
+    }
+    return {"prediction": describe(result), "prediction_json": readable_json(result.to_dict()), "figure": drawn}
+
+
+MOST_SHAPES = 4
+"""Mode shapes beside each other on the page; more go below."""
+
+
+def write_modal_report(
+    results: Sequence[ModalResult], path: str | Path, command: str, failed: Sequence[str] = ()
+) -> None:
+    """Write the report of the modes of one record or of several.
+
+    Parameters
+    ----------
+    results : sequence of ModalResult
+    path, command
+        As for `write_report`.
+    failed : sequence of str, optional
+        Why other records are not in it.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
+    """
+    page = (
+        environment()
+        .get_template("modal_report.html")
+        .render(
+            title=", ".join(result.name for result in results),
+            records=[_record(result, place) for place, result in enumerate(results, 1)],
+            failed=list(failed),
+            command=command,
+            versions=list(versions()),
+            result_json=readable_json([result.to_dict() for result in results]),
+            figure=drawings(*results),
+        )
+    )
+    write_file(path, page)
+
+
+def _record(result: ModalResult, place: int) -> Json:
+    parts = describe(result)["modes"].parts
+    return {
+        "name": result.name,
+        "how": next(part.text for part in parts if isinstance(part, Sentence)),
+        "tables": [
+            dataclasses.replace(table, key=f"{table.key}-{place}")
+            for part in parts
+            if isinstance(part, Table)
+            for table in (part.folded(MOST_SHAPES) if part.key == "identified-shapes" else (part,))
+        ],
+        "findings": result.findings,
+    }
 
 
 # Mode shapes as drawings that a small script of the page can set in motion.

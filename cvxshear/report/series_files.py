@@ -23,7 +23,7 @@ ACCELERATION, DISPLACEMENT, FORCE = 12, 8, 13
 """Of universal files: the function type, the direction, and the kinds of ordinate."""
 
 
-NAMES = {
+COLUMN_NAMES = {
     "floor_acceleration": "acceleration",
     "floor_displacement": "displacement",
     "story_drift": "drift",
@@ -62,7 +62,7 @@ def series(result: Moved) -> dict[str, Floats]:
     -------
     dict of str to ndarray, shape (samples,)
         `run` (from 1, several one after the other), `time` (s, from the start of each), `excitation` (m/s2 or N), then
-        those of `NAMES` that apply, each followed by its standard deviations (`drift_std_1`) where they are known.
+        those of `COLUMN_NAMES` that apply, each followed by its standard deviations (`drift_std_1`) where known.
     """
     runs = []
     for place, run in enumerate(_runs(result), 1):
@@ -71,9 +71,9 @@ def series(result: Moved) -> dict[str, Floats]:
         }  # fmt: skip
         for quantity, values in histories(run.response).items():
             if values is not None:
-                columns |= _columns(NAMES[quantity], values)
+                columns |= _columns(COLUMN_NAMES[quantity], values)
                 if quantity in run.std:
-                    columns |= _columns(f"{NAMES[quantity]}_std", run.std[quantity])
+                    columns |= _columns(f"{COLUMN_NAMES[quantity]}_std", run.std[quantity])
         runs.append(columns)
     return {name: np.concatenate([columns[name] for columns in runs]) for name in runs[0]}
 
@@ -98,7 +98,7 @@ def write_series(path: str | Path, result: Moved) -> None:
     InputError
         Where the ending is another, pyuff is missing for .uff, or the file cannot be written.
     """
-    write_file(path, WRITERS[series_kind(path)](result))
+    write_file(path, SERIES_WRITERS[series_kind(path)](result))
 
 
 def series_kind(path: str | Path) -> str:
@@ -109,7 +109,7 @@ def series_kind(path: str | Path) -> str:
     InputError
         Where it ends in something else.
     """
-    return ending_of(path, WRITERS, "time series are written as")
+    return ending_of(path, SERIES_WRITERS, "time series are written as")
 
 
 def _csv(result: Moved) -> bytes:
@@ -178,5 +178,5 @@ def _function(pyuff: object, name: str, kind: int, floor: int, time: Floats, val
     return made
 
 
-WRITERS: dict[str, Callable[[Moved], bytes]] = {"csv": _csv, "mat": _mat, "npz": _npz, "uff": _uff}
+SERIES_WRITERS: dict[str, Callable[[Moved], bytes]] = {"csv": _csv, "mat": _mat, "npz": _npz, "uff": _uff}
 """By the ending of the file."""

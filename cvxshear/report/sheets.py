@@ -15,6 +15,7 @@ from cvxshear.util.typing import Json
 
 FRAME = ("floor / story", "floor mass, kg", "floor mass std, kg", "story stiffness, N/m", "story stiffness std, N/m")
 
+
 def sheets_of_modes(results: Sequence[ModalResult]) -> list[Sheet]:
     """One sheet a record, as `csv` and `xlsx` of a configuration read it."""
     return [_modes(result) for result in results]

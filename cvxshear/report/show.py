@@ -9,7 +9,7 @@ from typing import Any
 from cvxshear.report.describe import describe, line
 from cvxshear.report.terminal import text
 from cvxshear.util.errors import InputError
-from cvxshear.util.showing import Renderers, register
+from cvxshear.util.results import Renderers, register
 from cvxshear.util.text import printable
 
 FIRST_SECTION = "verdict"
@@ -49,4 +49,17 @@ def drawn(result: Any, name: str) -> Any:
     return figures.drawn_figure(name or first, result)
 
 
-register(Renderers(line=lambda result: printable(line(result)), text=text, html=notebook_html, figure=drawn))
+def picked(result: Any, record_file: Any) -> Any:
+    """The diagram of modes in which poles are chosen by clicking."""
+    try:
+        from cvxshear.report.figures.picked_poles import opened  # noqa: PLC0415 - matplotlib is optional
+    except ImportError as error:
+        raise InputError(f"choosing poles in a diagram needs {error.name}: pip install matplotlib") from None
+    return opened(result, record_file)
+
+
+register(
+    Renderers(
+        line=lambda result: printable(line(result)), text=text, html=notebook_html, figure=drawn, pick=picked
+    )
+)

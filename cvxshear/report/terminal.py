@@ -36,7 +36,7 @@ __all__ = [
     "text",
 ]
 
-GAP = 2
+COLUMN_GAP = 2
 """Spaces between columns."""
 
 NARROWEST = 18
@@ -55,7 +55,7 @@ class HouseTable(Grid):
     """
 
     def __init__(self, heading: str, words: Sequence[int] = (0,)) -> None:
-        super().__init__(box=None, pad_edge=False, padding=(0, GAP, 0, 0))
+        super().__init__(box=None, pad_edge=False, padding=(0, COLUMN_GAP, 0, 0))
         self.heading = heading
         self.words = tuple(words)
 
@@ -74,18 +74,18 @@ class HouseTable(Grid):
     def _blocks(self, width: int) -> Iterator[HouseTable]:
         """The table, or several of its columns each with its leading words before them."""
         least = [_least(column, self._wraps(at)) for at, column in enumerate(self.columns)]
-        if sum(least) + GAP * len(least) <= width:
+        if sum(least) + COLUMN_GAP * len(least) <= width:
             yield self._of(range(len(self.columns)), least, width)
             return
         lead = [at for at in range(len(self.columns)) if at in self.words and all(i in self.words for i in range(at))]
-        taken = sum(least[at] + GAP for at in lead)
+        taken = sum(least[at] + COLUMN_GAP for at in lead)
         block, used = list(lead), taken
         for at in range(len(lead), len(self.columns)):
-            if len(block) > len(lead) and used + least[at] + GAP > width:
+            if len(block) > len(lead) and used + least[at] + COLUMN_GAP > width:
                 yield self._of(block, least, width)
                 block, used = list(lead), taken
             block.append(at)
-            used += least[at] + GAP
+            used += least[at] + COLUMN_GAP
         yield self._of(block, least, width)
 
     def _wraps(self, at: int) -> bool:
@@ -96,7 +96,7 @@ class HouseTable(Grid):
         block = HouseTable("", [place for place, at in enumerate(columns) if at in self.words])
         # Where the headers have to be wrapped, rich makes all columns alike, whatever their least width, and cuts what
         # then is too wide: so the columns of numbers are given theirs, and the words have the rest.
-        tight = sum(_natural(self.columns[at]) + GAP for at in columns) > width + GAP
+        tight = sum(_natural(self.columns[at]) + COLUMN_GAP for at in columns) > width + COLUMN_GAP
         for at in columns:
             block.add_column(
                 self.columns[at].header,

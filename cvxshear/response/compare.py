@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import signal
 
-from cvxshear.fit.results import plain
 from cvxshear.records.motion import Motion
 from cvxshear.response.damped import Complexes, DampedModel, Response
 from cvxshear.util.quantities import ranged
-from cvxshear.util.typing import Bools, Floats, Ints, Json
+from cvxshear.util.results import InJson
+from cvxshear.util.typing import Bools, Floats, Ints
 
 SEGMENTS = 4
 """Pieces, half overlapping, that the shortest run is cut into at least: fewer show no coherence."""
@@ -184,7 +184,7 @@ class Shift:
 
 
 @dataclass(frozen=True, eq=False)
-class RecordComparison:
+class RecordComparison(InJson):
     """Errors of the predicted accelerations.
 
     Parameters
@@ -213,15 +213,7 @@ class RecordComparison:
     predicted: Transfer
     contradiction: str = ""
 
-    def to_dict(self) -> Json:
-        """The documented JSON."""
-        return {
-            "floors": self.floors.tolist(),
-            "nrmse": plain(self.nrmse),
-            "rms_ratio": plain(self.rms_ratio),
-            "peak_ratio": plain(self.peak_ratio),
-            "frf_error": plain(self.frf_error),
-        }
+    json_keys = "floors nrmse rms_ratio peak_ratio frf_error"
 
 
 def seen(model: DampedModel, response: Response, floors: Ints) -> Floats:

@@ -9,15 +9,14 @@ import numpy as np
 from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.results import plain
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.response.dashpots import LEAST_RATIO, MISSED, known
 from cvxshear.response.fitted import Fitted
 from cvxshear.response.uncertain import Damped, UncertainFrame, propagated
 from cvxshear.util import checks
 from cvxshear.util.quantities import percent, ranged
-from cvxshear.util.showing import Shown
-from cvxshear.util.typing import Floats, Json
+from cvxshear.util.results import Shown
+from cvxshear.util.typing import Floats
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -50,19 +49,10 @@ class IdentifiedDamping(Shown):
     measured: Floats | None = None
     remarks: tuple[str, ...] = ()
 
-    def to_dict(self) -> Json:
-        """The documented JSON; null where it does not apply."""
-        return {
-            "kind": self.kind,
-            "story_dashpot": plain(self.story_dashpot),
-            "story_dashpot_std": plain(self.story_dashpot_std),
-            "ratios": plain(self.ratios),
-            "ratios_std": plain(self.ratios_std),
-            "ratios_measured": plain(self.measured),
-            "rayleigh": plain(self.rayleigh),
-            "rayleigh_std": plain(self.rayleigh_std),
-            "remarks": list(self.remarks),
-        }
+    json_keys = (
+        "kind story_dashpot story_dashpot_std ratios ratios_std ratios_measured=measured rayleigh "
+        "rayleigh_std remarks"
+    )
 
 
 def parts_of(damped: Damped) -> Floats:

@@ -15,6 +15,7 @@ from cvxshear.measurement.experiment import Experiment
 from cvxshear.methods import Identification
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
+from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats, Json
 
 NO_VARIANCE = 1e-12
@@ -26,7 +27,7 @@ IMPROBABLE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class Fitted(InJson):
     """A fitted model.
 
     Parameters
@@ -55,6 +56,8 @@ class Fitted:
     mass_known: bool = True
     misfit: float = 1.0
     lacking: float = 0.0
+
+    json_keys = "effects theta covariance undetermined misfit lacking"
 
     @staticmethod
     def of(estimate: Estimate, *, mass_known: bool = True) -> Fitted:
@@ -103,14 +106,8 @@ class Fitted:
 
     def to_dict(self) -> Json:
         """Parameters, covariance and effects; the experiment is written once for several models of it."""
-        return {
-            "effects": [{**placed.to_dict(), "fixed": list(placed.fixed)} for placed in self.effects],
-            "theta": self.theta.tolist(),
-            "covariance": None if self.covariance is None else self.covariance.tolist(),
-            "undetermined": [list(names) for names in self.undetermined],
-            "misfit": self.misfit,
-            "lacking": self.lacking,
-        }
+        effects = [{**placed.to_dict(), "fixed": list(placed.fixed)} for placed in self.effects]
+        return super().to_dict() | {"effects": effects}
 
     @staticmethod
     def from_dict(declared: object, experiment: Experiment, where: str, *, mass_known: bool) -> Fitted:
@@ -152,7 +149,7 @@ def _placed(item: object, where: str, experiment: Experiment) -> Placed:
 
 
 @dataclass(frozen=True, eq=False)
-class Models:
+class Models(InJson):
     """The model that closing the loop began with and the one that it ended with.
 
     Parameters
@@ -165,15 +162,7 @@ class Models:
     before: Fitted | None
     after: Fitted
 
-    def to_dict(self) -> Json:
-        """The experiment and both models, as `loop --json` writes them below "model"."""
-        return {
-            "experiment": without_nan(self.after.experiment.to_dict()),
-            "name": self.after.experiment.name,
-            "mass_known": self.after.mass_known,
-            "before": None if self.before is None else self.before.to_dict(),
-            "after": self.after.to_dict(),
-        }
+    json_keys = "experiment=after.experiment name=after.experiment.name mass_known=after.mass_known before after"
 
     @staticmethod
     def from_dict(declared: object, where: str) -> Models:
@@ -187,15 +176,6 @@ class Models:
             None if before is None else Fitted.from_dict(before, experiment, f"{where}: before", mass_known=known),
             Fitted.from_dict(table["after"], experiment, f"{where}: after", mass_known=known),
         )
-
-
-def without_nan(value: object) -> object:
-    """JSON knows no nan: null stands for an entry that was not measured."""
-    if isinstance(value, Mapping):
-        return {key: without_nan(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [without_nan(item) for item in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def _with_nan(declared: object) -> object:

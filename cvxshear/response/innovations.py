@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.response.damped import DampedModel
-from cvxshear.response.dynamics import Dynamics, Noise, Setting, doubled, dynamics, recursion
+from cvxshear.response.dynamics import SHORT, Dynamics, Noise, Setting, doubled, dynamics, recursion
 from cvxshear.response.smoother import Steady
 from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util.typing import Floats

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.fit.results import plain
 from cvxshear.response.damped import Response, held
+from cvxshear.util.results import InJson, as_json
 from cvxshear.util.typing import Floats, Json
 
 RESPONSES = {
@@ -65,23 +65,16 @@ class Peaks:
         result: Json = {}
         for name in RESPONSES:
             single = name in ("base_shear", "overturning_moment")
-            result[name] = _plain(self.values.get(name), single=single)
-            result[f"{name}_std"] = _plain(self.std.get(name), single=single)
+            for key, values in ((name, self.values.get(name)), (f"{name}_std", self.std.get(name))):
+                result[key] = as_json(values[0] if single and values is not None else values)
         return result
-
-
-def _plain(values: Floats | None, *, single: bool) -> object:
-    if values is None:
-        return None
-    listed = [None if np.isnan(value) else float(value) for value in values]
-    return listed[0] if single else listed
 
 
 SPECTRUM_LINES = 60
 
 
 @dataclass(frozen=True, eq=False)
-class FloorSpectra:
+class FloorSpectra(InJson):
     """Largest total acceleration of an oscillator on each floor.
 
     Parameters
@@ -97,14 +90,6 @@ class FloorSpectra:
     frequencies: Floats
     damping: float
     acceleration: Floats
-
-    def to_dict(self) -> Json:
-        """The fields as lists."""
-        return {
-            "frequencies": plain(self.frequencies),
-            "damping": self.damping,
-            "acceleration": plain(self.acceleration),
-        }
 
 
 def spectrum_lines(first: float, last: float, rate: float) -> Floats:

@@ -22,8 +22,8 @@ from cvxshear.response.sources import ModelSource, MotionSource, models_of, moti
 from cvxshear.response.uncertain import Damped, UncertainFrame, propagated
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import percent
-from cvxshear.util.showing import Shown
-from cvxshear.util.typing import Floats, Json
+from cvxshear.util.results import Shown
+from cvxshear.util.typing import Floats
 
 BANDS = ("floor_acceleration", "story_drift", "story_drift_ratio")
 """Quantities whose deviations are given over time: what is compared with a record, and what owners ask for."""
@@ -88,6 +88,13 @@ class RecordPrediction(Shown):
     std: tuple[dict[str, Floats], ...]
     remarks: tuple[str, ...]
 
+    json_keys = (
+        "experiment=after.fitted.experiment.name record=motion.name input=motion.input "
+        "configuration=configuration.name backend effects=after.fitted.effects "
+        "frequencies=after.damped.model.modes.frequencies before=before.comparison after=after.comparison "
+        "peaks damping floor_spectra=spectra remarks"
+    )
+
     @property
     def otherwise_before(self) -> Side | None:
         """What the shear model predicts, where that is not what `after` does: None where nothing was added to it."""
@@ -105,28 +112,6 @@ class RecordPrediction(Shown):
         lines = spectrum_lines(float(natural[0]), float(natural[-1]), self.motion.sampling_rate)
         runs = [floor_spectra(item.acceleration, self.motion.step, lines) for item in self.after.responses]
         return FloorSpectra(lines, runs[0].damping, np.max([run.acceleration for run in runs], axis=0))
-
-    def to_dict(self) -> Json:
-        """The documented JSON; null where it does not apply."""
-        return {
-            "experiment": self.after.fitted.experiment.name,
-            "record": self.motion.name,
-            "input": self.motion.input,
-            "configuration": self.configuration.name,
-            "backend": self.backend,
-            "effects": [placed.to_dict() for placed in self.after.fitted.effects],
-            "frequencies": self.after.damped.model.modes.frequencies.tolist(),
-            "before": None if self.before is None else _errors(self.before),
-            "after": _errors(self.after),
-            "peaks": self.peaks.to_dict(),
-            "damping": self.damping.to_dict(),
-            "floor_spectra": self.spectra.to_dict(),
-            "remarks": list(self.remarks),
-        }
-
-
-def _errors(side: Side) -> Json | None:
-    return None if side.comparison is None else side.comparison.to_dict()
 
 
 def predict(

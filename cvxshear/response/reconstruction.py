@@ -18,7 +18,6 @@ from scipy import stats
 
 from cvxshear import backends
 from cvxshear.backends import Backend
-from cvxshear.fit.results import plain
 from cvxshear.measurement.experiment import Configuration, Limits
 from cvxshear.response.damped import DampedModel, Response
 from cvxshear.response.fitted import Fitted
@@ -31,7 +30,7 @@ from cvxshear.response.sources import ModelSource, models_of, state_of, state_re
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import percent, ranged
-from cvxshear.util.showing import Shown
+from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Floats, Json
 
 NAMED_CHANGE = 0.95
@@ -122,45 +121,43 @@ class Reconstruction(Shown):
 
     def to_dict(self) -> Json:
         """The documented JSON; null where it does not apply."""
-        frame, n = self.frame, len(self.model.M)
-        noise = frame.errors.noise_at(frame.p)
-        return {
-            "experiment": self.fitted.experiment.name,
-            "record": self.recording.name,
-            "input": self.recording.input,
-            "configuration": self.configuration.name,
-            "backend": self.backend,
-            "effects": [placed.to_dict() for placed in self.fitted.effects],
-            "measured_floors": self.recording.floors.tolist(),
-            "checks": [dataclasses.asdict(each) for each in self.checks],
-            "widening": self.widening,
-            "whiteness": [dataclasses.asdict(each) for each in self.whiteness],
-            "frame": {
-                "story_factor": plain(frame.factors),
-                "story_factor_std": plain(frame.factors_std),
-                "change_probability": plain(frame.story_probability),
-                "changed": list(self.changed),
-                "frequencies": plain(self.model.modes.frequencies),
-                "damping_ratios": plain(self.model.ratios),
-                "converged": frame.converged,
-                "inflation": frame.inflation,
-            },
-            "noise": {"sensor": plain(noise.sensors), "story_force": noise.force},
-            "peaks": self.peaks.to_dict(),
-            "predicted_peaks": None if self.predicted_peaks is None else self.predicted_peaks.to_dict(),
-            "limits": None
-            if self.limits is None
-            else [
-                {
-                    "name": name,
-                    "story_drift": float(limit),
-                    "probability": [None] * n if self.passed is None else plain(self.passed[place]),
-                }
-                for place, (name, limit) in enumerate(zip(self.limits.names, self.limits.story_drift, strict=True))
-            ],
-            "floor_spectra": {**self.spectra.to_dict(), "acceleration_std": plain(self.spectra_std)},
-            "remarks": list(self.remarks),
-        }
+        frame, none = self.frame, [None] * len(self.model.M)
+        noise, chances = frame.errors.noise_at(frame.p), self.passed
+        limits = self.limits and [
+            {"name": name, "story_drift": drift, "probability": none if chances is None else chances[place]}
+            for place, (name, drift) in enumerate(zip(self.limits.names, self.limits.story_drift, strict=True))
+        ]
+        found: Json = as_json(
+            {
+                "experiment": self.fitted.experiment.name,
+                "record": self.recording.name,
+                "input": self.recording.input,
+                "configuration": self.configuration.name,
+                "backend": self.backend,
+                "effects": self.fitted.effects,
+                "measured_floors": self.recording.floors,
+                "checks": self.checks,
+                "widening": self.widening,
+                "whiteness": self.whiteness,
+                "frame": {
+                    "story_factor": frame.factors,
+                    "story_factor_std": frame.factors_std,
+                    "change_probability": frame.story_probability,
+                    "changed": self.changed,
+                    "frequencies": self.model.modes.frequencies,
+                    "damping_ratios": self.model.ratios,
+                    "converged": frame.converged,
+                    "inflation": frame.inflation,
+                },
+                "noise": {"sensor": noise.sensors, "story_force": noise.force},
+                "peaks": self.peaks,
+                "predicted_peaks": self.predicted_peaks,
+                "limits": limits,
+                "floor_spectra": {**self.spectra.to_dict(), "acceleration_std": self.spectra_std},
+                "remarks": self.remarks,
+            }
+        )
+        return found
 
 
 def reconstruct(

@@ -92,7 +92,8 @@ def load_unscaled(path: str | Path) -> tuple[Experiment, bool]:
     except NoScaleError:
         path = Path(path)
         declared = dict(with_modes_read(parse(read_text(path), path), path.parent))
-        declared["frame"] = {**(declared.get("frame") or {}), "total_mass": 1.0}
+        placeholder = {"total_mass": 1.0, "total_mass_placeholder": True}
+        declared["frame"] = {**(declared.get("frame") or {}), **placeholder}
         return Experiment.from_dict(declared, name=path.stem), False
 
 

@@ -116,8 +116,7 @@ class VariedFrame:
         masses = np.diagonal(self.dM, axis1=1, axis2=2) / np.diag(self.centre.model.M)
         stiffness = np.sum((own.shapes @ self.dK) * own.shapes, axis=2) / own.eigenvalues
         square: Floats = np.mean(masses**2, axis=1) + np.mean(stiffness**2, axis=1)
-        share: Floats = np.sqrt(np.maximum(square, 1e-8))
-        return share
+        return np.asarray(np.sqrt(np.maximum(square, 1e-8)), dtype=np.float64)
 
     def model(self, unknowns: Floats) -> DampedModel:
         """The frame of given unknowns: logarithms, logarithms, standard deviations, and e_ij.

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
+from cvxshear.util.results import InJson
 from cvxshear.util.typing import Json
 
 
 @dataclass(frozen=True)
-class Finding:
+class Finding(InJson):
     """One thing that looks wrong, and what to change.
 
     Parameters
@@ -43,17 +44,6 @@ class Finding:
     def how_to_accept(self) -> str:
         """The line of the measurement file that lets it pass."""
         return f'[frame] accept = ["{self.name}"]'
-
-    def to_dict(self) -> Json:
-        """The finding as plain values."""
-        return {
-            "name": self.name,
-            "configuration": self.configuration,
-            "found": self.found,
-            "change": self.change,
-            "refuses": self.refuses,
-            "rivals": list(self.rivals),
-        }
 
 
 def in_json(found: Iterable[Finding] | None) -> Json:

@@ -38,7 +38,7 @@ from cvxshear.screening.shear_fit import (
     starts,
 )
 from cvxshear.util.errors import InputError
-from cvxshear.util.showing import Shown
+from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats, Json
 
 SHOWN_MODES = 3
@@ -115,6 +115,8 @@ class Screening(Shown):
     findings: tuple[Finding, ...]
     record: tuple[Remark, ...] = ()
 
+    json_keys = "name refused findings record"
+
     @staticmethod
     def of(experiment: Experiment, record: Iterable[Remark] = ()) -> Screening:
         """What looks wrong in an experiment, and what was said of the records that it comes from."""
@@ -124,15 +126,6 @@ class Screening(Shown):
     def refused(self) -> bool:
         """Whether nothing is to be fitted before something is changed or accepted."""
         return any(item.refuses for item in self.findings)
-
-    def to_dict(self) -> Json:
-        """The documented JSON."""
-        return {
-            "name": self.name,
-            "refused": self.refused,
-            "findings": [item.to_dict() for item in self.findings],
-            "record": [item.to_dict() for item in self.record],
-        }
 
 
 def screen(experiment: Experiment) -> tuple[Finding, ...]:

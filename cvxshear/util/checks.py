@@ -18,7 +18,7 @@ import numpy as np
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
 
-T = TypeVar("T", bound=np.generic)
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 MOST_STORIES = 2000
 """More are taken for a mistake in the file: the matrices alone would fill the memory."""
@@ -156,14 +156,14 @@ def vector(
     where: str,
     *,
     length: int | None = None,
-    of: str = "",
+    each: str = "",
     above: float = -math.inf,
     least: float = -math.inf,
     nan: bool = False,
 ) -> Floats:
     """A list of numbers as a read-only array; entries may be nan only where `nan` says so.
 
-    `of` says what the entries stand for, for the message about a wrong `length`: ", one a mode".
+    `each` says what the entries stand for, for the message about a wrong `length`: ", one a mode".
     """
     if isinstance(value, np.ndarray) and _clean(value, 1, above=above, least=least, nan=nan) and length in (
         None, len(value),
@@ -173,7 +173,7 @@ def vector(
     if not items:
         raise InputError(f"{where} must not be empty")
     if length is not None and len(items) != length:
-        raise InputError(f"{where} must have {entries(length)}{of}, not {len(items)}")
+        raise InputError(f"{where} must have {entries(length)}{each}, not {len(items)}")
     result = np.array(
         [
             math.nan
@@ -196,12 +196,12 @@ def many(value: object) -> bool:
 
 
 def one_or_many(
-    value: object, where: str, length: int, *, of: str = "", above: float = -math.inf, least: float = -math.inf,
+    value: object, where: str, length: int, *, each: str = "", above: float = -math.inf, least: float = -math.inf,
     nan: bool = False,
 ) -> Floats:  # fmt: skip
     """One number for all `length` places, or a list of that many; nan in a list only where `nan` says so."""
     if many(value):
-        return vector(value, where, length=length, of=of, above=above, least=least, nan=nan)
+        return vector(value, where, length=length, each=each, above=above, least=least, nan=nan)
     return frozen(np.full(length, number(value, where, above=above, least=least)))
 
 
@@ -236,7 +236,7 @@ def table(value: object, where: str, *, rows: int, nan: bool = False, above: flo
     return frozen(np.array(lines))
 
 
-def frozen(array: np.ndarray[Any, np.dtype[T]]) -> np.ndarray[Any, np.dtype[T]]:
+def frozen(array: np.ndarray[Any, np.dtype[Scalar]]) -> np.ndarray[Any, np.dtype[Scalar]]:
     """The array, no longer writable."""
     array.setflags(write=False)
     return array

@@ -28,8 +28,8 @@ from cvxshear.util.errors import LostProcessError
 
 logger = logging.getLogger(__name__)
 
-T = TypeVar("T")
-U = TypeVar("U")
+Item = TypeVar("Item")
+Done = TypeVar("Done")
 
 MOST_JOBS = 4096
 TASKS_A_JOB = 8
@@ -42,7 +42,9 @@ Progress = Callable[[int, int], None]
 """Called with the number of things done and to do."""
 
 
-def each(function: Callable[[T], U], items: Iterable[T], *, jobs: int = 1, progress: Progress | None = None) -> list[U]:
+def each(
+    function: Callable[[Item], Done], items: Iterable[Item], *, jobs: int = 1, progress: Progress | None = None
+) -> list[Done]:
     """function(item) for every item, in their order.
 
     Parameters
@@ -66,7 +68,7 @@ def each(function: Callable[[T], U], items: Iterable[T], *, jobs: int = 1, progr
     if jobs != -1:
         checks.whole(jobs, "jobs", least=1, most=MOST_JOBS)
     chunks = _chunks(todo, jobs, seen=progress is not None)
-    results: list[U] = []
+    results: list[Done] = []
     options: dict[str, Any] = {} if jobs == 1 else {"initializer": end_with, "initargs": (os.getpid(),)}
     try:
         with nullcontext() if jobs == 1 else _interruption_held():
@@ -87,7 +89,7 @@ def each(function: Callable[[T], U], items: Iterable[T], *, jobs: int = 1, progr
     return results
 
 
-def _chunks(items: Sequence[T], jobs: int, *, seen: bool) -> list[Sequence[T]]:
+def _chunks(items: Sequence[Item], jobs: int, *, seen: bool) -> list[Sequence[Item]]:
     """Consecutive parts of the items."""
     processes = cpu_count() if jobs == -1 else jobs
     alone = 100 if seen else 1
@@ -96,7 +98,7 @@ def _chunks(items: Sequence[T], jobs: int, *, seen: bool) -> list[Sequence[T]]:
     return [items[first : first + size] for first in range(0, len(items), size)]
 
 
-def _done(function: Callable[[T], U], items: Sequence[T]) -> list[U]:
+def _done(function: Callable[[Item], Done], items: Sequence[Item]) -> list[Done]:
     # The matrices are small: threads inside a process among several would only get in each other's way.
     with threadpool_limits(1):
         return [function(item) for item in items]

@@ -11,7 +11,7 @@ from cvxshear.util.errors import InputError
 
 PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""))
 
-UNITS = {
+DISPLAY_UNITS = {
     "mass": {"g": 1e-3, "kg": 1.0, "t": 1e3},
     "force": {"N": 1.0, "kN": 1e3, "MN": 1e6, "GN": 1e9},
     "length": {"mm": 1e-3, "cm": 1e-2, "m": 1.0},
@@ -19,7 +19,7 @@ UNITS = {
 """What a unit is in kg, N or m."""
 
 TONNES = 1e4
-"""kg from which on masses are told in tonnes."""
+"""Mass from which masses are written in tonnes, kg."""
 
 PLAIN = (1e-4, 1e6)
 """Sizes from which and up to which a number is written without a power of ten."""
@@ -45,7 +45,7 @@ class Units:
     Parameters
     ----------
     mass, force, length : str or None
-        Of `UNITS`. A stiffness has the unit force / length.
+        Of `DISPLAY_UNITS`. A stiffness has the unit force / length.
     relative : bool, optional
         Whether a total mass of 1 stands for one that nobody gave; masses are then shown as parts of it, stiffnesses
         per mass.
@@ -63,13 +63,13 @@ class Units:
         Raises
         ------
         InputError
-            Where one is none of `UNITS`, or two are of one quantity.
+            Where one is none of `DISPLAY_UNITS`, or two are of one quantity.
         """
         found: dict[str, Any] = {}
         for name in [] if text is None else [part.strip() for part in text.split(",") if part.strip()]:
-            quantity = next((key for key, units in UNITS.items() if name in units), None)
+            quantity = next((key for key, units in DISPLAY_UNITS.items() if name in units), None)
             if quantity is None:
-                known = ", ".join(unit for units in UNITS.values() for unit in units)
+                known = ", ".join(unit for units in DISPLAY_UNITS.values() for unit in units)
                 raise InputError(f"there is no display unit {name!r}; there are {known}, such as t,kN,mm")
             if quantity in found:
                 raise InputError(f"the display units {found[quantity]} and {name} are both of {quantity}; name one")
@@ -80,7 +80,7 @@ class Units:
         """kg in the unit that masses are shown in, and its name."""
         if self.relative:
             return 1.0, "of the total"
-        return fitting(values, "kg") if self.mass is None else (UNITS["mass"][self.mass], self.mass)
+        return fitting(values, "kg") if self.mass is None else (DISPLAY_UNITS["mass"][self.mass], self.mass)
 
     def of_stiffness(self, values: Iterable[float]) -> tuple[float, str]:
         """N/m in the unit that stiffnesses are shown in, and its name."""
@@ -90,10 +90,10 @@ class Units:
             return fitting(values, "N/m")
         length = self.length or "m"
         if self.force is None:
-            factor, force = scaled([value * UNITS["length"][length] for value in values], "N")
+            factor, force = scaled([value * DISPLAY_UNITS["length"][length] for value in values], "N")
         else:
-            factor, force = UNITS["force"][self.force], self.force
-        return factor / UNITS["length"][length], f"{force}/{length}"
+            factor, force = DISPLAY_UNITS["force"][self.force], self.force
+        return factor / DISPLAY_UNITS["length"][length], f"{force}/{length}"
 
 
 AUTOMATIC = Units()

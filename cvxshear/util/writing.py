@@ -137,7 +137,7 @@ def _check_place(path: Path) -> None:
         raise InputError(f"{path} is read-only; name another file, or make it writable")
     if not path.parent.is_dir():
         raise InputError(f"{path} cannot be written: there is no folder {path.parent}")
-    # Rights, quotas and read-only disks are told by trying alone.
+    # Rights, quotas and read-only disks show only by trying.
     descriptor, beside = _new_file(path)
     os.close(descriptor)
     beside.unlink()

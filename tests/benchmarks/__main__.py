@@ -1,6 +1,7 @@
 """Print the tables of docs/speed.md: `python -m tests.benchmarks [starting] [scaling] [many] [solvers] [peers]`.
 
 `python -m tests.benchmarks hard --programs 1000 --seed 1` prints that of docs/theory/backends.md,
+`python -m tests.benchmarks hard-frames --frames 100 --seed 1` that of docs/reliability.md,
 `python -m tests.benchmarks nested` that of docs/calibration.md.
 """
 
@@ -13,14 +14,17 @@ PARTS = ("starting", "scaling", "many", "solvers", "peers", "response", "plannin
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks")
-    choices = [*PARTS, "hard", "nested", []]
+    choices = [*PARTS, "hard", "hard-frames", "nested", []]
     parser.add_argument("parts", nargs="*", choices=choices, help="tables; all of docs/speed.md's if none")
     parser.add_argument("--programs", type=int, default=1000, help="hard: number of programs")
-    parser.add_argument("--seed", type=int, default=1, help="hard: seed of the programs")
+    parser.add_argument("--frames", type=int, default=100, help="hard-frames: number of frames")
+    parser.add_argument("--seed", type=int, default=1, help="hard, hard-frames: seed")
     given = parser.parse_args()
     print(machine())
     for part in given.parts or PARTS:
         if part == "hard":
             import_module("tests.benchmarks.hard_programs").main(given.programs, given.seed)
+        elif part == "hard-frames":
+            import_module("tests.benchmarks.hard_frames").main(given.frames, given.seed)
         else:
             import_module(f"tests.benchmarks.{part}").main()

@@ -162,8 +162,8 @@ def main(trials=10, jobs=1):
                 off = np.sqrt(np.mean([item[0][way] ** 2 for item in found]))
                 own = np.sqrt(np.mean([item[0][way][item[4] - 1] ** 2 for item in found]))
                 cells.append(f"{100 * off:.1f} %" + (f" ({100 * own:.1f})" if case == "soft" else ""))
-            for way in range(2):
-                cells.append(f"{100 * np.mean([np.abs(item[1][way]) <= NORMAL_95 for item in found]):.0f} %")
+            within = [np.mean([np.abs(item[1][way]) <= NORMAL_95 for item in found]) for way in range(2)]
+            cells += [f"{100 * share:.0f} %" for share in within]
             cells.append(f"{100 * np.mean([item[2][1] for item in found]):.0f} %")
             named = sum(item[4] in item[3] for item in found)
             wrong = sum(len(set(item[3]) - {item[4]}) for item in found)

@@ -13,8 +13,8 @@ import numpy as np
 
 from cvxshear.modal.identify import identify_modes
 from cvxshear.modal.result import ModalResult
+from cvxshear.records.mode_shapes import scaled_to_one
 from cvxshear.records.record import TimeRecord
-from cvxshear.records.shapes import scaled_to_one
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
 from cvxshear.util.typing import Floats, Json
 

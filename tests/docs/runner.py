@@ -11,17 +11,24 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import functools
 import io
 import json
 import os
+import pickle
 import runpy
 import shlex
 import shutil
 import sys
 import tempfile
 import traceback
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 FENCE = "```"
 
@@ -147,7 +154,34 @@ def run_page(page: Path) -> dict[str, str]:
     return printed
 
 
+def once(function: Callable[P, R]) -> Callable[P, R]:
+    """The function, which returns what it returned before where all its arguments are the same.
+
+    Pages show the same frames again and again. What cannot be pickled, such as an effect that a page writes itself, is
+    computed every time, and so is everything after a page has registered something.
+    """
+    made: dict[bytes, R] = {}
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        from cvxshear.data.registry import _kinds  # noqa: PLC0415
+        from cvxshear.effects import catalogue  # noqa: PLC0415
+
+        try:
+            key = pickle.dumps((args, sorted(kwargs.items()), [each.name for each in catalogue()], sorted(_kinds)))
+        except (pickle.PicklingError, AttributeError, TypeError):
+            return function(*args, **kwargs)
+        if key not in made:
+            made[key] = function(*args, **kwargs)
+        return made[key]
+
+    return call
+
+
 def main(arguments: list[str]) -> None:
+    import cvxshear.loop  # noqa: PLC0415
+
+    cvxshear.close_loop = cvxshear.loop.close_loop = once(cvxshear.loop.close_loop)
     examples, *pages = [Path(argument).resolve() for argument in arguments]
     results = {}
     for page in pages:

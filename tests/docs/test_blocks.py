@@ -1,4 +1,4 @@
-"""What the documentation shows runs, and prints what the page says it prints."""
+"""What the documentation shows and the scripts in examples/ run, and print what they should."""
 
 import ast
 import functools
@@ -7,15 +7,17 @@ import os
 import re
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import cvxshear
+from cvxshear.records.simulate import PAPER_FRAME
 from tests.docs import runner
 from tests.docs.runner import Block, blocks, commands
-
-pytestmark = pytest.mark.xdist_group("pages")  # run once, and looked at by every test
+from tests.frames import EXAMPLES
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -24,22 +26,64 @@ RUN = [page for page in PAGES if any(block.language in ("python", "console") for
 TOLERANCE = 0.02
 """Relative difference of two printed numbers that a page need not be mended for: other machines round otherwise."""
 
+SCRIPT = re.compile(r"python examples/(\w+)\.py")
 PLACE = re.compile(r"`([\w/]+\.py):([\w.]+)`")
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?")
 
 
+SHOWN = {
+    "physical_bounds": r"without bounds .* 34 % off\nwith bounds .* 17 % off",
+    "compare_backends": r"bounded mass +\d+ backends, farthest [\w-]+: \d+e-\d+ from the consensus",
+    "floor_ratio": r"no prior .*= 2\.742\nwithin 2 % .*= 2\.014\nexact .*= 2\.000",
+    "los_alamos": r"ambiguous, 8 effects\n(state \d .*\n){8}",
+    "own_datum": r"drawings alone +m = \[10\.8 .*\nwith the gauge +m = \[10\. +7\.5 +5\. \] ± \[0\.06",
+    "before_and_after": r"before_and_after\.toml: 2 states, 4 tests",
+    "own_prior": r"not weighed .*= 10\.79 kg\nweighed .*= 12\.44 kg",
+    "own_backend": r"slsqp +m = (.*) kg\nclarabel +m = \1 kg",
+    "close_the_loop": r"verdict: explained\ngravity: .*gamma.*: 1\.2.*\n.*1\.83 % before, 0\.34 % after",
+    "modes_from_hammer": r"mode 1: 1\.0336 Hz .*[\s\S]*floor_mass 1: 10\.01 ± 0\.05 kg\nfloor_mass 2: 7\.51 ± ",
+    "plan_a_test": r"floors \[1, 4, 6, 7\][\s\S]*1 test: .* 0\.00\n.*2 tests: .*\[10\.0, 10\.0\].* 0\.9",
+    "three_shaker_records": r"bare\.toml, bare\.csv: 30720 samples at 256 Hz, stamped 0\.004, .*, 0\.023, \.\.\. s",
+    "own_effect": r"brace: b = 39\d ± \d N/m",
+}
+"""What the scripts in examples/ print, as a pattern each."""
+
+
+def script_calls(page: Path) -> dict[str, str]:
+    """Of each script in examples/ that the page runs the key of what it prints, see `runner.run_page`."""
+    found = {}
+    for block in blocks(page.read_text()):
+        for place, (command, _) in enumerate(commands(block) if block.language == "console" and block.runs else []):
+            if script := SCRIPT.fullmatch(command):
+                found[script[1]] = f"{block.line}:{place}"
+    return found
+
+
 @functools.cache
 def results():
-    found = subprocess.run(
-        [sys.executable, "-W", "error", runner.__file__, str(ROOT / "examples"), *map(str, RUN)],
-        capture_output=True,
-        text=True,
-        check=False,
-        # The folder of the tests comes first otherwise, and with it the checkout's package in place of the wheel's.
-        env={**os.environ, "PYTHONSAFEPATH": "1"},
-    )
-    assert found.returncode == 0, found.stderr
-    return json.loads(found.stdout)
+    """What each page printed, and what each script printed, all run by one process."""
+    with tempfile.TemporaryDirectory() as folder:
+        # Scripts that no page runs stand on a page of their own.
+        rest = Path(folder) / "rest.md"
+        left = sorted(set(SHOWN).difference(*map(script_calls, RUN)))
+        rest.write_text("\n".join(f"```console\n$ python examples/{name}.py\n```" for name in left))
+        pages = [*RUN, rest]
+        found = subprocess.run(
+            [sys.executable, "-W", "error", runner.__file__, str(EXAMPLES), *map(str, pages)],
+            capture_output=True,
+            text=True,
+            check=False,
+            # The folder of the tests comes first otherwise, and with it the checkout's package instead of the wheel's.
+            env={**os.environ, "PYTHONSAFEPATH": "1"},
+        )
+        assert found.returncode == 0, found.stderr
+        printed = json.loads(found.stdout)
+        scripts = {
+            name: printed[str(page)].get(key, printed[str(page)].get("error", ""))
+            for page in pages
+            for name, key in script_calls(page).items()
+        }
+    return printed, scripts
 
 
 def name_of(page: Path) -> str:
@@ -86,7 +130,7 @@ def shown_outputs(page: Path) -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize("page", RUN, ids=name_of)
 def test_every_block_of_the_page_runs(page):
-    printed = results()[str(page)]
+    printed = results()[0][str(page)]
     assert "error" not in printed, printed["error"]
     if any(block.lacks_data for block in blocks(page.read_text())):
         pytest.skip(f"measured data beside the project (CVXSHEAR_SHARED): the blocks of {name_of(page)} read them")
@@ -94,10 +138,29 @@ def test_every_block_of_the_page_runs(page):
 
 @pytest.mark.parametrize("page", [page for page in RUN if shown_outputs(page)], ids=name_of)
 def test_the_page_shows_what_is_printed(page):
-    printed = results()[str(page)]
+    printed = results()[0][str(page)]
     for key, shown in shown_outputs(page):
         assert key in printed, f"{name_of(page)}: the block at line {key} was not run"
         assert not missing(shown, printed[key]), f"line {key} prints\n{printed[key]}"
+
+
+def test_every_script_has_its_expectation():
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == set(SHOWN)
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_a_script_shows_what_it_says(name):
+    said = results()[1][name]
+    assert re.search(SHOWN[name], said), said
+
+
+def test_the_hammer_finds_the_frame_within_what_it_states():
+    """Every mass and stiffness within two standard deviations of the frame that was hit, and those below 1 %."""
+    found = re.findall(r"(\S+) ± (\S+) (?:kg|N/m)", results()[1]["modes_from_hammer"])
+    values, stds = np.array(found, dtype=float).T
+    truth = np.concatenate([PAPER_FRAME.masses, PAPER_FRAME.stiffnesses])
+    assert np.all(np.abs(values - truth) < 2 * stds)
+    assert np.all(stds < 0.01 * truth)
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if PLACE.search(page.read_text())], ids=name_of)

@@ -51,12 +51,14 @@ def placed(name: str, **place: Any) -> Placed:
     return Placed(effect, Place(**place))
 
 
-def theta(*own: float, mass: Floats = MASS, stiffness: Floats = STIFFNESS) -> Floats:
+def theta(*own: float | tuple[float, ...], mass: Floats = MASS, stiffness: Floats = STIFFNESS) -> Floats:
     """Floor masses, story stiffnesses and the effects' own parameters."""
-    return np.concatenate([mass, stiffness, own])
+    return np.concatenate([mass, stiffness, *(np.atleast_1d(each) for each in own)])
 
 
-def composed(effects: list[Placed], *own: float, number: int = 0, stiffness: Floats = STIFFNESS) -> State:
+def composed(
+    effects: list[Placed], *own: float | tuple[float, ...], number: int = 0, stiffness: Floats = STIFFNESS
+) -> State:
     """One configuration of the frame with these effects of this size."""
     tested = experiment()
     return compose(tested, tested.configurations[number], effects, theta(*own, stiffness=stiffness))

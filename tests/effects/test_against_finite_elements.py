@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 from cvxshear.data.pairing import numbered
 from cvxshear.effects.attached_mass import LEAST_MASS
@@ -269,8 +270,21 @@ def test_load_scale(e):
 def test_joint_release(rho, floor):
     """Exact: springs between the columns, which run through, and the beams of one floor, or under the feet."""
     there = placed("joint_release", floor=floor, state="loaded")
-    assert_same(modes_with([there], rho, number=1), sway_modes(fe.with_loose_joints(building(1), rho, floor)))
-    assert_same(modes_with([there], rho, number=0), sway_modes(building(0)))
+    assert_same(modes_with([there], rho, 0.0, number=1), sway_modes(fe.with_loose_joints(building(1), rho, floor)))
+    assert_same(modes_with([there], rho, 0.0, number=0), sway_modes(building(0)))
+
+
+@pytest.mark.parametrize("floor", [0, 1, 4])
+@pytest.mark.parametrize("longer", [0.002, 0.05, 0.4])
+def test_a_clamp_that_grips_less(longer, floor):
+    """Exact: the columns on both sides of a floor are longer by what its clamp no longer holds."""
+    there = placed("joint_release", floor=floor, state="loaded")
+    frame = building(1)
+    stretched = np.isin(np.arange(1, 5), [floor, floor + 1])
+    frame = replace(frame, heights=frame.heights * np.where(stretched, 1.0 + longer, 1.0))
+    # The stiffness of a story is that of columns with their own length.
+    frame = replace(frame, story_stiffness=frame.story_stiffness / np.where(stretched, (1.0 + longer) ** 3, 1.0))
+    assert_same(modes_with([there], 0.0, 1.0 - (1.0 + longer) ** -3, number=1), sway_modes(frame))
 
 
 @pytest.mark.parametrize("floor", [0, 2, 4])
@@ -278,14 +292,36 @@ def test_loose_joints_of_beams_that_bend(floor):
     """The connection turns besides the beam: their flexibilities add up."""
     effects = [placed("joint_rotation"), placed("joint_release", floor=floor, state="loaded")]
     frame = fe.with_loose_joints(fe.with_turning_joints(building(1), 0.4), 0.7, floor)
-    assert_same(modes_with(effects, 0.4, 0.7, number=1), sway_modes(frame))
+    assert_same(modes_with(effects, 0.4, 0.7, 0.0, number=1), sway_modes(frame))
 
 
 def test_a_hinge_at_both_ends_of_a_story():
     """Columns of one story between hinges leave it three quarters softer each time, and none of it in the end."""
     base = placed("joint_release", floor=0, state="loaded")
-    k = composed([base], 1e9, number=1).system.K.sum()
+    k = composed([base], 1e9, 0.0, number=1).system.K.sum()
     assert k == pytest.approx(STIFFNESS[0] / 4, rel=1e-6)
+
+
+@pytest.mark.parametrize("soil", [0.5, 3.0, 30.0])
+def test_a_base_on_soft_ground_is_a_mass_attached_to_floor_1(soil):
+    """Exact: a chain of one mass more, below story 1, seen from the floors alone."""
+    base, below = 5.0, soil * STIFFNESS[0]
+    chain = np.concatenate([[below], STIFFNESS])
+    T = np.eye(5) - np.eye(5, k=-1)
+    squares, vectors = eigh(T.T @ np.diag(chain) @ T, np.diag([base, *MASS]))
+    part = STIFFNESS[0] / (STIFFNESS[0] + below)
+    series = STIFFNESS * np.where(np.arange(4) == 0, below / (STIFFNESS[0] + below), 1.0)
+    frequency = np.sqrt((STIFFNESS[0] + below) / base) / (2 * np.pi)
+    state = composed([placed("attached_mass", floor=1)], (base * part**2, frequency), stiffness=series)
+    found, motions = eigh(state.system.K, state.system.M)
+    # The attachment has a millionth of a floor's mass more than its parameter says.
+    np.testing.assert_allclose(found, squares, rtol=1e-4)
+    seen, shown = motions[:4], vectors[1:]
+    np.testing.assert_allclose(
+        seen / seen[np.abs(seen).argmax(axis=0), range(5)],
+        shown / shown[np.abs(seen).argmax(axis=0), range(5)],
+        atol=1e-4,
+    )
 
 
 @pytest.mark.parametrize("number", NUMBERS)

@@ -52,7 +52,7 @@ UNITS = {
     "state_stiffness": [("e", "")],
     "state_mass": [("e", "")],
     "load_scale": [("e", "")],
-    "joint_release": [("rho", "")],
+    "joint_release": [("rho", ""), ("loss", "")],
     "bracing": [("beta", "")],
     "wrong_prior": [],
 }
@@ -94,11 +94,10 @@ def test_each_effect_is_there_once():
 def test_parameters(name):
     effect = one(name)
     assert [(each.name, each.unit) for each in effect.parameters] == UNITS[name]
-    (parameter,) = effect.parameters
-    assert parameter.null == 0.0
-    assert parameter.lower <= parameter.start <= parameter.upper
-    if name != "gravity":
-        assert parameter.lower <= parameter.null <= parameter.upper
+    for parameter in effect.parameters:
+        assert parameter.null == 0.0
+        assert parameter.lower <= parameter.start <= parameter.upper
+        assert name == "gravity" or parameter.lower <= parameter.null <= parameter.upper
     assert effect.stage in STAGES
     assert all((effect.summary, effect.formula, effect.source))
 
@@ -128,7 +127,7 @@ def test_what_cannot_turn_the_sign_of_what_it_multiplies(name):
 @pytest.mark.parametrize("name", [*ACTING, *BESIDE_OTHERS])
 def test_null_value_leaves_the_shear_frame(name, number):
     effect, _ = CASES[name]
-    state = composed([effect], effect.effect.parameters[0].null, number=number)
+    state = composed([effect], tuple(item.null for item in effect.effect.parameters), number=number)
     np.testing.assert_allclose(state.system.M, np.diag(MASS + ADDED[number]), rtol=1e-14, atol=0)
     np.testing.assert_allclose(state.system.K, shear_stiffness(STIFFNESS), rtol=0, atol=1e-14 * STIFFNESS.max() * 10)
     np.testing.assert_array_equal(state.gain, np.ones(4))
@@ -243,13 +242,14 @@ def test_the_order_in_which_effects_are_named_does_not_matter(number):
     values = [value for _, value in CASES.values()]
     effects = [effect for effect, _ in CASES.values()]
     reference = composed(effects, *values, number=number)
+    starts = np.cumsum([0, *(len(effect.effect.parameters) for effect in effects)])
     rng = np.random.default_rng(7)
     for order in [range(len(effects))[::-1], *(rng.permutation(len(effects)) for _ in range(20))]:
         state = composed([effects[i] for i in order], *(values[i] for i in order), number=number)
         np.testing.assert_allclose(state.system.K, reference.system.K, rtol=0, atol=1e-10)
         np.testing.assert_allclose(state.system.M, reference.system.M, rtol=0, atol=1e-13)
         np.testing.assert_allclose(state.gain, reference.gain, rtol=1e-15)
-        own = 8 + np.array(order)
+        own = np.concatenate([np.arange(8, 8 + starts[-1])[starts[i] : starts[i + 1]] for i in order])
         np.testing.assert_allclose(state.system.dK[8:], reference.system.dK[own], rtol=1e-9, atol=1e-8)
         np.testing.assert_allclose(state.system.dK[:8], reference.system.dK[:8], rtol=1e-9, atol=1e-10)
 
@@ -439,16 +439,16 @@ SAID = [
     ("bracing", {}, 0.4, 0.02, "braces make up 40.0 ± 2.0 % of the stiffness of every story"),
     # One hinged end of two columns: the stiffness 1 - (rho / 4) / (1 + 2 rho / 3) of each.
     (
-        "joint_release", {"floor": 2, "state": "after"}, 0.6, 0.1,
+        "joint_release", {"floor": 2, "state": "after"}, (0.6, 0.0), (0.1, 0.0),
         'the joints of floor 2 are loose in "after", which costs stories 2 and 3 about 10.7 ± 1.3 % of their stiffness',
     ),
     (
-        "joint_release", {"floor": 0, "state": "after"}, 0.6, 0.1,
+        "joint_release", {"floor": 0, "state": "after"}, (0.6, 0.0), (0.1, 0.0),
         'the feet of the columns are loose in "after", which costs story 1 12.5 ± 1.7 % of its stiffness',
     ),
     (
-        "joint_release", {"floor": 4, "state": "after"}, 0.6, 0.1,
-        'the joints of floor 4 are loose in "after", which costs story 4 12.5 ± 1.7 % of its stiffness',
+        "joint_release", {"floor": 4, "state": "after"}, (0.0, 0.2), (0.0, 0.01),
+        'the joints of floor 4 are loose in "after", which costs story 4 20.0 ± 1.0 % of its stiffness',
     ),
 ]  # fmt: skip
 
@@ -457,7 +457,7 @@ SAID = [
 def test_an_effect_in_words(name, place, value, std, expected):
     effect = one(name)
     units = [item.unit for item in effect.parameters]
-    said = effect.phrase(Place(**place), np.array([value]), np.array([std]), SCALE, units)
+    said = effect.phrase(Place(**place), np.atleast_1d(value), np.atleast_1d(std), SCALE, units)
     assert expected in said
     assert said[0].islower()
 
@@ -499,9 +499,9 @@ def test_a_loose_joint_costs_what_it_says():
     k = np.full(4, 2e4)
     for floor, story in ((0, 1), (2, 2), (2, 3), (4, 4)):
         effect = placed("joint_release", floor=floor, state="loaded")
-        state = compose(tested, tested.configurations[1], [effect], theta(0.6, stiffness=k))
+        state = compose(tested, tested.configurations[1], [effect], theta(0.6, 0.1, stiffness=k))
         drift = np.zeros(4)
         drift[story - 1 :] = 1.0
         lost = 1.0 - drift @ state.system.K @ drift / 2e4
-        said = effect.effect.phrase(effect.place, np.array([0.6]), np.array([0.1]), SCALE, [""])
+        said = effect.effect.phrase(effect.place, np.array([0.6, 0.1]), np.array([0.1, 0.0]), SCALE, ["", ""])
         assert f"{100 * lost:.1f} " in said

@@ -22,7 +22,7 @@ CASES = {
     "state_stiffness": (placed("state_stiffness", state="loaded"), -0.12),
     "state_mass": (placed("state_mass", state="loaded"), 0.15),
     "load_scale": (placed("load_scale"), -0.1),
-    "joint_release": (placed("joint_release", floor=2, state="loaded"), 0.6),
+    "joint_release": (placed("joint_release", floor=2, state="loaded"), (0.6, 0.1)),
     "bracing": (placed("bracing"), 0.2),
 }
 SCALES = {
@@ -54,8 +54,15 @@ SECOND_PLACES = [
     (placed("story_change", story=2, state="loaded"), 0.15),
     (placed("added_mass", floor=4, state="loaded"), -0.5),
     (placed("sensor_gain", floor=3, state="loaded"), 0.1),
-    (placed("joint_release", floor=0, state="loaded"), 0.3),
+    (placed("joint_release", floor=0, state="loaded"), (0.3, 0.2)),
 ]
+
+
+def flat(cases):
+    """The parameters' values of several effects, and their scales."""
+    values = [np.atleast_1d(value) for _, value in cases]
+    scales = [np.full(len(each), SCALES[there.effect.name]) for (there, _), each in zip(cases, values, strict=True)]
+    return np.concatenate(values), np.concatenate(scales)
 
 
 def quantities(effects, values, number):
@@ -88,29 +95,31 @@ def assert_derivatives(effects, own, number, scales):
 @pytest.mark.parametrize("number", range(len(NAMES)))
 @pytest.mark.parametrize("name", CASES)
 def test_one_effect(name, number):
-    effect, value = CASES[name]
-    assert_derivatives([effect], [value], number, [SCALES[name]])
+    own, scales = flat([CASES[name]])
+    assert_derivatives([CASES[name][0]], own, number, scales)
 
 
 @pytest.mark.parametrize("number", range(len(NAMES)))
 def test_all_effects_together(number):
     effects = [effect for effect, _ in CASES.values()]
-    assert_derivatives(effects, [value for _, value in CASES.values()], number, list(SCALES.values()))
+    own, scales = flat(list(CASES.values()))
+    assert_derivatives(effects, own, number, scales)
 
 
 @pytest.mark.parametrize("number", range(len(NAMES)))
 def test_effects_more_than_once(number):
     """Two gains at one floor, two changes of one story: products, whose derivatives are easily lost."""
     cases = [*CASES.values(), *SECOND_PLACES]
-    scales = [SCALES[effect.effect.name] for effect, _ in cases]
-    assert_derivatives([effect for effect, _ in cases], [value for _, value in cases], number, scales)
+    own, scales = flat(cases)
+    assert_derivatives([effect for effect, _ in cases], own, number, scales)
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_at_the_null_value(name):
     """Where a bounded fit comes to rest; the formulas hold on either side of it."""
     effect, _ = CASES[name]
-    assert_derivatives([effect], [effect.effect.parameters[0].null], 1, [SCALES[name]])
+    nulls = [item.null for item in effect.effect.parameters]
+    assert_derivatives([effect], nulls, 1, [SCALES[name]] * len(nulls))
 
 
 @pytest.mark.parametrize(("mass", "frequency"), [(0.0, 2.0), (0.7, 3.1), (0.7, 12.0)])
@@ -122,8 +131,8 @@ def test_an_attached_mass(mass, frequency, number):
     more = placed("attached_mass", floor=1)
     cases = [*CASES.values(), (there, mass), (more, 0.3)]
     effects = [effect for effect, _ in cases]
-    own = [*(value for _, value in CASES.values()), mass, frequency, 0.3, 5.0]
-    assert_derivatives(effects, own, number, [*SCALES.values(), 1.0, 1.0, 1.0, 1.0])
+    own, scales = flat(list(CASES.values()))
+    assert_derivatives(effects, [*own, mass, frequency, 0.3, 5.0], number, [*scales, 1.0, 1.0, 1.0, 1.0])
 
 
 def test_derivatives_are_symmetric():

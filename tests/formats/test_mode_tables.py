@@ -9,15 +9,11 @@ import pytest
 from scipy import linalg
 
 import cvxshear
-from cvxshear.files.measurement_template import template, template_from
 from cvxshear.files.spreadsheets import write_csv, write_xlsx
+from cvxshear.files.to_fill_in import template, template_from
 from cvxshear.files.uff import write_uff
 from cvxshear.modal import from_arrays
-from cvxshear.report.sheets import (
-    sheets_of_closure,
-    sheets_of_identification,
-    sheets_of_modes,
-)
+from cvxshear.report.sheets import sheets_of_closure, sheets_of_identification, sheets_of_modes
 from cvxshear.util.errors import InputError
 
 FREQUENCIES = [2.990, 7.934]

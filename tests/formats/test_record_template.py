@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gzip
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -166,5 +168,11 @@ def test_a_format_of_ones_own(values, run, tmp_path, monkeypatch):
     check(begun(run, tmp_path, "a.raw64")[1], values)
     assert ".raw64" in formats.endings_of("columns")
     assert "a.raw64 is raw numbers, which does not say" in run("modes", tmp_path / "a.raw64")[2]
+    help_of_new = (
+        "from cvxshear.files.formats import Format, register; register(Format('raw', ('.raw64',), 'raw', 'a:b'))\n"
+        "from cvxshear.cli import main; main(['new', '--help'])"
+    )
+    said = subprocess.run([sys.executable, "-c", help_of_new], capture_output=True, text=True, check=True).stdout
+    assert ".raw64" in said
     with pytest.raises(ValueError, match=r"the ending \.csv is that of delimited text already"):
         formats.register(formats.Format("mine", (".csv",), "mine", read))

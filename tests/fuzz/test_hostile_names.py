@@ -123,17 +123,18 @@ def sound(path) -> None:
         sound_text(content.decode("utf-8"), path.suffix)
 
 
-def check(run, folder, *arguments, outputs) -> None:
-    """Run a command with all its outputs, and look into each."""
+def check(run, folder, *arguments, outputs, printed=True) -> None:
+    """Run a command with all its outputs, and look into each; where asked, into JSON on standard output as well."""
     options = [part for option, name in outputs for part in (option, name.replace("OUT", str(folder / "out")))]
     status, out, err = run(*arguments, *options)
     assert (status, err) == (0, "")
     sound_text(out, "terminal")
     for _, name in outputs:
         sound(folder / f"out{name.partition('OUT')[2]}")
-    status, out, err = run(*arguments, "--json", "-")
-    assert (status, err) == (0, "")
-    sound_text(out, ".json")
+    if printed:
+        status, out, err = run(*arguments, "--json", "-")
+        assert (status, err) == (0, "")
+        sound_text(out, ".json")
 
 
 OPTIONS = {".json": "--json", ".csv": "--csv", ".xlsx": "--xlsx", ".html": "--report", ".uff": "--uff", ".toml": "-o"}
@@ -161,7 +162,7 @@ def test_identify(start, run, tmp_path):
 def test_loop(start, run, tmp_path):
     file = measurement(tmp_path / "a.toml", few(start))
     kinds = into(".json", ".csv", ".xlsx", ".html", figures=["frame", "mac"])
-    check(run, tmp_path, "loop", file, "--effects", "ground_spring", outputs=kinds)
+    check(run, tmp_path, "loop", file, "--effects", "ground_spring", outputs=kinds, printed=start == 0)
 
 
 def test_check(run, tmp_path):
@@ -181,6 +182,10 @@ def test_plan(start, run, tmp_path):
     check(run, tmp_path, "plan", file, "--added-mass", "5", outputs=kinds)
 
 
+SAMPLES = 1920
+"""Half a minute: what is identified is of no matter here, what it is called is."""
+
+
 def records(folder, names) -> list:
     """Record files of one record, whose name, file and channels are called so."""
     source = write_records(folder, '\n[frame]\ntotal_mass = 22.5\n')[0]
@@ -191,7 +196,7 @@ def records(folder, names) -> list:
         (folder / f"{place}").mkdir()
         channels = [*header.split(",")[:-1], name.strip() or "c"]
         line = ",".join('"' + each.replace('"', '""').replace("\n", " ").replace("\r", " ") + '"' for each in channels)
-        (folder / f"{place}" / "data.csv").write_text("\n".join([line, *rows]), encoding="utf-8")
+        (folder / f"{place}" / "data.csv").write_text("\n".join([line, *rows[:SAMPLES]]), encoding="utf-8")
         column = next(csv.reader([line]))[-1].strip()
         said = text.replace('"floor3"', toml_string(column)).replace('"bare.csv"', '"data.csv"')
         path = folder / f"{place}" / f"{file_name(name)}.toml"
@@ -208,8 +213,9 @@ def file_name(name: str) -> str:
 @pytest.mark.parametrize("start", range(6))
 def test_modes(start, run, tmp_path):
     made = records(tmp_path, few(start)[:5])
-    kinds = into(".json", ".csv", ".xlsx", ".html", ".toml")
-    check(run, tmp_path, "modes", *made, outputs=kinds)
+    # A report draws four figures a record; every other batch of names has to do.
+    kinds = into(".json", ".csv", ".xlsx", ".toml", *((".html",) if start % 2 == 0 else ()))
+    check(run, tmp_path, "modes", *made, outputs=kinds, printed=False)
     check(run, tmp_path, "modes", made[0], outputs=into(".uff", ".csv", ".xlsx", figures=["shapes", "stabilization"]))
 
 
@@ -227,7 +233,8 @@ def test_predict(name, run, tmp_path):
     record.write_text(text[: text.rindex("[[channel]]")] + "\n", encoding="utf-8")
     kinds = [*into(".json", ".html"), ("--figure", "peaks:OUT-peaks.svg"), ("--out", "OUT.uff")]
     kinds += [("--export", f"OUT-model.{kind}") for kind in MODELS]
-    check(run, tmp_path, "predict", file, "--record", record, "--configuration", name, outputs=kinds)
+    asked = ("predict", file, "--record", record, "--configuration", name)
+    check(run, tmp_path, *asked, outputs=kinds, printed=name == NAMES[0])
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -87,7 +87,7 @@ def result():
 
 def test_result_as_plain_values(result):
     found = result.to_dict()
-    assert found["method"] == "okid"
+    assert found["method"] == "subspace"
     assert found["uncertainty"] == "jackknife over 20 blocks"
     np.testing.assert_allclose(found["frequencies"], PAPER_FRAME.modes()[0], rtol=1e-3)
     assert all(type(value) is float for row in found["mode_shapes"] for value in row)

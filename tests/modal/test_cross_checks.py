@@ -7,7 +7,7 @@ import pytest
 
 from cvxshear.files.modes import modes_from_file
 from cvxshear.modal import Channel, Run, TimeRecord, from_pyoma, from_sdypy, identify_modes
-from cvxshear.records.shapes import mac
+from cvxshear.records.mode_shapes import mac
 from cvxshear.records.simulate import PAPER_FRAME, ambient_record, base_record
 from tests.modal.shared import DATA, needs_southampton, southampton
 

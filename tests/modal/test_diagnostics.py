@@ -12,7 +12,7 @@ from cvxshear.modal.result import SENSOR_STD, entry_std
 from cvxshear.records.clocks import offsets
 from cvxshear.records.record import Finding
 from cvxshear.records.sick_channels import channel_findings
-from cvxshear.records.signals import shifted
+from cvxshear.records.signals import in_step
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
 from tests.modal.shared import TWO_STORY_FREQUENCIES, two_story_frf
 
@@ -44,7 +44,7 @@ def test_a_sound_record_is_left_alone(record):
 
 
 def test_clock_offset_is_found_and_corrected(record):
-    late = shifted(record, {"floor2": (-0.008, 0.0)})
+    late = in_step(record, {"floor2": (-0.008, 0.0)})
     result = identify_modes(late)
     [finding] = found(result, "clock offset")
     assert finding.numbers["channel"] == "floor2"
@@ -55,7 +55,7 @@ def test_clock_offset_is_found_and_corrected(record):
 
 
 def test_clock_offset_of_the_input(record):
-    late = shifted(record, {"input": (-0.012, 0.0)})
+    late = in_step(record, {"input": (-0.012, 0.0)})
     [finding] = found(identify_modes(late), "clock offset")
     assert finding.numbers["channel"] == "input"
     assert finding.numbers["seconds"] == pytest.approx(0.012, abs=5e-4)
@@ -97,7 +97,7 @@ def test_shift_is_exact_for_a_slow_sine(record):
     time = np.arange(1000) / 20.0
     wave = np.column_stack([np.sin(2 * np.pi * 1.3 * time)] * 3)
     run = Run(wave, np.cos(time))
-    moved = shifted(dataclasses.replace(record, runs=(run,)), {"floor1": (0.013, 0.0)}).runs[0].responses
+    moved = in_step(dataclasses.replace(record, runs=(run,)), {"floor1": (0.013, 0.0)}).runs[0].responses
     edge = (1000 - len(moved)) // 2
     expected = np.sin(2 * np.pi * 1.3 * (time + 0.013))[edge : edge + len(moved)]
     np.testing.assert_allclose(moved[50:-50, 0], expected[50:-50], atol=2e-3)

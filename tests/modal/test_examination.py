@@ -9,16 +9,17 @@ import pytest
 from scipy import signal
 
 from cvxshear import Experiment, identify
-from cvxshear.modal import Channel, Run, TimeRecord, identify_modes
+from cvxshear.modal import Channel, Run, TimeRecord, from_arrays, identify_modes, second_opinion
 from cvxshear.modal.diagnostics import cables_changed
 from cvxshear.records.examination import examined
+from cvxshear.records.floors import one_a_floor
 from cvxshear.records.placement import weighed
 from cvxshear.records.signals import scaled
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, base_record
 from cvxshear.report import terminal
 from cvxshear.screening import Screening
 from cvxshear.util.errors import InputError
-from tests.benchmarks.record_faults import INPUTS, NAMED_BY, case_of, judged
+from tests.benchmarks.record_faults import INPUTS, NAMED_BY, case_of, judged, only
 
 
 @pytest.mark.parametrize("kind", INPUTS)
@@ -83,6 +84,55 @@ def test_a_missed_mode_is_weighed_against_a_reversed_channel():
     assert weighed(frequencies[:2], turned, floors, 6)[0].kind == "sign"
 
 
+@pytest.mark.parametrize("kept", [[0, 1, 3], [0, 2, 3], [1, 2, 3]])
+def test_poles_of_noise_take_no_number(kept):
+    """Two modes of four lie below half the sampling rate; between them the model has stable poles of noise."""
+    frame = KnownFrame(np.array([20.3, 19.8, 20.1, 16.2]), np.array([55e3, 63e3, 47e3, 41e3]), 0.015)
+    result = identify_modes(only(base_record(frame, 1, noise=0.01, duration=300.0), np.array(kept)), method="subspace")
+    np.testing.assert_array_equal(result.modes, [1, 2])
+    np.testing.assert_allclose(result.frequencies, frame.modes()[0][:2], rtol=2e-4)
+    assert not [item for item in result.findings if item.kind in ("overlooked mode", "other mode")]
+
+
+def test_missing_modes_are_said_only_where_some_are_missing():
+    record = only(base_record(PAPER_FRAME, 0, noise=0.01, duration=200.0), np.array([0, 2]))
+    assert "missing mode" not in {item.kind for item in identify_modes(record).findings}
+    said = {item.kind: item.message for item in identify_modes(record, count=2).findings}
+    assert said["missing mode"].startswith("2 of 3 modes were asked for, and 2 of 3 floors are measured")
+
+
+def test_a_mode_found_twice_is_said_and_takes_one_number():
+    """Two runs of one record, between which every story lost 5 % of its stiffness."""
+    weaker = dataclasses.replace(PAPER_FRAME, stiffnesses=0.95 * PAPER_FRAME.stiffnesses)
+    before, after = (base_record(frame, 3, noise=0.002, duration=400.0) for frame in (PAPER_FRAME, weaker))
+    result = identify_modes(dataclasses.replace(before, runs=(before.runs[0], after.runs[0])))
+    np.testing.assert_array_equal(result.modes, [1, 2, 3])
+    assert "split mode" in {item.kind for item in result.findings}
+
+
+@pytest.mark.parametrize("second", ["fdd", "okid"])
+def test_a_second_opinion_of_every_mode(second):
+    """Against the frame's own modes, not against the first opinion."""
+    result = identify_modes(base_record(PAPER_FRAME, 0, noise=0.01, duration=300.0), second=second)
+    said = [item.numbers for item in result.findings if item.kind == "second opinion"]
+    assert [(item["mode"], item["agrees"]) for item in said] == [(1, True), (2, True), (3, True)]
+    np.testing.assert_allclose([item["frequency"] for item in said], PAPER_FRAME.modes()[0], rtol=5e-3)
+
+
+def test_a_peer_that_sees_other_modes_is_said():
+    frequencies, shapes = PAPER_FRAME.modes()
+    result = from_arrays(frequencies, shapes)
+    peer = from_arrays([frequencies[0] * 1.01, frequencies[1], 9.0], shapes[[0, 2, 1]], name="peer")
+    said = second_opinion(result, peer)
+    assert [(item.numbers.get("mode"), item.numbers["agrees"]) for item in said] == [
+        (1, True), (2, False), (3, False), (None, False), (None, False),
+    ]  # fmt: skip
+    assert said[0].numbers["change"] == pytest.approx(0.01)
+    assert "peer has no mode 2, 2.21 Hz; its nearest is 2.21 Hz, MAC" in said[1].message
+    with pytest.raises(InputError, match="second"):
+        identify_modes(base_record(PAPER_FRAME, 0, noise=0.01, duration=60.0), second="other")
+
+
 def torsional_record() -> tuple[TimeRecord, float]:
     """A sway record whose roof turns at 1.6 Hz, seen by two sensors at unequal distances from the centre."""
     record = base_record(PAPER_FRAME, 0, noise=0.01, duration=300.0)
@@ -101,6 +151,46 @@ def test_two_sensors_on_a_floor_are_its_motion_and_its_rotation():
     np.testing.assert_allclose(result.frequencies, PAPER_FRAME.modes()[0], rtol=1e-3)
     aside = [item for item in result.findings if item.kind == "rotation" and "frequency" in item.numbers]
     assert [item.numbers["frequency"] for item in aside] == [pytest.approx(torsion, rel=0.01)]
+
+
+@pytest.mark.parametrize(
+    ("places", "weights"),
+    [((1.3, -0.7), (0.35, 0.65)), ((0.5, 2.0), (4 / 3, -1 / 3)), ((2.0, 2.5), (0.5, 0.5)), ((None, 1.0), (0.5, 0.5))],
+)
+def test_the_floors_center_follows_from_the_positions(places, weights):
+    """Sensors at y1 and y2 across show U - t y: U is (y2 u1 - y1 u2) / (y2 - y1), unless that extrapolates far."""
+    record, _ = torsional_record()
+    channels = (
+        *record.channels[:2],
+        *(
+            dataclasses.replace(channel, position=None if place is None else (0.0, place))
+            for channel, place in zip(record.channels[2:], places, strict=True)
+        ),
+    )
+    record = dataclasses.replace(record, channels=channels)
+    single, _ = one_a_floor(record)
+    expected = record.runs[0].responses[:, 2:] @ np.array(weights)
+    np.testing.assert_allclose(single.runs[0].responses[:, 2], expected, atol=1e-12)
+
+
+def test_a_roof_that_turns_with_the_sway_is_said_mode_by_mode():
+    """With the positions declared the shapes are those of the centers, though the roof turns in its second mode."""
+    record = base_record(PAPER_FRAME, 0, noise=0.005, duration=300.0)
+    run = record.runs[0]
+    second = PAPER_FRAME.modes()[0][1]
+    turning = 1.5 * signal.lfilter(*signal.iirpeak(second, 30, fs=20), run.responses[:, 1])
+    top = run.responses[:, 2]
+    both = np.column_stack([run.responses[:, :2], top - 1.3 * turning, top + 0.5 * turning])
+    channels = (
+        *record.channels[:2], Channel("left", 3, position=(0.0, 1.3)), Channel("right", 3, position=(0.0, -0.5))
+    )  # fmt: skip
+    result = identify_modes(dataclasses.replace(record, channels=channels, runs=(Run(both, run.excitation),)))
+    turned = [item.numbers["mode"] for item in result.findings if item.kind == "rotation" and "mode" in item.numbers]
+    assert turned == [2]
+    shapes = PAPER_FRAME.modes()[1]
+    np.testing.assert_allclose(
+        result.mode_shapes, shapes / np.take_along_axis(shapes, np.abs(shapes).argmax(1)[:, None], 1), atol=0.02
+    )
 
 
 def test_two_sensors_that_contradict_each_other_are_refused():

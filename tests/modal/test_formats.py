@@ -14,9 +14,9 @@ import cvxshear
 from cvxshear.files.csv import read_csv
 from cvxshear.files.mat import read_mat
 from cvxshear.files.mat5 import read
-from cvxshear.files.measurement import write_measurement
 from cvxshear.files.modes import write_modes
 from cvxshear.files.record_file import read_record
+from cvxshear.files.toml import write_measurement
 from cvxshear.files.uff import read_modes, read_uff, write_uff
 from cvxshear.modal import from_arrays
 from cvxshear.util.errors import InputError

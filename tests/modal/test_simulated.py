@@ -11,7 +11,7 @@ from scipy import integrate
 
 import cvxshear
 from cvxshear.modal import Channel, Run, TimeRecord, identify_modes
-from cvxshear.records.shapes import possible_changes, sign_changes
+from cvxshear.records.mode_shapes import possible_changes, sign_changes
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
 from tests.benchmarks.records import scatter
 from tests.modal.shared import SEEDS, TWO_STORY_FREQUENCIES, TWO_STORY_RATIOS

@@ -9,7 +9,7 @@ import pytest
 
 from cvxshear.paper.scatter import SIGMAS
 from cvxshear.paper.setups import bound, six_story, three_story
-from cvxshear.report.describe.paper import in_percent
+from cvxshear.report.describe.studied import in_percent
 
 DOCUMENTED = (Path(__file__).parents[2] / "docs" / "noise-study.md").read_text(encoding="utf-8")
 

@@ -17,8 +17,7 @@ from cvxshear.modal import identify_modes
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.records.simulate import PAPER_FRAME, base_record, hammer_record
 from cvxshear.report.describe import describe
-from cvxshear.report.html import write_prediction_report, write_report
-from cvxshear.report.modal_html import write_modal_report
+from cvxshear.report.html import write_modal_report, write_report, write_response_report
 from cvxshear.response import predict
 from tests.report.test_modal_figures import twenty_modes
 from tests.response.common import damped_frame, declared, shaking
@@ -139,7 +138,7 @@ def test_figures_have_size_and_the_page_does_not_run_over_its_edge(opened, name,
 def test_a_prediction_does_not_run_over_its_edge(browser, tmp_path, viewport):
     mass, stiffness, _ = damped_frame(12)
     estimate = efficient(cvxshear.Experiment.from_dict(declared(mass, stiffness, [0.02] * 12)), backends.get("auto"))
-    write_prediction_report(predict(estimate, Motion((Drive(shaking(600)),), 100.0)), tmp_path / "p.html", "cvxshear")
+    write_response_report(predict(estimate, Motion((Drive(shaking(600)),), 100.0)), tmp_path / "p.html", "cvxshear")
     page = browser.new_page(viewport=viewport)
     page.goto((tmp_path / "p.html").as_uri())
     drawings = page.query_selector_all(".drawing > svg")

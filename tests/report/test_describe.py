@@ -141,6 +141,8 @@ def test_a_verdict_from_outside_has_its_words_everywhere(paper, comparison, monk
     page = render(found, "cvxshear", comparison)
     assert '<span id="verdict">postponed</span>' in page
     assert "--tone: #123456; --tone-dark: #abcdef" in page
+    assert (found.to_dict()["verdict"], found.to_dict()["provisional"]) == ("postponed", False)
+    assert "postponed" in repr(found)
     with pytest.raises(ValueError, match=r"'wrong'.*may name model, found"):
         dataclasses.replace(mine, name="wrong", headline="{effects}")
 

@@ -20,6 +20,7 @@ from cvxshear.measurement.declaration import Heading
 from cvxshear.report import figures
 from cvxshear.report.describe.consequences import changes, consequences
 from cvxshear.report.html import render, write_report
+from cvxshear.report.pages import drawings
 from cvxshear.util.errors import InputError
 from tests.report.conftest import NASTY, experiment
 
@@ -61,6 +62,22 @@ def text(unexplained):
 @pytest.fixture(scope="module")
 def page(text):
     return Page(text)
+
+
+@pytest.fixture(scope="module")
+def drawn(paper, comparison):
+    """What is drawn of the paper's frame and of the backends, by what it is drawn of; drawn once."""
+    return {type(each): drawings(each) for each in (paper, comparison)}
+
+
+@pytest.fixture
+def drawn_once(drawn, monkeypatch):
+    monkeypatch.setattr("cvxshear.report.html.drawings", lambda result: drawn[type(result)])
+
+
+@pytest.fixture
+def of_paper(paper, comparison, drawn_once):
+    return render(paper, COMMAND, comparison)
 
 
 def test_nothing_of_a_file_is_let_through_as_markup(text, page):
@@ -121,6 +138,7 @@ def test_letters_stand_out_from_what_is_behind_them(text):
             assert contrast(getattr(verdict, tone), colours["paper"]) > 4.5
 
 
+@pytest.mark.usefixtures("drawn_once")
 def test_the_head_of_a_report_is_what_the_file_or_the_caller_says(paper, comparison, tmp_path):
     declared = {**paper.experiment.to_dict(), "report": {"client": "A & B <Ltd>", "date": datetime.date(2026, 11, 20)}}
     tested = cvxshear.Experiment.from_dict(declared)
@@ -141,11 +159,10 @@ def test_the_head_of_a_report_is_what_the_file_or_the_caller_says(paper, compari
         cvxshear.Experiment.from_dict({**declared, "report": {"title": 3}})
 
 
-def test_the_first_screen_is_the_picture_of_what_was_found(paper, comparison):
-    page = render(paper, COMMAND, comparison)
-    places = [page.index(each) for each in ('id="verdict"', 'id="headline"', 'id="figure-findings"', "<table")]
+def test_the_first_screen_is_the_picture_of_what_was_found(of_paper):
+    places = [of_paper.index(each) for each in ('id="verdict"', 'id="headline"', 'id="figure-findings"', "<table")]
     assert places == sorted(places)
-    assert page.index('id="appendix"') < page.index('id="backends"')
+    assert of_paper.index('id="appendix"') < of_paper.index('id="backends"')
 
 
 def test_the_whole_result_and_measurement_stand_in_the_report(text, unexplained):
@@ -191,11 +208,13 @@ def test_every_effect_of_the_catalogue_has_words_for_its_size(effect):
     assert all(sentence.endswith(".") and "nan" not in sentence for sentence in said)
 
 
-def test_a_report_is_written_whole(paper, comparison, tmp_path):
+def test_a_report_is_written_whole(paper, comparison, of_paper, tmp_path, monkeypatch):
     out = tmp_path / "report.html"
+    monkeypatch.setattr("cvxshear.report.html.render", lambda *_, **__: of_paper)
     write_report(paper, out, COMMAND, comparison)
     assert list(tmp_path.iterdir()) == [out]
-    assert Page(out.read_text(encoding="utf-8")).tags[:1] == ["html"]
+    assert out.read_text(encoding="utf-8") == of_paper
+    assert Page(of_paper).tags[:1] == ["html"]
     with pytest.raises(InputError, match="cannot be written"):
         write_report(paper, tmp_path / "nowhere" / "report.html", COMMAND, comparison)
 

@@ -10,7 +10,7 @@ import pytest
 
 import cvxshear
 from cvxshear.cli import main
-from cvxshear.files.measurement import write_measurement
+from cvxshear.files.toml import write_measurement
 from cvxshear.response import DampedModel, Drive, predict, response
 from tests.modal.shared import csv
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
@@ -130,8 +130,8 @@ def test_files_and_figures(folder, capsys):
         (("frame.toml", "--record", "shaken.toml", "--damping", "viscous"), "damping must be one of modal, story"),
         (("frame.toml", "--record", "shaken.toml", "--out", "x.doc"), "time series are written as"),
         (("frame.toml", "--record", "shaken.toml", "--export", "x.doc"), "a model is written as"),
-        (("frame.toml", "--record", "shaken.toml", "--figure", "x.svg"), "--figure must be KIND:OUT"),
-        (("frame.toml", "--record", "shaken.toml", "--figure", "peaks:x.doc"), "a figure is written as"),
+        (("frame.toml", "--record", "shaken.toml", "--figure", "mac:x.svg"), "no figure 'mac' here; there are history"),
+        (("frame.toml", "--record", "shaken.toml", "--figure", "peaks:x.doc"), "--figure: x.doc must end in .svg or"),
         (("frame.toml", "--record", "shaken.toml", "--backend", "none"), "no backend named 'none'"),
         (("paper", "--record", "shaken.toml"), "speaks of floor 3, the frame has 2 stories"),
         (("paper", "--record", "two.toml"), "nothing tells how the frame is damped"),

@@ -9,7 +9,7 @@ import pytest
 import cvxshear
 from cvxshear import backends, effects
 from cvxshear.effects import Placed
-from cvxshear.files.measurement import write_measurement
+from cvxshear.files.toml import write_measurement
 from cvxshear.fit.efficient import efficient
 from cvxshear.modal import Channel, Run, TimeRecord
 from cvxshear.records.motion import Drive, Motion

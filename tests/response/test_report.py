@@ -10,12 +10,11 @@ import pytest
 import cvxshear
 from cvxshear import close_loop
 from cvxshear.cli import main
-from cvxshear.files.measurement import write_measurement
+from cvxshear.files.toml import write_measurement
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.report.describe import describe
 from cvxshear.report.figures import transfer_functions
-from cvxshear.report.html import render
-from cvxshear.report.response_html import render_prediction
+from cvxshear.report.html import render, render_response
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
 from tests.modal.shared import csv
 from tests.report.conftest import NASTY
@@ -47,12 +46,21 @@ def prediction(closed, request):
     return predict(models_of_loop(closed), motion(measured=request.param))
 
 
+@pytest.fixture(scope="module")
+def text(prediction):
+    return render_response(prediction, COMMAND)
+
+
+@pytest.fixture(scope="module")
+def comparison(closed):
+    return cvxshear.compare_backends(closed.experiment, repeats=1)
+
+
 def figures_of(page):
     return [dict(attributes).get("id") for tag, attributes in page.attributes if tag == "figure"]
 
 
-def test_the_page_stands_by_itself(prediction):
-    text = render_prediction(prediction, COMMAND)
+def test_the_page_stands_by_itself(text):
     page = Page(text)
     assert len(page.ids) == len(set(page.ids))
     assert set(re.findall(r'href="#([^"]+)"', text)) <= set(page.ids)
@@ -63,8 +71,7 @@ def test_the_page_stands_by_itself(prediction):
             assert attributes.get(name, "#").startswith(("#", "data:"))
 
 
-def test_pictures_and_numbers(prediction):
-    text = render_prediction(prediction, COMMAND)
+def test_pictures_and_numbers(prediction, text):
     expected = ["figure-transfer", "figure-history", "figure-peaks", "figure-spectra"]
     if prediction.after.comparison is None:
         expected.remove("figure-transfer")
@@ -96,13 +103,16 @@ def test_two_sets_of_errors_where_an_effect_was_added(closed):
     assert sorted(legend) == ["measured", "shear model", "with effects"]
 
 
-def test_a_part_of_the_report_of_the_loop(closed, prediction):
-    text = render(closed, COMMAND, prediction=prediction)
+def test_a_part_of_the_report_of_the_loop(closed, comparison, prediction):
+    text = render(closed, COMMAND, comparison, prediction=prediction)
     page = Page(text)
     assert len(page.ids) == len(set(page.ids))
     assert set(re.findall(r'href="#([^"]+)"', text)) <= set(page.ids)
     assert {"prediction", "figure-history", "figure-peaks", "figure-residual"} <= set(page.ids)
-    assert "prediction" not in Page(render(closed, COMMAND)).ids
+
+
+def test_no_part_of_a_report_without_a_record(closed, comparison):
+    assert "prediction" not in Page(render(closed, COMMAND, comparison)).ids
 
 
 def test_commands_write_it(tmp_path, monkeypatch, capsys):

@@ -16,7 +16,7 @@ from cvxshear.report.describe.vocabulary import Facts, Row, Section, Table
 from cvxshear.util.quantities import chance, listed, percent, percents, significant, with_std
 
 DOUBT = 0.05
-"""Probability of other numbers above which a reader is told of them in a sentence."""
+"""Probability of other mode numbers above which a sentence mentions them."""
 
 
 def numbers_in_words(changes: Changes) -> str:
@@ -107,7 +107,7 @@ def plural_of(kind: str) -> str:
 NAMED = 2
 """Effects up to which a sentence names them all; more are a matter for the table."""
 
-SURE = 0.95
+CERTAINLY_THERE = 0.95
 """Probability from which an effect counts as certainly there; a verdict "explained" needs it of each."""
 
 CARRIES = 0.6
@@ -172,7 +172,7 @@ def _doubt(result: Closure) -> str:
         said = f"in place of {len(doubtful)} of them something else would explain the data as well"
     elif in_doubt(result):
         said = f"perhaps {other_numbers(result)} ({chance(result.numberings[1].probability)})"
-    elif any(item.probability < SURE for item in result.effects):
+    elif any(item.probability < CERTAINLY_THERE for item in result.effects):
         said = f"that {'it' if len(result.effects) == 1 else 'each of them'} is there at all is less sure than 95 %"
     return said
 

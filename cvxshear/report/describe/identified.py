@@ -119,7 +119,7 @@ def _column(values: Floats, stds: Floats | None, factor: float) -> list[str]:
         written = significants((values / factor).tolist(), 5)
         return [UNKNOWN if np.isnan(value) else text for value, text in zip(values, written, strict=True)]
     fast = ~np.isnan(values) & ~(stds > EXACT * np.abs(values))
-    # What is held fast has no deviation, and one format.
+    # A fixed value has no deviation; all fixed values have one format.
     shown = _short(significants((values[fast] / factor).tolist(), 5))
     held = dict(zip(np.flatnonzero(fast).tolist(), shown, strict=True))
     return [

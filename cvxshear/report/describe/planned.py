@@ -18,7 +18,7 @@ PROVEN = 1e-9
 @describe.register
 def _plan(result: Plan, units: Units = AUTOMATIC) -> Document:
     design = result.model.design
-    noise = f"{design.name}: {design.stories} stories; expected noise: {result.model.noise.describe()}"
+    noise = f"{design.name}: {design.stories} stories; expected noise: {result.model.noise.words}"
     sections = [
         Section("choice", "", (Sentence(sure(result)), *cautions(result), Sentence(noise))),
         Section("tests", "The tests", (expected_modes(result), added_masses(result, units), *grid(result))),
@@ -124,7 +124,7 @@ def added_masses(result: Plan, units: Units) -> Table:
 
 
 def verdicts(result: Plan) -> Table:
-    """How far each effect is told from none and from the others."""
+    """For each effect, how far its data are from those without it and from those of the others."""
     rows = plain_rows(
         (
             each.label,

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from cvxshear.effects import Placed
-from cvxshear.effects.open_class import named_pair, pairs
+from cvxshear.effects.open_class import STANDS_OUT, named_pair, pairs
 from cvxshear.loop import Closure
 from cvxshear.loop.results import AddedEffect
 from cvxshear.measurement.experiment import Experiment
@@ -33,7 +33,7 @@ SLAB = 0.3
 PANEL_WIDTH = 6.8
 """Width of a frame with its numbers, inch: room for the widest label on either side."""
 
-GAP = 0.07
+LABEL_DISTANCE = 0.07
 """Distance of a label from a column, as a part of the panel's width."""
 
 NEARLY_NOTHING = 1e-300
@@ -48,7 +48,7 @@ MOST_PANELS = 4
 MOST_MARKS = 6
 """Effects marked in one state; the table has them all."""
 
-MOST_RIVALS = 2
+RIVALS_DRAWN = 2
 """Rivals of an effect that are drawn; the table has them all."""
 
 WRAPPED = 30
@@ -56,9 +56,6 @@ WRAPPED = 30
 
 MOST_TIES = 3
 """Springs between levels that are drawn in the frame; the matrix of springs has them all."""
-
-STANDS_OUT = 3.0
-"""Standard deviations from zero from which a spring is marked: among 100 springs noise alone makes 0.3 such."""
 
 MOST_LEVELS = 9
 """Levels up to which a matrix of springs has its numbers written in."""
@@ -89,7 +86,7 @@ def _structure(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns) -> N
     wide = at.right - at.left
     axes.add_patch(
         Rectangle(
-            (at.left - 0.04, -0.04 * total), wide + 0.08, 0.04 * total, fc="none", ec=style.QUIET, hatch="////", lw=0
+            (at.left - 0.04, -0.04 * total), wide + 0.08, 0.04 * total, fc="none", ec=style.GREY, hatch="////", lw=0
         )
     )
     axes.plot([at.left - 0.04, at.right + 0.04], [0, 0], color="black", lw=1.0)
@@ -109,7 +106,7 @@ def _structure(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns) -> N
 
 
 def _leader(axes: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
-    axes.plot(*zip(start, end, strict=True), color=style.QUIET, lw=0.5)
+    axes.plot(*zip(start, end, strict=True), color=style.GREY, lw=0.5)
 
 
 # What was found, at its place.
@@ -173,7 +170,7 @@ def findings(result: Closure) -> Figure:
 def _shown_states(result: Closure) -> list[str | None]:
     """The states that have a drawing; None alone where nothing concerns a single state."""
     every = [item.placed.place.state for item in result.effects]
-    every += [rival.placed.place.state for item in result.effects for rival in item.rivals[:MOST_RIVALS]]
+    every += [rival.placed.place.state for item in result.effects for rival in item.rivals[:RIVALS_DRAWN]]
     concerned = [state for state in every if state is not None]
     if not concerned:
         return [None]
@@ -205,7 +202,7 @@ def _marks(result: Closure, state: str | None, *, first: bool) -> list[_Mark]:
     tied = {id(item): _standing_out(item, places) for item, places in networks(result)}
     found = []
     for item in result.effects:
-        place, rivals = item.placed.place, item.rivals[:MOST_RIVALS]
+        place, rivals = item.placed.place, item.rivals[:RIVALS_DRAWN]
         if place.state == state or (first and place.state is None):
             said = [item.size if sure else f"provisional: {item.size}", f"{chance(item.probability)} probable"]
             said += [f"or: {rival.placed.label} ({chance(rival.probability)})" for rival in rivals]
@@ -241,7 +238,7 @@ def _state(axes: Axes, result: Closure, state: str | None, marks: Sequence[_Mark
     tests = [each for each in result.experiment.configurations if state in (None, each.state)]
     sensors = sorted({int(floor) for each in tests for floor in each.measured_floors})
     axes.plot(
-        [at.left - 0.06] * len(sensors), z[np.array(sensors, dtype=int) - 1], ls="none", marker=">", color=style.QUIET
+        [at.left - 0.06] * len(sensors), z[np.array(sensors, dtype=int) - 1], ls="none", marker=">", color=style.GREY
     )
     total = float(axes.get_ylim()[1])
     order = sorted(marks, key=lambda mark: _middle(mark.placed, z))
@@ -253,11 +250,11 @@ def _state(axes: Axes, result: Closure, state: str | None, marks: Sequence[_Mark
                 _tie(axes, low, high, z, at, sure=mark.sure)
         else:
             _mark(axes, mark.placed, z, at, sure=mark.sure)
-        _leader(axes, (at.right + 0.05, _middle(mark.placed, z)), (at.right + GAP + 0.02, level))
-        axes.text(at.right + GAP + 0.03, level, mark.text, ha="left", va="center", color="black", fontsize=8)
+        _leader(axes, (at.right + 0.05, _middle(mark.placed, z)), (at.right + LABEL_DISTANCE + 0.02, level))
+        axes.text(at.right + LABEL_DISTANCE + 0.03, level, mark.text, ha="left", va="center", color="black", fontsize=8)
     if not marks:
         words = "nothing was added" if state is None else "nothing was found here"
-        axes.text(at.right + GAP, total / 2, words, ha="left", va="center", color=style.QUIET, style="italic")
+        axes.text(at.right + LABEL_DISTANCE, total / 2, words, ha="left", va="center", color=style.GREY, style="italic")
     found = sum(mark.placed.place.state == state for mark in marks if mark.sure)
     heading = "every state" if state is None else f"state {style.letters(state, 18)}"
     axes.set_title(heading if state is None or not found else f"{heading}: {counted(found, 'finding')}", weight="bold")
@@ -362,8 +359,8 @@ def _numbered(axes: Axes, experiment: Experiment, found: IdentifiedFrame, title:
         axes.set_yticks([])
         axes.spines["left"].set_visible(False)
     for x, text, std, align in (
-        (at.left - GAP, "story stiffness", found.story_stiffness_std, "right"),
-        (at.right + GAP, "floor mass", found.floor_mass_std, "left"),
+        (at.left - LABEL_DISTANCE, "story stiffness", found.story_stiffness_std, "right"),
+        (at.right + LABEL_DISTANCE, "floor mass", found.floor_mass_std, "left"),
     ):
         # A value that a bound holds has no deviation of its own.
         heading = text if std is None or not np.isfinite(std).any() else f"{text} ± std"
@@ -379,11 +376,11 @@ def _numbers(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns, gap: f
     top, middle = float(z[-1]), z - np.diff(z, prepend=0.0) / 2
     word, other = ("", "") if style.narrow_page() else ("story ", "floor ")
     for i, (level, shown) in enumerate(zip(middle, style.spread(middle, gap, 0.0, top), strict=True)):
-        _leader(axes, (at.left, level), (at.left - GAP + 0.01, shown))
-        axes.text(at.left - GAP, shown, f"{word}{i + 1}:  {stiffnesses[i]} {unit}", ha="right", va="center")
+        _leader(axes, (at.left, level), (at.left - LABEL_DISTANCE + 0.01, shown))
+        axes.text(at.left - LABEL_DISTANCE, shown, f"{word}{i + 1}:  {stiffnesses[i]} {unit}", ha="right", va="center")
     for i, (level, shown) in enumerate(zip(z, style.spread(z, gap, 0.0, top), strict=True)):
-        _leader(axes, (at.right + 0.02, level), (at.right + GAP - 0.01, shown))
-        axes.text(at.right + GAP, shown, f"{other}{i + 1}:  {masses[i]} {mass_unit}", ha="left", va="center")
+        _leader(axes, (at.right + 0.02, level), (at.right + LABEL_DISTANCE - 0.01, shown))
+        axes.text(at.right + LABEL_DISTANCE, shown, f"{other}{i + 1}:  {masses[i]} {mass_unit}", ha="left", va="center")
 
 
 # Springs between all pairs of levels.

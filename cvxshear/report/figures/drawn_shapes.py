@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -113,13 +114,8 @@ def mac_tables(result: Closure | Identification) -> list[tuple[str, Floats]]:
     else:
         found, gains = tuple(item for part in result.parts for item in part.predictions), {}
     experiment = result.experiment
-    return [
-        (
-            item.configuration,
-            _mac(experiment, item.configuration, item.mode_shapes * gains.get(item.configuration, 1.0)),
-        )
-        for item in found
-    ]
+    shown = {item.configuration: item.mode_shapes * gains.get(item.configuration, 1.0) for item in found}
+    return [(name, _mac(experiment, name, modelled)) for name, modelled in shown.items()]
 
 
 def _mac(experiment: Experiment, name: str, modelled: Floats) -> Floats:
@@ -138,6 +134,9 @@ SHAPES_A_ROW = 5
 
 ABOVE, BELOW, TITLE = 0.3, 0.55, 0.5
 """Room, inch, for the legend, the common label, and the two lines of title of a panel."""
+
+SHEAR: dict[str, Any] = {"color": style.BEFORE, "ls": "--", "marker": "D", "mfc": "white", "ms": 3.6, "lw": 1.0}
+"""How the shear model's shape is drawn."""
 
 HALF_WIDTH = 0.16
 """Of the drawn frame, where the largest entry of a shape is 1."""
@@ -203,28 +202,9 @@ def _displaced_frame(axes: Axes, z: Floats, before: ModeShape, after: ModeShape)
     for side in (-HALF_WIDTH, HALF_WIDTH):
         axes.plot(sway + side, base, color=style.AFTER, lw=1.0)
     axes.hlines(z, after.modelled - HALF_WIDTH, after.modelled + HALF_WIDTH, color=style.AFTER, lw=1.6)
-    axes.plot(
-        np.concatenate([[0.0], before.modelled]),
-        base,
-        color=style.BEFORE,
-        ls="--",
-        marker="D",
-        mfc="white",
-        ms=3.6,
-        lw=1.0,
-    )
-    axes.errorbar(
-        after.measured,
-        z[after.floors - 1],
-        xerr=after.std,
-        fmt="o",
-        color=style.MEASURED,
-        ms=3.0,
-        capsize=2.0,
-        lw=0.9,
-        zorder=5,
-    )
-    axes.axhline(0, color=style.QUIET, lw=0.8)
+    axes.plot(np.concatenate([[0.0], before.modelled]), base, **SHEAR)
+    style.error_bars(axes, after.measured, z[after.floors - 1], after.std, zorder=5)
+    axes.axhline(0, color=style.GREY, lw=0.8)
     axes.set_xlim(-1.45, 1.45)
     axes.set_xticks([-1, 0, 1])
     axes.set_ylim(0, 1.07 * float(z[-1]))
@@ -237,6 +217,6 @@ def _legend(*, changed: bool) -> list[Line2D]:
     first = "shear model" if changed else "the same model"
     return [
         Line2D([], [], color=style.MEASURED, marker="o", ms=3.0, lw=0.9, label="measured ± one std"),
-        Line2D([], [], color=style.BEFORE, ls="--", marker="D", mfc="white", ms=3.6, lw=1.0, label=first),
+        Line2D([], [], label=first, **SHEAR),
         Line2D([], [], color=style.AFTER, lw=1.6, label="with effects" if changed else "shear model"),
     ]

@@ -19,7 +19,7 @@ from cvxshear.report.figures.figure_table import figure
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
 
-LABEL = 0.14
+LABEL_WIDTH = 0.14
 """inch, what a label standing on end needs in width."""
 BAND = 0.42
 """Of the orders' height: the room for the labels above them."""
@@ -60,7 +60,7 @@ def stabilization(*results: ModalResult) -> Figure:
         Where a result holds no order sweep.
     """
     most = max(len(result.frequencies) for result in results)
-    figure = style.new_figure(max(style.PAGE_WIDTH, LABEL * most + 1.4), 3.4 * len(results) + 0.5)
+    figure = style.new_figure(max(style.PAGE_WIDTH, LABEL_WIDTH * most + 1.4), 3.4 * len(results) + 0.5)
     for axes, result in zip(style.panels(figure, len(results), 1), results, strict=True):
         if result.sweep is None:
             raise InputError(f"{result.name}: not identified from a record here, so there is no order sweep to draw")
@@ -75,8 +75,7 @@ def stabilization(*results: ModalResult) -> Figure:
         axes.set_xlabel("frequency, Hz")
         axes.set_ylabel("model order (states)", y=0.5 / (1 + BAND))
         axes.set_title(f"{style.letters(result.name)}: {method_in_words(result)}")
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=4)
+    style.legend(figure, figure.axes[0], 4)
     return figure
 
 
@@ -101,7 +100,7 @@ def _indicator(axes: Axes, result: ModalResult) -> None:
     values = result.functions.indicator[:, :2]
     shown = (lines > 0.2 * result.frequencies[0]) & (lines < HIGHEST * result.frequencies[-1])
     for place, column in enumerate(values.T):
-        behind.plot(lines[shown], column[shown], color=style.QUIET, lw=0.9, ls=":" if place else "-", alpha=0.8)
+        behind.plot(lines[shown], column[shown], color=style.GREY, lw=0.9, ls=":" if place else "-", alpha=0.8)
     behind.set_yscale("log")
     low, high = float(values[shown, 0].min()), float(values[shown, 0].max())
     behind.set_ylim(low, low * (high / low) ** (1 + BAND))
@@ -109,14 +108,14 @@ def _indicator(axes: Axes, result: ModalResult) -> None:
     behind.spines["right"].set_visible(False)
     axes.set_zorder(behind.get_zorder() + 1)
     axes.patch.set_visible(False)
-    axes.plot([], [], color=style.QUIET, lw=0.9, alpha=0.8, label="mode indicator function")
+    axes.plot([], [], color=style.GREY, lw=0.9, alpha=0.8, label="mode indicator function")
 
 
 def _labels(axes: Axes, result: ModalResult, top: int, inches: float) -> None:
     """Mode and frequency on end above the poles, apart from one another, each with a line to its pole."""
     frequencies: Floats = result.frequencies
     end = axes.get_xlim()[1]
-    gap = end * LABEL / inches
+    gap = end * LABEL_WIDTH / inches
     for mode, frequency, x in zip(
         result.modes, frequencies, style.spread(frequencies, gap, gap / 2, end - gap / 2), strict=True
     ):
@@ -176,7 +175,7 @@ def functions(*results: ModalResult) -> Figure:
             style.logarithmic(axes.yaxis, most=5)
             _dress(axes, result, f"floor {seen.floors[output]}{_against(seen, int(column))}", several=len(results) > 1)
     _label_units(figure, groups, [_named(_functions_of(result)) for result in results])
-    figure.legend(*groups[0][0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    style.legend(figure, groups[0][0], 2)
     return figure
 
 
@@ -245,10 +244,8 @@ def _looks(seen: Sequence[Functions]) -> dict[str, dict[str, Any]]:
     """One look for each that drives, the lowest floor first, whichever records it is in."""
     drivers = {_driver(each, column): int(floor) for each in seen for column, floor in enumerate(each.inputs)}
     labels = sorted(drivers, key=drivers.__getitem__)
-    marks = zip(
-        labels, style.assorted(style.COLOURS, len(labels)), style.assorted(style.LINES, len(labels)), strict=True
-    )
-    return {label: {"color": colour, "ls": line, "lw": 0.9} for label, colour, line in marks}
+    every = zip(labels, style.looks(len(labels)), strict=True)
+    return {label: {**look, "marker": "", "lw": 0.9} for label, look in every}
 
 
 def _driver(seen: Functions, column: int) -> str:
@@ -284,7 +281,7 @@ def _panels_of(
 
 def _dress(axes: Axes, result: ModalResult, title: str, *, several: bool) -> None:
     for frequency in result.frequencies:
-        axes.axvline(float(frequency), color=style.QUIET, lw=0.5, alpha=0.6, zorder=0)
+        axes.axvline(float(frequency), color=style.GREY, lw=0.5, alpha=0.6, zorder=0)
     axes.set_title(f"{style.letters(result.name, 20)}\n{title}" if several else title, fontsize=7.5)
     axes.grid(axis="y")
     axes.tick_params(labelsize=7)

@@ -26,8 +26,11 @@ MOST_BARS = 14
 LONGEST_LABEL = 44
 """Letters of an effect's name beside its dots; on two lines on a telephone."""
 
-LEAST = 1e-4
+LEAST_DRAWN = 1e-4
 """Probability below which, and as far from certainty, an effect is drawn at the edge of the figure."""
+
+HOLLOW: dict[str, Any] = {"ls": "none", "marker": "D", "mfc": "white", "mec": style.BEFORE, "mew": 1.2, "ms": 5.0}
+"""How the state before is marked: a hollow diamond."""
 
 TICKS = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999)
 """Probabilities at the ticks of the axis of log odds."""
@@ -78,17 +81,16 @@ def ranking(result: Closure) -> Figure:
     axes.xaxis.set_major_locator(FixedLocator(_log_odds(TICKS[::2] if style.narrow_page() else TICKS).tolist()))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(_percent))
-    edge = float(_log_odds([1.0 - LEAST])[0])
+    edge = float(_log_odds([1.0 - LEAST_DRAWN])[0])
     axes.set_xlim(-1.04 * edge, 1.04 * edge)
     axes.grid(axis="x")
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=1 if style.narrow_page() else 3)
+    style.legend(figure, axes, 1 if style.narrow_page() else 3, left=True)
     return figure
 
 
 def _log_odds(probabilities: list[float] | tuple[float, ...]) -> Floats:
     """log p / (1 - p), what is beyond the edges at them."""
-    p = np.clip(np.asarray(probabilities, dtype=float), LEAST, 1.0 - LEAST)
+    p = np.clip(np.asarray(probabilities, dtype=float), LEAST_DRAWN, 1.0 - LEAST_DRAWN)
     odds: Floats = np.log(p) - np.log1p(-p)
     return odds
 
@@ -96,18 +98,17 @@ def _log_odds(probabilities: list[float] | tuple[float, ...]) -> Floats:
 def _arrows(axes: Axes, bars: list[Candidate]) -> None:
     before, after = _log_odds([item.prior for item in bars]), _log_odds([item.probability for item in bars])
     axes.hlines(range(len(bars)), before, after, color="#B0B0B0", lw=1.0, zorder=1)
-    look: dict[str, Any] = {"ls": "none", "marker": "D", "mfc": "white", "mec": style.BEFORE, "mew": 1.2, "ms": 5.0}
-    axes.plot(before, range(len(bars)), label="before the data", **look)
+    axes.plot(before, range(len(bars)), label="before the data", **HOLLOW)
 
 
 def _dots(axes: Axes, bars: list[Candidate], added: int) -> None:
     """With the data: full where added, and pointing outwards where the number lies beyond the edge."""
     after = _log_odds([item.probability for item in bars])
-    inside = np.array([LEAST <= item.probability <= 1.0 - LEAST for item in bars], dtype=bool)
+    inside = np.array([LEAST_DRAWN <= item.probability <= 1.0 - LEAST_DRAWN for item in bars], dtype=bool)
     mine = np.arange(len(bars)) < added
     for chosen, label, face, colour in (
         (mine, "with the data: added", style.AFTER, style.AFTER),
-        (~mine, "with the data: not added", style.QUIET, style.QUIET),
+        (~mine, "with the data: not added", style.GREY, style.GREY),
     ):
         for marker, there in (("o", inside), ("<", ~inside & (after < 0)), (">", ~inside & (after > 0))):
             at = np.flatnonzero(chosen & there)
@@ -176,8 +177,7 @@ def residual(result: Closure) -> Figure:
     longest = 12 if style.narrow_page() else 20
     drawn[0].set_yticks(range(len(rows)), [f"{style.letters(name, longest)}, {place}" for name, place in rows])
     drawn[0].set_ylim(len(rows) - 0.4, -0.6)
-    handles, labels = drawn[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=2)
+    style.legend(figure, drawn[0], 2)
     return figure
 
 
@@ -188,14 +188,10 @@ def _residual_panel(axes: Axes, rows: Sequence[tuple[str, str]], pairs: Sequence
     axes.axvspan(-USUAL if signed else 0, USUAL, color="#EFEFEF", zorder=0, lw=0)
     _dumbbells(axes, places, [before.deviations for before, _ in pairs], [after.deviations for _, after in pairs])
     what = f"{pairs[0][1].noise.replace('_', ' ')}, {'model less measurement' if signed else 'root mean square'}"
-    lines = (
-        textwrap.wrap(f"{what}, standard deviations", 22)
-        if style.narrow_page()
-        else [f"{what},", "standard deviations"]
-    )
-    axes.set_xlabel("\n".join(lines))
+    wrapped = "\n".join(textwrap.wrap(f"{what}, standard deviations", 22))
+    axes.set_xlabel(wrapped if style.narrow_page() else f"{what},\nstandard deviations")
     if signed:
-        axes.axvline(0, color=style.QUIET, lw=0.8)
+        axes.axvline(0, color=style.GREY, lw=0.8)
     else:
         axes.set_xlim(left=0)
     axes.grid(axis="x")
@@ -204,16 +200,14 @@ def _residual_panel(axes: Axes, rows: Sequence[tuple[str, str]], pairs: Sequence
 
 def _dumbbells(axes: Axes, places: Floats, before: Sequence[float], after: Sequence[float]) -> None:
     axes.hlines(places, before, after, color="#B0B0B0", lw=1.0, zorder=1)
-    axes.plot(
-        before, places, ls="none", marker="D", mfc="white", mec=style.BEFORE, mew=1.2, ms=5.0, label="shear model"
-    )
+    axes.plot(before, places, label="shear model", **HOLLOW)
     axes.plot(after, places, ls="none", marker="o", color=style.AFTER, ms=4.2, label="with effects")
     largest = float(np.nanmax(np.abs([*before, *after, 1.0])))
     if largest > COMPRESSED:
         axes.set_xscale("symlog", linthresh=LINEAR, linscale=1.0)
         axes.xaxis.set_major_locator(FixedLocator(_decades(largest)))
         axes.xaxis.set_major_formatter(FuncFormatter(style.power_of_ten))
-        axes.xaxis.set_minor_formatter(FuncFormatter(lambda value, at: ""))
+        axes.xaxis.set_minor_formatter("")
         axes.set_xlim(-2 * largest, 2 * largest)
     else:
         axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))

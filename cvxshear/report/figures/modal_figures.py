@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -11,15 +13,15 @@ from matplotlib.ticker import MaxNLocator
 from cvxshear.loop import Closure
 from cvxshear.methods import Identification
 from cvxshear.modal import ModalResult
-from cvxshear.records.shapes import mac as mac_of
-from cvxshear.records.shapes import scaled_to_one
+from cvxshear.records.mode_shapes import mac as mac_of
+from cvxshear.records.mode_shapes import scaled_to_one
 from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_shapes import SHAPES_A_ROW, mac_tables
 from cvxshear.report.figures.figure_table import figure
 from cvxshear.util.quantities import percents
 from cvxshear.util.typing import Floats
 
-NUMBERED = 8
+MOST_NUMBERED = 8
 """Modes up to which the cells hold their numbers."""
 
 MAC_ROUNDING = 1e-12
@@ -51,20 +53,25 @@ def mac(result: Closure | Identification) -> Figure:
     Figure
         One panel a configuration; dark is 0, light is 1, also in black and white.
     """
-    tables = mac_tables(result)
-    stories = result.experiment.stories
-    most = 1 if style.narrow_page() else 3 if stories <= 4 else 2
-    rows, columns = style.grid_of(len(tables), most)
+    modes = {each.name: each.modes.tolist() for each in result.experiment.configurations}
+    every = list(range(1, result.experiment.stories + 1))
+    matrices = [(name, table, modes[name], every) for name, table in mac_tables(result)]
+    most = 1 if style.narrow_page() else 3 if len(every) <= 4 else 2
+    return _matrices(matrices, most, "measured mode", "mode of the model")
+
+
+def _matrices(matrices: Sequence[tuple[str, Floats, list[int], list[int]]], most: int, row: str, column: str) -> Figure:
+    """Matrices of MACs with their titles and the modes of their rows and columns, so many side by side."""
+    rows, columns = style.grid_of(len(matrices), most)
     side = 2.6 if style.narrow_page() else style.PAGE_WIDTH / most
     figure = style.new_figure(side * columns + 0.9, rows * (side + 0.3))
-    axes = style.panels(figure, len(tables), columns)
-    for each, (name, table) in zip(axes, tables, strict=True):
-        configuration = next(item for item in result.experiment.configurations if item.name == name)
-        image = draw_matrix(each, table, configuration.modes.tolist(), list(range(1, stories + 1)))
-        each.set_title(style.letters(name))
-        each.set_xlabel("mode of the model")
-        each.set_ylabel("measured mode")
-    figure.colorbar(image, ax=axes, label="MAC (1: the same shape)", shrink=0.8)
+    drawn = style.panels(figure, len(matrices), columns)
+    for axes, (name, table, measured, modelled) in zip(drawn, matrices, strict=True):
+        image = draw_matrix(axes, table, measured, modelled)
+        axes.set_title(style.letters(name))
+        axes.set_xlabel(column)
+        axes.set_ylabel(row)
+    figure.colorbar(image, ax=drawn, label="MAC (1: the same shape)", shrink=0.8)
     return figure
 
 
@@ -75,9 +82,8 @@ def draw_matrix(axes: Axes, table: Floats, rows: list[int], columns: list[int]) 
     axes.set_xticks(range(0, len(columns), step), [str(mode) for mode in columns[::step]])
     axes.set_yticks(range(0, len(rows), step), [str(mode) for mode in rows[::step]])
     axes.tick_params(length=0)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_visible(False)
-    if len(columns) <= NUMBERED:
+    axes.spines[["left", "bottom"]].set_visible(False)
+    if len(columns) <= MOST_NUMBERED:
         _numbers(axes, table)
     return image
 
@@ -166,21 +172,13 @@ def modal_mac(*results: ModalResult) -> Figure:
     Returns
     -------
     Figure
-        One panel a record; beside the diagonal it is near 0 where the sensors tell the modes apart.
+        One panel a record; beside the diagonal it is near 0 where the sensors distinguish the modes.
     """
-    columns = min(len(results), 3)
-    rows, columns = style.grid_of(len(results), columns)
-    side = style.PAGE_WIDTH / 3
-    figure = style.new_figure(side * columns + 0.9, rows * (side + 0.3))
-    drawn = style.panels(figure, len(results), columns)
-    for axes, result in zip(drawn, results, strict=True):
+    matrices = []
+    for result in results:
         table = np.array([[mac_of(one, other) for other in result.mode_shapes] for one in result.mode_shapes])
-        image = draw_matrix(axes, table, result.modes.tolist(), result.modes.tolist())
-        axes.set_title(style.letters(result.name))
-        axes.set_xlabel("mode")
-        axes.set_ylabel("mode")
-    figure.colorbar(image, ax=drawn, label="MAC (1: the same shape)", shrink=0.8)
-    return figure
+        matrices.append((result.name, table, result.modes.tolist(), result.modes.tolist()))
+    return _matrices(matrices, 3, "mode", "mode")
 
 
 def _facing(result: ModalResult, shape: Floats, facing: dict[int, tuple[ModalResult, Floats]], mode: int) -> Floats:
@@ -195,17 +193,8 @@ def _panel(axes: Axes, result: ModalResult, row: int, shape: Floats, stories: in
     axes.axvline(0, color="#C8C8C8", lw=0.5)
     axes.plot(np.concatenate([[0.0], shape]), heights, color=style.AFTER, lw=1.2)
     known = "assumed" not in result.uncertainty
-    axes.errorbar(
-        shape,
-        result.floors,
-        xerr=result.mode_shape_std[row] if known else None,
-        fmt="o",
-        color=style.MEASURED,
-        ms=3.0,
-        capsize=2.0,
-        lw=0.9,
-    )
-    axes.axhline(0, color=style.QUIET, lw=0.8)
+    style.error_bars(axes, shape, result.floors, result.mode_shape_std[row] if known else None)
+    axes.axhline(0, color=style.GREY, lw=0.8)
     axes.set_xlim(-1.3, 1.3)
     axes.set_xticks([-1, 0, 1])
     axes.set_ylim(0, 1.07 * stories)

@@ -12,18 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from cvxshear.paper.scatter import NoiseStudy, Scatter
+from cvxshear.report.figures import style
 from cvxshear.report.figures.figure_table import figure
-from cvxshear.report.figures.style import (
-    COLOURS,
-    HATCHES,
-    LINES,
-    MARKERS,
-    PAGE_WIDTH,
-    assorted,
-    grid_of,
-    new_figure,
-    panels,
-)
 from cvxshear.util.errors import InputError
 
 BOX = 0.8
@@ -54,8 +44,7 @@ def noise_boxes(study: NoiseStudy, methods: tuple[str, ...] = ()) -> Figure:
     """
     groups = _by_method(study, methods)
     first = next(iter(groups.values()))
-    figure, drawn, columns = _panels_of(first[0])
-    levels = [100 * each.setup.mode_shape_std for each in first]
+    figure, drawn, levels = _panels_of(first, "error, %")
     width = BOX / len(groups)
     for parameter, axes in enumerate(drawn):
         axes.axhline(0, color="black", lw=0.7)
@@ -65,13 +54,7 @@ def noise_boxes(study: NoiseStudy, methods: tuple[str, ...] = ()) -> Figure:
         axes.set_xticks(range(len(levels)), [f"{level:g}" for level in levels])
         axes.set_xlim(-0.6, len(levels) - 0.4)
         axes.grid(axis="y")
-        if parameter % columns == 0:
-            axes.set_ylabel("error, %")
-    figure.supxlabel("standard deviation of a mode-shape entry, %", fontsize=8.5)
-    handles = [
-        Patch(fc=COLOURS[i % len(COLOURS)], ec="black", hatch=HATCHES[i % len(HATCHES)], alpha=0.8, label=name)
-        for i, name in enumerate(groups)
-    ]
+    handles = [Patch(ec="black", alpha=0.8, label=name, **_filling(i)) for i, name in enumerate(groups)]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
     return figure
 
@@ -102,50 +85,34 @@ def noise_variation(study: NoiseStudy, methods: tuple[str, ...] = ()) -> Figure:
     if len(next(iter(groups.values()))) == 1:
         return _one_level({method: scatters[0] for method, scatters in groups.items()})
     first = next(iter(groups.values()))
-    figure, drawn, columns = _panels_of(first[0])
-    levels = [100 * each.setup.mode_shape_std for each in first]
-    styles = _styles(groups)
+    figure, drawn, levels = _panels_of(first, "coefficient of\nvariation, %")
     for parameter, axes in enumerate(drawn):
-        for method, style in styles.items():
-            axes.plot(levels, [100 * each.variation[parameter] for each in groups[method]], label=method, **style)
-        axes.plot(
-            levels,
-            [100 * each.relative_bound[parameter] for each in first],
-            color="black",
-            lw=2.2,
-            ls=(0, (1, 1)),
-            label="Cramér-Rao bound",
-        )
+        for method, look in _styles(groups).items():
+            axes.plot(levels, [100 * each.variation[parameter] for each in groups[method]], label=method, **look)
+        bound = [100 * each.relative_bound[parameter] for each in first]
+        axes.plot(levels, bound, color="black", lw=2.2, ls=(0, (1, 1)), label="Cramér-Rao bound")
         axes.set_ylim(bottom=0)
         axes.set_xlim(left=0)
         axes.set_xticks([0, *levels] if len(levels) <= 6 else axes.get_xticks())
         axes.grid()
-        if parameter % columns == 0:
-            axes.set_ylabel("coefficient of\nvariation, %")
-    figure.supxlabel("standard deviation of a mode-shape entry, %", fontsize=8.5)
-    handles, labels = drawn[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    style.legend(figure, drawn[0])
     return figure
 
 
 def _one_level(scatters: dict[str, Scatter]) -> Figure:
     first = next(iter(scatters.values()))
     names = _names(first)
-    figure = new_figure(PAGE_WIDTH, 3.2)
+    figure = style.new_figure(style.PAGE_WIDTH, 3.2)
     axes = figure.subplots()
     places = np.arange(len(names))
     axes.bar(places, 100 * first.relative_bound, width=0.75, fc="#E4E4E4", ec="black", lw=0.8, label="Cramér-Rao bound")
     step = 0.6 / max(len(scatters), 2)
-    for i, (method, style) in enumerate(_styles(scatters).items()):
+    for i, (method, look) in enumerate(_styles(scatters).items()):
         at = places + (i - (len(scatters) - 1) / 2) * step
-        axes.plot(at, 100 * scatters[method].variation, label=method, **{**style, "ls": "none"})
+        axes.plot(at, 100 * scatters[method].variation, label=method, **{**look, "ls": "none"})
     turned = len(names) > 16
-    axes.set_xticks(
-        places,
-        [name.replace(" ", "\n", 1) if not turned else name for name in names],
-        rotation=90 if turned else 0,
-        fontsize=6.5,
-    )
+    shown = names if turned else [name.replace(" ", "\n", 1) for name in names]
+    axes.set_xticks(places, shown, rotation=90 if turned else 0, fontsize=6.5)
     axes.set_ylabel("coefficient of variation, %")
     axes.set_xlabel(f"parameter (noise of a mode-shape entry: {100 * first.setup.mode_shape_std:g} %)")
     axes.grid(axis="y")
@@ -170,39 +137,39 @@ def _names(scatter: Scatter) -> list[str]:
     return [*(f"floor mass {i}" for i in numbers), *(f"story stiffness {i}" for i in numbers)]
 
 
-def _panels_of(scatter: Scatter) -> tuple[Figure, list[Axes], int]:
-    """One panel a mass and a stiffness, masses first."""
-    names = _names(scatter)
-    rows, columns = grid_of(len(names), 3 if scatter.setup.stories % 4 else 4)
-    figure = new_figure(PAGE_WIDTH, 1.75 * rows + 0.8)
-    drawn = panels(figure, len(names), columns, sharex=True)
-    for axes, name in zip(drawn, names, strict=True):
+def _panels_of(scatters: list[Scatter], label: str) -> tuple[Figure, list[Axes], list[float]]:
+    """One panel a mass and a stiffness, masses first; and the noise levels, %."""
+    names = _names(scatters[0])
+    rows, columns = style.grid_of(len(names), 3 if scatters[0].setup.stories % 4 else 4)
+    figure = style.new_figure(style.PAGE_WIDTH, 1.75 * rows + 0.8)
+    drawn = style.panels(figure, len(names), columns, sharex=True)
+    for place, (axes, name) in enumerate(zip(drawn, names, strict=True)):
         axes.set_title(name)
-    return figure, drawn, columns
+        if place % columns == 0:
+            axes.set_ylabel(label)
+    figure.supxlabel("standard deviation of a mode-shape entry, %", fontsize=8.5)
+    return figure, drawn, [100 * each.setup.mode_shape_std for each in scatters]
 
 
 def _styles(methods: Iterable[str]) -> dict[str, dict[str, Any]]:
     """Colour, marker and line of each method; every other marker is hollow."""
     names = list(methods)
-    count = len(names)
-    marks = zip(names, assorted(COLOURS, count), assorted(MARKERS, count), assorted(LINES, count), strict=True)
-    return {
-        name: {"color": colour, "marker": marker, "ls": line, "mfc": "white" if i % 2 else colour}
-        for i, (name, colour, marker, line) in enumerate(marks)
-    }
+    every = zip(names, style.looks(len(names)), strict=True)
+    return {name: {**look, "mfc": "white" if i % 2 else look["color"]} for i, (name, look) in enumerate(every)}
 
 
 def _boxes(axes: Axes, samples: list[np.ndarray], at: np.ndarray, width: float, place: int) -> None:
     boxes = axes.boxplot(
-        samples,
-        positions=at,
-        widths=0.85 * width,
-        patch_artist=True,
-        manage_ticks=False,
-        medianprops={"color": "black", "lw": 1.2},
+        samples, positions=at, widths=0.85 * width, patch_artist=True, manage_ticks=False,
+        medianprops={"color": "black", "lw": 1.2}, whiskerprops={"lw": 0.7}, capprops={"lw": 0.7},
         flierprops={"marker": ".", "ms": 1.5, "mec": "#555555", "alpha": 0.5},
-        whiskerprops={"lw": 0.7},
-        capprops={"lw": 0.7},
-    )
+    )  # fmt: skip
     for box in boxes["boxes"]:
-        box.set(facecolor=COLOURS[place % len(COLOURS)], hatch=HATCHES[place % len(HATCHES)], alpha=0.8, linewidth=0.7)
+        box.set(alpha=0.8, linewidth=0.7, **_filling(place))
+
+
+def _filling(place: int) -> dict[str, Any]:
+    """Colour and hatch of the boxes of a method."""
+    return {
+        "facecolor": style.COLOURS[place % len(style.COLOURS)], "hatch": style.HATCHES[place % len(style.HATCHES)]
+    }  # fmt: skip

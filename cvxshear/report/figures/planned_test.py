@@ -12,15 +12,15 @@ from matplotlib.ticker import MaxNLocator
 
 from cvxshear.planning.results import Plan, accuracy_curve
 from cvxshear.report.figures.figure_table import figure
-from cvxshear.report.figures.style import AFTER, BEFORE, PALE, QUIET, letters, new_figure
+from cvxshear.report.figures.style import AFTER, BEFORE, GREY, PALE, letters, new_figure
 
 STORY = 0.24
 """inch a story, at least."""
 
-LABEL = 24
+LABEL_LETTERS = 24
 """Letters of a label that stand beside the lowest frame drawn."""
 
-WIDTH = 0.9
+TEST_WIDTH = 0.9
 """inch a test; its name needs as much."""
 
 
@@ -46,7 +46,7 @@ def plan(result: Plan) -> Figure:
     """
     shown = min(len(result.tests), MOST_SHOWN)
     n = result.model.design.stories
-    frames = max(2.2, WIDTH * shown + 0.8)
+    frames = max(2.2, TEST_WIDTH * shown + 0.8)
     figure = new_figure(frames + 3.8, float(np.clip(n * STORY + 1.2, 2.8, 10.0)))
     left, right = figure.subplots(1, 2, width_ratios=[frames, 3.6])
     _frames(left, result, shown)
@@ -64,16 +64,13 @@ def _frames(axes: Axes, result: Plan, shown: int) -> None:
     for place, test in enumerate(result.tests[:shown]):
         for floor in range(1, n + 1):
             for side in (place - 0.3, place + 0.3):
-                axes.plot([side, side], [floor - 1, floor], color=QUIET, lw=1.2)
+                axes.plot([side, side], [floor - 1, floor], color=GREY, lw=1.2)
             axes.add_patch(Rectangle((place - 0.33, floor - 0.06), 0.66, 0.12, fc=PALE, ec="black", lw=0.7, zorder=3))
             mass = float(test[floor - 1])
             if mass > 0:
                 tall = 0.5 * mass / heaviest
-                axes.add_patch(
-                    Rectangle(
-                        (place - 0.16, floor + 0.06), 0.32, tall, fc=BEFORE, ec="black", lw=0.6, hatch="//", zorder=3
-                    )
-                )
+                load = {"fc": BEFORE, "ec": "black", "lw": 0.6, "hatch": "//", "zorder": 3}
+                axes.add_patch(Rectangle((place - 0.16, floor + 0.06), 0.32, tall, **load))  # type: ignore[arg-type]
             if floor in result.sensors:
                 axes.plot(place + 0.24, floor + 0.16, "o", color=AFTER, ms=4.5, zorder=4)
         axes.plot([place - 0.4, place + 0.4], [0, 0], color="black", lw=1.2)
@@ -96,10 +93,10 @@ def _curve(axes: Axes, result: Plan) -> None:
     curve = accuracy_curve(result)
     counts = [count for count, _, _ in curve]
     axes.plot(counts, [100 * value for _, value, _ in curve], "o-", color=AFTER, label="best found")
-    axes.plot(counts, [100 * bound for _, _, bound in curve], "--", color=QUIET, label="no choice below")
+    axes.plot(counts, [100 * bound for _, _, bound in curve], "--", color=GREY, label="no choice below")
     axes.plot(len(result.sensors), 100 * result.objective, "s", color=BEFORE, ms=7, label="plan", zorder=4)
     axes.set_xlabel("number of sensors")
-    axes.set_ylabel("\n".join(textwrap.wrap(f"{result.measure}, %", LABEL)))
+    axes.set_ylabel("\n".join(textwrap.wrap(f"{result.measure}, %", LABEL_LETTERS)))
     axes.set_ylim(0, 115 * max(value for _, value, _ in curve))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(visible=True)

@@ -3,31 +3,21 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
+from matplotlib.ticker import LogLocator, MaxNLocator
 
+from cvxshear.report.figures import style
 from cvxshear.report.figures.figure_table import figure
-from cvxshear.report.figures.style import (
-    AFTER,
-    BEFORE,
-    COLOURS,
-    LINES,
-    MEASURED,
-    PAGE_WIDTH,
-    QUIET,
-    assorted,
-    letters,
-    logarithmic,
-    new_figure,
-    panels,
-)
+from cvxshear.report.figures.style import AFTER, BEFORE, GREY, MEASURED, PAGE_WIDTH, new_figure, panels
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.response.compare import seen
+from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import scaled
 from cvxshear.util.typing import Floats, Ints
 
@@ -36,6 +26,12 @@ MOST_FLOORS = 4
 
 PERIODS = 16
 """Of the first mode, that a time history shows; more would be a smear."""
+
+PROFILES = (
+    ("floor_acceleration", "acceleration", "m/s²"), ("story_drift", "story drift", "mm"),
+    ("story_shear", "story shear", "N"),
+)  # fmt: skip
+"""Peaks that are drawn over the height, with their words and units."""
 
 SIDES = 1.96
 """Standard deviations of a 95 % band."""
@@ -72,8 +68,10 @@ def response_histories(result: RecordPrediction) -> Figure:
     Figure
     """
     floors = _floors(result)
-    run, window = _strongest(result)
-    drive, model = result.motion.drives[run], result.after.damped.model
+    model = result.after.damped.model
+    sizes = [np.abs(item.acceleration) for item in result.after.responses]
+    run, window = _strongest(sizes, model.modes.frequencies[0], result.motion.sampling_rate)
+    drive = result.motion.drives[run]
     time = result.after.responses[run].time[window]
     figure = new_figure(PAGE_WIDTH, 1.35 * len(floors) + 0.9)
     for axes, floor in zip(panels(figure, len(floors), 1, sharex=True, sharey=True), floors, strict=True):
@@ -83,29 +81,29 @@ def response_histories(result: RecordPrediction) -> Figure:
             axes.plot(time, drive.responses[window, column], color=MEASURED, lw=1.8, label="measured")
         after = seen(model, result.after.responses[run], own)[window, 0]
         band = SIDES * np.abs(model.gain[floor - 1]) * result.std[run]["floor_acceleration"][window, floor - 1]
-        if np.isfinite(band).all():
-            axes.fill_between(time, after - band, after + band, color=AFTER, alpha=0.25, lw=0, label="95 % band")
-        axes.plot(time, after, color=AFTER, ls="--", lw=1.0, label="predicted")
+        _band(axes, time, after, band, ls="--", label="predicted")
         axes.set_title(f"floor {floor}")
-        axes.grid(visible=True, axis="y")
         axes.set_ylabel("m/s²")
     axes.set_xlabel("time, s")
-    _legend(figure, axes)
+    style.legend(figure, axes, left=True)
     return figure
 
 
-def _strongest(result: RecordPrediction) -> tuple[int, slice]:
-    """The run with the largest acceleration, and the samples around it."""
-    sizes = [np.abs(item.acceleration).max(axis=1) for item in result.after.responses]
-    run = int(np.argmax([size.max() for size in sizes]))
-    half = int(PERIODS / 2 / result.after.damped.model.modes.frequencies[0] * result.motion.sampling_rate)
-    first = max(0, int(np.argmax(sizes[run])) - half)
-    return run, slice(first, min(len(sizes[run]), first + 2 * half + 1))
+def _strongest(sizes: list[Floats], first_mode: float, rate: float) -> tuple[int, slice]:
+    """The run with the largest of these sizes over time, and the samples around it."""
+    largest = [each.max(axis=1) for each in sizes]
+    run = int(np.argmax([each.max() for each in largest]))
+    half = int(PERIODS / 2 / first_mode * rate)
+    first = max(0, int(np.argmax(largest[run])) - half)
+    return run, slice(first, min(len(largest[run]), first + 2 * half + 1))
 
 
-def _legend(figure: Figure, axes: Axes) -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=max(len(labels), 1))
+def _band(axes: Axes, time: Floats, value: Floats, half: Floats, **look: Any) -> None:
+    """A history with the band that holds 95 %, where it is known."""
+    if np.isfinite(half).all():
+        axes.fill_between(time, value - half, value + half, color=AFTER, alpha=0.25, lw=0, label="95 % band")
+    axes.plot(time, value, color=AFTER, lw=1.0, **look)
+    axes.grid(visible=True, axis="y")
 
 
 @figure(
@@ -127,15 +125,7 @@ def response_peaks(result: RecordPrediction) -> Figure:
     -------
     Figure
     """
-    shown = [
-        (name, word, unit)
-        for name, word, unit in (
-            ("floor_acceleration", "acceleration", "m/s²"),
-            ("story_drift", "story drift", "mm"),
-            ("story_shear", "story shear", "N"),
-        )
-        if name in result.peaks.values
-    ]
+    shown = [each for each in PROFILES if each[0] in result.peaks.values]
     n = len(result.after.damped.model.M)
     figure = new_figure(PAGE_WIDTH, min(1.6 + 0.32 * n, 6.0))
     every = panels(figure, len(shown), len(shown), sharey=True)
@@ -151,7 +141,7 @@ def response_peaks(result: RecordPrediction) -> Figure:
     every[0].set_ylabel("floor / story")
     every[0].yaxis.set_major_locator(MaxNLocator(min(n, 12), integer=True))
     every[0].set_ylim(0.5, n + 0.5)
-    _legend(figure, every[0])
+    style.legend(figure, every[0], left=True)
     return figure
 
 
@@ -190,17 +180,20 @@ def transfer_functions(result: RecordPrediction) -> Figure:
     Parameters
     ----------
     result : RecordPrediction
-        With measured accelerations; without, the figure holds a sentence.
+        With measured accelerations.
 
     Returns
     -------
     Figure
+
+    Raises
+    ------
+    InputError
+        Where the record has no accelerations of floors.
     """
     after = result.after.comparison
     if after is None:
-        figure = new_figure(PAGE_WIDTH, 1.2)
-        figure.text(0.5, 0.5, "the record has no accelerations of floors", ha="center", va="center", color=QUIET)
-        return figure
+        raise InputError("there are no transfer functions to show: the record has no accelerations of floors")
     floors = _floors(result)
     before = None if result.otherwise_before is None else result.otherwise_before.comparison
     natural = result.after.damped.model.modes.frequencies
@@ -213,9 +206,9 @@ def transfer_functions(result: RecordPrediction) -> Figure:
         if before is not None:
             curves[1] = (after.predicted, AFTER, "--", "with effects")
             curves.append((before.predicted, BEFORE, ":", "shear model"))
-        for of, colour, dashes, label in curves:
-            axes.semilogy(lines, np.abs(of.functions[shown, column]), color=colour, ls=dashes, lw=1.1, label=label)
-        logarithmic(axes.yaxis, 5)
+        for curve, colour, dashes, label in curves:
+            axes.semilogy(lines, np.abs(curve.functions[shown, column]), color=colour, ls=dashes, lw=1.1, label=label)
+        style.logarithmic(axes.yaxis, 5)
         axes.set_title(f"floor {floor}")
         axes.grid(visible=True)
     # Where nothing drives the frame the model falls by decades; what was measured sets the scale.
@@ -225,7 +218,7 @@ def transfer_functions(result: RecordPrediction) -> Figure:
     axes.set_xlabel("frequency, Hz")
     unit = "(m/s²)/(m/s²)" if result.motion.input == "base" else "(m/s²)/N"
     figure.supylabel(f"acceleration over excitation, {unit}", fontsize="medium")
-    _legend(figure, axes)
+    style.legend(figure, axes, left=True)
     return figure
 
 
@@ -252,19 +245,17 @@ def floor_spectra(result: RecordPrediction) -> Figure:
     spectra = result.spectra
     figure = new_figure(PAGE_WIDTH, 3.2)
     axes = figure.subplots()
-    styles = zip(floors, assorted(COLOURS, len(floors)), assorted(LINES, len(floors)), strict=True)
-    for floor, colour, dashes in styles:
-        axes.semilogx(
-            spectra.frequencies, spectra.acceleration[floor - 1], color=colour, ls=dashes, label=f"floor {floor}"
-        )  # fmt: skip
+    for floor, look in zip(floors, style.looks(len(floors)), strict=True):
+        look = {**look, "marker": "", "label": f"floor {floor}"}  # noqa: PLW2901
+        axes.semilogx(spectra.frequencies, spectra.acceleration[floor - 1], **look)
     axes.set_xlabel("natural frequency of the oscillator, Hz")
     axes.set_ylabel(f"peak acceleration, m/s², {100 * spectra.damping:g} % damping")
     axes.set_ylim(bottom=0)
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, at: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(FuncFormatter(lambda value, at: ""))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter("")
     axes.grid(visible=True)
-    _legend(figure, axes)
+    style.legend(figure, axes, left=True)
     return figure
 
 
@@ -300,7 +291,7 @@ def story_drifts(result: Reconstruction) -> Figure:
     sensors = set(result.recording.floors.tolist())
     for story, (low, high) in enumerate(pairwise(levels)):
         share = float(peaks[story] / max(float(peaks.max()), 1e-300))
-        left.add_patch(Rectangle((0.2, low), 0.6, high - low, fc=colours(share), ec=QUIET, lw=0.8, alpha=0.85))
+        left.add_patch(Rectangle((0.2, low), 0.6, high - low, fc=colours(share), ec=GREY, lw=0.8, alpha=0.85))
         mark = " *" if story + 1 in result.changed else ""
         left.text(
             0.5, 0.5 * (low + high), f"{peaks[story]:.3g} ± {std[story]:.1g}{mark}", ha="center", va="center",
@@ -319,8 +310,8 @@ def story_drifts(result: Reconstruction) -> Figure:
     if result.limits is not None and result.passed is not None:
         for word, limit in zip(result.limits.names, result.limits.story_drift, strict=True):
             if 100 * limit < 2 * float(np.max(peaks + SIDES * std)):
-                right.axvline(100 * limit, color=QUIET, ls=":", lw=1)
-                right.text(100 * limit, levels[-1], letters(word), rotation=90, va="top", ha="right", fontsize=7)
+                right.axvline(100 * limit, color=GREY, ls=":", lw=1)
+                right.text(100 * limit, levels[-1], style.letters(word), rotation=90, va="top", ha="right", fontsize=7)
     right.set_xlim(left=0)
     right.set_xlabel(unit)
     right.legend(loc="best")
@@ -346,23 +337,17 @@ def reconstructed_histories(result: Reconstruction) -> Figure:
     -------
     Figure
     """
-    sizes = [np.abs(item.response.drift).max(axis=1) for item in result.runs]
-    run = int(np.argmax([size.max() for size in sizes]))
-    half = int(PERIODS / 2 / result.model.modes.frequencies[0] * result.recording.sampling_rate)
-    first = max(0, int(np.argmax(sizes[run])) - half)
-    window = slice(first, min(len(sizes[run]), first + 2 * half + 1))
+    sizes = [np.abs(item.response.drift) for item in result.runs]
+    run, window = _strongest(sizes, result.model.modes.frequencies[0], result.recording.sampling_rate)
     moved, std = result.runs[run].response, result.runs[run].std["story_drift"]
     count = len(result.model.M)
     stories = np.unique(np.linspace(count, 1, min(MOST_FLOORS, count)).round().astype(int))[::-1]
     figure = new_figure(PAGE_WIDTH, 1.35 * len(stories) + 0.9)
     for axes, story in zip(panels(figure, len(stories), 1, sharex=True), stories, strict=True):
         drift, band = 1000 * moved.drift[window, story - 1], 1000 * SIDES * std[window, story - 1]
-        time = moved.time[window]
-        axes.fill_between(time, drift - band, drift + band, color=AFTER, alpha=0.25, lw=0, label="95 % band")
-        axes.plot(time, drift, color=AFTER, lw=1.0, label="reconstructed")
+        _band(axes, moved.time[window], drift, band, label="reconstructed")
         axes.set_title(f"story {story}")
-        axes.grid(visible=True, axis="y")
         axes.set_ylabel("mm")
     axes.set_xlabel("time, s")
-    _legend(figure, axes)
+    style.legend(figure, axes, left=True)
     return figure

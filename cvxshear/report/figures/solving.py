@@ -61,8 +61,7 @@ def convergence(*results: Identification, true_mass: Floats | None = None) -> Fi
         axes.set_title(f"{style.letters(part.name, 20)}{_start(part) if several else ''}", fontsize=8.5)
         if place % columns == 0:
             axes.set_ylabel("error of the mass, relative" if true_mass is not None else "mass still to go, relative")
-    handles, labels = drawn[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 6))
+    style.legend(figure, drawn[0], min(len(drawn[0].get_lines()), 6))
     return figure
 
 
@@ -83,14 +82,8 @@ def _panel(axes: Axes, part: SingleIdentification, true_mass: Floats | None) -> 
     if errors.shape[1] > MOST_LINES:
         errors = np.column_stack([np.nanmax(errors, axis=1), np.nanmedian(errors, axis=1)])
         names = ["largest of all floors", "median of all floors"]
-    marks = zip(
-        style.assorted(style.COLOURS, len(names)),
-        style.assorted(style.MARKERS, len(names)),
-        style.assorted(style.LINES, len(names)),
-        strict=True,
-    )
-    for values, name, (colour, marker, line) in zip(errors.T, names, marks, strict=True):
-        axes.plot(values, color=colour, marker=marker, ls=line, ms=3.5, lw=1.0, label=name)
+    for values, name, look in zip(errors.T, names, style.looks(len(names)), strict=True):
+        axes.plot(values, ms=3.5, lw=1.0, label=name, **look)
     axes.set_yscale("log")
     style.logarithmic(axes.yaxis)
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
@@ -98,7 +91,7 @@ def _panel(axes: Axes, part: SingleIdentification, true_mass: Floats | None) -> 
     axes.grid(axis="y")
 
 
-NO_DIFFERENCE = 1e-17
+DRAWN_AS_NOTHING = 1e-17
 """Where an answer without any difference is drawn: below what a number of 64 bits can tell."""
 
 
@@ -130,22 +123,20 @@ def backend_differences(comparison: Comparison) -> Figure:
     figure = style.new_figure(style.page_width(), stacked * (0.27 * len(names) + 1.7))
     # Room for the last number of one axis beside the first of the other.
     left, right = figure.subplots(stacked, 2 // stacked, sharey=True, gridspec_kw={"wspace": 0.08})
-    marks = zip(
-        kinds, style.assorted(style.COLOURS, len(kinds)), style.assorted(style.MARKERS, len(kinds)), strict=True
-    )
     offsets = np.linspace(-0.28, 0.28, len(kinds)) if len(kinds) > 1 else np.zeros(1)
-    for place, (kind, colour, marker) in enumerate(marks):
+    for place, (kind, mark) in enumerate(zip(kinds, style.looks(len(kinds)), strict=True)):
         rows = [row for row in comparison.rows if row.kind == kind and not row.failure]
         at = [names.index(row.backend) + offsets[place] for row in rows]
         # Every other kind is hollow, so that the markers part without their colours too.
-        look = {"ls": "none", "marker": marker, "mec": colour, "mfc": "white" if place % 2 else colour, "ms": 4.0}
-        left.plot([max(row.difference or 0.0, NO_DIFFERENCE) for row in rows], at, label=kind, **look)
+        colour = mark["color"]
+        look = {**mark, "ls": "none", "mec": colour, "mfc": "white" if place % 2 else colour, "ms": 4.0}
+        left.plot([max(row.difference or 0.0, DRAWN_AS_NOTHING) for row in rows], at, label=kind, **look)
         right.plot([row.relative_time or np.nan for row in rows], at, **look)
     left.set_xscale("log")
     right.set_xscale("log")
-    left.set_xlabel(f"largest relative difference\n(none at all is drawn at {style.power_of_ten(NO_DIFFERENCE)})")
+    left.set_xlabel(f"largest relative difference\n(none at all is drawn at {style.power_of_ten(DRAWN_AS_NOTHING)})")
     right.set_xlabel("time / time of the closed form")
-    left.set_xlim(left=NO_DIFFERENCE / 3)
+    left.set_xlim(left=DRAWN_AS_NOTHING / 3)
     for axes in (left, right):
         style.logarithmic(axes.xaxis, most=6)
         axes.grid(axis="x")
@@ -154,6 +145,5 @@ def backend_differences(comparison: Comparison) -> Figure:
             axes.axhline(edge, color="#E6E6E6", lw=0.5, zorder=0)
     left.set_yticks(range(len(names)), names)
     left.set_ylim(len(names) - 0.4, -0.6)
-    handles, labels = left.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 2 if style.narrow_page() else 4))
+    style.legend(figure, left, min(len(kinds), 2 if style.narrow_page() else 4))
     return figure

@@ -26,7 +26,7 @@ from matplotlib.figure import Figure
 from matplotlib.ft2font import FT2Font
 from matplotlib.ticker import FuncFormatter, LogLocator
 
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Floats, Ints
 from cvxshear.util.writing import ending_of, write_file
 
 P = ParamSpec("P")
@@ -34,12 +34,12 @@ P = ParamSpec("P")
 MEASURED = "#000000"
 BEFORE = "#D55E00"
 AFTER = "#0072B2"
-QUIET = "#767676"
+GREY = "#767676"
 PALE = "#DCE9F2"
 COLOURS = (AFTER, BEFORE, "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 MARKERS = ("o", "s", "D", "^", "v", "P", "X")
 HATCHES = ("", "////", "....", "xxxx", "\\\\\\\\", "oo")
-LINES = ("-", "--", "-.", ":")
+DASHES = ("-", "--", "-.", ":")
 
 PAGE_WIDTH = 7.2
 """Width of a figure on an A4 page between its margins, inch."""
@@ -47,7 +47,7 @@ PAGE_WIDTH = 7.2
 NARROW_WIDTH = 3.6
 """Width of a figure on a telephone of 390 pixels, inch: letters are as large as on a wide page."""
 
-LONGEST = 26
+LONGEST_NAME = 26
 """Letters of a name that a figure shows."""
 
 OTHER_SCRIPTS = (
@@ -145,8 +145,7 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
             figure = draw(*args, **kwargs)
             # The layout is found once; what is drawn later, under whichever settings, stays where it is.
             figure.draw_without_rendering()
-            if figure.get_layout_engine() is not None:
-                figure.set_layout_engine("none")
+            figure.set_layout_engine(None)
         return figure
 
     return drawn
@@ -209,12 +208,30 @@ def panels_by_group(
     return groups
 
 
+def legend(figure: Figure, axes: Axes, columns: int | None = None, *, left: bool = False) -> None:
+    """The legend of one panel's lines for the whole figure, in one row where the columns are not said."""
+    handles, labels = axes.get_legend_handles_labels()
+    place: Any = "outside upper left" if left else "outside upper center"
+    figure.legend(handles, labels, loc=place, ncols=columns or max(len(labels), 1))
+
+
+def looks(count: int) -> list[dict[str, Any]]:
+    """Colours with a line and a marker each, for so many lines in one panel."""
+    marks = zip(*(assorted(each, count) for each in (COLOURS, DASHES, MARKERS)), strict=True)
+    return [{"color": colour, "ls": line, "marker": marker} for colour, line, marker in marks]
+
+
+def error_bars(axes: Axes, values: Floats, heights: Floats | Ints, std: Floats | None, **look: Any) -> None:
+    """Measured values over the height with one standard deviation on either side."""
+    axes.errorbar(values, heights, xerr=std, fmt="o", color=MEASURED, ms=3.0, capsize=2.0, lw=0.9, **look)
+
+
 def even_columns(most: int, fitting: int) -> int:
     """Columns for so many panels a group where so many fit: those that fill its rows best."""
     return -(-most // -(-most // fitting))
 
 
-def letters(text: str, longest: int = LONGEST) -> str:
+def letters(text: str, longest: int = LONGEST_NAME) -> str:
     """A text from a file as a figure can show it: on one line, not too long, of letters that the fonts have."""
     line = " ".join(text.split())
     if len(line) > longest:
@@ -270,7 +287,7 @@ def spread(positions: Floats, gap: float, low: float, high: float) -> Floats:
     return placed
 
 
-KINDS = ("svg", "png", "pdf")
+FIGURE_KINDS = ("svg", "png", "pdf")
 ENLARGED = 1.4
 """Pixels of a page a point of a figure: letters of the size of the text around them."""
 
@@ -307,7 +324,7 @@ def kind_of(path: str | Path) -> str:
     InputError
         Where it ends in something else.
     """
-    return ending_of(path, KINDS, "a figure is written as")
+    return ending_of(path, FIGURE_KINDS, "a figure is written as")
 
 
 def encoded(figure: Figure, kind: str, *, transparent: bool = False) -> bytes:

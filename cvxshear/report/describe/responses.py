@@ -11,10 +11,10 @@ from cvxshear.report.describe.vocabulary import Document, Row, Section, Sentence
 from cvxshear.response import Peaks, Reconstruction, RecordComparison, RecordPrediction
 from cvxshear.util.quantities import AUTOMATIC, Units, percent, probability, ranged, scaled, significant, with_std
 
-SHOWN_MODES = 6
+MODE_COLUMNS = 6
 """Columns of the transfer functions' errors; the higher modes stand in the JSON."""
 
-SURE = 0.95
+CERTAINLY_PASSED = 0.95
 """Probability from which on a limit counts as passed, and below whose complement as not."""
 
 PEAKS = (
@@ -28,34 +28,34 @@ PEAKS = (
 
 
 @describe.register
-def _prediction(of: RecordPrediction, units: Units = AUTOMATIC) -> Document:
-    how = f"by the {of.after.fitted.label}, {of.damping.kind} damping, backend {of.backend}"
+def _prediction(result: RecordPrediction, units: Units = AUTOMATIC) -> Document:
+    how = f"by the {result.after.fitted.label}, {result.damping.kind} damping, backend {result.backend}"
     sections = [Section("how", "", (Sentence(how),))]
-    if of.after.comparison is not None:
-        before = None if of.otherwise_before is None else of.otherwise_before.comparison
-        sections.append(Section("errors", "Beside the record", (errors(before, of.after.comparison),)))
+    if result.after.comparison is not None:
+        before = None if result.otherwise_before is None else result.otherwise_before.comparison
+        sections.append(Section("errors", "Beside the record", (errors(before, result.after.comparison),)))
     sections += [
-        Section("peaks", "Peaks", (peaks(of.peaks),)),
-        damping_section(of.damping),
-        Section("remarks", "", tuple(Sentence(remark, "warning") for remark in of.remarks)),
+        Section("peaks", "Peaks", (peaks(result.peaks),)),
+        damping_section(result.damping),
+        Section("remarks", "", tuple(Sentence(remark, "warning") for remark in result.remarks)),
     ]
-    return Document(of.after.fitted.experiment.name, _headline(of), tuple(sections))
+    return Document(result.after.fitted.experiment.name, _headline(result), tuple(sections))
 
 
-def _headline(of: RecordPrediction) -> str:
+def _headline(result: RecordPrediction) -> str:
     """Which frame, in which state, under what."""
-    motion = of.motion
+    motion = result.motion
     seconds = sum(drive.samples for drive in motion.drives) / motion.sampling_rate
     driven = "base motion" if motion.input == "base" else "a force"
     return (
-        f"{of.after.fitted.experiment.name} ({of.configuration.name}) under {driven} of {motion.name}: "
+        f"{result.after.fitted.experiment.name} ({result.configuration.name}) under {driven} of {motion.name}: "
         f"{seconds:.1f} s at {motion.sampling_rate:g} Hz"
     )
 
 
 def errors(before: RecordComparison | None, after: RecordComparison) -> Table:
     """Errors of each floor's acceleration, before (where there is one) and after, the top floor first."""
-    modes = min(after.frf_error.shape[1], SHOWN_MODES)
+    modes = min(after.frf_error.shape[1], MODE_COLUMNS)
     sides: list[tuple[tuple[str, ...], RecordComparison]] = [((), after)]
     if before is not None:
         sides = [(("before",), before), (("after",), after)]
@@ -77,9 +77,9 @@ def _errors(side: RecordComparison, at: int, modes: int) -> Iterator[str]:
     yield from (percent(float(value), 1) for value in side.frf_error[at, :modes])
 
 
-def peaks(of: Peaks) -> Table:
+def peaks(found: Peaks) -> Table:
     """Largest values at every floor and story, the top first."""
-    values, std = of.values, of.std
+    values, std = found.values, found.std
     head, columns = ["floor / story"], []
     for name, word, unit in PEAKS:
         if name in values:
@@ -97,36 +97,36 @@ def peaks(of: Peaks) -> Table:
 
 
 @describe.register
-def _reconstruction(of: Reconstruction, units: Units = AUTOMATIC) -> Document:
-    lead = [Sentence(text, "strong") for text in _findings(of)]
-    evidence = [whiteness(of)]
-    checks = () if not of.checks else (left_out(of),)
+def _reconstruction(result: Reconstruction, units: Units = AUTOMATIC) -> Document:
+    lead = [Sentence(text, "strong") for text in _findings(result)]
+    evidence = [whiteness(result)]
+    checks = () if not result.checks else (left_out(result),)
     sections = (
         Section("findings", "", (*lead, *checks)),
-        Section("motion", "What the stories did", (stories(of), peaks(of.peaks))),
-        Section("frame", "The frame in this record", tuple(_frame_parts(of))),
+        Section("motion", "What the stories did", (stories(result), peaks(result.peaks))),
+        Section("frame", "The frame in this record", tuple(_frame_parts(result))),
         Section("evidence", "Sensors", tuple(evidence)),
-        Section("remarks", "", tuple(Sentence(remark, "warning") for remark in of.remarks)),
+        Section("remarks", "", tuple(Sentence(remark, "warning") for remark in result.remarks)),
     )
-    return Document(of.fitted.experiment.name, _reconstructed(of), sections)
+    return Document(result.fitted.experiment.name, _reconstructed(result), sections)
 
 
-def _reconstructed(of: Reconstruction) -> str:
+def _reconstructed(result: Reconstruction) -> str:
     """Which frame, from which floors, under what."""
-    floors = ranged(of.recording.floors.tolist())
+    floors = ranged(result.recording.floors.tolist())
     words = {"base": "base motion", "force": "a force", "none": "a base motion that nobody measured"}
-    driven = words[of.recording.input]
+    driven = words[result.recording.input]
     return (
-        f"{of.fitted.experiment.name} ({of.configuration.name}) under {driven} of {of.recording.name}, from floor"
-        f"{'s' if len(of.recording.floors) > 1 else ''} {floors}: {of.recording.seconds:.1f} s at "
-        f"{of.recording.sampling_rate:g} Hz"
+        f"{result.fitted.experiment.name} ({result.configuration.name}) under {driven} of {result.recording.name}, "
+        f"from floor{'s' if len(result.recording.floors) > 1 else ''} {floors}: {result.recording.seconds:.1f} s at "
+        f"{result.recording.sampling_rate:g} Hz"
     )
 
 
-def _findings(of: Reconstruction) -> Iterator[str]:
+def _findings(result: Reconstruction) -> Iterator[str]:
     """What an owner asks: which story drifted most, against which limit, and whether the building is the same."""
-    name = "story_drift_ratio" if "story_drift_ratio" in of.peaks.values else "story_drift"
-    values, std = of.peaks.values[name], of.peaks.std[name]
+    name = "story_drift_ratio" if "story_drift_ratio" in result.peaks.values else "story_drift"
+    values, std = result.peaks.values[name], result.peaks.std[name]
     top = int(np.argmax(values))
     size = (
         f"{with_std(100 * float(values[top]), 100 * float(std[top]), '% of its height', factor=1.0)}"
@@ -134,22 +134,23 @@ def _findings(of: Reconstruction) -> Iterator[str]:
         else with_std(1000 * float(values[top]), 1000 * float(std[top]), "mm", factor=1.0)
     )
     yield f"story {top + 1} drifted most: {size}"
-    if of.limits is not None and of.passed is not None:
-        for limit, word, chances in zip(of.limits.story_drift, of.limits.names, of.passed, strict=True):
-            sure = [int(story) + 1 for story in np.flatnonzero(chances >= SURE)]
-            open_ = [int(story) + 1 for story in np.flatnonzero((chances > 1 - SURE) & (chances < SURE))]
+    if result.limits is not None and result.passed is not None:
+        for limit, word, chances in zip(result.limits.story_drift, result.limits.names, result.passed, strict=True):
+            sure = [int(story) + 1 for story in np.flatnonzero(chances >= CERTAINLY_PASSED)]
+            unsure = (chances > 1 - CERTAINLY_PASSED) & (chances < CERTAINLY_PASSED)
+            open_ = [int(story) + 1 for story in np.flatnonzero(unsure)]
             label = f"{100 * limit:g} %" if word == f"{100 * limit:g} %" else f"{word} ({100 * limit:g} %)"
             passed = f"passed in {_stories(sure)}" if sure else "passed in no story"
             yield f"limit {label}: {passed}" + (f", possibly in {_stories(open_)}" if open_ else "")
-    if of.changed:
-        for story in of.changed:
-            factor, deviation = float(of.frame.factors[story - 1]), float(of.frame.factors_std[story - 1])
+    if result.changed:
+        for story in result.changed:
+            factor, deviation = float(result.frame.factors[story - 1]), float(result.frame.factors_std[story - 1])
             word = "softer" if factor < 1 else "stiffer"
             size = with_std(100 * abs(factor - 1), 100 * deviation, "%", factor=1.0)
-            chance = float(of.frame.story_probability[story - 1])
+            chance = float(result.frame.story_probability[story - 1])
             yield f"story {story} was {size} {word} than identified (probability {percent(min(chance, 0.999), 1)})"
-    elif of.recording.input != "none":
-        mean = float(np.mean(of.frame.factors)) - 1
+    elif result.recording.input != "none":
+        mean = float(np.mean(result.frame.factors)) - 1
         word = "softer" if mean < 0 else "stiffer"
         yield f"no single story changed; on average the stories were {100 * abs(mean):.1f} % {word} than identified"
 
@@ -158,7 +159,7 @@ def _stories(numbers: list[int]) -> str:
     return f"stor{'ies' if len(numbers) > 1 else 'y'} {ranged(numbers)}"
 
 
-def left_out(of: Reconstruction) -> Table:
+def left_out(result: Reconstruction) -> Table:
     """Each sensor from all others: what was left, and what was stated."""
     head = ("floor", "rms, m/s²", "error", "stated", "within 95 % band", "prediction alone")
     rows = plain_rows(
@@ -167,56 +168,57 @@ def left_out(of: Reconstruction) -> Table:
             percent(each.stated / each.measured, 1), percent(each.within, 0),
             "–" if each.prediction_error is None else percent(each.prediction_error / each.measured, 1),
         )
-        for each in reversed(of.checks)
+        for each in reversed(result.checks)
     )  # fmt: skip
     return Table("left-out-sensors", "each measured floor from the other sensors alone", head, rows)
 
 
-def stories(of: Reconstruction) -> Table:
+def stories(result: Reconstruction) -> Table:
     """Peak drifts, their limits, and whether the story changed, the top first."""
-    name = "story_drift_ratio" if "story_drift_ratio" in of.peaks.values else "story_drift"
+    name = "story_drift_ratio" if "story_drift_ratio" in result.peaks.values else "story_drift"
     factor, unit = (0.01, "% of height") if name == "story_drift_ratio" else (1e-3, "mm")
-    values, std = of.peaks.values[name], of.peaks.std[name]
+    values, std = result.peaks.values[name], result.peaks.std[name]
     head = ["story", f"peak drift, {unit}", "by prediction", "stiffness / identified", "changed by itself"]
-    names = () if of.limits is None or of.passed is None else of.limits.names
+    names = () if result.limits is None or result.passed is None else result.limits.names
     head += [f"P(> {each})" for each in names]
     rows = []
     for story in reversed(range(len(values))):
-        predicted = None if of.predicted_peaks is None else float(of.predicted_peaks.values[name][story]) / factor
+        alone = result.predicted_peaks
+        predicted = None if alone is None else float(alone.values[name][story]) / factor
         cells = [
             str(story + 1), with_std(float(values[story]), float(std[story]), factor=factor),
             significant(predicted, 3),
-            with_std(float(of.frame.factors[story]), float(of.frame.factors_std[story]), factor=1.0),
-            percent(float(of.frame.story_probability[story]), 1),
+            with_std(float(result.frame.factors[story]), float(result.frame.factors_std[story]), factor=1.0),
+            percent(float(result.frame.story_probability[story]), 1),
         ]  # fmt: skip
-        if of.passed is not None:
-            cells += [percent(float(each[story]), 1) for each in of.passed]
+        if result.passed is not None:
+            cells += [percent(float(each[story]), 1) for each in result.passed]
         rows.append(tuple(cells))
     return Table("reconstructed-stories", "peak drift ± standard deviation", tuple(head), plain_rows(rows))
 
 
-def _frame_parts(of: Reconstruction) -> Iterator[Sentence | Table]:
-    before = of.frame.errors.varied.centre.model
+def _frame_parts(result: Reconstruction) -> Iterator[Sentence | Table]:
+    before = result.frame.errors.varied.centre.model
     rows = plain_rows(
         (
             str(mode + 1), significant(float(before.modes.frequencies[mode])),
-            significant(float(of.model.modes.frequencies[mode])),
-            percent(float(before.ratios[mode]), 2), percent(float(of.model.ratios[mode]), 2),
+            significant(float(result.model.modes.frequencies[mode])),
+            percent(float(before.ratios[mode]), 2), percent(float(result.model.ratios[mode]), 2),
         )
-        for mode in range(min(len(of.model.M), SHOWN_MODES))
+        for mode in range(min(len(result.model.M), MODE_COLUMNS))
     )  # fmt: skip
     head = ("mode", "identified, Hz", "in this record, Hz", "damping identified", "damping in this record")
     yield Table("reconstructed-modes", "modes of the frame", head, rows)
-    noise = of.frame.errors.noise_at(of.frame.p)
+    noise = result.frame.errors.noise_at(result.frame.p)
     yield Sentence(
         f"story forces that the model misses: {percent(noise.force, 1)} of the rms story force; "
-        f"{of.kind} damping, backend {of.backend}"
+        f"{result.kind} damping, backend {result.backend}"
     )
 
 
-def whiteness(of: Reconstruction) -> Table:
+def whiteness(result: Reconstruction) -> Table:
     """Noise and innovations of each sensor."""
-    noise = of.frame.errors.noise_at(of.frame.p).sensors
+    noise = result.frame.errors.noise_at(result.frame.p).sensors
     head = (
         "floor", "sensor noise, m/s²", "innovations / stated", "largest correlation", "at lag, s", "p (white)",
         "spikes", "missing",
@@ -226,6 +228,6 @@ def whiteness(of: Reconstruction) -> Table:
             str(each.floor), significant(float(own), 3), f"{each.size:.2f}", f"{each.correlation:+.2f}",
             significant(each.lag, 3), probability(each.p_value), str(each.spikes), str(each.missing),
         )
-        for each, own in reversed(list(zip(of.whiteness, noise, strict=True)))
+        for each, own in reversed(list(zip(result.whiteness, noise, strict=True)))
     )  # fmt: skip
     return Table("whiteness", "innovations of the filter", head, rows)

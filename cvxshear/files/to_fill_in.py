@@ -1,4 +1,7 @@
-"""A record file to fill in, begun from a logger's own file: the columns that it holds, and what their names suggest."""
+"""Files to fill in: a measurement file with every key explained, and a record file begun from a logger's own file.
+
+Their texts stand in the folder `blank`; a record file marks what follows from the names and numbers of its columns.
+"""
 
 from __future__ import annotations
 
@@ -6,25 +9,141 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
+import tomli_w
 
 from cvxshear.files.columns import LIMIT, Columns, sampling_rate_of
 from cvxshear.files.csv import preamble_of
-from cvxshear.files.formats import format_of, read_columns
+from cvxshear.files.formats import format_of, read_columns, read_modes_of
 from cvxshear.files.inputs import named_after
-from cvxshear.files.measurement_template import toml_line
 from cvxshear.files.record_file import FREQUENCY_NAMES, TIME_UNITS
-from cvxshear.files.record_tables import UNITS
+from cvxshear.files.record_tables import CHANNEL_UNITS
+from cvxshear.util import checks
+from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
-from cvxshear.util.text import printable
+from cvxshear.util.text import escaped, printable
+from cvxshear.util.typing import Floats
+
+MASS, STIFFNESS, PULL = 10.0, 10e3, 100.0
+"""Of the floors (kg) and stories (N/m) of the frame that stands for the user's, and a pull at its top (N)."""
+
+TOTAL = "total_mass = {total}  # kg, all floors without added mass; not needed with two different added masses"
+"""The line that a new file has where its modes are made up."""
+
+TO_FILL_IN = """\
+total_mass = 1.0  # kg, all floors without added mass: FILL IN, or give two configurations with different added masses;
+# {file} does not tell how heavy the frame is, and with 1 kg masses and stiffnesses come out per kilogram of it"""
+
+CARRIED = "# total_mass is not needed: the shapes carry the scale, 1/sqrt(kg)"
+
+
+def _blank(name: str) -> str:
+    return resources.files("cvxshear.files").joinpath("blank", name).read_text(encoding="utf-8")
+
+
+def template(stories: int = 3) -> str:
+    """A measurement file of a frame of equal stories, with every key explained.
+
+    What is not needed stands as a comment.
+
+    Parameters
+    ----------
+    stories : int, optional
+
+    Returns
+    -------
+    str
+        TOML that `cvxshear.load` takes as it stands.
+    """
+    checks.whole(stories, "stories", least=1, most=MOST_STORIES)
+    frequencies, shapes = _uniform(stories)
+    lists = _blank("modes.toml").format(
+        floors=_listed(np.arange(1, stories + 1), "d"),
+        frequencies=_listed(frequencies, ".4f"),
+        rows="\n".join(f"    {_listed(shape, '.4f')}," for shape in shapes),
+    )
+    return _filled(lists, stories, TOTAL)
+
+
+def template_from(modes: str | Path, folder: str | Path = ".") -> str:
+    """A measurement file whose modes are read from a table or a universal file.
+
+    Parameters
+    ----------
+    modes : str or Path
+        Of one of the formats in `files.formats.FORMATS` that hold modes.
+    folder : str or Path, optional
+        Where the measurement file will stand; it names the other from there.
+
+    Returns
+    -------
+    str
+        TOML that `cvxshear.load` takes as it stands.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read.
+    """
+    key, found = read_modes_of(modes)
+    named = toml_line(key, os.path.relpath(modes, folder))
+    total = CARRIED if found.get("mass_normalized") else TO_FILL_IN.replace("{file}", printable(Path(modes).name))
+    text = _filled(f"{named}  # frequencies and mode shapes", max(found["measured_floors"]), total)
+    for given in ("frequency_std", "mode_shape_std"):
+        # What the table says itself need not be said here.
+        text = text.replace(f"\n{given} =", f"\n# {given} =") if given in found else text
+    return text
+
+
+def toml_line(key: str, name: str) -> str:
+    """A line of TOML that names a file, from the folder that the line stands in.
+
+    Raises
+    ------
+    InputError
+        Where the name has bytes that are no text, which TOML cannot hold.
+    """
+    try:
+        name.encode("utf-8")
+    except UnicodeEncodeError:
+        raise InputError(f"{name}: a name that is no UTF-8 text cannot stand in TOML; rename the file") from None
+    return escaped(tomli_w.dumps({key: name.replace(os.sep, "/")})).rstrip("\n")
+
+
+def _filled(modes: str, stories: int, total: str) -> str:
+    return _blank("measurement.toml").format(
+        stories=stories,
+        total=total.replace("{total}", f"{MASS * stories:.1f}"),
+        heights=_listed(np.full(stories, 3.0), ".1f"),
+        masses=_listed(np.full(stories, MASS), ".1f"),
+        added=_listed(np.zeros(stories), ".1f"),
+        modes=modes,
+        force=_listed(np.eye(stories)[-1] * PULL, ".1f"),
+        displacement=_listed(np.arange(1, stories + 1) * PULL / STIFFNESS, ".3f"),
+    )
+
+
+def _uniform(stories: int) -> tuple[Floats, Floats]:
+    """Modes of equal floors of 10 kg on equal stories of 10 kN/m: sine waves, in closed form."""
+    angle = (2 * np.arange(1, stories + 1) - 1) * np.pi / (2 * stories + 1)
+    shapes = np.sin(np.outer(angle, np.arange(1, stories + 1)))
+    frequencies = np.sqrt(STIFFNESS / MASS) * 2 * np.sin(angle / 2) / (2 * np.pi)
+    return frequencies, shapes / np.abs(shapes).max(axis=1, keepdims=True)
+
+
+def _listed(values: Floats | np.ndarray, shown: str) -> str:
+    return "[" + ", ".join(format(value, shown) for value in values) + "]"
+
 
 TIME = re.compile(r"(time|zeit|t|temps|tiempo|timestamp|date|datetime|elapsed|stamp|seconds)\b", re.IGNORECASE)
 GROUND = re.compile(r"ground|base\b|basement|table|platform|input|boden|fundament|sol\b|floor ?0\b", re.IGNORECASE)
 FORCE = re.compile(r"force|hammer|impact|shaker|load ?cell|kraft", re.IGNORECASE)
 NUMBER = re.compile(r"\d+")
 AXIS = re.compile(r"(?:^|[^a-z])([xyz])(?:$|[^a-z])|\d([xyz])$", re.IGNORECASE)
+
 BRACKETED = re.compile(r"[\[(]([^\])]*)[\])]|[,/]\s*([a-zA-Zµ/²^*0-9.]+)\s*$")
 """A unit in a header: "acc [g]", "acc (m/s^2)", "acc, g"."""
 
@@ -39,32 +158,12 @@ ASCENDING = 0.99
 EVEN = 0.01
 """Share of the usual step by which steps of a column of time without a name may differ."""
 
-SPELLED = {"m/s/s": "m/s2", "m/sec2": "m/s2", "ms-2": "m/s2", "m.s-2": "m/s2", "mm/s/s": "mm/s2", "cm/s/s": "cm/s2",
-           "gals": "gal", "sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "µs": "us", "g's": "g",
-           "gn": "g", "kn": "kN", "n": "N"}  # fmt: skip
+OTHER_SPELLINGS = {
+    "m/s/s": "m/s2", "m/sec2": "m/s2", "ms-2": "m/s2", "m.s-2": "m/s2", "mm/s/s": "mm/s2", "cm/s/s": "cm/s2",
+    "gals": "gal", "sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "µs": "us", "g's": "g", "gn": "g",
+    "kn": "kN", "n": "N",
+}  # fmt: skip
 """Other spellings of units, in small letters."""
-
-HEAD = """\
-# What a logger recorded: which column is which sensor. Begun by 'cvxshear new' from {file};
-# lines marked GUESSED follow from names and numbers in that file: check them. FILL IN what only you know.
-# Then 'cvxshear check' says what looks wrong, and 'cvxshear modes' finds the modes.
-
-# added_mass = [0.0, 0.0]  # kg on each floor during the record
-# state = "bare"  # the state of the frame that was tested; records of one state share its name
-
-[record]
-name = {name}
-{source}
-input = "{kind}"  # GUESSED from {why}: "base", "force", "free_decay", or "none" for ambient vibration
-{rate}
-# band = [0.5, 20.0]  # Hz, where natural frequencies are looked for
-"""
-
-TAIL = """
-# [frame]
-# total_mass = 1000.0  # kg without added mass: FILL IN, or masses and stiffnesses come out per kilogram of the frame
-# story_heights = 3.0  # m
-"""
 
 
 @dataclass(frozen=True)
@@ -75,7 +174,7 @@ class Guess:
     ----------
     column : str
     unit : str or None
-        Of `UNITS`, None where the file says none.
+        Of `CHANNEL_UNITS`, None where the file says none.
     role : str
         "ground", "force" or "floor".
     floor : int
@@ -83,7 +182,7 @@ class Guess:
         Whether a number in the name says the floor, and not the order of the columns.
     axis : str
     said : str
-        The unit as the file spells it, where it is not one of `UNITS`.
+        The unit as the file spells it, where it is not one of `CHANNEL_UNITS`.
     """
 
     column: str
@@ -135,14 +234,15 @@ def record_template(data: str | Path, folder: str | Path = ".") -> str:
         else ("none", "no column looking like the ground or a force")
     )  # fmt: skip
     axes = sorted({each.axis for each in guesses if each.role != "force"})
-    head = HEAD.format(
+    several = len(axes) > 1
+    if several:
+        rate += f'\naxis = "{axes[0]}"  # GUESSED: the direction of test, of those below'
+    top = max(1, *(each.floor for each in guesses))
+    return _blank("record.toml").format(
         file=printable(path.name), name=toml_line("x", named_after(path))[4:], kind=kind, why=why, rate=rate,
         source=toml_line("file", os.path.relpath(path, folder)),
+        channels="".join(_channel(each, top, several=several) for each in guesses),
     )  # fmt: skip
-    if len(axes) > 1:
-        head += f'axis = "{axes[0]}"  # GUESSED: the direction of test, of those below\n'
-    top = max((each.floor for each in guesses), default=1)
-    return head + "".join(_channel(each, max(top, 1), several=len(axes) > 1) for each in guesses) + TAIL
 
 
 def _time_column(columns: Columns) -> str | None:
@@ -185,9 +285,9 @@ def _unit(columns: Columns, name: str) -> tuple[str, str]:
     if not said and (found := BRACKETED.search(name)):
         said = found[1] or found[2] or ""
     plain = re.sub(r"[\s*^]", "", said.strip().replace("²", "2").replace("**", ""))
-    known = {each.lower(): each for each in (*UNITS, *TIME_UNITS)}
+    known = {each.lower(): each for each in (*CHANNEL_UNITS, *TIME_UNITS)}
     lower = plain.lower()
-    return SPELLED.get(lower, plain if plain in UNITS else known.get(lower, "")), said
+    return OTHER_SPELLINGS.get(lower, plain if plain in CHANNEL_UNITS else known.get(lower, "")), said
 
 
 def _guesses(columns: Columns, names: Sequence[str]) -> list[Guess]:
@@ -198,15 +298,15 @@ def _guesses(columns: Columns, names: Sequence[str]) -> list[Guess]:
             continue
         unit, said = _unit(columns, name)
         bare = BRACKETED.sub("", name)
-        force = bool(FORCE.search(bare)) or (unit in UNITS and UNITS[unit][0] == "force")
+        force = bool(FORCE.search(bare)) or (unit in CHANNEL_UNITS and CHANNEL_UNITS[unit][0] == "force")
         ground = not force and bool(GROUND.search(bare))
         number = NUMBER.findall(bare)
         axis = AXIS.search(bare)
         floor = 0 if ground else int(number[-1]) if number and 0 < int(number[-1]) < 200 else -1
         role = "force" if force else "ground" if ground else "floor"
         found.append(
-            Guess(name, unit if unit in UNITS else None, role, floor, floor >= 0,
-                  (axis[1] or axis[2]).lower() if axis else "x", "" if unit in UNITS else said)
+            Guess(name, unit if unit in CHANNEL_UNITS else None, role, floor, floor >= 0,
+                  (axis[1] or axis[2]).lower() if axis else "x", "" if unit in CHANNEL_UNITS else said)
         )  # fmt: skip
     # Channels numbered from 0 or without gaps in another count stand in the order of the columns all the same.
     order = 0
@@ -233,7 +333,8 @@ def _channel(guess: Guess, top: int, *, several: bool) -> str:
     else:
         usual = "N" if guess.role == "force" else "m/s2"
         said = f"; the file says {printable(guess.said)!r}" if guess.said else ""
-        lines.append(f'# unit = "g"  # FILL IN where it is not {usual}{said}: {", ".join(list(UNITS)[:7])}, ...')
+        known = ", ".join(list(CHANNEL_UNITS)[:7])
+        lines.append(f'# unit = "g"  # FILL IN where it is not {usual}{said}: {known}, ...')
     if several and guess.role != "force":
         lines.append(f'axis = "{guess.axis}"  # GUESSED from the name')
     lines.append("# sign = -1  # where the sensor points the other way; calibration = 1.0: a factor on the column")

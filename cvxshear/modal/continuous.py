@@ -30,10 +30,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg
 
-from cvxshear.modal.realization import Impulse, block_hankel, left_factor
+from cvxshear.modal.realization import Impulse, Source, block_hankel, left_factor
 from cvxshear.records.record import Complexes
 from cvxshear.util.errors import NoSolutionError
-from cvxshear.util.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Bools, Floats
 
 LAGS, LAGS_A_STATE = 20, 7.0
 """Lags of the observer: so many at least, and as many as give seven past responses for each state of the frame. Under
@@ -68,7 +68,7 @@ def rows_for(stories: int, outputs: int) -> int:
     return max(SUBSPACE_ROWS, int(np.ceil(SAMPLES_A_STATE * 2 * stories / outputs)))
 
 
-class OkidSource:
+class OkidSource(Source):
     """A record with measured input, in blocks, for OKID followed by the eigensystem realization algorithm.
 
     Parameters
@@ -93,12 +93,12 @@ class OkidSource:
         self.lags = lags
         self.inputs = pieces[0][0].shape[1]
         self.outputs = pieces[0][1].shape[1]
-        self.groups: Ints = np.zeros(len(pieces), dtype=np.int64)
-        self.energies: Floats = np.array([float(np.mean(response**2)) for _, response in pieces])
+        self.groups = np.zeros(len(pieces), dtype=np.int64)
+        self.energies = np.array([float(np.mean(response**2)) for _, response in pieces])
         # Poles and residues of the same pieces are asked for one after the other.
         self._latest: tuple[bytes | None, Floats] | None = None
         # Triangles, not products: a product would square the condition number of the regression.
-        self._triangles = [_okid_triangle(_regression(u, y, lags)) for u, y in pieces]
+        self._triangles = [_triangle(_regression(u, y, lags)) for u, y in pieces]
 
     def markov(self, keep: Bools | None = None) -> Floats:
         """Markov parameters, shape (samples, outputs, inputs), the first one D."""
@@ -109,7 +109,7 @@ class OkidSource:
 
     def _regressed(self, keep: Bools | None) -> Floats:
         chosen = self._triangles if keep is None else [t for t, k in zip(self._triangles, keep, strict=True) if k]
-        triangle = _okid_triangle(np.vstack(chosen))
+        triangle = _triangle(np.vstack(chosen))
         split = triangle.shape[1] - self.outputs
         weights = linalg.lstsq(triangle[:split, :split], triangle[:split, split:], check_finite=False)[0]
         direct = weights[: self.inputs].T
@@ -120,10 +120,6 @@ class OkidSource:
     def factor(self, keep: Bools | None = None) -> Floats:
         """Left factor of the block Hankel matrix of the Markov parameters."""
         return left_factor(block_hankel(self.markov(keep), OKID_ROWS, OKID_COLUMNS))
-
-    def data(self) -> Floats:
-        """The same: the data are not weighted."""
-        return self.factor()
 
     def impulse(self, keep: Bools | None = None) -> Impulse:
         """The Markov parameters, from the first that the direct term is not part of."""
@@ -136,11 +132,6 @@ def _regression(excitation: Floats, response: Floats, lags: int) -> Floats:
     windows = np.lib.stride_tricks.sliding_window_view(both, lags + 1, axis=0)
     past = windows[:, :, lags - 1 :: -1].transpose(0, 2, 1).reshape(len(windows), -1)
     return np.hstack([excitation[lags:], past, response[lags:]])
-
-
-def _okid_triangle(matrix: Floats) -> Floats:
-    width = matrix.shape[1]
-    return np.asarray(linalg.qr(matrix, mode="r", check_finite=False)[0][:width])
 
 
 def _system_markov(direct: Floats, inputs: Floats, outputs: Floats, count: int) -> Floats:
@@ -179,7 +170,7 @@ SUBSPACE_ROWS, SAMPLES_A_STATE = 30, 3.0
 """Block rows of past and of future: so many at least, and as many as give three samples for each state of the frame."""
 
 
-class SubspaceSource:
+class SubspaceSource(Source):
     """A record with measured input, in blocks, for PO-MOESP.
 
     The poles and shapes are those of the projection, whose instruments no noise is correlated with. What is asked of
@@ -214,8 +205,7 @@ class SubspaceSource:
         self.rows = rows
         self.inputs = pieces[0][0].shape[1]
         self.outputs = pieces[0][1].shape[1]
-        self.groups: Ints = np.zeros(len(pieces), dtype=np.int64)
-        self.energies: Floats = np.array([float(np.mean(response**2)) for _, response in pieces])
+        self.groups, self.energies = self._observer.groups, self._observer.energies
         self._triangles = [_triangle(_data(u, y, rows)) for u, y in pieces]
 
     def factor(self, keep: Bools | None = None) -> Floats:
@@ -225,10 +215,6 @@ class SubspaceSource:
         future_inputs = self.rows * self.inputs
         past = future_inputs + self.rows * (self.inputs + self.outputs)
         return left_factor(triangle[past:, future_inputs:past])
-
-    def data(self) -> Floats:
-        """The same: the data are not weighted."""
-        return self.factor()
 
     def impulse(self, keep: Bools | None = None) -> Impulse:
         """The observer's Markov parameters, from the first that the direct term is not part of."""
@@ -259,7 +245,7 @@ LEAST_NOISE = 1e-8
 """Of the largest variance, added to every channel's: an oversampled record's covariances are nearly singular."""
 
 
-class CovarianceSource:
+class CovarianceSource(Source):
     """An ambient record, in blocks, for covariance-driven SSI.
 
     Parameters
@@ -280,8 +266,8 @@ class CovarianceSource:
         self.sampling_rate = sampling_rate
         self.rows, self.columns = rows, columns
         self.outputs = pieces[0].shape[1]
-        self.groups: Ints = np.zeros(len(pieces), dtype=np.int64)
-        self.energies: Floats = np.array([float(np.mean(piece**2)) for piece in pieces])
+        self.groups = np.zeros(len(pieces), dtype=np.int64)
+        self.energies = np.array([float(np.mean(piece**2)) for piece in pieces])
         self._covariances = np.array([_covariances(piece, rows + columns) for piece in pieces])
         self._counts = np.array([len(piece) - rows - columns for piece in pieces], dtype=np.float64)
 
@@ -304,10 +290,6 @@ class CovarianceSource:
     def data(self) -> Floats:
         """Left factor of the block Hankel matrix as it is."""
         return left_factor(block_hankel(self.markov(), self.rows, self.columns))
-
-    def impulse(self, keep: Bools | None = None) -> None:
-        """None: covariances decay as impulse responses do, but of an input that nobody measured."""
-
 
 def _covariances(response: Floats, lags: int) -> Floats:
     count = len(response) - lags

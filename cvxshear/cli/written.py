@@ -1,19 +1,20 @@
-"""The option --figure of the commands that have several: KIND:OUT, any number of them."""
+"""The options --figure, --csv, --xlsx, --out and --export: files that are checked before a command runs."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from cvxshear.cli.checked import claim
-from cvxshear.cli.output import FIGURES, figures_for, show
+from cvxshear.cli.output import FIGURES, figures_for, show, writes
 from cvxshear.util.errors import InputError
 
 if TYPE_CHECKING:
+    from cvxshear.files.spreadsheets import Sheet
     from cvxshear.report.figures import FigureEntry
 
 
@@ -38,6 +39,13 @@ FiguresOut = Annotated[
         metavar="[KIND:]OUT",
         callback=_among_figures,
     ),
+]
+CsvOut = Annotated[str | None, writes("--csv", what="Write the result's main table here.", endings=(".csv",))]
+XlsxOut = Annotated[
+    str | None, writes("--xlsx", what="Write the result's tables as a workbook here.", endings=(".xlsx",))
+]
+SeriesOut = Annotated[
+    str | None, typer.Option("--out", help="Write the time series here: .csv, .mat, .npz or .uff.", metavar="OUT")
 ]
 
 
@@ -114,3 +122,58 @@ def _split(text: str, figures: Mapping[str, FigureEntry]) -> tuple[FigureEntry, 
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise InputError(f"--figure: there is no figure {kind!r} here; there are {', '.join(figures)}{hint}")
     return figures[kind], path
+
+
+class Spreadsheets:
+    """The tables that were asked for, checked before anything runs and written once there is a result.
+
+    Parameters
+    ----------
+    csv, xlsx : str, optional
+        The files to write.
+
+    Raises
+    ------
+    InputError
+        Where a workbook is asked for and openpyxl is not installed.
+    """
+
+    def __init__(self, csv: str | None, xlsx: str | None) -> None:
+        self._csv, self._xlsx = csv, xlsx
+        if xlsx is not None:
+            from cvxshear.files.spreadsheets import load_openpyxl
+
+            load_openpyxl()
+
+    def of(self, sheets: Callable[[], Sequence[Sheet]]) -> list[Callable[[], None]]:
+        """What makes the tables and writes each file."""
+        from cvxshear.files.spreadsheets import write_csv, write_xlsx
+
+        asked = ((write_csv, self._csv), (write_xlsx, self._xlsx))
+        return [partial(_written, write, path, sheets) for write, path in asked if path is not None]
+
+
+def _written(write: Callable[..., None], path: str, sheets: Callable[[], Sequence[Sheet]]) -> None:
+    write(path, sheets())
+
+
+def handed_over(
+    context: typer.Context, option: str, paths: Iterable[str], kind_of: Callable[[str], str], write: Callable[..., None]
+) -> list[Callable[..., None]]:
+    """What writes a result, to be called with it, into each of these files; what cannot be written is refused here.
+
+    Parameters
+    ----------
+    context : typer.Context
+    option : str
+        That names the files.
+    paths : iterable of str
+    kind_of : callable
+        (path) to its ending; raises `InputError` for one that nothing is written as.
+    write : callable
+        (path, result)
+    """
+    asked = list(paths)
+    for path in asked:
+        claim(context, option, path, [f".{kind_of(path)}"])
+    return [partial(write, path) for path in asked]

@@ -1,0 +1,179 @@
+"""The commands that take a record of a frame: predict its response, reconstruct the motion of every floor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cvxshear.cli.checked import input_files
+from cvxshear.cli.output import BackendName, JsonOut, Quiet, ReportOut, deliver, names, progress, typed
+from cvxshear.cli.records import measured, needs_mass
+from cvxshear.cli.written import CsvOut, FiguresOut, Pictures, SeriesOut, Spreadsheets, XlsxOut, handed_over
+from cvxshear.util.errors import InputError, NoScaleError
+from cvxshear.util.text import shell_line
+
+if TYPE_CHECKING:
+    from cvxshear.response.sources import ModelSource
+    from cvxshear.screening import Finding
+
+ModelFile = Annotated[
+    str,
+    typer.Argument(
+        help="What the model is made of: a measurement file, a record file, or what 'loop --json' wrote.",
+        metavar="FILE",
+        callback=input_files,
+    ),
+]
+DampingKind = Annotated[
+    str | None, typer.Option("--damping", help="modal, story or rayleigh; what FILE declares where not given.")
+]
+StateName = Annotated[
+    str | None,
+    typer.Option("--configuration", help="Which tested state; that with the record's added mass where not given."),
+]
+Assumed = Annotated[
+    str | None, typer.Option("--assume", help="Effects that are in the model from the start.", metavar="NAME,...")
+]
+Detrend = Annotated[bool, typer.Option(help="Take the straight line through each recorded acceleration off.")]
+
+
+def predict(
+    context: typer.Context,
+    file: ModelFile,
+    record: Annotated[
+        str,
+        typer.Option(
+            "--record",
+            help="A record file: the base motion or force, and responses to compare with.",
+            callback=input_files,
+        ),
+    ],
+    backend: BackendName = "auto",
+    damping: DampingKind = None,
+    configuration: StateName = None,
+    assume: Assumed = None,
+    detrend: Detrend = True,
+    series: SeriesOut = None,
+    export: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Write the model here: .npz, .mat, .json, .py (OpenSeesPy) or .xlsx; may be repeated.", metavar="OUT"
+        ),
+    ] = None,
+    figure: FiguresOut = None,
+    report: ReportOut = None,
+    quiet: Quiet = False,
+    out: JsonOut = None,
+) -> None:
+    """Predict how every floor answers to a record, beside what was measured.
+
+    Example: cvxshear predict frame.toml --record earthquake.toml
+    """
+    from cvxshear.report import terminal
+    from cvxshear.report.handover import model_kind, write_model
+    from cvxshear.report.series_files import series_kind, write_series
+    from cvxshear.response import RecordPrediction
+    from cvxshear.response import predict as run
+    from cvxshear.screening import in_json
+
+    written = handed_over(context, "--out", [series] if series else [], series_kind, write_series)
+    written += handed_over(context, "--export", export or [], model_kind, write_model)
+    written += _pages(report)
+    pictures = Pictures(figure, RecordPrediction)
+    with progress("predicting", quiet):
+        source, doubts = screened(file, backend, names(assume) or ())
+        result = run(source, record, backend, damping=damping, configuration=configuration, detrend=detrend)
+    said = {**result.to_dict(), **in_json(doubts)}
+    files: list[Callable[[], None]] = [*pictures.of(result), *(partial(write, result) for write in written)]
+    deliver(said, out, lambda: [*terminal.doubts(doubts or ()), *terminal.shown(result)], *files)
+
+
+def reconstruct(
+    context: typer.Context,
+    file: ModelFile,
+    record: Annotated[
+        str,
+        typer.Option(
+            "--record",
+            help='A record file: floors that carry sensors, with gaps or not, and the base motion; input = "none" '
+            "where nobody measured that.",
+            callback=input_files,
+        ),
+    ],
+    backend: BackendName = "auto",
+    damping: DampingKind = None,
+    configuration: StateName = None,
+    assume: Assumed = None,
+    detrend: Detrend = True,
+    fit: Annotated[bool, typer.Option(help="Fit the frame to the record; otherwise it stays as identified.")] = True,
+    check: Annotated[bool, typer.Option(help="Predict each sensor from the others.")] = True,
+    series: SeriesOut = None,
+    figure: FiguresOut = None,
+    report: ReportOut = None,
+    csv: CsvOut = None,
+    xlsx: XlsxOut = None,
+    quiet: Quiet = False,
+    out: JsonOut = None,
+) -> None:
+    """Find how every floor moved, from the floors that carry sensors: drifts, forces, and whether a story changed.
+
+    Example: cvxshear reconstruct frame.toml --record earthquake.toml --report drifts.html
+    """
+    from cvxshear.report import terminal
+    from cvxshear.report.series_files import series_kind, write_series
+    from cvxshear.report.sheets import sheets_of_response
+    from cvxshear.response import Reconstruction
+    from cvxshear.response import reconstruct as run
+    from cvxshear.screening import in_json
+
+    written = handed_over(context, "--out", [series] if series else [], series_kind, write_series) + _pages(report)
+    pictures, tables = Pictures(figure, Reconstruction), Spreadsheets(csv, xlsx)
+    with progress("reconstructing", quiet) as advance:
+        source, doubts = screened(file, backend, names(assume) or ())
+        result = run(
+            source, record, backend, damping=damping, configuration=configuration, detrend=detrend, fit=fit,
+            leave_out=check, progress=advance,
+        )  # fmt: skip
+    said = {**result.to_dict(), **in_json(doubts)}
+    files: list[Callable[[], None]] = [*pictures.of(result), *(partial(write, result) for write in written)]
+    files += tables.of(lambda: sheets_of_response(said))
+    deliver(said, out, lambda: [*terminal.doubts(doubts or ()), *terminal.shown(result)], *files)
+
+
+def _pages(report: str | None) -> list[Callable[..., None]]:
+    """What writes the report of a result, where one is asked for."""
+    if report is None:
+        return []
+    from cvxshear.report.html import write_response_report
+
+    return [partial(write_response_report, path=report, command=shell_line(["cvxshear", *typed]))]
+
+
+def screened(file: str, backend: str, assume: Sequence[str] = ()) -> tuple[ModelSource, Sequence[Finding] | None]:
+    """What the model is made of, without mistakes, and its warnings; None where `loop` looked for them before."""
+    from cvxshear import backends, close_loop
+    from cvxshear.measurement.declaration import NUMBERS
+    from cvxshear.response import models_of_loop
+    from cvxshear.response.sources import load_unscaled
+    from cvxshear.screening import refuse_mistakes
+
+    if Path(file).suffix.lower() == ".json":
+        if assume:
+            raise InputError(f"{file} holds a model that the loop ended with; --assume belongs to 'cvxshear loop'")
+        return file, None
+    mass_known = True
+    try:
+        experiment, found = measured([file])
+    except NoScaleError:
+        # Only forces need the scale of the masses, and the result leaves those out.
+        experiment, mass_known = load_unscaled(file)
+        found = []
+    doubts = refuse_mistakes(experiment, NUMBERS if found else ())
+    if not found and not assume and mass_known:
+        return experiment, doubts
+    closure = close_loop(experiment, assume=assume, backend=backends.get(backend))
+    return models_of_loop(closure, mass_known=mass_known and not needs_mass(found)), doubts

@@ -1,0 +1,238 @@
+"""What results share: they are plain values in JSON and in files, tables of pandas, and visible at a prompt.
+
+How a result is shown is asked of whoever has said how: a result itself knows nothing of it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from cvxshear.util.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from cvxshear.util.typing import Json
+
+
+def as_json(value: Any) -> Any:  # noqa: PLR0911 - a line a kind of value
+    """A value of a result as JSON has it.
+
+    Parameters
+    ----------
+    value : object
+        What has a method `to_dict` gives that, any other dataclass its fields by their names. Arrays become lists as
+        a whole, nan and infinity None, an Enum its text.
+
+    Returns
+    -------
+    object
+        Of dict, list, str, int, float, bool and None alone.
+    """
+    if value is None or isinstance(value, str | bool | int):
+        return str(value) if isinstance(value, Enum) else value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if hasattr(value, "tolist"):
+        return _array_as_json(value)
+    if hasattr(value, "to_dict"):
+        return value.to_dict()
+    if isinstance(value, Mapping):
+        return {str(key): as_json(each) for key, each in value.items()}
+    if isinstance(value, Sequence | set | frozenset):
+        return [as_json(each) for each in value]
+    if dataclasses.is_dataclass(value):
+        return fields_as_json(value)
+    return str(value)
+
+
+def _array_as_json(values: Any) -> Any:
+    """An array, or a number of NumPy, as lists or a number; None in place of nan and infinity."""
+    import numpy as np  # noqa: PLC0415 - help and completion need none of it
+
+    if np.ndim(values) == 0:
+        return as_json(values.item())
+    if values.dtype.kind != "f" or np.isfinite(values).all():
+        return values.tolist()
+    found = values.astype(object)
+    found[~np.isfinite(values)] = None
+    return found.tolist()
+
+
+class InJson:
+    """A dataclass that JSON has as a dict.
+
+    Attributes
+    ----------
+    json_keys : str
+        Attributes with spaces between, in the order of the JSON; the fields, in theirs, where empty. `key=path.to.it`
+        gives an attribute, or that of an attribute, another key (None where one on the way is None); `*attribute` puts
+        in the keys of that attribute.
+    """
+
+    json_keys: ClassVar[str] = ""
+
+    def to_dict(self) -> Json:
+        """The documented JSON, each value by `as_json`."""
+        return fields_as_json(self)
+
+
+def fields_as_json(value: Any) -> Json:
+    """What `json_keys` lists of a dataclass, or all of its fields where it lists none, each by `as_json`."""
+    listed = getattr(value, "json_keys", "").split()
+    found: Json = {}
+    for each in listed or [field.name for field in dataclasses.fields(value)]:
+        key, _, path = each.lstrip("*").partition("=")
+        item = value
+        for name in (path or key).split("."):
+            item = None if item is None else getattr(item, name)
+        item = as_json(item)
+        found.update(item if each.startswith("*") else {key: item})
+    return found
+
+
+def fields_as_table(value: Any, *, empty: bool = False, **unsaid: object) -> Json:
+    """The fields of a dataclass as the table of a measurement file that declares it.
+
+    Parameters
+    ----------
+    value : dataclass
+    empty : bool, optional
+        Whether an empty list says something.
+    **unsaid : object
+        Values of single fields that stand for "not given", besides None.
+    """
+    found = {field.name: getattr(value, field.name) for field in dataclasses.fields(value) if field.init}
+    return {
+        key: as_table(item)
+        for key, item in found.items()
+        if item is not None
+        and (empty or not hasattr(item, "__len__") or len(item))
+        and not (key in unsaid and item == unsaid[key])
+    }
+
+
+def as_table(value: Any) -> Any:
+    """A value as TOML has it, where an entry that was not measured is nan."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if isinstance(value, tuple):
+        return [as_table(each) for each in value]
+    return value.to_dict() if hasattr(value, "to_dict") else value
+
+
+def data_frame(columns: Mapping[str, Sequence[object]]) -> pd.DataFrame:
+    """A table with these columns.
+
+    Raises
+    ------
+    InputError
+        Where pandas is not installed.
+    """
+    try:
+        import pandas as pd  # noqa: PLC0415 - optional, and loads slowly
+    except ImportError:
+        raise InputError("to_dataframe needs pandas: pip install pandas") from None
+    return pd.DataFrame(dict(columns))
+
+
+@dataclass(frozen=True)
+class Renderers:
+    """What makes a result visible.
+
+    Parameters
+    ----------
+    line : callable
+        The result in one short line.
+    text : callable
+        Its tables as plain text.
+    html : callable
+        Its tables for a notebook; None where that cannot be made.
+    figure : callable
+        One of its figures, by name; the first where the name is empty.
+    pick : callable
+        The diagram of modes in which poles are chosen by clicking, given the record file that the choice is for.
+    """
+
+    line: Callable[[Any], str]
+    text: Callable[[Any], str]
+    html: Callable[[Any], str | None]
+    figure: Callable[[Any, str], Any]
+    pick: Callable[[Any, Any], Any]
+
+
+_home: list[str] = []
+_renderers: list[Renderers] = []
+
+
+def shown_by(module: str) -> None:
+    """Name the module that calls `register` when it is imported, which is when a result is first looked at."""
+    _home[:] = [module]
+
+
+def register(renderers: Renderers) -> None:
+    """Show results in this way from now on."""
+    _renderers[:] = [renderers]
+
+
+def _found() -> Renderers | None:
+    if not _renderers and _home:
+        importlib.import_module(_home[0])
+    return _renderers[0] if _renderers else None
+
+
+def drawing() -> Renderers:
+    """What draws results.
+
+    Raises
+    ------
+    InputError
+        Where no module has been named for it.
+    """
+    renderers = _found()
+    if renderers is None:
+        raise InputError("nobody has said how this result is drawn")
+    return renderers
+
+
+class Shown(InJson):
+    """A result that a prompt shows in a line, `print` as tables, a notebook as HTML and `to_dict` as JSON."""
+
+    def __repr__(self) -> str:
+        renderers = _found()
+        return object.__repr__(self) if renderers is None else renderers.line(self)
+
+    def __str__(self) -> str:
+        renderers = _found()
+        return object.__repr__(self) if renderers is None else renderers.text(self)
+
+    def _repr_html_(self) -> str | None:
+        """What a notebook shows."""
+        renderers = _found()
+        return None if renderers is None else renderers.html(self)
+
+    def figure(self, name: str = "") -> Any:
+        """Draw a figure of this result.
+
+        Parameters
+        ----------
+        name : str, optional
+            As `--figure list` prints it; the first figure of such a result where not given.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A notebook shows it as the last expression of a cell.
+
+        Raises
+        ------
+        InputError
+            Where there is no figure of that name, the result does not hold what it shows, or matplotlib is missing.
+        """
+        return drawing().figure(self, name)
