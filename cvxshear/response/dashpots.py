@@ -11,6 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.backends import Backend
+from cvxshear.fit.domain import Domain
+from cvxshear.fit.gauss_newton import gauss_newton
+from cvxshear.fit.optimality import PlainResiduals
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model.shear import Modes, stiffness_matrix
 from cvxshear.priors import Prior
@@ -18,7 +21,7 @@ from cvxshear.programs import LeastSquares
 from cvxshear.programs.orthogonality import pair_products
 from cvxshear.programs.statements import constrained, refuse_contradictions, softened, statements
 from cvxshear.response.damped import coupled, modal_damping
-from cvxshear.util.errors import InputError, NoSolutionError, UnsuitableError
+from cvxshear.util.errors import InputError, NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.quantities import ranged
 from cvxshear.util.typing import Bools, Floats, Ints
 
@@ -123,15 +126,10 @@ only what neither the ratios nor the priors do."""
 LEAST_RATIO = 1e-3
 """A ratio measured as smaller is no better known than one of this size."""
 
-DASHPOT_ROUNDS = 100
-SHORTEST_CUT = 1e-3
-"""Share of a step below which it is not cut any more."""
-
-SETTLED_DASHPOTS = 1e-9
-"""Relative change of the dashpots at which they have settled."""
-
-RATIOS_MET = 1e-5
-"""Relative change of the sum of squares at which the ratios are met as well as they can be."""
+DASHPOT_STEPS = 100
+SETTLED_DASHPOTS = 1e-5
+"""Gauss-Newton steps at most, and largest change of a ratio, in its standard deviation, at which the dashpots have
+settled."""
 
 LEFT_OPEN = 1e-6
 """A combination of dashpots that changes the data by less, each in units of its own effect, is left open by them."""
@@ -211,25 +209,18 @@ def story_dashpots(
     where = statements(priors, QUANTITY, n)
     refuse_contradictions(where, n)
     fit = _Fit(of, stiffness, ratios, priors)
-    c = np.zeros(n) if start is None else start
-    program = fit.program(c)
-    for _ in range(DASHPOT_ROUNDS):
-        step = backend.solve(constrained(program, where, c)).x
-        if np.max(np.abs(step)) <= SETTLED_DASHPOTS * np.max(np.abs(c + step), initial=1e-300):
-            return fit.found(c + step, program)
-        before = _size(program)
+    c = start
+    if c is None:
         # The first answer is that of real modes, wherever it lies; from there on the ratios come ever nearer.
-        c, program = fit.moved(c, step, before if np.any(c) else np.inf)
-        if before - _size(program) <= RATIOS_MET * before:
-            return fit.found(c, program)
-    raise NoSolutionError(
-        backend.name, f"the story dashpots did not settle in {DASHPOT_ROUNDS} rounds; use modal damping in their place"
-    )
-
-
-def _size(program: LeastSquares) -> float:
-    """Sum of squares of all rows where nothing is changed."""
-    return program.value(np.zeros(program.unknowns))
+        c = backend.solve(constrained(fit.program(np.zeros(n)), where, np.zeros(n))).x
+    domain = Domain(where, np.full(n, max(float(np.abs(c).max()), 1e-300)), np.full(n, np.inf))
+    found = gauss_newton(fit, c, domain, backend, SETTLED_DASHPOTS, fit.residuals(c), DASHPOT_STEPS)
+    if not found.converged:
+        raise NoSolutionError(
+            backend.name,
+            f"the story dashpots did not settle in {DASHPOT_STEPS} steps; use modal damping in their place",
+        )
+    return fit.found(found.theta, fit.program(found.theta))
 
 
 class _Fit:
@@ -258,26 +249,23 @@ class _Fit:
         at = np.maximum(c, 1e-12 * self.stiffness)
         return softened(LeastSquares(R, s, names=names), self.priors, QUANTITY, at, 1.0, step=True)
 
-    def moved(self, c: Floats, step: Floats, before: float) -> tuple[Floats, LeastSquares]:
-        """The dashpots after a step, shortened until the sum of squares is no greater than before, and their program.
+    def residuals(self, c: Floats) -> PlainResiduals:
+        """The rows at given dashpots.
 
         Raises
         ------
         UnsuitableError
-            Where a measured mode would not swing any more after the first step.
+            Where a measured mode would not swing any more.
         """
-        part = 1.0
-        while part > SHORTEST_CUT:
-            try:
-                program = self.program(c + part * step)
-            except UnsuitableError:
-                if before == np.inf:
-                    raise
-            else:
-                if _size(program) <= before:
-                    return c + part * step, program
-            part /= 2
-        return c, self.program(c)
+        program = self.program(c)
+        return PlainResiduals(-program.s, program.R)
+
+    def evaluate(self, theta: Floats, /, *, derivatives: bool = True) -> PlainResiduals:
+        """The same for Gauss-Newton, to which such dashpots are too long a step."""
+        try:
+            return self.residuals(theta)
+        except UnsuitableError as error:
+            raise NoModesError(str(error)) from None
 
     def found(self, c: Floats, program: LeastSquares) -> Dashpots:
         """The dashpots at the end, with what the program's rows of data leave open."""
