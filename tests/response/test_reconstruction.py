@@ -253,3 +253,13 @@ def test_a_record_file_gives_one_channel_a_floor_between_start_and_end(tmp_path)
     expected[50] = np.nan
     np.testing.assert_allclose(only.measured[:, 0], expected, atol=1e-12)
     np.testing.assert_allclose(only.excitation, np.cos(9 * time[100:250]), atol=1e-12)
+
+
+@pytest.mark.parametrize("stories", [3, 8])
+def test_an_effect_that_the_model_lacks_is_in_the_bands(stories):
+    """Beams that bend in a finite-element frame, a shear model: the drifts between the sensors come out within bands."""
+    errors, deviations, over_time, changed, _ = study.trial(1, stories, "beams")
+    assert np.all(np.abs(deviations[1]) < 3.0)
+    assert np.mean(over_time[1]) > 0.9
+    assert not changed
+    assert np.sqrt(np.mean(errors[2] ** 2)) < 0.4 * np.sqrt(np.mean(errors[0] ** 2))
