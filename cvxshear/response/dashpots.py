@@ -167,7 +167,7 @@ class Dashpots:
 
 
 def story_dashpots(
-    of: Modes,
+    real: Modes,
     stiffness: Floats,
     ratios: Ratios,
     backend: Backend,
@@ -187,7 +187,7 @@ def story_dashpots(
 
     Parameters
     ----------
-    of : Modes
+    real : Modes
         Undamped, all N of them.
     stiffness : ndarray, shape (N,)
         N/m; the dashpots are in proportion to it where nothing else tells.
@@ -208,7 +208,7 @@ def story_dashpots(
     n = len(stiffness)
     where = statements(priors, QUANTITY, n)
     refuse_contradictions(where, n)
-    fit = _Fit(of, stiffness, ratios, priors)
+    fit = _Fit(real, stiffness, ratios, priors)
     c = start
     if c is None:
         # The first answer is that of real modes, wherever it lies; from there on the ratios come ever nearer.
@@ -228,21 +228,21 @@ class _Fit:
 
     Parameters
     ----------
-    of, stiffness, ratios, priors
+    real, stiffness, ratios, priors
         As for `story_dashpots`.
     """
 
-    def __init__(self, of: Modes, stiffness: Floats, ratios: Ratios, priors: Sequence[Prior]) -> None:
-        self.of, self.stiffness, self.priors = of, stiffness, priors
+    def __init__(self, real: Modes, stiffness: Floats, ratios: Ratios, priors: Sequence[Prior]) -> None:
+        self.real, self.stiffness, self.priors = real, stiffness, priors
         self.seen = np.flatnonzero(ratios.measured)
         self.zeta = ratios.values[self.seen]
         size = np.maximum(self.zeta, LEAST_RATIO)
         self.std = ratios.std[self.seen] * size
-        self.statement = _statement(of, self.seen, size, stiffness)
+        self.statement = _statement(real, self.seen, size, stiffness)
 
     def program(self, c: Floats) -> LeastSquares:
         """The program of a change of the dashpots: measured ratios first, then what is assumed, then soft priors."""
-        found, J = _pole_ratios(self.of, c, self.seen)
+        found, J = _pole_ratios(self.real, c, self.seen)
         R = np.concatenate([J / self.std[:, None], self.statement])
         s = np.concatenate([(self.zeta - found) / self.std, -self.statement @ c])
         names = tuple(f"{QUANTITY} {i + 1}" for i in range(len(c)))
@@ -277,27 +277,27 @@ class _Fit:
         return Dashpots(c, *_left_open(np.concatenate(rows)), tuple((self.seen[far] + 1).tolist()))
 
 
-def _statement(of: Modes, seen: Ints, zeta: Floats, stiffness: Floats) -> Floats:
+def _statement(real: Modes, seen: Ints, zeta: Floats, stiffness: Floats) -> Floats:
     """Rows that are zero for what is assumed: modes that do not couple, dashpots in proportion to the stiffnesses."""
     n = len(stiffness)
-    omega = np.sqrt(of.eigenvalues[seen])
-    drifts = np.diff(of.shapes[seen].T, axis=0, prepend=0.0)
+    omega = np.sqrt(real.eigenvalues[seen])
+    drifts = np.diff(real.shapes[seen].T, axis=0, prepend=0.0)
     i, j = np.triu_indices(len(seen), k=1)
     unit = 2 * np.sqrt(omega[i] * omega[j]) * np.sqrt(zeta[i] * zeta[j] / 3)
     uncoupled = pair_products(drifts, diagonal=False) / unit[:, None]
     # c_k / k_k less the mean of all, in units of the proportion that gives the mean ratio at the first mode.
-    typical = 2 * float(np.mean(zeta)) / float(np.sqrt(of.eigenvalues[0]))
+    typical = 2 * float(np.mean(zeta)) / float(np.sqrt(real.eigenvalues[0]))
     proportion = (np.eye(n) - 1.0 / n) / stiffness / (typical * LOOSE)
     return np.concatenate([uncoupled, proportion])
 
 
-def _pole_ratios(of: Modes, c: Floats, seen: Ints) -> tuple[Floats, Floats]:
+def _pole_ratios(real: Modes, c: Floats, seen: Ints) -> tuple[Floats, Floats]:
     """Damping ratios of the measured modes' poles, shape (m,), and their derivatives by the dashpots, (m, N)."""
     if not np.any(c):
-        drifts = np.diff(of.shapes[seen].T, axis=0, prepend=0.0)
-        return np.zeros(len(seen)), (drifts**2 / (2 * np.sqrt(of.eigenvalues[seen]))).T
-    gamma = modal_damping(of, stiffness_matrix(c))
-    found = coupled(of, gamma)
+        drifts = np.diff(real.shapes[seen].T, axis=0, prepend=0.0)
+        return np.zeros(len(seen)), (drifts**2 / (2 * np.sqrt(real.eigenvalues[seen]))).T
+    gamma = modal_damping(real, stiffness_matrix(c))
+    found = coupled(real, gamma)
     swinging = np.flatnonzero(found.values.imag > 0)
     if seen[-1] >= len(swinging):
         raise UnsuitableError(
@@ -329,12 +329,12 @@ def _left_open(data: Floats) -> tuple[tuple[str, ...], Bools]:
     return tuple(words), part < 1e-4
 
 
-def rayleigh(of: Modes, ratios: Ratios, backend: Backend) -> Floats:
+def rayleigh(real: Modes, ratios: Ratios, backend: Backend) -> Floats:
     """a and b of C = a M + b K, both at least zero, by zeta_i = a / (2 omega_i) + b omega_i / 2, weighted.
 
     Parameters
     ----------
-    of : Modes
+    real : Modes
     ratios : Ratios
     backend : Backend
 
@@ -353,7 +353,7 @@ def rayleigh(of: Modes, ratios: Ratios, backend: Backend) -> Floats:
         raise UnsuitableError(
             "Rayleigh damping has two factors, and one mode's damping ratio was measured; use modal damping"
         )
-    omega, zeta = np.sqrt(of.eigenvalues[seen]), ratios.values[seen]
+    omega, zeta = np.sqrt(real.eigenvalues[seen]), ratios.values[seen]
     std = ratios.std[seen] * np.maximum(zeta, LEAST_RATIO)
     rows = np.column_stack([0.5 / omega, 0.5 * omega]) / std[:, None]
     program = LeastSquares(rows, zeta / std, lower=np.zeros(2), names=("a", "b"))

@@ -150,7 +150,7 @@ def _form(model: DampedModel, measured: int) -> Floats:
     coupled = np.triu_indices(min(len(rows), COUPLED_MODES), k=1)
     pairs = [(i, i) for i in range(len(rows))] + list(zip(*coupled, strict=True))
     single = np.array([np.outer(rows[i], rows[j]) for i, j in pairs])
-    mirrored = single + single.swapaxes(1, 2)
+    mirrored: Floats = single + single.swapaxes(1, 2)
     beyond = np.maximum(np.arange(1, len(rows) + 1) - measured, 0)
     mirrored[: len(rows)] *= (1 + beyond)[:, None, None] / 2
     return mirrored

@@ -257,7 +257,7 @@ def test_a_record_file_gives_one_channel_a_floor_between_start_and_end(tmp_path)
 
 @pytest.mark.parametrize("stories", [3, 8])
 def test_an_effect_that_the_model_lacks_is_in_the_bands(stories):
-    """Beams that bend in a finite-element frame, a shear model: the drifts between the sensors come out within bands."""
+    """Beams that bend in a finite-element frame, a shear model: drifts between the sensors come out within bands."""
     errors, deviations, over_time, changed, _ = study.trial(1, stories, "beams")
     assert np.all(np.abs(deviations[1]) < 3.0)
     assert np.mean(over_time[1]) > 0.9
