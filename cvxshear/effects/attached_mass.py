@@ -82,8 +82,10 @@ class AttachedMass(Effect):
         """One mass, and frequencies among those that were measured."""
         mass, frequency = self.parameters
         lowest, highest = frequency.start / START_FREQUENCY, frequency.upper / FASTEST
-        places = (*(part * lowest for part in START_FREQUENCIES), *(part * highest for part in AMONG_THE_HIGHEST))
-        return tuple((mass.start, float(min(place, frequency.upper))) for place in places)
+        starts = [(mass.start, part * lowest) for part in START_FREQUENCIES]
+        # The smaller of two masses, where a fit from the larger one steps over the place.
+        starts += [(size * mass.start, part * highest) for part in AMONG_THE_HIGHEST for size in (1.0, 0.5)]
+        return tuple((size, float(min(place, frequency.upper))) for size, place in starts)
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         assert place.floor is not None

@@ -99,12 +99,11 @@ class Search:
         """The most probable sets so far, those with an open class counted by themselves: they go with every cause."""
         fitted = [model for model in self.visited.values() if model.estimate is not None]
         fitted.sort(key=lambda model: -model.score)
-        holding = {model.effects: any(placed.effect.kind == OPEN for placed in model.effects) for model in fitted}
-        causes = [model for model in fitted if not holding[model.effects]][:BEAM]
+        causes = [model for model in fitted if not _holds_open(model.effects)][:BEAM]
         others: list[ModelClass] = []
         for model in fitted:
             # What only adds to a better set would leave no room for sets that are other explanations.
-            if holding[model.effects] and not any(better.effects < model.effects for better in others):
+            if _holds_open(model.effects) and not any(better.effects < model.effects for better in others):
                 others.append(model)
             if len(others) == BEAM // 2:
                 break
@@ -238,8 +237,7 @@ class Search:
 
     def _worth_following(self, model: ModelClass) -> bool:
         """Whether a set may lead to a better one; with an open class beside an explanation that is better, hardly."""
-        holds_open = any(placed.effect.kind == OPEN for placed in model.effects)
-        return self.best.improbable or model is self.best or not holds_open
+        return self.best.improbable or model is self.best or not _holds_open(model.effects)
 
     def _lacking(self, model: ModelClass) -> list[Placed]:
         """What the linearised model at the fit of a set can judge of what the set lacks."""
@@ -362,16 +360,19 @@ class Search:
             if self.spent:
                 break
             rest = model.effects - group
+            # From the shear model on, each fitted in turn, any may come: the first guess took all of them at once.
+            barred = group if rest else frozenset()
             self._fit_without(model, [rest])
-            firsts = self._with_one_of(self._lacking(self.visited[rest]), self.visited[rest], group)
+            firsts = self._with_one_of(self._lacking(self.visited[rest]), self.visited[rest], barred)
             if len(group) > 1:
-                firsts = sorted(firsts, key=lambda each: -each.score)[:1]
+                causes = [each for each in firsts if not _holds_open(each.effects - rest)]
+                firsts = sorted(causes, key=lambda each: -each.score)[:1]
             for first in firsts if self._unsatisfied() else ():
                 at, best = None, first
                 while best is not at and len(best.effects - rest) < MOST_CAUSES:
                     at = best
-                    causes = [placed for placed in self._lacking(at) if placed.effect.kind != OPEN]
-                    best = max((at, *self._with_one_of(causes, at, group)), key=lambda each: each.score)
+                    others = [each for each in self._lacking(at) if len(group) > 1 or each.effect.kind != OPEN]
+                    best = max((at, *self._with_one_of(others, at, barred)), key=lambda each: each.score)
 
     def _with_one_of(self, effects: Sequence[Placed], model: ModelClass, barred: Set) -> list[ModelClass]:
         """The most promising sets with one of these effects more, none that is barred, visited."""
@@ -430,6 +431,11 @@ class Search:
         new = [each for each in sets if each not in self.visited]
         held = [[placed for placed in model.estimate.effects if placed in each | assumed] for each in new]
         self._record(self.fitter.models([self.fitter.proposal(model.estimate, effects) for effects in held]))
+
+
+def _holds_open(effects: Set) -> bool:
+    """Whether an open class is among these effects."""
+    return any(placed.effect.kind == OPEN for placed in effects)
 
 
 def _after_a_step(proposal: FitProposal) -> float:
