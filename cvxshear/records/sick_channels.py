@@ -29,7 +29,7 @@ STUCK_SHARE = 0.02
 """Share of a record; a channel that sticks for longer is left out."""
 SPIKE_DEVIATIONS = 10.0
 """Local deviations; noise has 5 at most in a record of an hour, and what the frame does the other channels show too."""
-MANY_SPIKES = 0.01
+MANY_SPIKES = 0.02
 """Share of the samples; more is no accident."""
 AR_ORDER = 24
 """Coefficients of the model that spikes stand out of: two for each mode of a dozen stories."""
@@ -128,7 +128,7 @@ def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
             break
         found |= now
         cleaned[now] -= off[now]
-    # More than one in a hundred is no accident of a cable, but what this channel records.
+    # More than one in fifty is no accident of a cable, but what this channel records.
     many = found.mean(axis=0) > MANY_SPIKES
     found[:, many], cleaned[:, many] = False, responses[:, many]
     return found, cleaned

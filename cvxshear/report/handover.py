@@ -14,7 +14,7 @@ from cvxshear.data import Deviation
 from cvxshear.files.spreadsheets import Cell, Sheet, workbook
 from cvxshear.fit.misfit import Misfit
 from cvxshear.response import Fitted, RecordPrediction
-from cvxshear.response.model import DampedModel
+from cvxshear.response.damped import DampedModel
 from cvxshear.response.uncertain import Damped
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.results import as_json

@@ -17,6 +17,7 @@ from cvxshear.files.to_fill_in import template
 from cvxshear.modal import from_arrays, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, base_record
 from cvxshear.util.errors import InputError
+from tests import closed
 from tests.frames import EXAMPLES, MEASURED
 
 jsonschema = pytest.importorskip("jsonschema")
@@ -87,7 +88,7 @@ def test_identifications(method):
 
 
 def test_loop_and_backends():
-    said = cvxshear.close_loop(cvxshear.load("paper")).to_dict()
+    said = closed.paper().to_dict()
     assert faults("loop", said) == []
     broken = copy.deepcopy(said)
     broken["verdict"] = "perhaps"

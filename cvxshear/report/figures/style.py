@@ -139,7 +139,9 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
         with house_settings():
             figure = draw(*args, **kwargs)
             # The layout is found once; what is drawn later, under whichever settings, stays where it is.
-            figure.draw_without_rendering()
+            engine = figure.get_layout_engine()
+            if engine is not None:
+                engine.execute(figure)
             figure.set_layout_engine(None)
         return figure
 
