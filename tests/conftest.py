@@ -3,6 +3,7 @@
 import functools
 import os
 import re
+import tempfile
 from collections import Counter
 from pathlib import Path
 
@@ -13,11 +14,13 @@ import pytest
 from xdist.scheduler import LoadScopeScheduling
 
 from cvxshear.cli import main
+from tests.docs.runner import KEPT_IN
 
 TESTS = Path(__file__).parent
 
 LONGEST_FIRST = (
-    "docs/test_blocks.py", "docs/test_build.py", "fuzz/test_hostile_names.py", "report/",
+    "docs/test_blocks.py", "docs/test_build.py", "fuzz/test_hostile_names.py", "test_numbering.py",
+    "test_calibration.py", "report/", "test_nested.py", "test_loop.py", "test_measured_frames.py",
 )  # fmt: skip
 """What takes longest, in this order, before all else: begun last it would keep one process busy while others wait."""
 
@@ -33,6 +36,15 @@ def pytest_addoption(parser):
         metavar="N",
         help="mutated files that each reader is tried with; those that it takes go on to identify, loop and modes",
     )
+
+
+def pytest_configure(config):
+    """What is computed once for all processes of this run has a folder, which goes with it."""
+    if not hasattr(config, "workerinput") and KEPT_IN not in os.environ:
+        folder = tempfile.TemporaryDirectory(prefix="cvxshear-tests-")
+        os.environ[KEPT_IN] = folder.name
+        config.add_cleanup(folder.cleanup)
+        config.add_cleanup(lambda: os.environ.pop(KEPT_IN))
 
 
 def pytest_collection_modifyitems(items):

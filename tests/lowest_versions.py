@@ -2,7 +2,7 @@
 
 Printed is a line ``name==lowest`` for every requirement of the package and of the extras asked for (``test`` where none
 is named), the extras that these name in turn included. A requirement without a lowest version is refused: what it
-promises could not be tested.
+promises could not be tested. ``--tests`` prints the tests that are run with them instead.
 """
 
 from __future__ import annotations
@@ -19,6 +19,14 @@ REQUIREMENT = re.compile(r"(?P<name>[\w.-]+)\s*(?:\[(?P<extras>[^\]]*)\])?\s*(?:
 COMPANIONS = ("click<8.3", "pyparsing<3.3")
 """What the lowest Typer and Matplotlib call, before it began to warn that what they call of it will go. They work with
 newer ones too, and the warning is no one's who calls this package; the tests take every warning for an error."""
+
+TESTS = (
+    "test_import.py", "test_backends.py", "test_certificates.py", "test_compiled.py", "test_identify.py",
+    "test_efficient.py", "test_cli.py", "test_writing.py", "test_lowest_versions.py", "formats", "campaign",
+    "modal/test_formats.py", "modal/test_adapters.py", "planning/test_choice.py", "response/test_files.py",
+    "report/test_figures.py", "report/test_html.py",
+)  # fmt: skip
+"""Files and folders of tests that lean on other packages: solvers, readers, matplotlib, jinja, rich, typer, joblib."""
 
 
 def lowest_versions(project: dict[str, Any], extras: tuple[str, ...] = ("test",)) -> dict[str, str]:
@@ -57,7 +65,10 @@ def lowest_versions(project: dict[str, Any], extras: tuple[str, ...] = ("test",)
 
 
 def main() -> None:
-    """Print the constraints."""
+    """Print the constraints, or the tests."""
+    if sys.argv[1:] == ["--tests"]:
+        sys.stdout.writelines(f"tests/{each}\n" for each in TESTS)
+        return
     project = tomllib.loads(PYPROJECT.read_text(encoding="utf-8"))["project"]
     for name, lowest in lowest_versions(project, tuple(sys.argv[1:]) or ("test",)).items():
         sys.stdout.write(f"{name}=={lowest}\n")

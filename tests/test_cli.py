@@ -66,16 +66,23 @@ def test_several_configurations_leave_the_top_null(run):
 
 def test_json_into_a_file_comes_with_the_tables(run, tmp_path):
     out = tmp_path / "result.json"
-    status, shown, _ = run("loop", "paper", "--json", str(out))
+    status, shown, _ = run("identify", "paper", "--json", str(out))
     assert status == 0
-    assert "EXPLAINED" in shown
-    assert json.loads(out.read_text())["verdict"] == "explained"
+    assert "chi-square 73.97 on 1 degree of freedom" in shown
+    assert json.loads(out.read_text())["method"] == "efficient"
     assert list(tmp_path.iterdir()) == [out]
 
 
-def test_the_loop_tells_its_story(run):
-    _, out, _ = run("loop", "paper")
+def test_the_loop_tells_its_story_and_writes_a_report_and_a_figure(run, tmp_path):
+    report, figure, result = (tmp_path / name for name in ("report.html", "residual.svg", "result.json"))
+    written = ("--report", str(report), "--figure", str(figure), "--json", str(result))
+    status, out, _ = run("loop", "paper", *written)
+    assert status == 0
+    assert f"cvxshear loop paper --report {report}" in report.read_text(encoding="utf-8")
+    assert figure.read_text(encoding="utf-8").startswith("<?xml")
+    assert json.loads(result.read_text())["verdict"] == "explained"
     for said in (
+        "EXPLAINED",
         "the weight above takes 1.200 ± 0.051 times P/h from every story's stiffness",
         "99.8 % probable",
         "1.83 %        0.34 %",
@@ -149,14 +156,6 @@ def test_a_bad_file_leaves_an_old_result_alone(run, tmp_path):
     status, _, _ = run("identify", str(tmp_path / "missing.toml"), "--json", str(out))
     assert status == 2
     assert out.read_text() == "old"
-
-
-def test_a_report_and_a_figure_are_written(run, tmp_path):
-    report, figure = tmp_path / "report.html", tmp_path / "residual.svg"
-    status, _, _ = run("loop", "paper", "--report", str(report), "--figure", str(figure))
-    assert status == 0
-    assert f"cvxshear loop paper --report {report}" in report.read_text(encoding="utf-8")
-    assert figure.read_text(encoding="utf-8").startswith("<?xml")
 
 
 def test_a_figure_of_an_unknown_kind_is_refused_before_anything_runs(run, tmp_path):

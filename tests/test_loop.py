@@ -11,7 +11,7 @@ import cvxshear
 from cvxshear import Experiment, InputError, close_loop
 from cvxshear.effects import Effect, Parameter, Place, Placed, catalogue, named
 from cvxshear.priors import Ratio
-from cvxshear.report.html import render
+from tests import closed
 from tests.calibration import HIDDEN, Trial, experiment_of, place
 from tests.fe.experiments import simulated, simulated_attachment
 from tests.frames import chain, configuration, experiment, modes_of, shared
@@ -49,7 +49,7 @@ def deviation(result, truth):
     return float(np.nanmax(np.abs(values - exact) / std))
 
 
-def closed(trial):
+def closed_trial(trial):
     declared, truth = experiment_of(trial)
     return close_loop(Experiment.from_dict(declared)).to_dict(), truth
 
@@ -61,7 +61,7 @@ softer stories, and loose feet of columns between rigid beams from a softer firs
 
 @pytest.mark.parametrize("name", WITH_TWIN)
 def test_an_exact_twin_is_named_beside_the_right_effect(name):
-    result, truth = closed(Trial((name,), 3, 11))
+    result, truth = closed_trial(Trial((name,), 3, 11))
     (found,) = result["effects"]
     (wanted,) = truth["effects"]
     assert wanted in {place(each) for each in (found, *found["rivals"])}
@@ -70,7 +70,7 @@ def test_an_exact_twin_is_named_beside_the_right_effect(name):
 
 @pytest.mark.parametrize("name", sorted(set(EFFECTS) - set(WITH_TWIN)))
 def test_the_right_effect_is_named_alone_with_three_configurations(name):
-    result, truth = closed(Trial((name,), 3, 11))
+    result, truth = closed_trial(Trial((name,), 3, 11))
     (found,) = result["effects"]
     assert (place(found),) == tuple(truth["effects"])
     assert result["verdict"] in ("explained", "ambiguous")
@@ -82,14 +82,14 @@ def test_the_right_effect_is_named_alone_with_three_configurations(name):
 
 @pytest.mark.parametrize("name", [name for name in EFFECTS if name not in {*HIDDEN, *OF_STATES}])
 def test_the_right_effect_is_named_or_a_rival_with_one_configuration(name):
-    result, truth = closed(Trial((name,), 1, 12))
+    result, truth = closed_trial(Trial((name,), 1, 12))
     named = {place(each) for found in result["effects"] for each in (found, *found["rivals"])}
     assert set(truth["effects"]) <= named
 
 
 @pytest.mark.parametrize("name", HIDDEN)
 def test_what_one_configuration_hides_is_not_found(name):
-    result, _ = closed(Trial((name,), 1, 13))
+    result, _ = closed_trial(Trial((name,), 1, 13))
     assert result["effects"] == []
     assert result["verdict"] == "adequate"
 
@@ -109,7 +109,7 @@ def test_a_mass_on_a_spring(seed, part, tuning):
     assert deviation(closure.to_dict(), truth) < 4
     assert [len(each.frequencies) for each in closure.estimate.predictions] == [5, 5]
     assert [each.mode_shapes.shape for each in closure.estimate.predictions] == [(5, 4), (5, 4)]
-    assert "swings on floor" in render(closure, "cvxshear loop")
+    assert "swings on floor" in str(closure)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -139,7 +139,7 @@ def test_the_practice_cases():
 
 
 def test_the_published_frame_lacks_gravity():
-    result = close_loop(cvxshear.load("paper"))
+    result = closed.paper()
     assert [item.placed.effect.name for item in result.effects] == ["gravity"]
     assert result.before.estimate.quality.max_frequency_error == pytest.approx(0.018, abs=0.001)
     assert result.after.estimate.quality.max_frequency_error < 0.004
@@ -197,8 +197,7 @@ def test_a_catalogue_without_the_cause_leaves_it_unexplained_and_says_where():
 
 
 def test_only_the_named_effects_are_looked_for():
-    declared, _ = simulated("ground_spring", stories=4, configurations=3, rng=np.random.default_rng(4))
-    result = close_loop(Experiment.from_dict(declared), effects=["ground_spring", "sensor_gain"])
+    result = closed.spring("ground_spring", "sensor_gain")
     assert {item.placed.effect.name for item in result.candidates} == {"ground_spring", "sensor_gain"}
     assert result.effects[0].placed.effect.name == "ground_spring"
 
@@ -258,15 +257,15 @@ class Brace(Effect):
         return state.with_stiffness(state.system.K + values[0] * np.outer(e, e), dK)
 
 
-    def sizes(self, of):
-        return np.array([0.1 * of.story_stiffness])
+    def sizes(self, scale):
+        return np.array([0.1 * scale.story_stiffness])
 
 
 class Boundless(Brace):
     """The same of any size up to infinity, each as probable."""
 
-    def sizes(self, of):
-        return Effect.sizes(self, of)
+    def sizes(self, scale):
+        return Effect.sizes(self, scale)
 
 
 def test_an_effect_that_does_not_say_how_large_it_may_be_is_refused():
@@ -292,10 +291,9 @@ def test_an_effect_of_ones_own_takes_part_like_the_others():
 
 @pytest.mark.parametrize("backend", ["kkt", "clarabel", "osqp", "cvxpy-clarabel"])
 def test_the_same_answers_from_every_backend(backend):
-    declared, _ = simulated("ground_spring", stories=4, configurations=3, rng=np.random.default_rng(4))
-    of = Experiment.from_dict(declared)
     wanted = ["ground_spring", "sensor_gain"]
-    expected, found = close_loop(of, effects=wanted), close_loop(of, effects=wanted, backend=backend)
+    expected = closed.spring(*wanted)
+    found = close_loop(expected.experiment, effects=wanted, backend=backend)
     assert found.verdict == expected.verdict
     assert found.effects[0].placed == expected.effects[0].placed
     np.testing.assert_allclose(found.frame.floor_mass, expected.frame.floor_mass, rtol=1e-6)
@@ -307,9 +305,8 @@ def test_the_same_answers_from_every_backend(backend):
     "backend", ["clarabel", "osqp", "quadprog", "daqp", "highs", "piqp", "proxqp", "scs", "cvxpy-scs"]
 )
 def test_the_same_answer_where_gamma_sits_on_its_bound(backend):
-    of = cvxshear.load("paper")
-    expected = close_loop(of, effects=["gravity"])
-    found = close_loop(of, effects=["gravity"], backend=backend)
+    expected = closed.paper("gravity")
+    found = close_loop(expected.experiment, effects=["gravity"], backend=backend)
     assert found.effects[0].parameters["gamma"] == pytest.approx(1.2, rel=1e-6)
     np.testing.assert_allclose(found.frame.story_stiffness, expected.frame.story_stiffness, rtol=1e-6)
 
@@ -379,17 +376,16 @@ def test_a_prediction_that_the_rest_does_not_determine_is_passed_over():
 
 
 def test_an_end_of_the_physical_range_is_only_said_where_there_is_one():
-    (gravity,) = close_loop(cvxshear.load("paper"), effects=["gravity"]).effects
+    (gravity,) = closed.paper("gravity").effects
     assert gravity.parameters["gamma"] == pytest.approx(1.2, rel=1e-6)
     assert gravity.remarks == ("gamma is at the upper end of what is physical",)
-    declared, _ = simulated("ground_spring", stories=4, configurations=3, rng=np.random.default_rng(4))
-    (spring,) = close_loop(Experiment.from_dict(declared), effects=["ground_spring"]).effects
+    (spring,) = closed.spring("ground_spring", "sensor_gain").effects
     assert spring.parameters["s"] > 5 * spring.std["s"]
     assert spring.remarks == ()
 
 
 def test_the_json_has_the_documented_keys_and_is_json():
-    result = close_loop(cvxshear.load("paper")).to_dict()
+    result = closed.paper().to_dict()
     json.dumps(result, allow_nan=False)
     figures = {
         "max_frequency_error", "rms_frequency_error", "min_mac", "max_shape_error", "chi2", "dof", "p_value",

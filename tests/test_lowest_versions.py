@@ -5,9 +5,13 @@ import tomllib
 
 import pytest
 
-from tests.lowest_versions import PYPROJECT, lowest_versions
+from tests.lowest_versions import PYPROJECT, TESTS, lowest_versions
 
 PROJECT = tomllib.loads(PYPROJECT.read_text(encoding="utf-8"))["project"]
+
+
+def test_the_tests_that_are_run_with_them_are_there():
+    assert [each for each in TESTS if not (PYPROJECT.parent / "tests" / each).exists()] == []
 
 
 def test_every_requirement_of_every_extra_has_a_lowest_version():

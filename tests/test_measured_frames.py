@@ -1,6 +1,5 @@
 """Measured frames of which something is known independently: the cause, what is left, and nothing else added."""
 
-import functools
 import tomllib
 
 import numpy as np
@@ -9,6 +8,7 @@ import pytest
 import cvxshear
 from cvxshear.files.toml import MEASURED_FRAMES, built_in_text
 from tests import built_in_files
+from tests.closed import built_in
 from tests.frames import shared
 
 # LA-14393, Table 2: the kind of change, its floor or story, its size. A column at 12.5 % of its bending stiffness takes
@@ -32,18 +32,12 @@ def level(placed):
     return placed.place.floor or placed.place.story
 
 
-@functools.cache
-def loop(name):
-    """The loop on a built-in frame, its modes as `cvxshear modes` found them."""
-    return cvxshear.close_loop(cvxshear.load(name))
-
-
 def names(closure):
     return sorted(item.placed.label for item in closure.effects)
 
 
 def test_los_alamos_has_one_change_a_state_of_the_kind_and_size_that_was_made():
-    closure = loop("los-alamos")
+    closure = built_in("los-alamos")
     assert closure.verdict in ("explained", "ambiguous")
     found = {item.placed.place.state: item for item in closure.effects}
     assert len(closure.effects) == len(found) == 8
@@ -56,7 +50,7 @@ def test_los_alamos_has_one_change_a_state_of_the_kind_and_size_that_was_made():
 
 def test_los_alamos_names_seven_of_eight_at_their_place_and_the_other_as_a_tie():
     first = 0
-    for item in loop("los-alamos").effects:
+    for item in built_in("los-alamos").effects:
         name, at, _ = DONE_AT_LOS_ALAMOS[item.placed.place.state]
         if level(item.placed) == at:
             first += 1
@@ -69,7 +63,7 @@ def test_los_alamos_names_seven_of_eight_at_their_place_and_the_other_as_a_tie()
 
 
 def test_los_alamos_is_told_from_frequencies_alone():
-    closure = loop("los-alamos")
+    closure = built_in("los-alamos")
     assert all(not each.mode_shapes.size for each in closure.experiment.configurations)
     assert closure.before.estimate.chi2 > 1000
     assert closure.estimate.chi2 < 40
@@ -77,7 +71,7 @@ def test_los_alamos_is_told_from_frequencies_alone():
 
 @pytest.mark.parametrize("name", built_in_files.MINI)
 def test_the_joints_of_the_mini_table_turn(name):
-    closure = loop(name)
+    closure = built_in(name)
     assert names(closure) == ["joint rotation"]
     assert closure.verdict == "explained"
     assert closure.effects[0].probability > 0.95
@@ -89,20 +83,20 @@ def test_the_joints_of_the_mini_table_turn(name):
 @pytest.mark.parametrize("columns", ["flexible", "stiff"])
 def test_both_records_of_a_mini_table_say_the_same(columns):
     """Within three of their standard deviations: an earthquake and a sine, of different amplitude."""
-    (one,), (other,) = (loop(f"mini-{columns}-{record}").effects for record in ("northridge", "sine"))
+    (one,), (other,) = (built_in(f"mini-{columns}-{record}").effects for record in ("northridge", "sine"))
     difference = one.parameters["eta"] - other.parameters["eta"]
     assert abs(difference) < 3 * np.hypot(one.std["eta"], other.std["eta"])
 
 
 def test_joints_turn_more_between_stiff_columns():
     """eta is the columns' stiffness over the beams', and the beams are the same."""
-    (flexible,), (stiff,) = loop("mini-flexible-sine").effects, loop("mini-stiff-sine").effects
+    (flexible,), (stiff,) = built_in("mini-flexible-sine").effects, built_in("mini-stiff-sine").effects
     assert stiff.parameters["eta"] > 2 * flexible.parameters["eta"]
 
 
 def test_the_floors_of_southampton_weigh_what_they_should():
     """Equal floors within 4 %, their mean within 6 % of the nominal 5.36 kg of a sister; no mass was declared."""
-    closure = loop("southampton")
+    closure = built_in("southampton")
     for frame in (closure.frame, closure.averaged):
         np.testing.assert_allclose(frame.floor_mass, frame.floor_mass.mean(), rtol=0.04)
         assert frame.floor_mass.mean() == pytest.approx(5.36, rel=0.06)
@@ -112,7 +106,7 @@ def test_the_floors_of_southampton_weigh_what_they_should():
 
 
 def test_the_columns_of_the_eighteen_stories_stretch():
-    closure = loop("e-defense")
+    closure = built_in("e-defense")
     assert sorted(names(closure)) == ["axial columns", "base rocking"]
     # Springs between all floors would do the same, for want of floors and modes.
     assert {rival.placed.effect.name for item in closure.effects for rival in item.rivals} <= {"other_stiffness"}

@@ -1,10 +1,10 @@
-"""log Z against nested sampling, three of the problems of tests/benchmarks/nested.py with few live points."""
+"""log Z against nested sampling, three of the problems of tests/benchmarks/nested.py with few points."""
 
 import pytest
 
 from tests.benchmarks.nested import PROBLEMS, compared
 
-LIVE = 150
+LIVE, DRAWS = 150, 2000
 APPROXIMATION = 0.1
 """What Laplace's approximation itself may be off, beside four standard errors of the sampling."""
 
@@ -12,7 +12,7 @@ APPROXIMATION = 0.1
 @pytest.mark.parametrize("problem", [PROBLEMS[0], PROBLEMS[2], PROBLEMS[6]], ids=lambda problem: problem.name)
 def test_the_evidence_is_that_of_nested_sampling(problem):
     pytest.importorskip("dynesty", reason="dynesty is not installed")
-    found, *sampled = compared(problem, LIVE)
+    found, *sampled = compared(problem, LIVE, draws=DRAWS)
     for exact, error in sampled:
         assert found == pytest.approx(exact, abs=4 * error + APPROXIMATION)
     assert sampled[-1][1] < 0.1

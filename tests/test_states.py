@@ -6,12 +6,12 @@ import re
 import numpy as np
 import pytest
 
-import cvxshear
 from cvxshear import Experiment, backends, close_loop
 from cvxshear.effects import Place, Placed, named
 from cvxshear.fit.efficient import efficient
 from cvxshear.loop.fitter import with_stand_in
 from cvxshear.util.errors import CvxshearError
+from tests import closed
 from tests.fe.experiments import simulated
 from tests.frames import configuration, experiment, modes_of
 
@@ -193,14 +193,10 @@ def test_no_floor_loses_more_than_it_holds(backend):
     assert found.theta[2] + found.theta[-1] >= -1e-6 * MASS.mean()
 
 
-@pytest.fixture(scope="module")
-def published():
-    return close_loop(cvxshear.load("paper"), effects=["gravity"])
-
-
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_every_backend_closes_the_loop_on_the_published_frame_or_says_which_stood_in(backend, published):
-    result = close_loop(cvxshear.load("paper"), effects=["gravity"], backend=backend)
+def test_every_backend_closes_the_loop_on_the_published_frame_or_says_which_stood_in(backend):
+    published = closed.paper("gravity")
+    result = close_loop(published.experiment, effects=["gravity"], backend=backend)
     assert result.backend == backend
     (found,) = result.effects
     assert found.placed.effect.name == "gravity"

@@ -109,10 +109,10 @@ class AttachedMass(Effect):
         dK[own.start + 1] += mass * 2 * square / values[1] * unit
         return dataclasses.replace(state, system=System(M, K, dM, dK), observation=state.observation.extended())
 
-    def sizes(self, of: Scale) -> Floats:
-        return np.array([0.15 * of.floor_mass, np.inf])
+    def sizes(self, scale: Scale) -> Floats:
+        return np.array([0.15 * scale.floor_mass, np.inf])
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         mass, frequency = (with_std(value, error, unit) for value, error, unit in zip(values, std, units, strict=True))
         said = f"a mass of {mass} swings on floor {place.floor} at {frequency} of its own"
         return said if place.floor != 1 else f"{said}, or the base has a mass of its own on soft ground"

@@ -27,7 +27,7 @@ STUCK = 0.5
 """s, and at least 20 samples, for which a converter that works does not repeat one value while the others move."""
 STUCK_SHARE = 0.02
 """Share of a record; a channel that sticks for longer is left out."""
-SPIKE = 10.0
+SPIKE_DEVIATIONS = 10.0
 """Local deviations; noise has 5 at most in a record of an hour, and what the frame does the other channels show too."""
 MANY_SPIKES = 0.02
 """Share of the samples; more is no accident."""
@@ -117,11 +117,11 @@ def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
                 scale[:, column] = _local_scale(off[:, column])
         ratio = np.abs(off) / scale
         near = ndimage.maximum_filter1d(ratio, 5, axis=0)
-        now = (ratio > SPIKE) & (ratio >= ndimage.maximum_filter1d(ratio, 2 * AR_ORDER + 1, axis=0))
+        now = (ratio > SPIKE_DEVIATIONS) & (ratio >= ndimage.maximum_filter1d(ratio, 2 * AR_ORDER + 1, axis=0))
         for hit in np.flatnonzero(now.any(axis=0)).tolist():
             others = np.delete(near, hit, axis=1)
             if others.shape[1]:
-                now[:, hit] &= others.max(axis=1) < SPIKE / 2
+                now[:, hit] &= others.max(axis=1) < SPIKE_DEVIATIONS / 2
         for place, hit in np.argwhere(now).tolist():
             now[place, hit] = not _begins(cleaned[:, hit], place)
         if not now.any():

@@ -1,4 +1,4 @@
-"""What the loop finds in the IASC-ASCE benchmark, patterns alone and together: ``python -m tests.benchmarks.damage_patterns``.
+"""What the loop finds in the IASC-ASCE benchmark: ``python -m tests.benchmarks.damage_patterns``.
 
 For each direction, the floor masses declared or only their total: every pattern by itself beside the undamaged frame,
 and all seven states at once. Printed are the verdict, the changes at their story (named, or a rival of what is), what
@@ -59,9 +59,10 @@ def told(task: tuple[str, tuple[int, ...], bool]) -> str:
     who = "all" if len(patterns) > 1 else str(patterns[0])
     what = "floor masses" if masses else "total mass"
     missed = sorted(changes - found - rivals)
+    count = f"{len(found)} + {len((rivals - found) & changes)} of {len(changes)}"
     return (
-        f"{direction}  {who:3s}  {what:12s}  {closure.verdict:11s}  {len(found)} + {len((rivals - found) & changes)} of "
-        f"{len(changes)}  {', '.join(false) or '-':40s}  {', '.join(braces):16s}"
+        f"{direction}  {who:3s}  {what:12s}  {closure.verdict:11s}  {count}  "
+        f"{', '.join(false) or '-':40s}  {', '.join(braces):16s}"
         + (f"  missed: {', '.join(f'{story} in pattern {number}' for number, story in missed)}" if missed else "")
     )
 

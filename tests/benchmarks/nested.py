@@ -234,7 +234,7 @@ class Integrand:
         return float(result) if np.isfinite(result) else -1e300
 
 
-def sampled(integrand, seed, live=LIVE):
+def sampled(integrand, seed, live=LIVE, draws=DRAWS):
     """log Z and its error by nested sampling, then by importance sampling about the points that it found."""
     dynesty = import_module("dynesty")
     rng = np.random.default_rng(seed)
@@ -249,19 +249,19 @@ def sampled(integrand, seed, live=LIVE):
     outside = float(weights @ (cube > 0.5 - EDGE).any(axis=1))
     assert outside < 1e-3, f"the box cuts off {outside:.2g} of the posterior of {integrand.problem.name!r}"
     nested = float(result.logz[-1]), float(result.logzerr[-1])
-    return nested, reweighted(integrand, stats.norm.ppf(result.samples_u), weights, rng)
+    return nested, reweighted(integrand, stats.norm.ppf(result.samples_u), weights, rng, draws)
 
 
-def reweighted(integrand, points, weights, rng):
+def reweighted(integrand, points, weights, rng, draws=DRAWS):
     """log Z by importance sampling from Student's t about weighted points, all in normal coordinates of the cube."""
     center = weights @ points
     spread = WIDER * ((points - center).T * weights) @ (points - center)
     law = stats.multivariate_t(center, spread, df=DEGREES)
-    v = law.rvs(DRAWS, random_state=rng)
+    v = law.rvs(draws, random_state=rng)
     logs = np.array([integrand.value(integrand.transform(u)) for u in stats.norm.cdf(v)])
     logs += stats.norm.logpdf(v).sum(axis=1) - law.logpdf(v)
     ratios = np.exp(logs - logs.max())
-    return float(logs.max() + np.log(ratios.mean())), float(ratios.std() / ratios.mean() / np.sqrt(DRAWS))
+    return float(logs.max() + np.log(ratios.mean())), float(ratios.std() / ratios.mean() / np.sqrt(draws))
 
 
 def fits(problem, of):
@@ -279,13 +279,13 @@ def fits(problem, of):
     return without, fitted(Misfit(of, (placed,), expectation=expectation), start, backend, 1e-9), expectation
 
 
-def compared(problem, live=LIVE, seed=1):
+def compared(problem, live=LIVE, seed=1, draws=DRAWS):
     """The difference of log Z by the library, and value and error of it by nested and by importance sampling."""
     of = measured(problem)
     without, with_effect, expectation = fits(problem, of)
     found = log_evidence(with_effect, expectation) - log_evidence(without, expectation)
-    plain = sampled(Integrand(problem, of, without, with_effect=False), seed, live)
-    full = sampled(Integrand(problem, of, with_effect, with_effect=True), seed + 1, live)
+    plain = sampled(Integrand(problem, of, without, with_effect=False), seed, live, draws)
+    full = sampled(Integrand(problem, of, with_effect, with_effect=True), seed + 1, live, draws)
     nested, refined = ((b[0] - a[0], float(np.hypot(a[1], b[1]))) for a, b in zip(plain, full, strict=True))
     return found, nested, refined
 

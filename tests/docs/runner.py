@@ -12,6 +12,8 @@ from __future__ import annotations
 import ast
 import contextlib
 import functools
+import hashlib
+import inspect
 import io
 import json
 import os
@@ -29,6 +31,9 @@ from typing import ParamSpec, TypeVar
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+KEPT_IN = "CVXSHEAR_TESTS_KEEP"
+"""The variable that names the folder of what is computed once for all processes of a test run."""
 
 FENCE = "```"
 
@@ -157,25 +162,68 @@ def run_page(page: Path) -> dict[str, str]:
 def once(function: Callable[P, R]) -> Callable[P, R]:
     """The function, which returns what it returned before where all its arguments are the same.
 
-    Pages show the same frames again and again. What cannot be pickled, such as an effect that a page writes itself, is
+    Pages and tests look at the same frames again and again. Where the variable `KEPT_IN` names a folder, what one
+    process computed is there for the others. What cannot be pickled, such as an effect that a page writes itself, is
     computed every time, and so is everything after a page has registered something.
     """
     made: dict[bytes, R] = {}
+    signature = inspect.signature(function)
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        from cvxshear.data.registry import _kinds  # noqa: PLC0415
+        from cvxshear.data.kinds import _kinds  # noqa: PLC0415
         from cvxshear.effects import catalogue  # noqa: PLC0415
 
+        given = signature.bind(*args, **kwargs)
+        given.apply_defaults()
+        registered = [each.name for each in catalogue()], sorted(_kinds)
         try:
-            key = pickle.dumps((args, sorted(kwargs.items()), [each.name for each in catalogue()], sorted(_kinds)))
+            key = pickle.dumps((function.__name__, sorted(given.arguments.items()), registered))
         except (pickle.PicklingError, AttributeError, TypeError):
             return function(*args, **kwargs)
         if key not in made:
-            made[key] = function(*args, **kwargs)
+            made[key] = kept(hashlib.sha256(key).hexdigest(), functools.partial(function, *args, **kwargs))
         return made[key]
 
     return call
+
+
+def effects_of_the_package() -> dict[str, object]:
+    from cvxshear.effects import catalogue, open_classes  # noqa: PLC0415
+
+    return {each.name: each for each in (*catalogue(), *open_classes())}
+
+
+class Writer(pickle.Pickler):
+    """Effects that come with the package are themselves, not a copy, where they are read again."""
+
+    def persistent_id(self, obj: object) -> str | None:
+        return next((name for name, each in effects_of_the_package().items() if each is obj), None)
+
+
+class Reader(pickle.Unpickler):
+    """Reads what `Writer` wrote."""
+
+    def persistent_load(self, pid: str) -> object:
+        return effects_of_the_package()[pid]
+
+
+def kept(name: str, make: Callable[[], R]) -> R:
+    """What a file of this name in the folder `KEPT_IN` holds; it is made, and put there, where there is none."""
+    folder = os.environ.get(KEPT_IN)
+    if folder is None:
+        return make()
+    path = Path(folder) / name
+    if not path.exists():
+        made = make()
+        # Another process may do the same at the same time: the file is there as a whole or not at all.
+        with tempfile.NamedTemporaryFile(dir=folder, delete=False) as file:
+            Writer(file).dump(made)
+        os.replace(file.name, path)
+        return made
+    with path.open("rb") as file:
+        result: R = Reader(file).load()
+    return result
 
 
 def main(arguments: list[str]) -> None:

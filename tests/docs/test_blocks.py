@@ -62,6 +62,7 @@ def script_calls(page: Path) -> dict[str, str]:
 @functools.cache
 def results():
     """What each page printed, and what each script printed, all run by one process."""
+    (Path(os.environ[runner.KEPT_IN]) / f"pages run by {os.getpid()}").touch()
     with tempfile.TemporaryDirectory() as folder:
         # Scripts that no page runs stand on a page of their own.
         rest = Path(folder) / "rest.md"
@@ -142,6 +143,13 @@ def test_the_page_shows_what_is_printed(page):
     for key, shown in shown_outputs(page):
         assert key in printed, f"{name_of(page)}: the block at line {key} was not run"
         assert not missing(shown, printed[key]), f"line {key} prints\n{printed[key]}"
+
+
+def test_the_pages_are_run_once():
+    """Over several processes tests that share something must stay in one of them, see `tests/conftest.py`."""
+    results()
+    names = [path.name for path in Path(os.environ[runner.KEPT_IN]).glob("pages run by *")]
+    assert names == [f"pages run by {os.getpid()}"]
 
 
 def test_every_script_has_its_expectation():

@@ -15,6 +15,7 @@ from cvxshear.files.uff import write_uff
 from cvxshear.modal import from_arrays
 from cvxshear.report.sheets import sheets_of_closure, sheets_of_identification, sheets_of_modes
 from cvxshear.util.errors import InputError
+from tests import closed
 
 FREQUENCIES = [2.990, 7.934]
 SHAPES = [[0.61071, 1.0], [-1.65840, 1.0]]
@@ -119,7 +120,7 @@ def test_an_identification_as_a_table(tmp_path):
 
 def test_a_closure_as_a_workbook(tmp_path):
     openpyxl = pytest.importorskip("openpyxl")
-    closure = cvxshear.close_loop(cvxshear.load("paper"))
+    closure = closed.paper()
     write_xlsx(tmp_path / "loop.xlsx", sheets_of_closure(closure))
     book = openpyxl.load_workbook(tmp_path / "loop.xlsx")
     assert book.sheetnames == ["frame", "effects", "errors", "modes"]

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.cli.records import _said
+from cvxshear.cli.before import _said
 from cvxshear.files.modes import IdentifiedRecord, merged
 from cvxshear.files.to_fill_in import template
 from cvxshear.modal import from_arrays, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, base_record
 from cvxshear.util.errors import InputError
+from tests import closed
 from tests.frames import EXAMPLES, MEASURED
 
 jsonschema = pytest.importorskip("jsonschema")
@@ -87,7 +88,7 @@ def test_identifications(method):
 
 
 def test_loop_and_backends():
-    said = cvxshear.close_loop(cvxshear.load("paper")).to_dict()
+    said = closed.paper().to_dict()
     assert faults("loop", said) == []
     broken = copy.deepcopy(said)
     broken["verdict"] = "perhaps"

@@ -14,6 +14,7 @@ from cvxshear.planning.criteria import criterion_named
 from cvxshear.planning.planner import value_of
 from cvxshear.report import figures
 from cvxshear.util.errors import InputError
+from tests import closed
 from tests.benchmarks.planning import paper_design, right_verdicts, scatter, vague_designs
 from tests.frames import configuration, experiment
 from tests.planning.common import NOISE, design, tapered
@@ -351,6 +352,6 @@ def test_a_loop_needs_a_measurement_and_a_result_without_heights_says_so(file, t
     with pytest.raises(InputError, match="needs a file with measured modes"):
         plan(file, loop=True)
     path = tmp_path / "loop.json"
-    path.write_text(json.dumps(cvxshear.close_loop(cvxshear.load("paper")).to_dict()))
+    path.write_text(json.dumps(closed.paper().to_dict()))
     with pytest.raises(InputError, match="cannot be made again without the measurement"):
         plan(path)

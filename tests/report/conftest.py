@@ -7,6 +7,7 @@ import pytest
 
 import cvxshear
 from cvxshear.paper.scatter import noise_study, paper_setups, six_story_study
+from tests import closed
 from tests.fe.experiments import simulated
 
 NASTY = '<img src="http://example.org/x" onerror="alert(1)"> $a_$ & 结构'
@@ -22,7 +23,7 @@ def experiment(effect, stories, configurations=2, seed=3, **options):
 
 @pytest.fixture(scope="session")
 def paper():
-    return cvxshear.close_loop(cvxshear.load("paper"))
+    return closed.paper()
 
 
 @pytest.fixture(scope="session")

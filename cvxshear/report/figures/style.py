@@ -51,13 +51,8 @@ LONGEST_NAME = 26
 """Letters of a name that a figure shows."""
 
 OTHER_SCRIPTS = (
-    "Noto Sans CJK SC",
-    "Noto Sans CJK JP",
-    "WenQuanYi Micro Hei",
-    "Microsoft YaHei",
-    "PingFang SC",
-    "SimHei",
-)
+    "Noto Sans CJK SC", "Noto Sans CJK JP", "WenQuanYi Micro Hei", "Microsoft YaHei", "PingFang SC", "SimHei",
+)  # fmt: skip
 """Fonts for names that DejaVu Sans has no letters for; used where one is installed."""
 
 SETTINGS = {
@@ -144,7 +139,9 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
         with house_settings():
             figure = draw(*args, **kwargs)
             # The layout is found once; what is drawn later, under whichever settings, stays where it is.
-            figure.draw_without_rendering()
+            engine = figure.get_layout_engine()
+            if engine is not None:
+                engine.execute(figure)
             figure.set_layout_engine(None)
         return figure
 

@@ -1,0 +1,26 @@
+"""Loops that tests of several files, or pages of the documentation, look at: closed once."""
+
+import numpy as np
+
+import cvxshear
+from cvxshear.loop import Closure
+from tests.docs.runner import once
+from tests.fe.experiments import simulated
+
+close_loop = once(cvxshear.close_loop)
+
+
+def built_in(name: str) -> Closure:
+    """A built-in frame, every effect looked for."""
+    return close_loop(cvxshear.load(name))
+
+
+def paper(*effects: str) -> Closure:
+    """The published frame; every effect is looked for where none is named."""
+    return close_loop(cvxshear.load("paper"), effects=effects or None)
+
+
+def spring(*effects: str) -> Closure:
+    """Four stories, three tests and a spring to the ground, with these effects looked for."""
+    declared, _ = simulated("ground_spring", stories=4, configurations=3, rng=np.random.default_rng(4))
+    return close_loop(cvxshear.Experiment.from_dict(declared), effects=effects)
