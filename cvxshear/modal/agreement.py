@@ -117,7 +117,8 @@ def second_opinion(result: ModalResult, other: ModalResult) -> list[Finding]:
         found.append(
             Finding(
                 "second opinion",
-                f"{other.name} has mode {mode} at {other.frequencies[place]:.5g} Hz {alike[place]:.4f}",
+                f"{other.name} has mode {mode} at {other.frequencies[place]:.5g} Hz "
+                f"({100 * changes[place]:+.2f} %), MAC {alike[place]:.4f}",
                 {
                     **numbers,
                     "agrees": True,

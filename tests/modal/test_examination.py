@@ -129,7 +129,7 @@ def test_a_peer_that_sees_other_modes_is_said():
     assert [(item.numbers.get("mode"), item.numbers["agrees"]) for item in said] == [
         (1, True), (2, False), (3, False), (None, False), (None, False),
     ]  # fmt: skip
-    assert said[0].numbers["change"] == pytest.approx(0.01)
+    assert said[0].message == "peer has mode 1 at 1.0439 Hz (+1.00 %), MAC 1.0000"
     assert "peer has no mode 2, 2.21 Hz; its nearest is 2.21 Hz, MAC" in said[1].message
     with pytest.raises(InputError, match="second"):
         identify_modes(base_record(PAPER_FRAME, 0, noise=0.01, duration=60.0), second="other")
