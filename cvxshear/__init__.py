@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from cvxshear.priors import Prior
     from cvxshear.response import predict, reconstruct
 
-shown_by("cvxshear.report.show")
+shown_by("cvxshear.report.terminal")
 
 __all__ = [
     "Closure",

@@ -30,7 +30,10 @@ CONCERNED = {
     ),
     "programs": ("test_programs.py", "test_priors.py", "test_properties.py", "test_fast.py"),
     "priors": ("test_priors.py", "test_programs.py", "test_experiment.py"),
-    "backends": ("test_backends.py", "test_certificates.py", "test_compiled.py", "test_working_set.py"),
+    "backends": (
+        "test_backends.py", "test_certificates.py", "test_compiled.py", "test_working_set.py",
+        "test_comparison.py",
+    ),
     "effects": ("effects", "test_states.py"),
     "data": ("test_data.py", "test_priors.py", "test_efficient.py"),
     "fit": ("test_efficient.py", "test_noise.py", "test_smooth.py", "test_separation.py", "test_evidence.py"),

@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from cvxshear import NoSolutionError, backends
+from cvxshear import InfeasibleError, NoSolutionError, backends
 from cvxshear.backends import canonical
 from cvxshear.backends import minimizer as closed
 from cvxshear.backends.base import accurate
@@ -266,3 +266,47 @@ def test_an_unknown_that_the_objective_hardly_sees_still_keeps_the_constraints(n
     except NoSolutionError:
         return
     np.testing.assert_allclose(x, [0.0075, 0.0075, 22.485], rtol=1e-2)
+
+
+def test_every_figure_is_what_the_formulas_of_the_certificate_say():
+    """Term by term, in plain sums, at a point that breaks everything a little."""
+    rng = np.random.default_rng(12)
+    R, s = rng.standard_normal((6, 3)), rng.standard_normal(6)
+    A, b = rng.standard_normal((1, 3)), rng.standard_normal(1)
+    G, h = rng.standard_normal((2, 3)), rng.standard_normal(2)
+    x, y, w = rng.standard_normal(3), rng.standard_normal(1), np.array([0.7, -0.4])
+    found = certify(Assembled(LeastSquares(R, s, A=A, b=b, G=G, h=h)), Point(x, y, w))
+    columns = [sum(R[i, j] ** 2 for i in range(6)) ** 0.5 for j in range(3)]
+    side = sum(value**2 for value in s) ** 0.5
+    reach = 1e-3 * sum((columns[j] * x[j]) ** 2 for j in range(3)) ** 0.5 + 1e-7 * side
+    size = [abs(x[j]) + min(reach / columns[j], abs(b[0]) / abs(A[0, j])) for j in range(3)]
+    violations = [abs(A[0] @ x - b[0]) / (abs(b[0]) + sum(abs(A[0, j]) * size[j] for j in range(3)))]
+    violations += [
+        max(G[i] @ x - h[i], 0.0) / (abs(h[i]) + sum(abs(G[i, j]) * size[j] for j in range(3))) for i in range(2)
+    ]
+    assert found.primal_residual == pytest.approx(max(violations), rel=1e-12)
+    terms = [sum(abs(R[i, j] * x[j]) for j in range(3)) + abs(s[i]) for i in range(6)]
+    duals = []
+    for j in range(3):
+        slope = sum(R[i, j] * (R[i] @ x - s[i]) for i in range(6)) + A[0, j] * y[0] + G[0, j] * w[0] + G[1, j] * w[1]
+        wrong_sign = abs(G[1, j]) * 0.4
+        of = sum(abs(R[i, j]) * terms[i] for i in range(6)) + abs(A[0, j] * y[0])
+        of += sum(abs(G[i, j] * w[i]) for i in range(2))
+        duals.append(max(abs(slope), wrong_sign) / of)
+    assert found.dual_residual == pytest.approx(max(duals), rel=1e-12)
+    r = sum(columns[j] * abs(x[j]) for j in range(3)) + side
+    gap = abs(w @ (h - G @ x) - y @ (A @ x - b))
+    of = r**2 / 2 + abs(y[0] * b[0]) + sum(abs(w[i] * h[i]) for i in range(2))
+    assert found.duality_gap == pytest.approx(gap / of, rel=1e-12)
+
+
+@pytest.mark.parametrize("side", [6e-10, 5e-10])
+def test_equalities_of_any_scale_that_contradict_each_other_are_refused(side):
+    """x1 = 5, and x1 = 6 in units of 1e-10; or 5, which follows."""
+    A = np.array([[1.0, 0.0], [1e-10, 0.0]])
+    program = LeastSquares(np.eye(2), np.ones(2), A=A, b=np.array([5.0, side]))
+    if side == 6e-10:
+        with pytest.raises(InfeasibleError, match="contradict"):
+            backends.get("auto").solve(program)
+    else:
+        np.testing.assert_allclose(backends.get("auto").solve(program).x, [5.0, 1.0], rtol=1e-9)

@@ -8,7 +8,7 @@ import pytest
 
 from cvxshear import Experiment, close_loop, identify
 from cvxshear.data import Datum, Frequencies, Model, Residual, Shapes, Static, data_of, register
-from cvxshear.data import registry as registry_module
+from cvxshear.data import kinds as registry_module
 from cvxshear.effects import compose
 from cvxshear.fit.misfit import Misfit
 from tests.effects.common import ADDED, HEIGHTS, MASS, STIFFNESS, theta
@@ -109,6 +109,35 @@ def test_counts_and_labels():
     # Every entry, less one a mode whose scale is free.
     assert [datum.count for datum in data_of(of)] == [4, 16 - 4, 3, 8 - 3, 3]
     assert Shapes.of(measured_twice(mass_normalized=True))[1].count == 8
+
+
+@pytest.mark.parametrize("mass_normalized", [False, True])
+def test_what_is_described_part_by_part_and_by_floor_is_the_whole_residual(mass_normalized):
+    """Sums of squares over the parts, and over the floors of what sits at floors, are that of the residual."""
+    of = measured_twice(mass_normalized=mass_normalized)
+    for datum in data_of(of):
+        model = Model(compose(of, datum.tested, EFFECTS, AT), slice(None), False)
+        r = datum.residual(model).r
+        parts = datum.describe(model)
+        assert sum(part.entries * part.deviations**2 for part in parts) == pytest.approx(r @ r, rel=1e-12)
+        by_floor = datum.by_floor(model)
+        if by_floor:
+            assert sum(z @ z for z in by_floor.values()) == pytest.approx(r @ r, rel=1e-12)
+            assert all(np.all(z != 0) for z in by_floor.values())
+
+
+def test_errors_of_shapes_are_those_of_the_textbook():
+    """MAC = (a'b)^2 / (a'a b'b), over the floors that were measured; b scaled to a's largest entry of one."""
+    of = measured_twice()
+    datum = Shapes.of(of)[1]
+    model = Model(compose(of, datum.tested, EFFECTS, AT), slice(None), False)
+    found = datum.errors(model)
+    for row, (measured, modelled) in enumerate(zip(datum.tested.mode_shapes, datum.seen(model), strict=True)):
+        known = np.isfinite(measured)
+        a, b = measured[known] / np.max(np.abs(measured[known])), modelled[known]
+        assert found["mac"][row] == pytest.approx((a @ b) ** 2 / (a @ a) / (b @ b), rel=1e-12)
+        share = (a @ b) / (b @ b)
+        assert found["shape_error"][row] == pytest.approx(np.max(np.abs(share * b - a)), rel=1e-9)
 
 
 def test_displacements_are_those_of_equilibrium():

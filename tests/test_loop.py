@@ -257,15 +257,15 @@ class Brace(Effect):
         return state.with_stiffness(state.system.K + values[0] * np.outer(e, e), dK)
 
 
-    def sizes(self, of):
-        return np.array([0.1 * of.story_stiffness])
+    def sizes(self, scale):
+        return np.array([0.1 * scale.story_stiffness])
 
 
 class Boundless(Brace):
     """The same of any size up to infinity, each as probable."""
 
-    def sizes(self, of):
-        return Effect.sizes(self, of)
+    def sizes(self, scale):
+        return Effect.sizes(self, scale)
 
 
 def test_an_effect_that_does_not_say_how_large_it_may_be_is_refused():

@@ -7,6 +7,7 @@ from cvxshear import backends
 from cvxshear.model.shear import stiffness_matrix
 from cvxshear.programs import LeastSquares, mass_correction, one_shot_masses, story_stiffnesses
 from cvxshear.programs.least_squares import remaining
+from cvxshear.programs.normal import digits_lost
 from cvxshear.programs.orthogonality import normalized
 from tests.frames import chain, modes_of
 
@@ -111,3 +112,21 @@ def test_stiffnesses_as_changes_from_a_start_are_the_stiffnesses_themselves(rows
     whole = kkt.solve(story_stiffnesses(phi, eigenvalues, rows=rows)).x
     change = kkt.solve(story_stiffnesses(phi, eigenvalues, rows=rows, at=start)).x
     np.testing.assert_allclose(start + change, whole, rtol=1e-9)
+
+
+@pytest.mark.parametrize("condition", [1.0, 1e3, 1e6])
+@pytest.mark.parametrize("triangle", [True, False])
+def test_the_digits_lost_are_those_of_the_condition_number_of_unit_columns(condition, triangle):
+    """Of a triangle LAPACK's estimate in the 1-norm, within a factor of three of that in the 2-norm; else exactly."""
+    rng = np.random.default_rng(4)
+    left, right = (np.linalg.qr(rng.standard_normal((3, 3)))[0] for _ in range(2))
+    whole = left @ np.diag([1.0, condition**-0.5, 1.0 / condition]) @ right
+    whole /= np.linalg.norm(whole, axis=0)
+    R = np.linalg.qr(whole, mode="r") if triangle else whole
+    expected = 2.0 * np.log10(np.linalg.cond(whole))
+    for units in ([1.0, 1.0, 1.0], [1e-5, 1e4, 1e-8]):
+        assert digits_lost(R * units) == pytest.approx(expected, abs=2.0 * np.log10(3.0) if triangle else 1e-4)
+
+
+def test_no_digit_is_left_where_a_column_follows_from_the_others():
+    assert digits_lost(np.array([[1.0, 1.0], [0.0, 0.0]])) == np.inf

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -243,7 +242,7 @@ class _Answers:
         for each in programs:
             try:
                 solution = backend.solve(each.program)
-                seconds += min(_timed(backend, each.program) for _ in range(repeats))
+                seconds += min(backend.solve(each.program).seconds for _ in range(repeats))
             except CvxshearError as error:
                 return _Answers([], [], None, str(error))
             values.append(each.origin + solution.x)
@@ -281,9 +280,3 @@ def _largest(values: Sequence[float | None]) -> float | None:
     """The largest; None where there is none, or one is None."""
     known = [float(value) for value in values if value is not None]
     return max(known) if known and len(known) == len(values) else None
-
-
-def _timed(backend: Backend, program: LeastSquares) -> float:
-    start = time.perf_counter()
-    backend.solve(program)
-    return time.perf_counter() - start

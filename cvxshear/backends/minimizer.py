@@ -35,7 +35,7 @@ UNDETERMINED = 1e-13
 """Reciprocal condition number of evenly weighted rows on the null space of the active constraints, below which they
 leave a direction open: a few hundred roundings."""
 
-PASSES = 2
+CORRECTIONS = 2
 """Times that the closed form corrects the answer. The first correction has the rounding of an answer; what the second
 corrects is rounding of the first, so that constraints hold to the last digits of their own terms."""
 
@@ -204,7 +204,7 @@ def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> tuple[Minimiz
     basis = _Basis(B[keep])
     scaled = program.scaled_rows
     factor = _Factor(basis.on_null_space(scaled))
-    for _ in range(PASSES):
+    for _ in range(CORRECTIONS):
         across = basis.onto(((sides - rows @ x) / lengths)[keep])
         along = factor.solved((program.s - program.R @ x - scaled @ across)[:, None])
         correction = (across + basis.from_null_space(along)[:, 0]) / program.lengths

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cvxshear.cli import before, frames, recorded, records, studies
+from cvxshear.cli import before, frames, recorded, studies
 from cvxshear.cli import plan as planning
 from cvxshear.cli.checked import used
 from cvxshear.cli.output import OutputError, lost, silence, sound_streams, typed
@@ -35,7 +35,7 @@ for command in (
     frames.loop,
     recorded.predict,
     recorded.reconstruct,
-    records.modes,
+    before.modes,
     before.new,
     before.check,
     studies.backends,

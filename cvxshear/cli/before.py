@@ -1,19 +1,41 @@
-"""The commands before anything is fitted: to begin a file, and to look for mistakes in one."""
+"""The commands before anything is fitted: records to modes, a file to fill in, what looks wrong in a file."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import RenderableType
 
 from cvxshear.cli.checked import input_files
-from cvxshear.cli.output import JsonOut, deliver, printing, writes
-from cvxshear.cli.records import measured
+from cvxshear.cli.output import (
+    JsonOut,
+    MeasurementOut,
+    Quiet,
+    Records,
+    ReportOut,
+    UniversalOut,
+    deliver,
+    numbers,
+    printing,
+    progress,
+    typed,
+    writes,
+)
+from cvxshear.cli.written import LIST, CsvOut, FiguresOut, Pictures, Spreadsheets, XlsxOut
 from cvxshear.files.formats import endings_of
-from cvxshear.util.errors import InputError
-from cvxshear.util.writing import write_file
+from cvxshear.util.errors import CvxshearError, InputError
+from cvxshear.util.text import shell_line
+from cvxshear.util.writing import check_output, write_file
+
+if TYPE_CHECKING:
+    from cvxshear import Experiment
+    from cvxshear.files.modes import IdentifiedRecord
+    from cvxshear.util.parallel import Progress
+    from cvxshear.util.typing import Json
 
 
 def new(
@@ -84,3 +106,177 @@ def check(
     deliver(found.to_dict(), out, lambda: terminal.shown(found), title=experiment.report.title or experiment.name)
     if found.refused:
         raise typer.Exit(MISTAKE_STATUS)
+
+
+def modes(
+    records: Records,
+    output: MeasurementOut = None,
+    uff: UniversalOut = None,
+    method: Annotated[
+        str | None, typer.Option(help="era, okid, subspace or ssi; what suits the record where none is named.")
+    ] = None,
+    second: Annotated[
+        str | None, typer.Option(help="Second opinion of another method, or fdd: peaks in the frequency domain.")
+    ] = None,
+    count: Annotated[int | None, typer.Option(help="How many modes; as many as stories where not given.")] = None,
+    pick: Annotated[
+        str | None,
+        typer.Option(
+            help="Take the stable poles nearest to these frequencies, Hz; 'list' prints the poles.",
+            metavar="3.68,11.1,...",
+        ),
+    ] = None,
+    correct_clocks: Annotated[bool, typer.Option(help="Take clock offsets between the channels out.")] = False,
+    accept_swapped: Annotated[bool, typer.Option(help="Go on where two channels look swapped.")] = False,
+    jobs: Annotated[int, typer.Option(help="Processes that identify records; -1 takes every core.")] = 1,
+    report: ReportOut = None,
+    figure: FiguresOut = None,
+    csv: CsvOut = None,
+    xlsx: XlsxOut = None,
+    quiet: Quiet = False,
+    out: JsonOut = None,
+) -> None:
+    """Identify natural frequencies, damping and mode shapes from records.
+
+    Of several records, one that fails does not keep the others from being written.
+
+    Example: cvxshear modes bare.toml loaded.toml -o test.toml
+    """
+    from cvxshear.files.modes import identify_modes_many, write_merged
+    from cvxshear.files.uff import write_uff
+    from cvxshear.modal import ModalResult
+    from cvxshear.report import terminal
+    from cvxshear.report.sheets import sheets_of_modes
+
+    sources = _files(records, output)
+    pictures, tables = Pictures(figure, ModalResult), Spreadsheets(csv, xlsx)
+    if report is not None:
+        from cvxshear.report.html import write_modal_report
+    options = {
+        "functions": bool(pictures) or report is not None,
+        "method": method,
+        "second": second,
+        "count": count,
+        "correct_clocks": correct_clocks,
+        "accept_swapped": accept_swapped,
+        "pick": None if pick == LIST else numbers(pick, "--pick"),
+    }
+    if uff is not None and len(sources) > 1:
+        raise InputError("--uff holds the modes of one record; identify the records one by one for it")
+    with progress("identifying modes", quiet) as advance:
+        found = identify_modes_many(sources, jobs=jobs, progress=advance, **options)
+    errors = [error for error in found if isinstance(error, CvxshearError)]
+    _complain(errors)
+    tests = _kept(found)
+    if tests:
+        results = [test.modes for test in tests]
+        files = [*pictures.of(*results), *tables.of(lambda: sheets_of_modes(results))]
+        if output is not None:
+            files.append(lambda: write_merged(output, tests))
+        if uff is not None:
+            files.append(lambda: write_uff(uff, results[0]))
+        if report is not None:
+            command, failed = shell_line(["cvxshear", *typed]), [str(error) for error in errors]
+            files.append(lambda: write_modal_report(results, report, command, failed))
+        deliver(
+            _said(sources, found), out, lambda: terminal.poles(results) if pick == LIST else tables_of(tests), *files
+        )
+    if errors:
+        raise typer.Exit(2 if any(isinstance(error, InputError) for error in errors) else 1)
+
+
+def measured(
+    names: Sequence[str], *, jobs: int = 1, progress: Progress | None = None, accept_swapped: bool = False
+) -> tuple[Experiment, list[IdentifiedRecord]]:
+    """The experiment of a measurement file, or that of record files with the modes found in each.
+
+    Raises
+    ------
+    InputError
+        Where several files are named and one is a measurement, or a record cannot be used.
+    NoSolutionError
+        Where no mode was found in a record.
+    """
+    from cvxshear import Experiment, load
+    from cvxshear.files.modes import identify_modes_many, merged
+    from cvxshear.files.toml import is_built_in, is_record_file
+
+    files = list(names) if len(names) == 1 and is_built_in(names[0]) else _files(names)
+    if len(files) == 1 and not is_record_file(files[0]):
+        return load(files[0]), []
+    for file in files:
+        if not is_record_file(file):
+            raise InputError(f"{file} is no record file; hand in either records or one measurement file")
+    found = identify_modes_many(files, jobs=jobs, progress=progress, accept_swapped=accept_swapped)
+    errors = [error for error in found if isinstance(error, CvxshearError)]
+    _complain(errors[:-1])
+    if errors:
+        raise errors[-1]
+    tests = _kept(found)
+    return Experiment.from_dict(merged(tests), name=Path(files[0]).stem), tests
+
+
+def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
+    """The modes of each record."""
+    from cvxshear.files.modes import UNKNOWN_SCALE, cables_of
+    from cvxshear.report import terminal
+
+    for test in tests:
+        yield from terminal.shown(test.modes)
+        yield ""
+    for finding in cables_of(tests):
+        yield f"{finding.kind}: {finding.message}"
+    if needs_mass(tests):
+        yield f"scale: {UNKNOWN_SCALE}"
+
+
+def needs_mass(tests: Sequence[IdentifiedRecord]) -> bool:
+    """Whether a total mass of 1 kg stands for one that nobody gave."""
+    from cvxshear.files.modes import scale_unknown
+
+    return bool(tests) and scale_unknown(tests)
+
+
+def records_in_json(tests: Sequence[IdentifiedRecord]) -> Json:
+    """What the modes of the records add to a result's JSON."""
+    if not tests:
+        return {}
+    return {"modes": tests[0].modes.to_dict()} if len(tests) == 1 else {"records": [_record(test) for test in tests]}
+
+
+def _files(names: Sequence[str], written: str | None = None) -> list[str]:
+    """The record files of names and patterns; what a pattern matches is not to be written over either."""
+    from cvxshear.files.modes import record_files
+
+    files, left_out = record_files(names)
+    for path in left_out:
+        sys.stderr.write(f"cvxshear: {path} is left out: it has no table [record]\n")
+    if written is not None:
+        check_output(written, keep=files)
+    return [str(file) for file in files]
+
+
+def _kept(found: Sequence[IdentifiedRecord | CvxshearError]) -> list[IdentifiedRecord]:
+    return [test for test in found if not isinstance(test, CvxshearError)]
+
+
+def _record(test: IdentifiedRecord) -> Json:
+    return {"file": test.file, **test.modes.to_dict()}
+
+
+def _said(files: Sequence[str], found: Sequence[IdentifiedRecord | CvxshearError]) -> Json:
+    """One record's result by itself; several in a list, with what failed."""
+    tests = _kept(found)
+    if len(files) == 1:
+        return tests[0].modes.to_dict()
+    failed = [
+        {"file": file, "reason": str(error)}
+        for file, error in zip(files, found, strict=True)
+        if isinstance(error, CvxshearError)
+    ]
+    return {"records": [_record(test) for test in tests], "failed": failed}
+
+
+def _complain(errors: Sequence[CvxshearError]) -> None:
+    for error in errors:
+        sys.stderr.write(f"cvxshear: {error}\n")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cvxshear.cli.before import measured, needs_mass, records_in_json, tables_of
 from cvxshear.cli.checked import input_files
 from cvxshear.cli.output import (
     AuthorOption,
@@ -29,7 +30,6 @@ from cvxshear.cli.output import (
     progress,
     typed,
 )
-from cvxshear.cli.records import measured, needs_mass, records_in_json, tables_of
 from cvxshear.cli.written import CsvOut, FiguresOut, Pictures, Spreadsheets, XlsxOut
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.text import shell_line

@@ -94,20 +94,10 @@ def plan(
     doubts = None if measured is None else refuse_mistakes(measured)
     with progress("planning", quiet):
         result = run(
-            measured or file,
-            sensors,
-            _count(tests),
-            modes=_modes(modes),
-            noise=noise,
-            added_mass=_masses(added_mass),
-            added_mass_total=added_mass_total,
-            goal=goal,
-            criterion=criterion,
-            fresh=fresh,
-            loop=loop,
-            state=state,
+            measured or file, sensors, _count(tests), modes=_modes(modes), noise=noise, added_mass=_masses(added_mass),
+            added_mass_total=added_mass_total, goal=goal, criterion=criterion, fresh=fresh, loop=loop, state=state,
             solver=solver,
-        )
+        )  # fmt: skip
     files: list[Callable[[], None]] = []
     if output is not None:
         files.append(lambda: write_template(output, result))
@@ -125,14 +115,10 @@ def _noise(
     """The noise that the options stand for."""
     from cvxshear.planning import Declared, Recorded
 
-    given = {
-        name: value
-        for name, value in zip(("frequency_std", "mode_shape_std"), declared, strict=True)
-        if value is not None
-    }
-    of_record = {
-        name: value for name, value in zip(("kind", "damping", "noise"), record, strict=True) if value is not None
-    }
+    stds = zip(("frequency_std", "mode_shape_std"), declared, strict=True)
+    given = {name: value for name, value in stds if value is not None}
+    parts = zip(("kind", "damping", "noise"), record, strict=True)
+    of_record = {name: value for name, value in parts if value is not None}
     if duration is None:
         if of_record:
             raise InputError("--excitation, --damping and --sensor-noise need --duration, the seconds recorded")

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cvxshear.cli.before import measured, needs_mass
 from cvxshear.cli.checked import input_files
 from cvxshear.cli.output import BackendName, JsonOut, Quiet, ReportOut, deliver, names, progress, typed
-from cvxshear.cli.records import measured, needs_mass
 from cvxshear.cli.written import CsvOut, FiguresOut, Pictures, SeriesOut, Spreadsheets, XlsxOut, handed_over
 from cvxshear.util.errors import InputError, NoScaleError
 from cvxshear.util.text import shell_line

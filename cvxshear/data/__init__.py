@@ -2,7 +2,7 @@
 
 from cvxshear.data.base import NOISES, Datum, Deviation, Model, Noise, Residual
 from cvxshear.data.frequencies import Frequencies
-from cvxshear.data.registry import data_of, register
+from cvxshear.data.kinds import data_of, register
 from cvxshear.data.shapes import Shapes
 from cvxshear.data.static import Static
 

@@ -42,8 +42,8 @@ class AddedMass(Effect):
         assert place.floor is not None
         return "story_change", Place(story=stories + 1 - place.floor, state=place.state)
 
-    def sizes(self, of: Scale) -> Floats:
-        return np.array([0.15 * of.floor_mass])
+    def sizes(self, scale: Scale) -> Floats:
+        return np.array([0.15 * scale.floor_mass])
 
     def limits(self, experiment: Experiment, place: Place) -> Constraints:
         assert place.floor is not None
@@ -52,7 +52,7 @@ class AddedMass(Effect):
         row[place.floor - 1] = row[-1] = -1.0
         return Constraints(G=row[None], h=np.array([min(declared, default=0.0)]))
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         size = with_std(abs(values[0]), std[0], units[0])
         word = "more" if values[0] > 0 else "less"
         return f"floor {place.floor} carries {size} {word}{place.in_state} than declared"

@@ -82,8 +82,10 @@ class AttachedMass(Effect):
         """One mass, and frequencies among those that were measured."""
         mass, frequency = self.parameters
         lowest, highest = frequency.start / START_FREQUENCY, frequency.upper / FASTEST
-        places = (*(part * lowest for part in START_FREQUENCIES), *(part * highest for part in AMONG_THE_HIGHEST))
-        return tuple((mass.start, float(min(place, frequency.upper))) for place in places)
+        starts = [(mass.start, part * lowest) for part in START_FREQUENCIES]
+        # The smaller of two masses, where a fit from the larger one steps over the place.
+        starts += [(size * mass.start, part * highest) for part in AMONG_THE_HIGHEST for size in (1.0, 0.5)]
+        return tuple((size, float(min(place, frequency.upper))) for size, place in starts)
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         assert place.floor is not None
@@ -107,10 +109,10 @@ class AttachedMass(Effect):
         dK[own.start + 1] += mass * 2 * square / values[1] * unit
         return dataclasses.replace(state, system=System(M, K, dM, dK), observation=state.observation.extended())
 
-    def sizes(self, of: Scale) -> Floats:
-        return np.array([0.15 * of.floor_mass, np.inf])
+    def sizes(self, scale: Scale) -> Floats:
+        return np.array([0.15 * scale.floor_mass, np.inf])
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         mass, frequency = (with_std(value, error, unit) for value, error, unit in zip(values, std, units, strict=True))
         said = f"a mass of {mass} swings on floor {place.floor} at {frequency} of its own"
         return said if place.floor != 1 else f"{said}, or the base has a mass of its own on soft ground"

@@ -39,11 +39,11 @@ class AxialColumns(Effect):
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         return state.with_flexibility(values[0], chord_drift(state.heights), own)
 
-    def sizes(self, of: Scale) -> Floats:
-        return np.array([0.15 * of.sway / chord_drift(of.heights)[-1, -1]])
+    def sizes(self, scale: Scale) -> Floats:
+        return np.array([0.15 * scale.sway / chord_drift(scale.heights)[-1, -1]])
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
-        share = values[0] * chord_drift(of.heights)[-1, -1] / of.sway
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        share = values[0] * chord_drift(scale.heights)[-1, -1] / scale.sway
         return (
             f"the columns stretch and shorten, which adds {100 * share:.2g} % to the sway of the top under a force "
             f"there (1/EI = {per_force(values[0], std[0], units[0])})"

@@ -233,7 +233,7 @@ class Effect(ABC):
         """
         return None
 
-    def sizes(self, of: Scale) -> Floats:
+    def sizes(self, scale: Scale) -> Floats:
         """The size that practice meets, shape (p,): standard deviations of the parameters about their null values.
 
         Infinite where a parameter is as probable anywhere between its bounds; so it is by default.
@@ -245,9 +245,9 @@ class Effect(ABC):
         """Points that fits of the parameters start at, where one does not lead everywhere."""
         return (tuple(item.start for item in self.parameters),)
 
-    def expected_sizes(self, of: Scale) -> Floats:
+    def expected_sizes(self, scale: Scale) -> Floats:
         """`sizes`, the first of them `size` where that is given; all of them where they have one common size."""
-        usual = self.sizes(of)
+        usual = self.sizes(scale)
         if self.size is None:
             return usual
         return np.full(len(usual), self.size) if self.common_size else np.concatenate([[self.size], usual[1:]])
@@ -267,7 +267,7 @@ class Effect(ABC):
             return "several states"
         return ""
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         """Effect, place and size in words: a clause that can stand as a sentence of its own.
 
         Parameters
@@ -275,7 +275,7 @@ class Effect(ABC):
         place : Place
         values, std : ndarray, shape (p,)
             Parameters and their standard deviations, nan where not determined.
-        of : Scale
+        scale : Scale
             Of the frame that was found.
         units : sequence of str
             Of the parameters.

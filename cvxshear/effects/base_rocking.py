@@ -37,11 +37,11 @@ class BaseRocking(Effect):
         z = state.elevations
         return state.with_flexibility(values[0], np.outer(z, z), own)
 
-    def sizes(self, of: Scale) -> Floats:
-        return np.array([0.15 * of.sway / of.elevations[-1] ** 2])
+    def sizes(self, scale: Scale) -> Floats:
+        return np.array([0.15 * scale.sway / scale.elevations[-1] ** 2])
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
-        share = values[0] * of.elevations[-1] ** 2 / of.sway
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        share = values[0] * scale.elevations[-1] ** 2 / scale.sway
         return (
             f"the base turns, which adds {100 * share:.2g} % to the sway of the top under a force there "
             f"(1/k_theta = {per_force(values[0], std[0], units[0])})"

@@ -42,5 +42,5 @@ class Bracing(Effect):
             d_brace_stiffness=state.d_brace_stiffness + d_brace,
         )
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         return f"braces make up {in_percent(values[0], std[0])} of the stiffness of every story"

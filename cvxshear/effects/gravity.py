@@ -50,7 +50,7 @@ class Gravity(Effect):
         dK[own] -= unit
         return state.with_stiffness(system.K - gamma * unit, dK)
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         return (
             f"the weight above takes {with_std(values[0], std[0])} times P/h from every story's stiffness (gravity; "
             "1 for columns that stay straight, 1.2 for columns clamped at both ends)"

@@ -39,9 +39,9 @@ class GroundSpring(Effect):
         dK[own, at, at] += 1.0
         return state.with_stiffness(K, dK)
 
-    def sizes(self, of: Scale) -> Floats:
-        return np.array([0.1 * of.story_stiffness])
+    def sizes(self, scale: Scale) -> Floats:
+        return np.array([0.1 * scale.story_stiffness])
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         factor, unit = scaled([float(values[0])], units[0])
         return f"a spring of {with_std(values[0], std[0], unit, factor)} ties floor {place.floor} to the ground"

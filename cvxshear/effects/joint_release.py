@@ -64,13 +64,13 @@ class JointRelease(Effect):
             state, story_stiffness=k, d_story_stiffness=dk, joint_flexibility=softer, d_joint_flexibility=d_softer
         )
 
-    def sizes(self, of: Scale) -> Floats:
+    def sizes(self, scale: Scale) -> Floats:
         return np.array([0.5, 0.05])
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         assert place.floor is not None
         # One floor's joints in a frame of equal stories: a story loses rho/4 / (1 + c rho), c = 1/3 a column.
-        top = len(of.heights)
+        top = len(scale.heights)
         columns = len(_adjoining(place.floor, top))
         kept = 1.0 - values[1]
         denominator = 1.0 + columns * values[0] * kept / 3.0

@@ -39,10 +39,10 @@ class JointRotation(Effect):
     parameters = (Parameter("eta", "", lower=0.0, upper=100.0, null=0.0, start=0.05),)
     uses_heights = True
 
-    def sizes(self, of: Scale) -> Floats:
+    def sizes(self, scale: Scale) -> Floats:
         return np.array([0.5])
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         return (
             "the beams bend and the joints turn, which adds "
             f"{in_percent(values[0], std[0])} to the sway of a story among equal ones (eta = {values[0]:.2g})"

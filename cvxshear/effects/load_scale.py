@@ -44,9 +44,9 @@ class LoadScale(Effect):
         frame = experiment.frame
         return "total_mass or floor_masses" if frame.total_mass is None and frame.floor_masses is None else ""
 
-    def sizes(self, of: Scale) -> Floats:
+    def sizes(self, scale: Scale) -> Floats:
         return np.array([0.1])
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         word = "heavier" if values[0] > 0 else "lighter"
         return f"the added masses are {in_percent(values[0], std[0])} {word} than declared"

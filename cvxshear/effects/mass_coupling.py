@@ -44,15 +44,15 @@ class MassCoupling(Effect):
         dM[own] += unit
         return state.with_mass(state.system.M + values[0] * unit, dM)
 
-    def sizes(self, of: Scale) -> Floats:
-        return np.array([0.1 * of.floor_mass])
+    def sizes(self, scale: Scale) -> Floats:
+        return np.array([0.1 * scale.floor_mass])
 
     def limits(self, experiment: Experiment, place: Place) -> Constraints:
         n = experiment.stories
         held = np.hstack([-np.eye(n), np.zeros((n, n)), 0.5 * _ends(n)[:, None]])
         return Constraints(G=held, h=np.zeros(n))
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         size = with_std(values[0], std[0], units[0])
         return f"the columns of a story weigh {size}, and their mass moves with both floors that they join"
 

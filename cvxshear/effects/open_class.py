@@ -57,16 +57,16 @@ class OpenClass(Effect):
         """The parameters that it has in an experiment, each named by its place: "floors 2 and 6", "story 3"."""
 
     @abstractmethod
-    def usual_size(self, of: Scale) -> float:
+    def usual_size(self, scale: Scale) -> float:
         """The size that its parameters have in the middle of what is expected."""
 
-    def sizes(self, of: Scale) -> Floats:
-        return np.full(len(self.parameters), self.usual_size(of))
+    def sizes(self, scale: Scale) -> Floats:
+        return np.full(len(self.parameters), self.usual_size(scale))
 
     def lacks(self, experiment: Experiment) -> str:
         return super().lacks(experiment) or ("" if self.entries(experiment) else "more floors")
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         where = f' in "{place.state}"' if place.state is not None else ""
         named = self.conspicuous(values, std)
         if not named:

@@ -32,7 +32,7 @@ class OtherChanges(OpenClass):
     def entries(self, experiment: Experiment) -> Sequence[Parameter]:
         return [Parameter(f"story {i}", "", lower=-0.99) for i in range(1, experiment.stories + 1)]
 
-    def usual_size(self, of: Scale) -> float:
+    def usual_size(self, scale: Scale) -> float:
         return 0.1
 
     def cause_at(self, entry: int, place: Place, experiment: Experiment) -> tuple[str, Place]:

@@ -30,7 +30,7 @@ class OtherGains(OpenClass):
     def entries(self, experiment: Experiment) -> Sequence[Parameter]:
         return [Parameter(f"floor {floor}", "", lower=-0.9, upper=9.0) for floor in _floors(experiment)]
 
-    def usual_size(self, of: Scale) -> float:
+    def usual_size(self, scale: Scale) -> float:
         return 0.05
 
     def cause_at(self, entry: int, place: Place, experiment: Experiment) -> tuple[str, Place]:

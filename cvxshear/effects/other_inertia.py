@@ -35,8 +35,8 @@ class OtherInertia(OpenClass):
         tall = experiment.stories > MOST_STORIES
         return f"at most {MOST_STORIES} stories" if tall else super().lacks(experiment)
 
-    def usual_size(self, of: Scale) -> float:
-        return 0.02 * of.floor_mass
+    def usual_size(self, scale: Scale) -> float:
+        return 0.02 * scale.floor_mass
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         i, j = np.array(pairs(len(state.story_stiffness), ground=False)).T - 1

@@ -34,8 +34,8 @@ class OtherLoads(OpenClass):
     def entries(self, experiment: Experiment) -> Sequence[Parameter]:
         return [Parameter(f"floor {i}", "kg") for i in range(1, experiment.stories + 1)]
 
-    def usual_size(self, of: Scale) -> float:
-        return 0.1 * of.floor_mass
+    def usual_size(self, scale: Scale) -> float:
+        return 0.1 * scale.floor_mass
 
     def cause_at(self, entry: int, place: Place, experiment: Experiment) -> tuple[str, Place]:
         return "added_mass", Place(floor=entry + 1, state=place.state)

@@ -34,7 +34,7 @@ class OtherShapes(OpenClass):
     def entries(self, experiment: Experiment) -> Sequence[Parameter]:
         return []
 
-    def usual_size(self, of: Scale) -> float:
+    def usual_size(self, scale: Scale) -> float:
         return 1.0
 
     def lacks(self, experiment: Experiment) -> str:
@@ -61,7 +61,7 @@ class OtherShapes(OpenClass):
         # It changes how much the shapes count, not what they are.
         return state
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         whose = f"the shapes at floor {place.floor}" if place.floor is not None else "the shapes"
         where = f'{whose} of "{place.state}"' if place.state is not None else whose
         return f"{where} are less accurate than their standard deviation says, in no way that the catalogue holds"

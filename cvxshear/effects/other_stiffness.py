@@ -42,8 +42,8 @@ class OtherStiffness(OpenClass):
         tall = experiment.stories > MOST_STORIES
         return f"at most {MOST_STORIES} stories" if tall else super().lacks(experiment)
 
-    def usual_size(self, of: Scale) -> float:
-        return 0.02 * of.story_stiffness
+    def usual_size(self, scale: Scale) -> float:
+        return 0.02 * scale.story_stiffness
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         unit = _springs(len(state.story_stiffness))

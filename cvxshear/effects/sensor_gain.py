@@ -47,9 +47,9 @@ class SensorGain(Effect):
         scaled = state.observation.scaled(place.floor - 1, 1.0 + values[0], own.start)
         return dataclasses.replace(state, observation=scaled)
 
-    def sizes(self, of: Scale) -> Floats:
+    def sizes(self, scale: Scale) -> Floats:
         return np.array([0.05])
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         word = "much" if values[0] > 0 else "little"
         return f"the sensor at floor {place.floor} reads {in_percent(values[0], std[0])} too {word}{place.in_state}"

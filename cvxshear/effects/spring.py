@@ -51,9 +51,9 @@ class Spring(Effect):
         dK[own] += unit
         return state.with_stiffness(state.system.K + values[0] * unit, dK)
 
-    def sizes(self, of: Scale) -> Floats:
-        return np.array([0.2 * of.story_stiffness])
+    def sizes(self, scale: Scale) -> Floats:
+        return np.array([0.2 * scale.story_stiffness])
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         factor, unit = scaled([float(values[0])], units[0])
         return f"a spring of {with_std(values[0], std[0], unit, factor)} ties floors {place.floor} and {place.to}"

@@ -43,9 +43,9 @@ class StateMass(Effect):
     def dual(self, place: Place, stories: int) -> tuple[str, Place]:
         return "state_stiffness", place
 
-    def sizes(self, of: Scale) -> Floats:
+    def sizes(self, scale: Scale) -> Floats:
         return np.array([0.1])
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         word = "heavier" if values[0] > 0 else "lighter"
         return f'all floors of "{place.state}" are {in_percent(values[0], std[0])} {word}'

@@ -56,9 +56,9 @@ class StateStiffness(Effect):
     def dual(self, place: Place, stories: int) -> tuple[str, Place]:
         return "state_mass", place
 
-    def sizes(self, of: Scale) -> Floats:
+    def sizes(self, scale: Scale) -> Floats:
         return np.array([0.1])
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         word = "stiffer" if values[0] > 0 else "softer"
         return f'all stories of "{place.state}" are {in_percent(values[0], std[0])} {word}'

@@ -40,10 +40,10 @@ class StoryChange(Effect):
         assert place.story is not None
         return "added_mass", Place(floor=stories + 1 - place.story, state=place.state)
 
-    def sizes(self, of: Scale) -> Floats:
+    def sizes(self, scale: Scale) -> Floats:
         return np.array([0.25])
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         size = in_percent(values[0], std[0])
         if values[0] > 0:
             return f"story {place.story} is {size} stiffer{place.in_state}"

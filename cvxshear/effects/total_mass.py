@@ -36,7 +36,7 @@ class TotalMass(Effect):
         # It changes what the masses must add up to, not what they do.
         return state
 
-    def sizes(self, of: Scale) -> Floats:
+    def sizes(self, scale: Scale) -> Floats:
         return np.array([0.1])
 
     def limits(self, experiment: Experiment, place: Place) -> Constraints:
@@ -53,6 +53,6 @@ class TotalMass(Effect):
             return "what else tells the scale of the masses, such as a second test with other added mass"
         return ""
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         word = "heavier" if values[0] > 0 else "lighter"
         return f"the frame is {in_percent(values[0], std[0])} {word} than its declared total mass"

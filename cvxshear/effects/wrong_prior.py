@@ -46,13 +46,13 @@ class WrongPrior(Effect):
         own.parameters = tuple(Parameter(f"e{i}" if rows > 1 else "e", "") for i in range(1, rows + 1))
         return own
 
-    def sizes(self, of: Scale) -> Floats:
+    def sizes(self, scale: Scale) -> Floats:
         return np.full(len(self.parameters), 5.0)
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         # It acts on the prior that its place names, not on the frame.
         return state
 
-    def phrase(self, place: Place, values: Floats, std: Floats, of: Scale, units: Sequence[str]) -> str:
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         largest = float(np.max(np.abs(values)))
         return f'the statement "{place.prior}" is wrong by {largest:.1f} of its standard deviations'

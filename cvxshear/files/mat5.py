@@ -25,7 +25,7 @@ from cvxshear.files.columns import TOO_LARGE
 from cvxshear.files.inputs import MEGABYTE
 from cvxshear.util.errors import InputError
 
-HEADER = 128
+MAT_HEADER = 128
 MOST_DEPTH = 32
 MOST_ARRAYS = 100_000
 """Matrices, and fields of structures, in one file."""
@@ -87,7 +87,7 @@ def _variables(content: bytes, limit: float) -> dict[str, Any]:
     order = "<" if content[126:128] == b"IM" else ">"
     budget = _Budget(limit, limit, limit)
     found: dict[str, Any] = {}
-    for element in _elements(memoryview(content)[HEADER:], order):
+    for element in _elements(memoryview(content)[MAT_HEADER:], order):
         kind, payload = element
         if kind == COMPRESSED:
             ((kind, payload),) = _elements(memoryview(_inflated(payload, budget)), order)

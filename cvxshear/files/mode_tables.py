@@ -28,15 +28,10 @@ LARGEST_TABLE = 5_000_000
 """Bytes of a table of modes."""
 TOO_LARGE_TABLE = "too many for a table of modes; is it a record?"
 COLUMNS = {
-    "mode": "modes",
-    "frequency": "frequencies",
-    "frequency hz": "frequencies",
-    "f": "frequencies",
-    "f hz": "frequencies",
-    "frequency std": "frequency_std",
-    "damping": "damping_ratios",
+    "mode": "modes", "frequency": "frequencies", "frequency hz": "frequencies", "f": "frequencies",
+    "f hz": "frequencies", "frequency std": "frequency_std", "damping": "damping_ratios",
     "damping ratio": "damping_ratios",
-}
+}  # fmt: skip
 """What a header may say, in lower case without punctuation, and the key of a configuration that it fills."""
 
 Cell = str | float | None

@@ -38,24 +38,9 @@ from cvxshear.util.typing import Bools, Floats
 from cvxshear.util.writing import write_file
 
 RECORD_KEYS = (
-    "name",
-    "kind",
-    "input",
-    "input_floor",
-    "file",
-    "sampling_rate",
-    "time",
-    "time_unit",
-    "frequency",
-    "axis",
-    "stories",
-    "quantity",
-    "band",
-    "exponential_window",
-    "truncated",
-    "pick",
-    "size_limit",
-)
+    "name", "kind", "input", "input_floor", "file", "sampling_rate", "time", "time_unit", "frequency", "axis",
+    "stories", "quantity", "band", "exponential_window", "truncated", "pick", "size_limit",
+)  # fmt: skip
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 """Units of a time column, s."""
 

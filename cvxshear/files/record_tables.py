@@ -12,7 +12,7 @@ from typing import Any
 from cvxshear.files.formats import refuse_data
 from cvxshear.files.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES
-from cvxshear.records.record import QUANTITIES
+from cvxshear.records.record import RECORDED_QUANTITIES
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 
@@ -21,26 +21,16 @@ RUN_KEYS = ("file", "name", "input_floor", "start", "end")
 STANDARD_GRAVITY = 9.80665
 """m/s2, by definition (CGPM 1901): what a sensor's "g" is."""
 
-CHANNEL_UNITS = {
-    "m/s2": ("acceleration", 1.0),
-    "g": ("acceleration", STANDARD_GRAVITY),
-    "mg": ("acceleration", 1e-3 * STANDARD_GRAVITY),
-    "mm/s2": ("acceleration", 1e-3),
-    "cm/s2": ("acceleration", 1e-2),
-    "gal": ("acceleration", 1e-2),
-    "in/s2": ("acceleration", 0.0254),
-    "m/s": ("velocity", 1.0),
-    "mm/s": ("velocity", 1e-3),
-    "cm/s": ("velocity", 1e-2),
-    "in/s": ("velocity", 0.0254),
-    "m": ("displacement", 1.0),
-    "mm": ("displacement", 1e-3),
-    "cm": ("displacement", 1e-2),
-    "in": ("displacement", 0.0254),
-    "N": ("force", 1.0),
-    "kN": ("force", 1e3),
-    "lbf": ("force", 4.4482216152605),
-}
+IN_SI = {
+    "acceleration": {
+        "m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY, "mm/s2": 1e-3, "cm/s2": 1e-2, "gal": 1e-2,
+        "in/s2": 0.0254,
+    },
+    "velocity": {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "in/s": 0.0254},
+    "displacement": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254},
+    "force": {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605},
+}  # fmt: skip
+CHANNEL_UNITS = {unit: (kind, size) for kind, units in IN_SI.items() for unit, size in units.items()}
 """Units of a channel: what is measured in it, and what it is in m/s2, m/s, m or N (definitions of the SI and of the
 international foot and pound)."""
 
@@ -145,7 +135,7 @@ def _quantity(given: object, unit: str | None, usual: object, where: str) -> tup
     measured, in_si = ("acceleration", 1.0) if unit is None else CHANNEL_UNITS[unit]
     if given is None:
         given = measured if unit is not None or usual is None else usual
-    quantity = checks.choice(given, ("force", *QUANTITIES), f"{where}: quantity")
+    quantity = checks.choice(given, ("force", *RECORDED_QUANTITIES), f"{where}: quantity")
     if unit is not None and quantity != measured:
         raise InputError(f"{where}: unit = {unit!r} is one of {measured}, not of {quantity}")
     return quantity, in_si

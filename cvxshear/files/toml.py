@@ -29,17 +29,9 @@ LARGEST_FILE = 5_000_000
 """Bytes; a larger file is taken for a mistake (a record in place of a measurement file, say)."""
 
 MEASURED_FRAMES = (
-    "los-alamos",
-    "mini-flexible-northridge",
-    "mini-flexible-sine",
-    "mini-stiff-northridge",
-    "mini-stiff-sine",
-    "southampton",
-    "e-defense",
-    "iasc-asce-x",
-    "iasc-asce-y",
-    "ucl-loosened-joints",
-)
+    "los-alamos", "mini-flexible-northridge", "mini-flexible-sine", "mini-stiff-northridge", "mini-stiff-sine",
+    "southampton", "e-defense", "iasc-asce-x", "iasc-asce-y", "ucl-loosened-joints",
+)  # fmt: skip
 """Tables of modes of measured frames that travel with the package, each with its source."""
 
 BUILT_IN = {"paper": ("paper", "paper.toml"), **{name: ("builtin", f"{name}.toml") for name in MEASURED_FRAMES}}

@@ -201,48 +201,28 @@ def _step(axis: Floats) -> float:
 def _header(pyuff: Any, result: ModalResult) -> list[Json]:
     return [
         pyuff.prepare_151(
-            model_name=printable(result.name)[:80],
-            description=f"Modes by {result.method}",
-            db_app="cvxshear",
-            program="cvxshear",
-            return_full_dict=True,
+            model_name=printable(result.name)[:80], description=f"Modes by {result.method}", db_app="cvxshear",
+            program="cvxshear", return_full_dict=True,
         ),
         pyuff.prepare_164(
-            units_code=1,
-            units_description="SI",
-            temp_mode=1,
-            length=1.0,
-            force=1.0,
-            temp=1.0,
-            temp_offset=0.0,
+            units_code=1, units_description="SI", temp_mode=1, length=1.0, force=1.0, temp=1.0, temp_offset=0.0,
             return_full_dict=True,
         ),
-    ]
+    ]  # fmt: skip
 
 
 def _mode(pyuff: Any, result: ModalResult, place: int) -> Json:
     frequency = float(result.frequencies[place])
+    words = {
+        "id1": printable(result.name)[:80], "id2": result.uncertainty[:80],
+        "id3": "1/sqrt(kg)" if result.mass_normalized else "largest entry 1", "id4": f"mode {int(result.modes[place])}",
+        "id5": f"frequency std {result.frequency_std[place]:.3g} (relative)",
+    }  # fmt: skip
+    none = np.zeros(len(result.floors))
     mode: Json = pyuff.prepare_55(
-        id1=printable(result.name)[:80],
-        id2=result.uncertainty[:80],
-        id3="1/sqrt(kg)" if result.mass_normalized else "largest entry 1",
-        id4=f"mode {int(result.modes[place])}",
-        id5=f"frequency std {result.frequency_std[place]:.3g} (relative)",
-        model_type=1,
-        analysis_type=2,
-        data_ch=2,
-        spec_data_type=8,
-        data_type=2,
-        n_data_per_node=3,
-        load_case=1,
-        mode_n=int(result.modes[place]),
-        freq=frequency,
-        modal_m=1.0 if result.mass_normalized else 0.0,
-        modal_damp_vis=float(result.damping_ratios[place]),
-        modal_damp_his=0.0,
-        node_nums=result.floors,
-        r1=result.mode_shapes[place],
-        r2=np.zeros(len(result.floors)),
-        r3=np.zeros(len(result.floors)),
-    )
+        **words, model_type=1, analysis_type=2, data_ch=2, spec_data_type=8, data_type=2, n_data_per_node=3,
+        load_case=1, mode_n=int(result.modes[place]), freq=frequency, modal_m=1.0 if result.mass_normalized else 0.0,
+        modal_damp_vis=float(result.damping_ratios[place]), modal_damp_his=0.0, node_nums=result.floors,
+        r1=result.mode_shapes[place], r2=none, r3=none,
+    )  # fmt: skip
     return mode

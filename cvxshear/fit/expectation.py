@@ -23,7 +23,7 @@ STIFFNESS_WIDTH = 2.0
 """Standard deviations of the logarithms of a floor mass and of a story stiffness about those of a typical one: floors
 of one frame seldom differ by more than a factor e; stories do, where one stands on rails or bearings."""
 
-NEAR = 1e-6
+SLOPE_AT_ZERO = 1e-6
 """Deviation, in standard sizes, below which the slope of Student's residual is that at zero, to rounding."""
 
 Rows = tuple[Floats, Floats]
@@ -119,6 +119,6 @@ def tailed(z: Floats, tail: float) -> tuple[Floats, Floats]:
     if np.isinf(tail):
         return z, np.ones_like(z)
     r = np.sign(z) * np.sqrt((tail + 1.0) * np.log1p(z**2 / tail))
-    near = np.abs(z) < NEAR
+    near = np.abs(z) < SLOPE_AT_ZERO
     slope = (tail + 1.0) * z / (tail + z**2) / np.where(near, 1.0, r)
     return r, np.where(near, np.sqrt((tail + 1.0) / tail), slope)

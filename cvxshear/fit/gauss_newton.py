@@ -236,7 +236,7 @@ def _descended(
         if not damping.active:
             refused = None
         d = solution.x
-        rms = np.sqrt(at.objective / max(len(at.r), 1))
+        rms = np.sqrt(float(at.r @ at.r) / max(len(at.r), 1))
         if not damping.active and np.max(np.abs(at.J @ d), initial=0.0) < tolerance * max(1.0, rms):
             return Fit(theta, at, Ending.STATIONARY, step, evaluations), refused
         taken, trials = _halved(problem, theta, d, at, domain, 0 if damping.active else HALVINGS)
@@ -253,7 +253,7 @@ def _descended(
         if flat == FLAT_STEPS:
             return Fit(theta, at, Ending.FLAT, step, evaluations), refused
         if damping.active:
-            promised = before.objective - float(np.sum((before.r + before.J @ d) ** 2))
+            promised = float(before.r @ before.r) - float(np.sum((before.r + before.J @ d) ** 2))
             damping.lighter(gain / promised if promised > 0 else 0.0)
     return Fit(theta, at, Ending.STEP_LIMIT, most_steps, evaluations), refused
 

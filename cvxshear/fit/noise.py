@@ -36,7 +36,7 @@ NODES = {1: 7, 2: 7, 3: 5, 4: 3}
 """Points of the quadrature in each u by the number of them: the marginal is skew where few data are left to tell the
 noise. Where there are more, Laplace's approximation (one point) stands for it."""
 
-LARGEST = 20.0
+LARGEST_LOG_CHANGE = 20.0
 """Change of a log factor beyond which an exponential is not worth its overflow."""
 
 
@@ -104,7 +104,7 @@ def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats, *, here: bool 
     marginal = _Marginal(misfit, at, free)
     best = marginal.start if here else optimize.minimize(marginal.negative, marginal.start, jac=True, method="BFGS").x
     # Where the marginal has no maximum the search runs off.
-    v: Floats = np.clip(best, -LARGEST, LARGEST)
+    v: Floats = np.clip(best, -LARGEST_LOG_CHANGE, LARGEST_LOG_CHANGE)
     covariance: Floats = np.asarray(np.linalg.inv(_curvature(marginal, v)), dtype=np.float64)
     kinds = tuple(item.key for item in misfit.unknown)
     u, slope = marginal.log_factors(v)
@@ -157,7 +157,7 @@ class _Marginal:
     def negative(self, v: Floats) -> tuple[float, Floats]:
         """Minus log p(data, u(v)), without those terms, and its derivative by v."""
         u, slope = self.log_factors(v)
-        weight = np.exp(-2.0 * np.clip(u - self.here, -LARGEST, LARGEST))
+        weight = np.exp(-2.0 * np.clip(u - self.here, -LARGEST_LOG_CHANGE, LARGEST_LOG_CHANGE))
         change = weight - 1.0
         H = np.eye(self._information.shape[1]) + np.tensordot(change, self._information, 1)
         try:
@@ -178,7 +178,7 @@ class _Marginal:
     def values(self, points: Floats) -> Floats:
         """log p(data, u(v)), without those terms, at points v, shape (n, g): all at once, as one at a time is slow."""
         u = np.array([self.log_factors(v)[0] for v in points])
-        change = np.exp(-2.0 * np.clip(u - self.here, -LARGEST, LARGEST)) - 1.0
+        change = np.exp(-2.0 * np.clip(u - self.here, -LARGEST_LOG_CHANGE, LARGEST_LOG_CHANGE)) - 1.0
         H = np.eye(self._information.shape[1]) + np.tensordot(change, self._information, 1)
         try:
             root = np.linalg.cholesky(H)

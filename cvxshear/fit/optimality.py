@@ -23,7 +23,7 @@ import numpy as np
 from scipy import linalg, optimize
 
 from cvxshear.fit.domain import Domain
-from cvxshear.fit.uncertainty import TOUCHING
+from cvxshear.fit.uncertainty import ON_BOUND
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.statements import constrained
 from cvxshear.util.errors import NoModesError
@@ -193,7 +193,7 @@ def best_step(theta: Floats, at: Residuals, domain: Domain, weight: float) -> tu
     G, slack = here.inequalities
     whitened = linalg.solve_triangular(R, np.concatenate([A, G]).T, trans="T", check_finite=False).T
     equalities, inequalities = whitened[: len(A)], whitened[len(A) :]
-    active = inequalities[slack <= TOUCHING * np.linalg.norm(inequalities, axis=1)]
+    active = inequalities[slack <= ON_BOUND * np.linalg.norm(inequalities, axis=1)]
     step = -_unopposed(gradient, equalities, active)
     return np.asarray(linalg.solve_triangular(R, step, check_finite=False)), step
 

@@ -21,6 +21,7 @@ last one ended. What is not smooth is left to Gauss-Newton, which then starts in
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -154,36 +155,77 @@ def _guessed_total(experiment: Experiment) -> float:
 
 
 def _from_story_equations(experiment: Experiment, theta: Floats, *, weighed: bool) -> Floats:
-    """One least-squares program for all masses and stiffnesses, shapes filled in by the model at theta.
-
-    The stiffnesses of theta count in the weights only if `weighed`.
-    """
+    """Masses and stiffnesses that meet the story equations best, shapes filled in by the model at theta."""
     n = experiment.stories
     mass, stiffness = theta[:n], theta[n:]
-    rows, sides = [], []
+    shapes, eigenvalues, added = [], [], []
     for each in experiment.configurations:
         model = modes(mass_matrix(mass + each.added_mass), stiffness_matrix(stiffness))
-        inertia = np.sqrt(np.cumsum((mass + each.added_mass)[::-1] ** 2)[::-1])
-        for j in range(len(each.frequencies)):
-            phi = filled(each, j, model)
-            lam = (2 * np.pi * each.frequencies[j]) ** 2
-            above = np.triu(np.broadcast_to(phi, (n, n)))
-            drifts = np.diag(transformation(n).T @ phi)
-            sizes = lam * inertia + (np.sqrt(2.0) * stiffness if weighed else 0.0)
-            weight = 1.0 / (np.linalg.norm(phi) * sizes)
-            rows.append(weight[:, None] * np.hstack([-lam * above, drifts]))
-            sides.append(weight * lam * (above @ each.added_mass))
+        shapes += [filled(each, j, model) for j in range(len(each.frequencies))]
+        eigenvalues.append((2 * np.pi * each.frequencies) ** 2)
+        added += [each.added_mass] * len(each.frequencies)
+    on_mass = statements(experiment.priors, "floor_mass", n, experiment.frame)
+    on_stiffness = statements(experiment.priors, "story_stiffness", n)
+    exact = spread(on_mass, on_stiffness, n, 2 * n)
+    return solved_story_equations(
+        np.array(shapes), np.concatenate(eigenvalues), np.array(added), theta, exact, weighed=weighed
+    )
+
+
+def solved_story_equations(
+    shapes: Floats,
+    eigenvalues: Floats,
+    added: Floats,
+    theta: Floats,
+    exact: Sequence[NamedConstraints],
+    *,
+    weighed: bool,
+) -> Floats:
+    """Masses and stiffnesses that meet the story equations best, by one least-squares program.
+
+    Parameters
+    ----------
+    shapes : ndarray, shape (r, N)
+        Mode shapes at every floor, a row a mode.
+    eigenvalues : ndarray, shape (r,)
+        Squared circular frequencies, 1/s2.
+    added : ndarray, shape (r, N)
+        Added mass of each mode's test, kg.
+    theta : ndarray, shape (2N,)
+        Masses (kg) and stiffnesses (N/m) that the weights are made of.
+    exact : sequence of NamedConstraints
+    weighed : bool
+        Whether the stiffnesses of theta count in the weights.
+
+    Returns
+    -------
+    ndarray, shape (2N,)
+        All positive.
+
+    Raises
+    ------
+    InputError
+        Where the equations have no solution of positive mean.
+    """
+    n = shapes.shape[1]
+    rows, sides = [], []
+    for phi, lam, more in zip(shapes, eigenvalues, added, strict=True):
+        above = np.triu(np.broadcast_to(phi, (n, n)))
+        drifts = np.diag(transformation(n).T @ phi)
+        inertia = np.sqrt(np.cumsum((theta[:n] + more)[::-1] ** 2)[::-1])
+        weight = 1.0 / (np.linalg.norm(phi) * (lam * inertia + (np.sqrt(2.0) * theta[n:] if weighed else 0.0)))
+        rows.append(weight[:, None] * np.hstack([-lam * above, drifts]))
+        sides.append(weight * lam * (above @ more))
     ridge = 1e-6 / theta
     program = LeastSquares(
         R=np.concatenate([*rows, np.diag(ridge)]), s=np.concatenate([*sides, ridge * theta]),
     )  # fmt: skip
-    on_mass = statements(experiment.priors, "floor_mass", n, experiment.frame)
-    on_stiffness = statements(experiment.priors, "story_stiffness", n)
-    x = backends.get("auto").solve(constrained(program, spread(on_mass, on_stiffness, n, 2 * n), np.zeros(2 * n))).x
-    m, k = x[:n], x[n:]
-    if m.mean() <= 0 or k.mean() <= 0:
+    found = np.split(backends.get("auto").solve(constrained(program, exact, np.zeros(2 * n))).x, 2)
+    if any(values.mean() <= 0 for values in found):
         raise InputError("the story equations have no solution of positive masses and stiffnesses")
-    return np.concatenate([np.where(x > POSITIVE * x.mean(), x, SMALLEST_START * x.mean()) for x in (m, k)])
+    return np.concatenate(
+        [np.where(values > POSITIVE * values.mean(), values, SMALLEST_START * values.mean()) for values in found]
+    )
 
 
 def filled(configuration: Configuration, j: int, model: Modes) -> Floats:

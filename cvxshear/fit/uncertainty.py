@@ -34,7 +34,7 @@ alone one that a prior of 1e-9 holds would make all that the other data say of i
 TAKES_PART = 0.1
 """Share of a null direction's largest entry from which on a parameter is named as part of it."""
 
-TOUCHING = 1e-5
+ON_BOUND = 1e-5
 """Distance from a bound, in standard deviations of the data, that counts as on it."""
 
 
@@ -133,7 +133,7 @@ def uncertainty(J: Floats, theta: Floats, domain: Domain, names: Sequence[str]) 
     unit = _units(known, least_units)
     A, _ = here.equalities
     G, h = here.inequalities
-    touching = G[h <= TOUCHING * np.linalg.norm(G * _units(known, np.zeros(len(theta))), axis=1)]
+    touching = G[h <= ON_BOUND * np.linalg.norm(G * _units(known, np.zeros(len(theta))), axis=1)]
     free = _null_space(A * unit)
     _, null = _split(known * unit, free)
     ends = np.any(touching[:, np.isfinite(domain.interval_std)], axis=1)

@@ -82,7 +82,7 @@ def other_modes(declared: object, own: Ints, where: str) -> tuple[OtherModes, ..
     return found
 
 
-ALIKE = 1e-12
+SAME_SHAPE = 1e-12
 """Two shapes are taken to be the same where the squared sine of the angle between them is less."""
 
 ENTRIES_OF_A_COPY = 3
@@ -127,5 +127,5 @@ def proportional_rows(shapes: Floats) -> tuple[int, int] | None:
     # Scaled by the largest entry first, so that no square overflows or vanishes.
     whole = whole / np.max(np.abs(whole), axis=1, keepdims=True)
     whole = whole / np.linalg.norm(whole, axis=1, keepdims=True)
-    later, earlier = np.nonzero(np.tril((whole @ whole.T) ** 2 >= 1 - ALIKE, -1))
+    later, earlier = np.nonzero(np.tril((whole @ whole.T) ** 2 >= 1 - SAME_SHAPE, -1))
     return (int(places[earlier[0]]), int(places[later[0]])) if later.size else None

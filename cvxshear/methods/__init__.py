@@ -5,12 +5,6 @@ from cvxshear.methods.programs_of import compare_backends, programs_of
 from cvxshear.methods.run import METHODS, identify
 
 __all__ = [
-    "METHODS",
-    "Identification",
-    "IdentifiedFrame",
-    "Prediction",
-    "SingleIdentification",
-    "compare_backends",
-    "identify",
-    "programs_of",
-]
+    "METHODS", "Identification", "IdentifiedFrame", "Prediction", "SingleIdentification", "compare_backends",
+    "identify", "programs_of",
+]  # fmt: skip

@@ -14,7 +14,7 @@ from cvxshear.records.record import Finding
 from cvxshear.util.typing import Bools, Floats
 
 SIGNIFICANT = 3.0
-SMALLEST = 5e-4
+SMALLEST_CHANGE = 5e-4
 """Relative change of a frequency that is worth a word."""
 FEWEST_BLOCKS = 8
 
@@ -54,7 +54,7 @@ def _strong_against_weak(setting: Replication, result: ModalResult) -> list[Find
             limit,
             strict=True,
         )
-        if abs(up - low) > max(bound, SMALLEST)
+        if abs(up - low) > max(bound, SMALLEST_CHANGE)
     ]
 
 
@@ -71,13 +71,13 @@ def _early_against_late(setting: Replication, result: ModalResult) -> list[Findi
     if later is None:
         return []
     change = np.log(result.frequencies) - later
-    if np.all(np.abs(change) < SMALLEST):
+    if np.all(np.abs(change) < SMALLEST_CHANGE):
         return []
     std = _std_of_change(setting)
     found = []
     for place, mode in enumerate(result.modes):
         bound = SIGNIFICANT * (result.frequency_std[place] if std is None else std[place])
-        if abs(change[place]) > max(bound, SMALLEST):
+        if abs(change[place]) > max(bound, SMALLEST_CHANGE):
             found.append(
                 Finding(
                     "amplitude",

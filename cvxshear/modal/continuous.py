@@ -24,6 +24,7 @@ unweighted, the chance scatter of a strong mode's covariances drowns a weak one.
 
 from __future__ import annotations
 
+import copy
 import warnings
 from collections.abc import Sequence
 
@@ -106,6 +107,14 @@ class OkidSource(Source):
         if self._latest is None or self._latest[0] != pieces:
             self._latest = (pieces, self._regressed(keep))
         return self._latest[1]
+
+    def rougher(self) -> OkidSource:
+        """The same data with half the lags: what changes is of the size of what noise bends, or larger."""
+        other = copy.copy(self)
+        other.lags, other._latest = self.lags // 2, None
+        width = self.inputs + other.lags * (self.inputs + self.outputs)
+        other._triangles = [np.hstack([t[:, :width], t[:, -self.outputs :]]) for t in self._triangles]
+        return other
 
     def _regressed(self, keep: Bools | None) -> Floats:
         chosen = self._triangles if keep is None else [t for t, k in zip(self._triangles, keep, strict=True) if k]
@@ -208,6 +217,14 @@ class SubspaceSource(Source):
         self.groups, self.energies = self._observer.groups, self._observer.energies
         self._triangles = [_triangle(_data(u, y, rows)) for u, y in pieces]
 
+    def rougher(self) -> SubspaceSource | None:
+        """The same poles with residues of half the observer's lags; None under base motion, which scales no mode."""
+        if not self._observer.floor:
+            return None
+        other = copy.copy(self)
+        other._observer = self._observer.rougher()
+        return other
+
     def factor(self, keep: Bools | None = None) -> Floats:
         """Left factor of the future outputs as the past explains them."""
         chosen = self._triangles if keep is None else [t for t, k in zip(self._triangles, keep, strict=True) if k]
@@ -290,6 +307,7 @@ class CovarianceSource(Source):
     def data(self) -> Floats:
         """Left factor of the block Hankel matrix as it is."""
         return left_factor(block_hankel(self.markov(), self.rows, self.columns))
+
 
 def _covariances(response: Floats, lags: int) -> Floats:
     count = len(response) - lags

@@ -10,7 +10,7 @@ import numpy as np
 from cvxshear.modal.amplitude import amplitude_findings
 from cvxshear.modal.estimate import Details, Replication
 from cvxshear.modal.picking import MOSTLY_ROTATION, PoleCandidate
-from cvxshear.modal.result import OVERLOOKED, ModalResult
+from cvxshear.modal.result import OVERLOOKED_KIND, ModalResult
 from cvxshear.records.floors import ROTATES
 from cvxshear.records.record import Finding, FrfRecord, Record
 from cvxshear.util.quantities import listed, ranged, significant
@@ -57,7 +57,7 @@ def overlooked_modes(
         below, above, at = modes[place - 1], modes[place], listed([f"{each:.4g}" for each in resonances])
         findings.append(
             Finding(
-                OVERLOOKED,
+                OVERLOOKED_KIND,
                 f"between modes {below} and {above} lies a resonance that is not among them, at {at} Hz; if it is a "
                 f"mode of the frame, what is called mode {above} is mode {above + 1}, and so on (written as "
                 f"other_modes, with a probability of {100 * share:.0f} %)",
@@ -73,7 +73,7 @@ def left_out(candidates: Sequence[PoleCandidate], chosen: Sequence[PoleCandidate
     return [item for item in candidates if (item.physical or item.shaky) and item.members not in taken]
 
 
-SIGNIFICANT = 3.0
+SIGNIFICANT_STDS = 3.0
 """Standard deviations."""
 CLOCK_CERTAIN = 4.5
 """Standard deviations, of a score of blocks, for a clock that is off: one sound record in some hundreds has one."""

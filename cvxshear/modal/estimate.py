@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
 from cvxshear.modal.frf import (
     FrfSource,
@@ -292,8 +293,28 @@ def covariance(setting: Replication, full: Details, seed: int) -> tuple[Floats, 
         how = f"jackknife over {len(groups)} {setting.source.unit}s"
         if len(groups) < FEW_PIECES and setting.source.impulse() is not None:
             result, how = _widened(result, disturbed(setting, full, seed)), f"{how}, at least {SURROGATES} surrogates'"
+        else:
+            # 95 % of the errors are to lie within 1.96 of deviations that are themselves estimates from so many pieces.
+            freedom = len(groups) - len(np.unique(groups))
+            result = result * (stats.t.isf(0.025, freedom) / stats.norm.isf(0.025)) ** 2
+        bias = _bias(setting, full)
+        if bias is not None:
+            result, how = result + np.outer(bias, bias), f"{how}, and what half the observer's lags change"
         return result, how, lost
     return disturbed(setting, full, seed), f"{SURROGATES} surrogates of the residual", 0
+
+
+def _bias(setting: Replication, full: Details) -> Floats | None:
+    """What a rougher approximation of the same data changes in `full.vector()`; None where there is none."""
+    rougher = setting.source.rougher()
+    if rougher is None:
+        return None
+    other = dataclasses.replace(setting, parts=Parts(rougher, setting.sweep.poles))
+    values = other.values(None)
+    if values is None:
+        return None
+    part = details(other, values, None, full)
+    return None if (part.scales is None) != (full.scales is None) else part.vector() - full.vector()
 
 
 def _widened(spread: Floats, other: Floats) -> Floats:

@@ -10,15 +10,15 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cvxshear.modal import diagnostics
+from cvxshear.modal.agreement import FDD, frequency_domain_decomposition, second_opinion
 from cvxshear.modal.assemble import assembled
 from cvxshear.modal.diagnostics import left_out, overlooked_modes
 from cvxshear.modal.estimate import Replication, covariance, details, doubted, scattering, settle_truncation
 from cvxshear.modal.functions import measured_functions
-from cvxshear.modal.picking import REACH, TWICE, Choice, Parts, Sweep, Values, strongest, sweep_orders
+from cvxshear.modal.picking import REACH, Choice, Parts, Sweep, Values, strongest, sweep_orders
 from cvxshear.modal.prepare import BLOCKS, METHODS, Attempt, default_method, settled, source_of
 from cvxshear.modal.realization import Source
 from cvxshear.modal.result import ModalResult
-from cvxshear.modal.second_opinion import FDD, frequency_domain_decomposition, second_opinion
 from cvxshear.modal.stabilization import Criteria
 from cvxshear.records.examination import Examined, clock_offset, examined
 from cvxshear.records.mode_shapes import RULES
@@ -208,7 +208,7 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
         # What else is stable is said only where it comes back in every piece: models of noise have such poles as well.
         modes = {item.members for item in sweep.chosen}
         others = [item for item in sweep.candidates if item.members not in modes]
-        twice = [item for item in others if item.reason.startswith(TWICE) and not scattering(parts, [item])]
+        twice = [item for item in others if item.twin in modes and not scattering(parts, [item])]
         sweep = sweep.without(scattering(parts, [item for item in others if item.physical]))
         setting = dataclasses.replace(setting, sweep=sweep)
     findings = of_places + of_leakage + [diagnostics.found_twice(item) for item in twice]

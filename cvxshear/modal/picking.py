@@ -31,11 +31,12 @@ MOST_CANDIDATES = 8
 MOSTLY_ROTATION = "mostly rotation"
 """How the reason of a candidate begins that is set aside as a mode of rotation."""
 
-TWICE = "a mode found twice"
-"""How the reason of a candidate begins that has the frequency and the shape of another."""
-
 FAINT = 1e-3
 """Of the loudest resonance's energy: fainter ones may be of noise."""
+
+BESIDE = 0.1
+"""Relative distance to a louder resonance within which none of a frame's two lowest modes lies: the third is half as
+high again as the second."""
 
 UNSURE = 0.05
 """Of a shape's largest entry: smaller ones can have either sign, by noise or by a sensor that stands askew."""
@@ -73,6 +74,8 @@ class PoleCandidate:
         Whether that is because pieces of the record give it another shape, at nearly the same frequency.
     number : int
         Which mode of the frame it is, where its changes of sign tell; 0 else.
+    twin : tuple of (int, int)
+        Members of the candidate whose frequency and shape it repeats; none else.
     """
 
     members: tuple[tuple[int, int], ...]
@@ -84,6 +87,7 @@ class PoleCandidate:
     reason: str = ""
     shaky: bool = False
     number: int = 0
+    twin: tuple[tuple[int, int], ...] = ()
 
     @property
     def frequency(self) -> float:
@@ -233,8 +237,8 @@ def _distinct(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandid
         ]
         if twins and item.physical:
             alike = mac(item.shape, twins[0].shape)
-            reason = f"{TWICE}: it has the shape of {twins[0].frequency:.4f} Hz, MAC {alike:.3f}"
-            kept.append(dataclasses.replace(item, physical=False, reason=reason))
+            reason = f"a mode found twice: it has the shape of {twins[0].frequency:.4f} Hz, MAC {alike:.3f}"
+            kept.append(dataclasses.replace(item, physical=False, reason=reason, twin=twins[0].members))
         elif not twins:
             kept.append(item)
     return sorted(kept, key=lambda item: item.frequency)
@@ -369,7 +373,16 @@ def _straight(items: list[PoleCandidate], order: Sequence[int] | None = None) ->
 def strongest(sweep: Sweep, count: int) -> tuple[Floats, Floats]:
     """Frequencies and real shapes of the lowest resonances that hold a part of the energy worth the name."""
     usable = [item for item in sweep.candidates if item.physical]
-    loud = [item for item in usable if item.energy > FAINT * max(other.energy for other in usable)][:count]
+    loud = [item for item in usable if item.energy > FAINT * max(other.energy for other in usable)]
+    # A clipped channel has poles of its own close to each mode.
+    loud = [
+        item
+        for item in loud
+        if not any(
+            other.energy > item.energy and abs(other.frequency - item.frequency) < BESIDE * item.frequency
+            for other in loud
+        )
+    ][:count]
     if not loud:
         return np.zeros(0), np.zeros((0, 0))
     return np.array([item.frequency for item in loud]), _straight(loud)

@@ -157,7 +157,7 @@ def _cuts(record: TimeRecord, blocks: int, before: int, after: int) -> Iterator[
             yield run, start, stop
 
 
-FACTORS = (2, 4, 8, 16, 32, 64)
+DECIMATION_FACTORS = (2, 4, 8, 16, 32, 64)
 LOWEST_SHARE = 0.1
 """Of the sampling rate: a highest mode below it asks for a lower rate."""
 
@@ -185,7 +185,7 @@ def settled(record: Record, wanted: int, attempt: Attempt, highest: float = 0.0)
     best = attempt(record)
     if record.band is not None or _suits(best, wanted):
         return best
-    for factor in FACTORS:
+    for factor in DECIMATION_FACTORS:
         band = (0.0, record.sampling_rate / (2.5 * factor))
         if band[1] < highest:
             break

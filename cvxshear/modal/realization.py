@@ -50,6 +50,10 @@ class Source(ABC):
         """The same of all the data, in no other weight than their own size."""
         return self.factor()
 
+    def rougher(self) -> Source | None:
+        """The same data by a rougher approximation, whose difference covers a bias; None where there is no bias."""
+        return None
+
     def impulse(self, keep: Bools | None = None) -> Impulse | None:
         """The impulse responses behind the factor; None where no input was measured, and none can be known."""
         return None

@@ -13,13 +13,13 @@ from scipy.optimize import nnls
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.picking import Sweep
 from cvxshear.records.record import Complexes, Finding
-from cvxshear.util.results import Shown, data_frame, drawing
+from cvxshear.util.results import Shown, data_frame, shown
 from cvxshear.util.typing import Floats, Ints, Json
 
 if TYPE_CHECKING:
     import pandas as pd
 
-OVERLOOKED = "overlooked mode"
+OVERLOOKED_KIND = "overlooked mode"
 """The kind of the findings that put the numbers of modes in doubt."""
 
 SENSOR_STD = 0.005
@@ -82,7 +82,7 @@ def other_modes(findings: Sequence[Finding]) -> list[Json]:
     return [
         {"modes": item.numbers["modes"], "probability": item.numbers["probability"]}
         for item in findings
-        if item.kind == OVERLOOKED
+        if item.kind == OVERLOOKED_KIND
     ]
 
 
@@ -231,7 +231,7 @@ class ModalResult(Shown):
         InputError
             Where matplotlib has no interactive backend, or the result holds no order sweep.
         """
-        return drawing().pick(self, record_file)
+        return shown("picked", self, record_file)
 
     def configuration(self, *, added_mass: Sequence[float] | None = None, state: str | None = None) -> Json:
         """The table `[[configuration]]` of a measurement file that these modes make."""

@@ -42,7 +42,7 @@ TELLING = 1e-3
 """Part of a direction's information that the candidates must give for the direction to stand in the program: the
 others' standard deviations change by less than 0.05 %."""
 
-MOST_DIRECTIONS = 16
+DIRECTIONS_ASKED = 16
 """Of what is asked for, and as many again of the rest: the program's time grows with their fourth power."""
 
 IMPROVES = 1e-9
@@ -60,7 +60,7 @@ TYPICAL = 45
 AT_LAST = 2
 """Times as many, of which every one is looked at where windows leave a gap: a few sensors on a tall frame."""
 
-ENOUGH = 0.05
+CLOSE_ENOUGH = 0.05
 """Gap from which on no closer bound is looked for."""
 
 WIDTHS = (4, 6, 8, 10)
@@ -126,8 +126,8 @@ def choose(
     enumerate_up_to : int, optional
         Where there are no more choices than this, each is looked at.
     widths : sequence of int, optional
-        Of the windows with which a closer bound is looked for while the gap is above `ENOUGH`; none where the choice
-        alone is wanted.
+        Of the windows with which a closer bound is looked for while the gap is above `CLOSE_ENOUGH`; none where
+        the choice alone is wanted.
     """
     frames, rows, _ = problem.base.shape
     work = comb(problem.count, number) * frames * (rows / TYPICAL) ** 3
@@ -139,12 +139,12 @@ def choose(
     # Tangents at the program's own weights are far below where it leaves whole parts of the frame without any.
     evened = (found.weights + number / problem.count) / 2
     for width in _affordable(widths, problem):
-        if value <= (1 + ENOUGH) * bound:
+        if value <= (1 + CLOSE_ENOUGH) * bound:
             break
-        higher, start = by.windowed(problem, evened, number, width, value / (1 + ENOUGH))
+        higher, start = by.windowed(problem, evened, number, width, value / (1 + CLOSE_ENOUGH))
         bound = max(bound, higher)
         value, chosen = min((value, chosen), exchanged(problem, start, by))
-    if widths and value > (1 + ENOUGH) * bound and work <= AT_LAST * enumerate_up_to:
+    if widths and value > (1 + CLOSE_ENOUGH) * bound and work <= AT_LAST * enumerate_up_to:
         return _best_of_all(problem, number, by, found.bound)
     without = float(by.value(problem, problem.base))
     return Choice(np.array(chosen), value, min(bound, value), min(found.bound, value), without)
@@ -305,8 +305,8 @@ def _telling(whole: Floats) -> tuple[Floats, bool]:
     """Orthonormal columns, the directions that the candidates tell of, most first; and whether these are all."""
     values, vectors = np.linalg.eigh(whole)
     many = max(1, int(np.sum(values > TELLING)))
-    used = np.argsort(-values)[: min(many, MOST_DIRECTIONS)]
-    return vectors[:, used], many <= MOST_DIRECTIONS
+    used = np.argsort(-values)[: min(many, DIRECTIONS_ASKED)]
+    return vectors[:, used], many <= DIRECTIONS_ASKED
 
 
 def _as_mixture(matrix: Floats) -> Floats:

@@ -18,8 +18,8 @@ from cvxshear.planning.choice import SOLVERS, Choice, choose, descended
 from cvxshear.planning.criteria import Criterion, criterion_named
 from cvxshear.planning.design import UNKNOWN_STD, Design, read_design
 from cvxshear.planning.expected_noise import Declared, TestNoise
-from cvxshear.planning.model import AveragedModel, Test, TestModel
 from cvxshear.planning.results import Outlook, Plan
+from cvxshear.planning.tested_model import AveragedModel, Test, TestModel
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints

@@ -13,11 +13,11 @@ from cvxshear.planning.chances import Chance
 from cvxshear.planning.choice import choose
 from cvxshear.planning.criteria import CRITERIA, criterion_named
 from cvxshear.planning.design import Fitted
-from cvxshear.planning.model import AveragedModel, Expected, TestModel
+from cvxshear.planning.tested_model import AveragedModel, Expected, TestModel
 from cvxshear.util.results import InJson, Shown
 from cvxshear.util.typing import Floats, Ints, Json
 
-NO_DIFFERENCE = 0.01
+ARBITRARY = 0.01
 """Relative difference of the best and the worst choice up to which the choice does not matter: expected noise is not
 known to a hundredth."""
 
@@ -64,7 +64,7 @@ class Outlook(InJson):
     @property
     def arbitrary(self) -> bool:
         """Whether every choice of as many floors gives the same, so that nothing speaks for these."""
-        return self.worst <= (1 + NO_DIFFERENCE) * self.bound
+        return self.worst <= (1 + ARBITRARY) * self.bound
 
     @property
     def std(self) -> dict[str, Floats]:
@@ -154,7 +154,7 @@ class Plan(Shown):
     @property
     def arbitrary_masses(self) -> bool:
         """Whether all tests of the grid of added masses give the same."""
-        return self.grid_bound is not None and (self.grid_worst or 0.0) <= (1 + NO_DIFFERENCE) * self.grid_bound
+        return self.grid_bound is not None and (self.grid_worst or 0.0) <= (1 + ARBITRARY) * self.grid_bound
 
     @property
     def misfit(self) -> Fitted | None:

@@ -8,15 +8,6 @@ from cvxshear.priors.ratio import Ratio
 from cvxshear.priors.value import Value
 
 __all__ = [
-    "QUANTITIES",
-    "QUANTITY_UNITS",
-    "Bounds",
-    "Constraints",
-    "Monotone",
-    "Nominal",
-    "Prior",
-    "Ratio",
-    "Value",
-    "check_prior",
-    "check_quantity",
-]
+    "QUANTITIES", "QUANTITY_UNITS", "Bounds", "Constraints", "Monotone", "Nominal", "Prior", "Ratio", "Value",
+    "check_prior", "check_quantity",
+]  # fmt: skip

@@ -118,26 +118,6 @@ def softened(
     )
 
 
-def _stacked(parts: Sequence[NamedConstraints], size: int) -> tuple[Floats, Floats, Floats, Floats]:
-    """G, h, A, b of all the statements, bounds as rows of G."""
-    eye = np.eye(size)
-    G, h, A, b = [np.zeros((0, size))], [np.zeros(0)], [np.zeros((0, size))], [np.zeros(0)]
-    for part in parts:
-        said = part.constraints
-        if said.G is not None and said.h is not None:
-            G.append(said.G)
-            h.append(said.h)
-        if said.A is not None and said.b is not None:
-            A.append(said.A)
-            b.append(said.b)
-        for bound, sign in ((said.lower, -1.0), (said.upper, 1.0)):
-            if bound is not None:
-                finite = np.isfinite(bound)
-                G.append(sign * eye[finite])
-                h.append(sign * bound[finite])
-    return *_scaled(np.concatenate(G), np.concatenate(h)), *_scaled(np.concatenate(A), np.concatenate(b))
-
-
 def _scaled(rows: Floats, sides: Floats) -> tuple[Floats, Floats]:
     """The rows with a largest coefficient of 1 each: HiGHS judges by absolute tolerances and drops tiny ones."""
     largest = np.max(np.abs(rows), axis=1, initial=0.0)
@@ -147,7 +127,8 @@ def _scaled(rows: Floats, sides: Floats) -> tuple[Floats, Floats]:
 
 def feasible(parts: Sequence[NamedConstraints], size: int) -> bool:
     """Whether some vector keeps every statement."""
-    G, h, A, b = _stacked(parts, size)
+    together = constrained(LeastSquares(np.zeros((0, size)), np.zeros(0)), parts, np.zeros(size))
+    (G, h), (A, b) = _scaled(*together.inequalities), _scaled(*together.equalities)
     scale = max(1e-300, float(np.max(np.abs(np.concatenate([h, b])), initial=0.0)))
     found = linprog(
         np.zeros(size),

@@ -27,22 +27,22 @@ AGREED = 0.25
 """Agreement of a channel's phases with the others' from which on its clock can be told."""
 LATE = 0.5
 """Samples; a delay of less is left to the phases of the modes, which tell it finer."""
-CERTAIN = 4.0
+CERTAIN_DELAY = 4.0
 """Standard deviations of a delay that is taken out."""
 SEEN = 5.0
 """Standard deviations of a drift that another clock must show it by, or contradict it."""
 QUIET = 0.5
 """Of the frequency at which the motion of some floor is twice the base's: below it the floors move with the base."""
-FEWEST_LINES = 3
+FEWEST_LINES_BELOW = 3
 """Lines below the first resonance that the signs of a record with base motion are told by."""
-COHERENT = 0.8
+COHERENT_LINE = 0.8
 """Coherence with the base of lines that count."""
 GRAVITY = 9.80665
-UNITS = {
+ACCELERATION_UNITS = {
     "g": GRAVITY, "mm/s2": 1e-3, "cm/s2": 1e-2, "mg": 1e-3 * GRAVITY, "in/s2": 0.0254, "ft/s2": 0.3048,
 }  # fmt: skip
 """Units of acceleration in m/s2."""
-ALIKE = 0.2
+SAME_RATIO = 0.2
 """Relative; how near a ratio of levels must come to that of two units."""
 
 
@@ -129,7 +129,7 @@ def _in_step(record: TimeRecord) -> tuple[TimeRecord, list[Finding], dict[str, t
         std = float(np.hypot.reduce([item.std for item in spread])) if spread else 0.0
         slope = drift - zero[1]
         slope = slope if slope and _drifts(segments, i, right, slope, clocks) else 0.0
-        if i == right or (abs(middle - zero[2]) < max(limit, CERTAIN * std) and not slope):
+        if i == right or (abs(middle - zero[2]) < max(limit, CERTAIN_DELAY * std) and not slope):
             continue
         if not slope and not _confirmed(segments, i, right, middle - zero[2], 2 * limit, clocks):
             continue
@@ -221,7 +221,7 @@ def _with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
         return record, []
     level, std = gains
     findings, factors = [], {}
-    reversed_ = level < -CERTAIN * std
+    reversed_ = level < -CERTAIN_DELAY * std
     if reversed_.sum() > len(level) / 2:
         reversed_, level = ~reversed_, -level
         findings.append(
@@ -245,8 +245,8 @@ def _with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
                 )
             )
         unit = unit_of(abs(float(value)))
-        if unit is not None and abs(value) > CERTAIN * spread:
-            factor *= UNITS[unit] if value * UNITS[unit] else 1.0
+        if unit is not None and abs(value) > CERTAIN_DELAY * spread:
+            factor *= ACCELERATION_UNITS[unit] if value * ACCELERATION_UNITS[unit] else 1.0
             findings.append(
                 in_unit(
                     str(channel),
@@ -263,17 +263,17 @@ def _with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
 
 def unit_of(gain: float) -> str | None:
     """The unit of a channel that shows so many times what one in m/s2 would; None where it is m/s2 or no unit."""
-    fits = [name for name, size in UNITS.items() if abs(np.log(gain * size)) < ALIKE]
-    return fits[0] if fits and abs(np.log(gain)) > 3 * ALIKE else None
+    fits = [name for name, size in ACCELERATION_UNITS.items() if abs(np.log(gain * size)) < SAME_RATIO]
+    return fits[0] if fits and abs(np.log(gain)) > 3 * SAME_RATIO else None
 
 
 def in_unit(channel: str, name: str, floor: int, unit: str, why: str) -> Finding:
     """A channel recorded in another unit than the others."""
     return Finding(
         "unit",
-        f"floor {floor} looks like {unit}, the others like m/s2: {channel}, {why}; multiplied by {UNITS[unit]:.6g}. "
-        f'Write unit = "{unit}" in the record file',
-        {"channel": name, "floor": floor, "unit": unit, "factor": UNITS[unit], "corrected": True},
+        f"floor {floor} looks like {unit}, the others like m/s2: {channel}, {why}; multiplied by "
+        f'{ACCELERATION_UNITS[unit]:.6g}. Write unit = "{unit}" in the record file',
+        {"channel": name, "floor": floor, "unit": unit, "factor": ACCELERATION_UNITS[unit], "corrected": True},
     )
 
 
@@ -307,8 +307,8 @@ def floor_over_base(record: TimeRecord) -> tuple[Floats, Floats] | None:
     if not amplified.size:
         return None
     lines = np.flatnonzero((frequencies < QUIET * frequencies[amplified[0]]) & (np.arange(len(frequencies)) > 1))
-    lines = lines[(coherence[lines] > COHERENT).mean(axis=1) > 0.5]
-    if len(lines) < FEWEST_LINES:
+    lines = lines[(coherence[lines] > COHERENT_LINE).mean(axis=1) > 0.5]
+    if len(lines) < FEWEST_LINES_BELOW:
         return None
     rows = np.column_stack([np.ones(len(lines)), (frequencies[lines] / frequencies[amplified[0]]) ** 2])
     fit, left, *_ = np.linalg.lstsq(rows, transfer[lines].real, rcond=None)

@@ -15,18 +15,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.records.examination import GRAVITY, UNITS, in_unit
+from cvxshear.records.examination import ACCELERATION_UNITS, GRAVITY, in_unit
 from cvxshear.records.record import Channel, Finding
 from cvxshear.util.quantities import listed
 from cvxshear.util.typing import Floats, Ints
 
 REVERSED = 0.02
 """Probability beforehand that a channel is reversed: one in fifty."""
-EXCHANGED = 0.02
+PRIOR_EXCHANGED = 0.02
 """Probability beforehand that a channel is in another's place."""
 OTHER_UNIT = 0.005
 """Probability beforehand that one channel is in g where the others are in m/s2, or the other way round."""
-MISSED = 0.03
+PRIOR_MISSED = 0.03
 """Probability beforehand that the lowest mode found is the second, and that the next one found is the third."""
 SPREAD_OF_STIFFNESS = 0.7
 """Standard deviation of the logarithm of a story's flexibility about the median story's: a factor of two either way."""
@@ -101,14 +101,14 @@ def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> 
     # All channels but some reversed is the same as those reversed.
     prior += [(Hypothesis("sign", (i,)), REVERSED) for i in range(count if count > 2 else 1)]
     prior += [(Hypothesis("sign", pair), REVERSED**2) for pair in (pairs if count > 4 else ())]
-    prior += [(Hypothesis("swapped channels", pair), EXCHANGED / (count - 1)) for pair in pairs]
+    prior += [(Hypothesis("swapped channels", pair), PRIOR_EXCHANGED / (count - 1)) for pair in pairs]
     prior += [
         (Hypothesis("unit", (i,), factor), OTHER_UNIT) for i in range(count) for factor in (GRAVITY, 1.0 / GRAVITY)
     ]
     scores = np.array(
         [
             [
-                np.log(before * (1.0 if numbers == (1, 2) else MISSED))
+                np.log(before * (1.0 if numbers == (1, 2) else PRIOR_MISSED))
                 + _likelihood(frequencies, item.undone(shapes), floors, stories, numbers)
                 for numbers in FREQUENCY_RATIOS
             ]
@@ -243,7 +243,7 @@ def _said(item: Hypothesis, channels: Sequence[Channel], first: Floats, sound: f
         return Finding(
             "unit",
             f"floor {channel.floor} looks like m/s2 and the others like g: {channel}, by the lowest mode, {shape}, "
-            f"{odds}; divided by {UNITS['g']:.6g}",
+            f"{odds}; divided by {ACCELERATION_UNITS['g']:.6g}",
             {"channel": channel.name, "factor": item.factor, "corrected": True},
         )
     if item.kind == "sign":

@@ -163,7 +163,7 @@ class FrfRun:
 
 
 INPUTS = ("none", "free_decay", "force", "base")
-QUANTITIES = ("acceleration", "velocity", "displacement")
+RECORDED_QUANTITIES = ("acceleration", "velocity", "displacement")
 FEWEST_SAMPLES = 128
 """A run with fewer has too few periods for any of the methods."""
 FEWEST_LINES = 32
@@ -184,7 +184,7 @@ class _Recorded:
     def _check_common(self) -> None:
         put = object.__setattr__
         put(self, "channels", tuple(self.channels))
-        checks.choice(self.quantity, QUANTITIES, "record: quantity")
+        checks.choice(self.quantity, RECORDED_QUANTITIES, "record: quantity")
         if not self.channels:
             raise InputError("record: at least one response channel on a floor is needed")
         seen: dict[int, Channel] = {}

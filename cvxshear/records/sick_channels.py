@@ -27,9 +27,9 @@ STUCK = 0.5
 """s, and at least 20 samples, for which a converter that works does not repeat one value while the others move."""
 STUCK_SHARE = 0.02
 """Share of a record; a channel that sticks for longer is left out."""
-SPIKE = 10.0
+SPIKE_DEVIATIONS = 10.0
 """Local deviations; noise has 5 at most in a record of an hour, and what the frame does the other channels show too."""
-MANY_SPIKES = 0.01
+MANY_SPIKES = 0.02
 """Share of the samples; more is no accident."""
 AR_ORDER = 24
 """Coefficients of the model that spikes stand out of: two for each mode of a dozen stories."""
@@ -117,18 +117,18 @@ def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
                 scale[:, column] = _local_scale(off[:, column])
         ratio = np.abs(off) / scale
         near = ndimage.maximum_filter1d(ratio, 5, axis=0)
-        now = (ratio > SPIKE) & (ratio >= ndimage.maximum_filter1d(ratio, 2 * AR_ORDER + 1, axis=0))
+        now = (ratio > SPIKE_DEVIATIONS) & (ratio >= ndimage.maximum_filter1d(ratio, 2 * AR_ORDER + 1, axis=0))
         for hit in np.flatnonzero(now.any(axis=0)).tolist():
             others = np.delete(near, hit, axis=1)
             if others.shape[1]:
-                now[:, hit] &= others.max(axis=1) < SPIKE / 2
+                now[:, hit] &= others.max(axis=1) < SPIKE_DEVIATIONS / 2
         for place, hit in np.argwhere(now).tolist():
             now[place, hit] = not _begins(cleaned[:, hit], place)
         if not now.any():
             break
         found |= now
         cleaned[now] -= off[now]
-    # More than one in a hundred is no accident of a cable, but what this channel records.
+    # More than one in fifty is no accident of a cable, but what this channel records.
     many = found.mean(axis=0) > MANY_SPIKES
     found[:, many], cleaned[:, many] = False, responses[:, many]
     return found, cleaned

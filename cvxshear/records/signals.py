@@ -42,9 +42,7 @@ def decimated(record: TimeRecord) -> TimeRecord:
     if min(run.samples for run in record.runs) < 40 * factor:
         raise InputError(f"the record is too short to be decimated to its band up to {record.band[1]:g} Hz; widen it")
     return _mapped(
-        record,
-        lambda values: signal.decimate(values, factor, ftype="fir", axis=0),
-        record.sampling_rate / factor,
+        record, lambda values: signal.decimate(values, factor, ftype="fir", axis=0), record.sampling_rate / factor
     )
 
 

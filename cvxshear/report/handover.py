@@ -14,9 +14,10 @@ from cvxshear.data import Deviation
 from cvxshear.files.spreadsheets import Cell, Sheet, workbook
 from cvxshear.fit.misfit import Misfit
 from cvxshear.response import Fitted, RecordPrediction
-from cvxshear.response.model import DampedModel
+from cvxshear.response.damped import DampedModel
 from cvxshear.response.uncertain import Damped
 from cvxshear.util.errors import UnsuitableError
+from cvxshear.util.results import as_json
 from cvxshear.util.text import json_text, printable
 from cvxshear.util.typing import Floats
 from cvxshear.util.writing import ending_of, write_file
@@ -55,19 +56,17 @@ def model_kind(path: str | Path) -> str:
 
 
 def _npz(result: RecordPrediction) -> bytes:
-    out = BytesIO()
-    np.savez(out, **matrices(result.after.damped))  # type: ignore[arg-type]  # numpy takes any names
+    np.savez(out := BytesIO(), **matrices(result.after.damped))  # type: ignore[arg-type]  # numpy takes any names
     return out.getvalue()
 
 
 def _mat(result: RecordPrediction) -> bytes:
-    out = BytesIO()
-    io.savemat(out, matrices(result.after.damped), oned_as="column")  # type: ignore[arg-type]  # a stream will do
+    io.savemat(out := BytesIO(), matrices(result.after.damped), oned_as="column")  # type: ignore[arg-type]  # a stream will do
     return out.getvalue()
 
 
 def _json(result: RecordPrediction) -> str:
-    return json_text({name: values.tolist() for name, values in matrices(result.after.damped).items()}, indent=1)
+    return json_text(as_json(matrices(result.after.damped)), indent=1)
 
 
 def _py(result: RecordPrediction) -> str:
@@ -83,20 +82,12 @@ def _sheets(result: RecordPrediction) -> Iterator[Sheet]:
     fitted = result.after.fitted
     n = fitted.experiment.stories
     std = _std(fitted)
-    dashpots, dashpot_std = result.damping.story_dashpot, result.damping.story_dashpot_std
+    unknown = np.full(n, np.nan)
+    dashpots = (result.damping.story_dashpot, result.damping.story_dashpot_std)
+    columns = [each[at : at + n] for at in (0, n) for each in (fitted.theta, std)]
+    columns += [unknown if each is None else each for each in dashpots]
     header = ("floor / story", "mass, kg", "std", "stiffness, N/m", "std", "dashpot, N s/m", "std")
-    rows: list[tuple[Cell, ...]] = [
-        (
-            i + 1,
-            float(fitted.theta[i]),
-            float(std[i]),
-            float(fitted.theta[n + i]),
-            float(std[n + i]),
-            None if dashpots is None else float(dashpots[i]),
-            None if dashpot_std is None else float(dashpot_std[i]),
-        )
-        for i in range(n)
-    ]
+    rows = [(place, *row) for place, row in enumerate(np.column_stack(columns).tolist(), 1)]
     yield Sheet("frame", header, rows)
     yield _effects(fitted, std)
     yield _modes(result)
@@ -122,16 +113,9 @@ def _modes(result: RecordPrediction) -> Sheet:
     model = result.after.damped.model
     n = len(model.M)
     header = ("mode", "frequency, Hz", "damping ratio", "std", *(f"shape at floor {i + 1}" for i in range(n)))
-    rows: list[tuple[Cell, ...]] = [
-        (
-            mode + 1,
-            float(model.modes.frequencies[mode]),
-            float(result.damping.ratios[mode]),
-            float(result.damping.ratios_std[mode]),
-            *model.modes.shapes[mode].tolist(),
-        )
-        for mode in range(n)
-    ]
+    damping = result.damping
+    table = np.column_stack([model.modes.frequencies, damping.ratios, damping.ratios_std, model.modes.shapes])
+    rows = [(mode, *row) for mode, row in enumerate(table[:n].tolist(), 1)]
     return Sheet("modes", header, rows)
 
 
@@ -182,21 +166,15 @@ def matrices(damped: Damped) -> dict[str, Floats]:
         each floor in w, and the total accelerations of the floors in y.
     """
     model = damped.model
-    result = {
-        "M": model.M,
-        "C": model.C,
-        "K": model.K,
-        "frequencies": model.modes.frequencies,
-        "damping_ratios": model.ratios,
-        "mode_shapes": model.modes.shapes,
+    modes, dashpots = model.modes, damped.dashpots
+    result = {"M": model.M, "C": model.C, "K": model.K, "frequencies": modes.frequencies}
+    result |= {"damping_ratios": model.ratios, "mode_shapes": modes.shapes}
+    optional = {
+        "story_dashpots": None if dashpots is None else dashpots.values,
+        "rayleigh": damped.rayleigh,
+        "story_heights": model.heights,
     }
-    if damped.dashpots is not None:
-        result["story_dashpots"] = damped.dashpots.values
-    if damped.rayleigh is not None:
-        result["rayleigh"] = damped.rayleigh
-    if model.heights is not None:
-        result["story_heights"] = model.heights
-    return result | state_space(model)
+    return result | {key: value for key, value in optional.items() if value is not None} | state_space(model)
 
 
 def state_space(model: DampedModel) -> dict[str, Floats]:

@@ -17,19 +17,9 @@ from cvxshear.util.text import json_text, printable
 from cvxshear.version import __version__
 
 PACKAGES = (
-    "numpy",
-    "scipy",
-    "qpsolvers",
-    "clarabel",
-    "cvxpy",
-    "osqp",
-    "scs",
-    "highspy",
-    "piqp",
-    "proxsuite",
-    "quadprog",
+    "numpy", "scipy", "qpsolvers", "clarabel", "cvxpy", "osqp", "scs", "highspy", "piqp", "proxsuite", "quadprog",
     "daqp",
-)
+)  # fmt: skip
 """Packages whose versions a report names: what computed its numbers."""
 
 

@@ -24,14 +24,10 @@ ACCELERATION, DISPLACEMENT, FORCE = 12, 8, 13
 
 
 COLUMN_NAMES = {
-    "floor_acceleration": "acceleration",
-    "floor_displacement": "displacement",
-    "story_drift": "drift",
-    "story_drift_ratio": "drift_ratio",
-    "story_shear": "shear",
-    "base_shear": "base_shear",
+    "floor_acceleration": "acceleration", "floor_displacement": "displacement", "story_drift": "drift",
+    "story_drift_ratio": "drift_ratio", "story_shear": "shear", "base_shear": "base_shear",
     "overturning_moment": "overturning_moment",
-}
+}  # fmt: skip
 """Of the columns; those of floor or story 1 end in `_1`."""
 
 Moved = RecordPrediction | Reconstruction

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from cvxshear.files.spreadsheets import Cell, Sheet
 from cvxshear.loop import Closure
 from cvxshear.measurement.experiment import Experiment
@@ -78,22 +80,16 @@ def _modes(result: ModalResult) -> Sheet:
     # The unit is the scale: who reads the table again need not ask how heavy the frame is.
     unit = ", 1/sqrt(kg)" if result.mass_normalized else ""
     header += [f"floor {floor}{unit}" for floor in floors] + [f"floor {floor} std" for floor in floors]
-    rows = [
-        (
-            int(mode),
-            *(float(values[row]) for values in (result.frequencies, result.frequency_std, result.damping_ratios)),
-            *result.mode_shapes[row].tolist(),
-            *result.entry_std[row].tolist(),
-        )
-        for row, mode in enumerate(result.modes)
-    ]
+    known = [result.frequencies, result.frequency_std, result.damping_ratios, result.mode_shapes, result.entry_std]
+    numbers = np.column_stack(known).tolist()
+    rows = [(int(mode), *row) for mode, row in zip(result.modes, numbers, strict=True)]
     return Sheet(result.name, tuple(header), rows)
 
 
 def _frame_rows(frame: Json) -> Iterator[tuple[Cell, ...]]:
     columns = [frame[key] for key in ("floor_mass", "floor_mass_std", "story_stiffness", "story_stiffness_std")]
-    for place in range(len(columns[0])):
-        yield (place + 1, *(None if column is None else column[place] for column in columns))
+    given = [[None] * len(columns[0]) if column is None else column for column in columns]
+    yield from ((place, *row) for place, row in enumerate(zip(*given, strict=True), 1))
 
 
 def _frequencies(experiment: Experiment, predictions: Sequence[Json]) -> Sheet:
@@ -109,14 +105,9 @@ def _frequencies(experiment: Experiment, predictions: Sequence[Json]) -> Sheet:
 
 
 def _effects(said: Json) -> list[tuple[Cell, ...]]:
+    place = ("floor", "story", "configuration")
     return [
-        (
-            _words(found["name"]),
-            *(found[key] for key in ("floor", "story", "configuration")),
-            _words(name),
-            value,
-            found["std"][name],
-        )
+        (_words(found["name"]), *(found[key] for key in place), _words(name), value, found["std"][name])
         for found in said["effects"]
         for name, value in found["parameters"].items()
     ]

@@ -1,7 +1,9 @@
-"""Descriptions of results arranged for a terminal, and for plain text."""
+"""Descriptions of results arranged for a terminal, for plain text, and for a notebook."""
 
 from __future__ import annotations
 
+import base64
+import html
 import io
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -15,26 +17,14 @@ from rich.text import Text
 from cvxshear.backends import ListedBackend
 from cvxshear.methods import Identification
 from cvxshear.modal import ModalResult
-from cvxshear.report.describe import Document, Facts, Points, Section, Sentence, Table, describe
+from cvxshear.report.describe import Document, Facts, Points, Section, Sentence, Table, describe, line
 from cvxshear.report.describe.from_records import doubts_section, poles_table
 from cvxshear.report.describe.identified import damping_section
 from cvxshear.response import IdentifiedDamping
 from cvxshear.screening import Finding
+from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import AUTOMATIC, Units
 from cvxshear.util.text import printable
-
-__all__ = [
-    "HouseTable",
-    "damping",
-    "doubts",
-    "identification",
-    "listed_backends",
-    "plain_table",
-    "poles",
-    "rendered",
-    "shown",
-    "text",
-]
 
 COLUMN_GAP = 2
 """Spaces between columns."""
@@ -248,3 +238,54 @@ def _table(found: Table) -> RenderableType:
     if brief < len(found.rows):
         table.add_row(f"and {len(found.rows) - brief} more", *([""] * (len(found.head) - 1)))
     return table
+
+
+def line_of(result: object) -> str:
+    """A result in one short line."""
+    return printable(line(result))
+
+
+FIRST_SECTION = "verdict"
+"""Section of a description whose figures a notebook shows with the tables."""
+
+
+def notebook_html(result: object) -> str:
+    """A result as a piece of HTML: its tables, and above them the picture of its verdict where it has one."""
+    try:
+        from cvxshear.report.pages import environment  # noqa: PLC0415 - jinja2 is optional
+    except ImportError:
+        return f"<pre>{html.escape(text(result))}</pre>"
+    return environment().get_template("notebook.html").render(document=describe(result), pictures=_pictures(result))
+
+
+def _pictures(result: object) -> list[tuple[str, str]]:
+    """What a figure shows and its address; as a PNG, since the ids of several SVGs in a notebook would clash."""
+    try:
+        from cvxshear.report.figures.figure_table import applicable  # noqa: PLC0415 - matplotlib is optional
+        from cvxshear.report.figures.style import encoded  # noqa: PLC0415
+    except ImportError:
+        return []
+    return [
+        (entry.alternative_of(result), base64.b64encode(encoded(entry.draw(result), "png")).decode())
+        for entry in applicable(result)
+        if entry.section == FIRST_SECTION
+    ]
+
+
+def drawn(result: Any, name: str) -> Any:
+    """A figure of a result by its name, the first one where it is empty."""
+    try:
+        from cvxshear.report import figures  # noqa: PLC0415 - matplotlib is optional
+    except ImportError as error:
+        raise InputError(f"figures need {error.name}: pip install matplotlib") from None
+    first = next(iter(figures.figures_of(type(result))), "")
+    return figures.drawn_figure(name or first, result)
+
+
+def picked(result: Any, record_file: Any) -> Any:
+    """The diagram of modes in which poles are chosen by clicking."""
+    try:
+        from cvxshear.report.figures.picked_poles import opened  # noqa: PLC0415 - matplotlib is optional
+    except ImportError as error:
+        raise InputError(f"choosing poles in a diagram needs {error.name}: pip install matplotlib") from None
+    return opened(result, record_file)

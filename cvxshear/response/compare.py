@@ -13,7 +13,7 @@ import numpy as np
 from scipy import signal
 
 from cvxshear.records.motion import Motion
-from cvxshear.response.model import Complexes, DampedModel, Response
+from cvxshear.response.damped import Complexes, DampedModel, Response
 from cvxshear.util.quantities import ranged
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Bools, Floats, Ints
@@ -131,28 +131,28 @@ def errors(measured: Transfer, predicted: Transfer, natural: Floats) -> Floats:
     return result
 
 
-def power_at(of: Transfer, natural: Floats, mode: int, frequency: float) -> float:
+def power_at(estimated: Transfer, natural: Floats, mode: int, frequency: float) -> float:
     """Squared size of the transfer functions of all floors together at a frequency, over the largest near a mode."""
-    power = np.sum(np.abs(of.functions) ** 2, axis=1)
-    largest = power[around(of.frequencies, natural, mode)].max()
-    return float(np.interp(frequency, of.frequencies, power) / largest)
+    power = np.sum(np.abs(estimated.functions) ** 2, axis=1)
+    largest = power[around(estimated.frequencies, natural, mode)].max()
+    return float(np.interp(frequency, estimated.frequencies, power) / largest)
 
 
-def peak(of: Transfer, natural: Floats, mode: int) -> float | None:
+def peak(estimated: Transfer, natural: Floats, mode: int) -> float | None:
     """Where the transfer functions of all floors together peak near a mode, Hz; None where they do not.
 
     The top of the parabola through the largest line and its neighbours, of the logarithm.
     """
-    near = np.flatnonzero(around(of.frequencies, natural, mode))
-    if len(near) < 3 or of.coherence[near].mean() < COHERENT:
+    near = np.flatnonzero(around(estimated.frequencies, natural, mode))
+    if len(near) < 3 or estimated.coherence[near].mean() < COHERENT:
         return None
-    size = np.log(np.maximum(np.sum(np.abs(of.functions) ** 2, axis=1), 1e-300))
+    size = np.log(np.maximum(np.sum(np.abs(estimated.functions) ** 2, axis=1), 1e-300))
     top = int(near[np.argmax(size[near])])
     if top in (near[0], near[-1]):
         return None
     left, here, right = size[top - 1 : top + 2]
     shift = 0.5 * (left - right) / (left - 2 * here + right)
-    return float(of.frequencies[top] + shift * (of.frequencies[1] - of.frequencies[0]))
+    return float(estimated.frequencies[top] + shift * (estimated.frequencies[1] - estimated.frequencies[0]))
 
 
 FALLEN = 0.8

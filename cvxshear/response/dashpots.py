@@ -11,14 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.backends import Backend
+from cvxshear.fit.domain import Domain
+from cvxshear.fit.gauss_newton import gauss_newton
+from cvxshear.fit.optimality import PlainResiduals
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model.shear import Modes, stiffness_matrix
 from cvxshear.priors import Prior
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.orthogonality import pair_products
 from cvxshear.programs.statements import constrained, refuse_contradictions, softened, statements
-from cvxshear.response.model import coupled, modal_damping
-from cvxshear.util.errors import InputError, NoSolutionError, UnsuitableError
+from cvxshear.response.damped import coupled, modal_damping
+from cvxshear.util.errors import InputError, NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.quantities import ranged
 from cvxshear.util.typing import Bools, Floats, Ints
 
@@ -123,15 +126,10 @@ only what neither the ratios nor the priors do."""
 LEAST_RATIO = 1e-3
 """A ratio measured as smaller is no better known than one of this size."""
 
-DASHPOT_ROUNDS = 100
-SHORTEST_CUT = 1e-3
-"""Share of a step below which it is not cut any more."""
-
-SETTLED_DASHPOTS = 1e-9
-"""Relative change of the dashpots at which they have settled."""
-
-RATIOS_MET = 1e-5
-"""Relative change of the sum of squares at which the ratios are met as well as they can be."""
+DASHPOT_STEPS = 100
+SETTLED_DASHPOTS = 1e-5
+"""Gauss-Newton steps at most, and largest change of a ratio, in its standard deviation, at which the dashpots have
+settled."""
 
 LEFT_OPEN = 1e-6
 """A combination of dashpots that changes the data by less, each in units of its own effect, is left open by them."""
@@ -169,7 +167,7 @@ class Dashpots:
 
 
 def story_dashpots(
-    of: Modes,
+    real: Modes,
     stiffness: Floats,
     ratios: Ratios,
     backend: Backend,
@@ -189,7 +187,7 @@ def story_dashpots(
 
     Parameters
     ----------
-    of : Modes
+    real : Modes
         Undamped, all N of them.
     stiffness : ndarray, shape (N,)
         N/m; the dashpots are in proportion to it where nothing else tells.
@@ -210,26 +208,19 @@ def story_dashpots(
     n = len(stiffness)
     where = statements(priors, QUANTITY, n)
     refuse_contradictions(where, n)
-    fit = _Fit(of, stiffness, ratios, priors)
-    c = np.zeros(n) if start is None else start
-    program = fit.program(c)
-    for _ in range(DASHPOT_ROUNDS):
-        step = backend.solve(constrained(program, where, c)).x
-        if np.max(np.abs(step)) <= SETTLED_DASHPOTS * np.max(np.abs(c + step), initial=1e-300):
-            return fit.found(c + step, program)
-        before = _size(program)
+    fit = _Fit(real, stiffness, ratios, priors)
+    c = start
+    if c is None:
         # The first answer is that of real modes, wherever it lies; from there on the ratios come ever nearer.
-        c, program = fit.moved(c, step, before if np.any(c) else np.inf)
-        if before - _size(program) <= RATIOS_MET * before:
-            return fit.found(c, program)
-    raise NoSolutionError(
-        backend.name, f"the story dashpots did not settle in {DASHPOT_ROUNDS} rounds; use modal damping in their place"
-    )
-
-
-def _size(program: LeastSquares) -> float:
-    """Sum of squares of all rows where nothing is changed."""
-    return program.value(np.zeros(program.unknowns))
+        c = backend.solve(constrained(fit.program(np.zeros(n)), where, np.zeros(n))).x
+    domain = Domain(where, np.full(n, max(float(np.abs(c).max()), 1e-300)), np.full(n, np.inf))
+    found = gauss_newton(fit, c, domain, backend, SETTLED_DASHPOTS, fit.residuals(c), DASHPOT_STEPS)
+    if not found.converged:
+        raise NoSolutionError(
+            backend.name,
+            f"the story dashpots did not settle in {DASHPOT_STEPS} steps; use modal damping in their place",
+        )
+    return fit.found(found.theta, fit.program(found.theta))
 
 
 class _Fit:
@@ -237,47 +228,44 @@ class _Fit:
 
     Parameters
     ----------
-    of, stiffness, ratios, priors
+    real, stiffness, ratios, priors
         As for `story_dashpots`.
     """
 
-    def __init__(self, of: Modes, stiffness: Floats, ratios: Ratios, priors: Sequence[Prior]) -> None:
-        self.of, self.stiffness, self.priors = of, stiffness, priors
+    def __init__(self, real: Modes, stiffness: Floats, ratios: Ratios, priors: Sequence[Prior]) -> None:
+        self.real, self.stiffness, self.priors = real, stiffness, priors
         self.seen = np.flatnonzero(ratios.measured)
         self.zeta = ratios.values[self.seen]
         size = np.maximum(self.zeta, LEAST_RATIO)
         self.std = ratios.std[self.seen] * size
-        self.statement = _statement(of, self.seen, size, stiffness)
+        self.statement = _statement(real, self.seen, size, stiffness)
 
     def program(self, c: Floats) -> LeastSquares:
         """The program of a change of the dashpots: measured ratios first, then what is assumed, then soft priors."""
-        found, J = _pole_ratios(self.of, c, self.seen)
+        found, J = _pole_ratios(self.real, c, self.seen)
         R = np.concatenate([J / self.std[:, None], self.statement])
         s = np.concatenate([(self.zeta - found) / self.std, -self.statement @ c])
         names = tuple(f"{QUANTITY} {i + 1}" for i in range(len(c)))
         at = np.maximum(c, 1e-12 * self.stiffness)
         return softened(LeastSquares(R, s, names=names), self.priors, QUANTITY, at, 1.0, step=True)
 
-    def moved(self, c: Floats, step: Floats, before: float) -> tuple[Floats, LeastSquares]:
-        """The dashpots after a step, shortened until the sum of squares is no greater than before, and their program.
+    def residuals(self, c: Floats) -> PlainResiduals:
+        """The rows at given dashpots.
 
         Raises
         ------
         UnsuitableError
-            Where a measured mode would not swing any more after the first step.
+            Where a measured mode would not swing any more.
         """
-        part = 1.0
-        while part > SHORTEST_CUT:
-            try:
-                program = self.program(c + part * step)
-            except UnsuitableError:
-                if before == np.inf:
-                    raise
-            else:
-                if _size(program) <= before:
-                    return c + part * step, program
-            part /= 2
-        return c, self.program(c)
+        program = self.program(c)
+        return PlainResiduals(-program.s, program.R)
+
+    def evaluate(self, theta: Floats, /, *, derivatives: bool = True) -> PlainResiduals:
+        """The same for Gauss-Newton, to which such dashpots are too long a step."""
+        try:
+            return self.residuals(theta)
+        except UnsuitableError as error:
+            raise NoModesError(str(error)) from None
 
     def found(self, c: Floats, program: LeastSquares) -> Dashpots:
         """The dashpots at the end, with what the program's rows of data leave open."""
@@ -289,27 +277,27 @@ class _Fit:
         return Dashpots(c, *_left_open(np.concatenate(rows)), tuple((self.seen[far] + 1).tolist()))
 
 
-def _statement(of: Modes, seen: Ints, zeta: Floats, stiffness: Floats) -> Floats:
+def _statement(real: Modes, seen: Ints, zeta: Floats, stiffness: Floats) -> Floats:
     """Rows that are zero for what is assumed: modes that do not couple, dashpots in proportion to the stiffnesses."""
     n = len(stiffness)
-    omega = np.sqrt(of.eigenvalues[seen])
-    drifts = np.diff(of.shapes[seen].T, axis=0, prepend=0.0)
+    omega = np.sqrt(real.eigenvalues[seen])
+    drifts = np.diff(real.shapes[seen].T, axis=0, prepend=0.0)
     i, j = np.triu_indices(len(seen), k=1)
     unit = 2 * np.sqrt(omega[i] * omega[j]) * np.sqrt(zeta[i] * zeta[j] / 3)
     uncoupled = pair_products(drifts, diagonal=False) / unit[:, None]
     # c_k / k_k less the mean of all, in units of the proportion that gives the mean ratio at the first mode.
-    typical = 2 * float(np.mean(zeta)) / float(np.sqrt(of.eigenvalues[0]))
+    typical = 2 * float(np.mean(zeta)) / float(np.sqrt(real.eigenvalues[0]))
     proportion = (np.eye(n) - 1.0 / n) / stiffness / (typical * LOOSE)
     return np.concatenate([uncoupled, proportion])
 
 
-def _pole_ratios(of: Modes, c: Floats, seen: Ints) -> tuple[Floats, Floats]:
+def _pole_ratios(real: Modes, c: Floats, seen: Ints) -> tuple[Floats, Floats]:
     """Damping ratios of the measured modes' poles, shape (m,), and their derivatives by the dashpots, (m, N)."""
     if not np.any(c):
-        drifts = np.diff(of.shapes[seen].T, axis=0, prepend=0.0)
-        return np.zeros(len(seen)), (drifts**2 / (2 * np.sqrt(of.eigenvalues[seen]))).T
-    gamma = modal_damping(of, stiffness_matrix(c))
-    found = coupled(of, gamma)
+        drifts = np.diff(real.shapes[seen].T, axis=0, prepend=0.0)
+        return np.zeros(len(seen)), (drifts**2 / (2 * np.sqrt(real.eigenvalues[seen]))).T
+    gamma = modal_damping(real, stiffness_matrix(c))
+    found = coupled(real, gamma)
     swinging = np.flatnonzero(found.values.imag > 0)
     if seen[-1] >= len(swinging):
         raise UnsuitableError(
@@ -341,12 +329,12 @@ def _left_open(data: Floats) -> tuple[tuple[str, ...], Bools]:
     return tuple(words), part < 1e-4
 
 
-def rayleigh(of: Modes, ratios: Ratios, backend: Backend) -> Floats:
+def rayleigh(real: Modes, ratios: Ratios, backend: Backend) -> Floats:
     """a and b of C = a M + b K, both at least zero, by zeta_i = a / (2 omega_i) + b omega_i / 2, weighted.
 
     Parameters
     ----------
-    of : Modes
+    real : Modes
     ratios : Ratios
     backend : Backend
 
@@ -365,7 +353,7 @@ def rayleigh(of: Modes, ratios: Ratios, backend: Backend) -> Floats:
         raise UnsuitableError(
             "Rayleigh damping has two factors, and one mode's damping ratio was measured; use modal damping"
         )
-    omega, zeta = np.sqrt(of.eigenvalues[seen]), ratios.values[seen]
+    omega, zeta = np.sqrt(real.eigenvalues[seen]), ratios.values[seen]
     std = ratios.std[seen] * np.maximum(zeta, LEAST_RATIO)
     rows = np.column_stack([0.5 / omega, 0.5 * omega]) / std[:, None]
     program = LeastSquares(rows, zeta / std, lower=np.zeros(2), names=("a", "b"))

@@ -17,17 +17,22 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy import linalg
 
 from cvxshear.model.shear import transformation
-from cvxshear.response.model import DampedModel
+from cvxshear.response.damped import DampedModel
 from cvxshear.util.typing import Floats, Ints
 
 SETTLED_RICCATI = 1e-13
 """Relative change of a covariance at which the doubling of the Riccati equation ends: it doubles its digits a round, so
 the next change would be rounding."""
+
+FORGOTTEN = 1e-10
+"""Largest entry of a power of the transition matrix that counts as none: its square is below rounding."""
 
 MOST_DOUBLINGS = 60
 """Doublings of the step: 2^60 samples are more than any record has."""
@@ -67,8 +72,6 @@ class Dynamics:
     direct : ndarray, shape (m,)
     R : ndarray, shape (m,)
         Variances of e.
-    P0 : ndarray, shape (n, n)
-        Stationary covariance of the state under the noise alone.
     outputs : Outputs
     """
 
@@ -79,13 +82,19 @@ class Dynamics:
     H: Floats
     direct: Floats
     R: Floats
-    P0: Floats
     outputs: Outputs
+
+    @cached_property
+    def P0(self) -> Floats:  # noqa: N802
+        """Stationary covariance of the state under the noise alone, shape (n, n)."""
+        return doubled(self.A, self.Q)
 
     def driven(self, excitation: Floats) -> Floats:
         """What the excitation adds to the state over each step, shape (samples, n); the last row is not used."""
         following = np.append(excitation[1:], excitation[-1])
-        driven: Floats = np.outer(excitation, self.before) + np.outer(following, self.after)
+        kind = excitation.dtype
+        driven: Floats = np.outer(excitation, self.before.astype(kind))
+        driven += np.outer(following, self.after.astype(kind))
         return driven
 
 
@@ -102,6 +111,12 @@ class Outputs:
 
     rows: Floats
     direct: Floats
+
+    def of(self, states: Floats, excitation: Floats) -> Floats:
+        """The outputs over time, shape (samples, outputs), in the precision of the states."""
+        result: Floats = states @ self.rows.T.astype(states.dtype)
+        result += np.outer(excitation, self.direct.astype(states.dtype))
+        return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +147,11 @@ class Setting:
     corner: float
     ground_corner: float
     story_force: Floats
+
+    @property
+    def states(self) -> int:
+        """n: displacements, velocities, story forces, and the base acceleration where nobody measured it."""
+        return 3 * len(self.story_force) + (0 if self.base_measured else 1)
 
     def without(self, channel: int) -> Setting:
         """The same with one channel fewer."""
@@ -177,10 +197,9 @@ def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     A, Q = _van_loan(rates, density, setting.step)
     before, after = _first_order_hold(rates, load, setting.step)
     at = setting.floors - 1
-    stationary = doubled_lyapunov(A, Q)
     return Dynamics(
         A, before, after, Q, total[at] * model.gain[at, None], through[at] * model.gain[at], noise.sensors**2,
-        stationary, _outputs(model, total, through, setting.force_floor, n),
+        _outputs(model, total, through, setting.force_floor, n),
     )  # fmt: skip
 
 
@@ -216,16 +235,23 @@ def _first_order_hold(rates: Floats, load: Floats, step: float) -> tuple[Floats,
     return whole[:n, n] - after, after
 
 
-def doubled_lyapunov(A: Floats, Q: Floats) -> Floats:
-    """P = A P A' + Q of a stable A, by doubling the number of steps."""
+def doubled(A: Floats, Q: Floats) -> Floats:
+    """P = A P A' + Q of a stable A, by doubling the number of steps.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    Q : ndarray, shape (..., n, n)
+        Symmetric.
+    """
     P, power = Q, A
     for _ in range(MOST_DOUBLINGS):
         more = power @ P @ power.T
         P = P + more
-        if np.all(np.abs(np.diag(more)) <= SETTLED_RICCATI * np.diag(P)):
-            break
         power = power @ power
-    return 0.5 * (P + P.T)
+        if np.max(np.abs(power)) <= FORGOTTEN:
+            break
+    return 0.5 * (P + P.swapaxes(-1, -2))
 
 
 def settled_covariance(model: Dynamics) -> Floats:
@@ -248,15 +274,21 @@ def settled_covariance(model: Dynamics) -> Floats:
     return P
 
 
+SHORT: np.dtype[Any] = np.dtype(np.float32)
+"""Precision of derivatives and deviations, which need no more digits: half the time and memory."""
+
+MOST_BLOCKS = 128
+"""Blocks that are gone through at once: what they need besides the result stays within a few megabytes."""
+
 BLOCK = 64
 """Samples that one sweep of a linear recursion leaps over at once: about the root of the samples of a long record."""
 
 
-def recursion(F: Floats, inputs: Floats, start: Floats) -> Floats:
+def recursion(F: Floats, inputs: Floats, start: Floats, rows: Floats | None = None) -> Floats:
     """x_0 = start, x_(t+1) = F x_t + inputs_t by products of large matrices.
 
     All blocks of samples are first gone through from zero, side by side; what the state at each block's beginning adds
-    follows from powers of F.
+    follows from powers of F. The precision is that of the inputs.
 
     Parameters
     ----------
@@ -264,29 +296,47 @@ def recursion(F: Floats, inputs: Floats, start: Floats) -> Floats:
     inputs : ndarray, shape (samples, n)
         The last row is not used.
     start : ndarray, shape (n,)
+    rows : ndarray, shape (k, n), optional
+        Combinations of the state that are returned in its place.
 
     Returns
     -------
-    ndarray, shape (samples, n)
+    ndarray, shape (samples, n) or (samples, k)
     """
+    kind = inputs.dtype
+    turned = F.T.astype(kind)
+    seen = np.eye(len(F), dtype=kind) if rows is None else rows.T.astype(kind)
+    # F'^j seen for all j, then over a whole block.
+    carried = [seen]
+    for _ in range(BLOCK - 1):
+        carried.append(turned @ carried[-1])
+    leap = np.linalg.matrix_power(F.T, BLOCK)
+    result = np.empty((len(inputs), seen.shape[1]), dtype=kind)
+    state = start
+    for first in range(0, len(inputs), BLOCK * MOST_BLOCKS):
+        part = inputs[first : first + BLOCK * MOST_BLOCKS]
+        result[first : first + len(part)], state = _blocks(turned, part, state, carried, leap, rows is None)
+    return result
+
+
+def _blocks(
+    turned: Floats, inputs: Floats, state: Floats, carried: list[Floats], leap: Floats, plain: bool
+) -> tuple[Floats, Floats]:
+    """The recursion over some blocks, and the state after the last."""
     samples, n = inputs.shape
     blocks = -(-samples // BLOCK)
-    padded = np.zeros((blocks * BLOCK, n))
+    padded = np.zeros((blocks * BLOCK, n), dtype=inputs.dtype)
     padded[:samples] = inputs
     cut = np.ascontiguousarray(padded.reshape(blocks, BLOCK, n).transpose(1, 0, 2))
-    local = np.zeros((BLOCK, blocks, n))
-    turned, power = F.T, np.eye(n)
+    local = np.zeros((BLOCK, blocks, n), dtype=inputs.dtype)
     for j in range(1, BLOCK):
         local[j] = local[j - 1] @ turned + cut[j - 1]
     ends = local[-1] @ turned + cut[-1]
-    powers = [power]
-    for _ in range(BLOCK):
-        powers.append(powers[-1] @ turned)
-    starts = np.empty((blocks, n))
-    state = start
+    starts = np.empty((blocks, n), dtype=inputs.dtype)
     for k in range(blocks):
         starts[k] = state
-        state = state @ powers[BLOCK] + ends[k]
+        state = state @ leap + ends[k]
+    result = local if plain else local @ carried[0]
     for j in range(BLOCK):
-        local[j] += starts @ powers[j]
-    return local.transpose(1, 0, 2).reshape(blocks * BLOCK, n)[:samples]
+        result[j] += starts @ carried[j]
+    return result.transpose(1, 0, 2).reshape(blocks * BLOCK, -1)[:samples], state

@@ -15,7 +15,7 @@ from cvxshear.measurement.experiment import Experiment
 from cvxshear.methods import Identification
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.results import InJson
+from cvxshear.util.results import InJson, as_json
 from cvxshear.util.typing import Floats, Json
 
 NO_VARIANCE = 1e-12
@@ -161,6 +161,10 @@ class Models(InJson):
 
     before: Fitted | None
     after: Fitted
+
+    def to_dict(self) -> Json:
+        """The documented JSON; null for what was not measured in a shape."""
+        return dict(as_json(super().to_dict()))
 
     json_keys = "experiment=after.experiment name=after.experiment.name mass_known=after.mass_known before after"
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.response.model import Response, held
+from cvxshear.response.damped import Response, held
 from cvxshear.util.results import InJson, as_json
 from cvxshear.util.typing import Floats, Json
 

@@ -1,13 +1,14 @@
 """Reconstruction: how every floor moved, from the floors that carry sensors.
 
-First the frame as it was in this record is found from the innovations of the filter (`innovations`), then its motion by
-the smoother (`smoother`), then how far both can be off: the smoother's own covariance, and what the uncertainty of the
-frame moves. Each sensor is also predicted from all others, which is the one check of the bands that nothing assumes.
+First the frame as it was in this record is found from the innovations of the filter (`frame_fit`), then its motion by
+the smoother (`smoother`), then how far both can be off (`frame_motion`). Each sensor is also predicted from all others,
+which is the one check of the bands that nothing assumes (`sensor_checks`).
 """
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,25 +19,13 @@ from scipy import stats
 from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.measurement.experiment import Configuration, Limits
-from cvxshear.records.motion import Drive
-from cvxshear.response.dynamics import Noise, Setting, dynamics
+from cvxshear.response.damped import DampedModel, Response
 from cvxshear.response.fitted import Fitted
-from cvxshear.response.innovations import (
-    FIRST_FORCE,
-    FIRST_SENSOR,
-    FittedFrame,
-    PredictionErrors,
-    Prior,
-    Stretch,
-    Varied,
-    fit_frame,
-    refitted,
-    strongest,
-)
-from cvxshear.response.model import DampedModel, Response, response
+from cvxshear.response.frame_fit import FittedFrame
+from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses
 from cvxshear.response.peaks import FloorSpectra, Peaks, floor_spectra, histories, spectrum_lines
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
-from cvxshear.response.smoother import Observed, Smoothed, Steady, smooth
+from cvxshear.response.sensor_checks import SensorCheck, Whiteness, checked, whiteness, widening
 from cvxshear.response.sources import ModelSource, models_of, state_of, state_remarks
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util.errors import InputError
@@ -47,113 +36,12 @@ from cvxshear.util.typing import Floats, Json
 NAMED_CHANGE = 0.95
 """Probability from which on a story is named as changed: the loop's own level for what it adds."""
 
-PROBED_SAMPLES = 1500
-"""Samples of the strongest motion on which the directions of the frame's uncertainty are compared."""
-
-MOST_DIRECTIONS = 8
-CARRIED_SHARE = 0.995
-"""Directions of the frame's uncertainty that are propagated at most, and the share of the variance that they carry
-together at least where fewer do."""
-
-CHECK_STEPS = 4
-"""Gauss-Newton steps of the frame without one sensor: it starts from the fit to all."""
-
-CHECKED_DIRECTIONS = 4
-"""Directions propagated to a floor whose sensor was left out."""
-
 WIDER = 1.3
 """Ratio of the left-out sensors' errors to their stated deviations, by which all bands are then widened, that is said:
 twenty effective samples scatter by as much."""
 
 COLOURED = 0.3
 """Correlation of an innovation with an earlier one from which on it is said that the model misses something there."""
-
-LAGS = 20
-"""Lags of the test of whiteness (Ljung and Box 1978)."""
-
-
-@dataclass(frozen=True, eq=False)
-class ReconstructedRun:
-    """The motion during one run.
-
-    Parameters
-    ----------
-    name : str
-    response : Response
-    std : dict of str to ndarray
-        Standard deviations of the quantities over time, by the names of `peaks.histories`.
-    base : ndarray, shape (samples,), optional
-        Base acceleration that was estimated, m/s2; None where it was measured.
-    base_std : ndarray, shape (samples,), optional
-    measured : ndarray, shape (samples, m)
-        m/s2; nan where missing.
-    excitation : ndarray, shape (samples,)
-    """
-
-    name: str
-    response: Response
-    std: dict[str, Floats]
-    base: Floats | None
-    base_std: Floats | None
-    measured: Floats
-    excitation: Floats
-
-
-@dataclass(frozen=True)
-class SensorCheck:
-    """One sensor's acceleration from all other sensors.
-
-    Parameters
-    ----------
-    floor : int
-    error : float
-        Root mean square over time of what was left, m/s2.
-    stated : float
-        The same of its standard deviation, the sensor's own noise included, m/s2.
-    measured : float
-        Root mean square of the measurement, m/s2.
-    prediction_error : float or None
-        Error of the model's prediction, which looks at no sensor; None where the excitation was not measured.
-    within : float
-        Share of samples within 1.96 stated standard deviations.
-    """
-
-    floor: int
-    error: float
-    stated: float
-    measured: float
-    prediction_error: float | None
-    within: float
-
-
-@dataclass(frozen=True)
-class Whiteness:
-    """Whether one floor's innovations are white.
-
-    Parameters
-    ----------
-    floor : int
-    size : float
-        Their standard deviation over the stated one.
-    correlation : float
-        The largest, with an earlier sample.
-    lag : float
-        Of that sample, s.
-    p_value : float
-        Of Ljung and Box's statistic.
-    spikes : int
-        Samples whose weight Huber's loss reduced.
-    missing : int
-        Samples that were not measured.
-    """
-
-    floor: int
-    size: float
-    correlation: float
-    lag: float
-    p_value: float
-    spikes: int
-    missing: int
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -205,7 +93,7 @@ class Reconstruction(Shown):
     @property
     def widening(self) -> float:
         """Factor on all bands by which left-out sensors missed more than stated; at least 1."""
-        return _widening(self.checks)
+        return widening(self.checks)
 
     @property
     def changed(self) -> tuple[int, ...]:
@@ -330,348 +218,35 @@ def reconstruct(
         raise InputError(f"{recording.name} speaks of floor {highest}, the frame has {experiment.stories} stories")
     state = state_of(experiment, recording, configuration)
     frame = UncertainFrame.of(models.after, state, damping, solver)
-    work = _Reconstructing(frame, recording, solver, progress, free=fit)
-    found = work.result(leave_out=leave_out)
+    done, parts = itertools.count(1), 3 + (len(recording.floors) if leave_out else 0)
+
+    def advance() -> None:
+        if progress is not None:
+            progress(next(done), parts)
+
+    work = FrameMotion.around(frame, recording, solver, free=fit)
+    predicted = predicted_responses(work.varied.centre.model, recording)
+    advance()
+    fitted, smoothed = work.fitted()
+    advance()
+    checks = []
+    for channel in range(len(recording.floors)) if leave_out and len(recording.floors) > 1 else ():
+        checks.append(checked(work, fitted, smoothed, channel, predicted))
+        advance()
+    runs = work.runs(fitted, smoothed, widening(checks))
+    peaks = _peaks([(run.response, run.std) for run in runs])
+    passed = None
+    if experiment.limits is not None and "story_drift_ratio" in peaks.values:
+        ratio, std = peaks.values["story_drift_ratio"], np.maximum(peaks.std["story_drift_ratio"], 1e-300)
+        passed = np.asarray(stats.norm.sf(experiment.limits.story_drift[:, None], ratio, std), dtype=np.float64)
+    found = Reconstruction(
+        recording, state, solver.name, frame.fitted, frame.kind, fitted, fitted.model, tuple(runs), peaks,
+        None if predicted is None else _peaks([(item, {}) for item in predicted]), tuple(checks),
+        whiteness(work, smoothed), experiment.limits, passed, (),
+    )  # fmt: skip
+    advance()
     remarks = [*state_remarks(experiment, recording, state), *_remarks(found, line)]
     return dataclasses.replace(found, remarks=tuple(remarks))
-
-
-class _Reconstructing:
-    """The parts of one reconstruction, each of which the next needs.
-
-    Parameters
-    ----------
-    frame : UncertainFrame
-    recording : Recording
-    backend : Backend
-    progress : callable, optional
-    free : bool
-        Whether the frame is fitted.
-    """
-
-    def __init__(
-        self, frame: UncertainFrame, recording: Recording, backend: Backend,
-        progress: Callable[[int, int], None] | None, *, free: bool,
-    ) -> None:  # fmt: skip
-        self.frame, self.recording, self.backend = frame, recording, backend
-        # Without the base motion a softer first story and another base motion are one and the same.
-        self.free = free and recording.input != "none"
-        self.varied = Varied.of(frame)
-        self._progress, self._done = progress, 0
-        self._parts = 5 + len(recording.floors)
-        model = self.varied.centre.model
-        self.predicted = self._predicted(model)
-        frequencies = model.modes.frequencies
-        self.setting = Setting(
-            recording.floors, recording.step, recording.force_floor, recording.input != "none",
-            2 * np.pi * float(frequencies[0]), 2 * np.pi * float(frequencies[-1]),
-            frame.story_stiffness * self._drift_rms(model),
-        )  # fmt: skip
-        self.envelopes = recording.envelopes(1.0 / float(frequencies[0]))
-        rms = recording.rms()
-        self.noise = Noise(FIRST_SENSOR * rms, FIRST_FORCE, 0.0 if self.setting.base_measured else float(rms.min()))
-
-    def _advance(self) -> None:
-        self._done += 1
-        if self._progress is not None:
-            self._progress(self._done, self._parts)
-
-    def _predicted(self, model: DampedModel) -> list[Response] | None:
-        """Of the identified frame; None where the excitation was not measured."""
-        recording = self.recording
-        if recording.input == "none":
-            return None
-        drives = [Drive(run.driven, recording.force_floor, name=run.name) for run in recording.runs]
-        return [response(model, drive, recording.step) for drive in drives]
-
-    def _drift_rms(self, model: DampedModel) -> Floats:
-        """Of each story, from the first mode scaled to the sensors: what a wrong frame predicts might be any size."""
-        first = model.modes.shapes[0]
-        seen = np.abs(first[self.recording.floors - 1] * model.gain[self.recording.floors - 1])
-        amplitude = float(np.linalg.norm(self.recording.rms()) / np.linalg.norm(seen)) / float(
-            model.modes.eigenvalues[0]
-        )
-        drift: Floats = np.abs(np.diff(first, prepend=0.0)) * amplitude
-        if self.predicted is None:
-            return drift
-        together = np.concatenate([item.drift for item in self.predicted])
-        own: Floats = np.sqrt(np.mean(together**2, axis=0))
-        return own
-
-    def result(self, *, leave_out: bool) -> Reconstruction:
-        """Everything but the remarks."""
-        fitted, smoothed = self._fitted()
-        self._advance()
-        model = fitted.model
-        directions = self._directions(fitted, MOST_DIRECTIONS)
-        channels = range(len(self.recording.floors)) if leave_out and len(self.recording.floors) > 1 else ()
-        checks = tuple(self._check(fitted, channel, smoothed) for channel in channels)
-        wider = _widening(checks)
-        runs = [self._run(fitted, model, directions, place, found, wider) for place, found in enumerate(smoothed)]
-        self._advance()
-        peaks = _peaks([(run.response, run.std) for run in runs])
-        experiment = self.frame.fitted.experiment
-        passed = None
-        if experiment.limits is not None and "story_drift_ratio" in peaks.values:
-            ratio, std = peaks.values["story_drift_ratio"], np.maximum(peaks.std["story_drift_ratio"], 1e-300)
-            passed = np.asarray(stats.norm.sf(experiment.limits.story_drift[:, None], ratio, std), dtype=np.float64)
-        predicted = None
-        if self.predicted is not None:
-            predicted = _peaks([(item, {}) for item in self.predicted])
-        return Reconstruction(
-            self.recording, self.frame.configuration, self.backend.name, self.frame.fitted, self.frame.kind, fitted,
-            model, tuple(runs), peaks, predicted, checks, self._whiteness(smoothed), experiment.limits, passed, (),
-        )  # fmt: skip
-
-    def _observed(self, model: DampedModel, errors: PredictionErrors, p: Floats) -> list[Observed]:
-        """The runs with the process noise that the motion's strength calls for."""
-        plain_model = errors.dynamics(p)
-        stationary = np.sqrt(np.maximum(np.sum(plain_model.H @ plain_model.P0 * plain_model.H, axis=1), 1e-300))
-        period = 1.0 / float(model.modes.frequencies[0])
-        first = max(2, round(period * self.recording.sampling_rate))
-        found = []
-        for run, envelope in zip(self.recording.runs, self.envelopes, strict=True):
-            begins = run.measured[:first]
-            if not np.isfinite(begins).any():
-                begins = run.measured
-            moved = np.sqrt(np.nanmean(begins**2))
-            scale = max(float(envelope[0]), float(moved / np.sqrt(np.mean(stationary**2))))
-            found.append(Observed(run.driven, run.measured, envelope, scale))
-        return found
-
-    def _errors(self, smoothed: list[Smoothed] | None) -> PredictionErrors:
-        """The innovations of the strongest part of each run, gaps and spikes filled in by the smoother."""
-        stretches = []
-        for place, run in enumerate(self.recording.runs):
-            y = np.nan_to_num(run.measured) if smoothed is None else smoothed[place].completed
-            part = strongest(y)
-            start = np.zeros(3 * len(self.varied.story_stiffness) + (0 if self.setting.base_measured else 1))
-            if smoothed is not None:
-                start = smoothed[place].states[part.start]
-            stretches.append(Stretch(run.driven[part], y[part], start))
-        return PredictionErrors(self.varied, self.setting, stretches, self.noise, self.frame.fitted.lacking)
-
-    def _fitted(self) -> tuple[FittedFrame, list[Smoothed]]:
-        """The frame and its motion: gaps and spikes are filled in by the identified frame, then by the fitted one."""
-        fitted: FittedFrame | None = None
-        smoothed: list[Smoothed] = []
-        errors = self._errors(None)
-        prior = Prior.of(self.frame, errors)
-        p = np.zeros(errors.size)
-        whole = not any(np.isnan(run.measured).any() for run in self.recording.runs)
-        for turn in range(2):
-            if turn or not whole:
-                smoothed = self._smoothed(errors, p)
-                errors = self._errors(smoothed)
-                self._advance()
-            if turn and fitted is not None and _clean(smoothed):
-                break
-            fitted = fit_frame(errors, prior, self.backend, p, free=self.free)
-            p = fitted.p
-            self._advance()
-        assert fitted is not None
-        if not _clean(smoothed):
-            smoothed = self._smoothed(errors, fitted.p)
-        return fitted, smoothed
-
-    def _smoothed(self, errors: PredictionErrors, p: Floats) -> list[Smoothed]:
-        model = errors.dynamics(p)
-        rows = self._rows(model.outputs.rows)
-        return [smooth(model, run, rows) for run in self._observed(errors.model(p), errors, p)]
-
-    def _rows(self, outputs: Floats) -> Floats:
-        """The outputs, the overturning moment, and the base acceleration where it is estimated."""
-        n = len(self.varied.story_stiffness)
-        heights = self.varied.centre.model.heights
-        more = [] if heights is None else [heights @ outputs[3 * n :]]
-        if not self.setting.base_measured:
-            more.append(np.eye(outputs.shape[1])[3 * n])
-        return np.concatenate([outputs, np.array(more)]) if more else outputs
-
-    def _outputs(self, states: Floats, dynamics_outputs: Floats, direct: Floats, excitation: Floats) -> Floats:
-        rows = self._rows(dynamics_outputs)
-        n = len(self.varied.story_stiffness)
-        heights = self.varied.centre.model.heights
-        weights = np.zeros(len(rows))
-        weights[: 4 * n] = direct
-        if heights is not None:
-            weights[4 * n] = heights @ direct[3 * n :]
-        result: Floats = states @ rows.T + np.outer(excitation, weights)
-        return result
-
-    def _run(
-        self, fitted: FittedFrame, model: DampedModel, directions: list[_Direction], place: int, found: Smoothed,
-        wider: float,
-    ) -> ReconstructedRun:  # fmt: skip
-        """One run's motion and its deviations."""
-        n = len(model.M)
-        recorded = self.recording.runs[place]
-        whole = fitted.errors.dynamics(fitted.p)
-        moved = self._outputs(found.states, whole.outputs.rows, whole.outputs.direct, recorded.driven)
-        variance = found.output_std**2
-        noise = fitted.errors.noise_at(fitted.p)
-        for direction in directions:
-            variance += self._moved_by(direction, noise, recorded.driven, found.completed, found.states[0]) ** 2
-        std: Floats = wider * np.sqrt(variance)
-        acceleration, displacement, _, force = (moved[:, k * n : (k + 1) * n] for k in range(4))
-        time = self.recording.step * np.arange(len(moved), dtype=np.float64)
-        motion = Response(
-            time, acceleration, displacement, force, model.heights,
-            model.mass_known,
-        )  # fmt: skip
-        stds = dict(
-            zip(
-                ("floor_acceleration", "floor_displacement", "story_drift", "story_shear"),
-                (std[:, k * n : (k + 1) * n] for k in range(4)),
-                strict=True,
-            )
-        )
-        if model.heights is not None:
-            stds["story_drift_ratio"] = stds["story_drift"] / model.heights
-            stds["overturning_moment"] = std[:, 4 * n]
-        stds["base_shear"] = stds["story_shear"][:, 0]
-        base = None if self.setting.base_measured else moved[:, -1]
-        return ReconstructedRun(
-            recorded.name, motion, stds, base, None if base is None else std[:, -1], recorded.measured, recorded.driven
-        )
-
-    def _moved_by(self, direction: _Direction, noise: Noise, excitation: Floats, y: Floats, start: Floats) -> Floats:
-        """Half the difference of all outputs between plus and minus one standard deviation along a direction."""
-        sides = []
-        for model in (direction.plus, direction.minus):
-            moved = dynamics(model, noise, self.setting)
-            states = Steady.of(moved).states(excitation, y, start)
-            sides.append(self._outputs(states, moved.outputs.rows, moved.outputs.direct, excitation))
-        result: Floats = 0.5 * (sides[0] - sides[1])
-        return result
-
-    def _directions(self, fitted: FittedFrame, most: int) -> list[_Direction]:
-        """The directions of the frame's uncertainty that move its motion most, one standard deviation long."""
-        frame = fitted.errors.frame
-        values, vectors = np.linalg.eigh(fitted.covariance[frame, frame])
-        own = vectors * np.sqrt(np.maximum(values, 0.0))
-        noise = fitted.errors.noise_at(fitted.p)
-        run = max(fitted.errors.stretches, key=lambda each: float(np.mean(each.y**2)))
-        part = strongest(run.y, PROBED_SAMPLES)
-        excitation, y, start = run.excitation[part], run.y[part], np.zeros(len(run.start))
-
-        def model_at(weights: Floats) -> DampedModel:
-            p = fitted.p.copy()
-            p[frame] += own @ weights
-            return fitted.errors.model(p)
-
-        def outputs(model: DampedModel) -> Floats:
-            moved = dynamics(model, noise, self.setting)
-            states = Steady.of(moved).states(excitation, y, start)
-            return self._outputs(states, moved.outputs.rows, moved.outputs.direct, excitation)
-
-        centre = outputs(fitted.model)
-        scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
-        # A tenth of a standard deviation: the directions are needed to first order only.
-        slopes = [((outputs(model_at(0.1 * row)) - centre) / scale).ravel() / 0.1 for row in np.eye(len(own))]
-        strength, turned = np.linalg.eigh(np.array([[a @ b for b in slopes] for a in slopes]))
-        order = np.argsort(-strength)
-        carried = np.cumsum(np.maximum(strength[order], 0.0))
-        if carried[-1] <= 0:
-            return []
-        enough = int(np.searchsorted(carried, CARRIED_SHARE * carried[-1])) + 1
-        return [_Direction(model_at(turned[:, k]), model_at(-turned[:, k])) for k in order[: min(enough, most)]]
-
-    def _check(self, fitted: FittedFrame, channel: int, smoothed: list[Smoothed]) -> SensorCheck:
-        """One sensor from the others: the frame fitted and the motion smoothed without it."""
-        self._advance()
-        setting = self.setting.without(channel)
-        noise = dataclasses.replace(self.noise, sensors=np.delete(self.noise.sensors, channel))
-        stretches = [
-            dataclasses.replace(each, y=np.delete(each.y, channel, axis=1)) for each in fitted.errors.stretches
-        ]
-        errors = PredictionErrors(self.varied, setting, stretches, noise, self.frame.fitted.lacking)
-        start = np.delete(fitted.p, fitted.errors.frame.stop + channel)
-        again = refitted(fitted, errors, start, self.backend, CHECK_STEPS if self.free else 0)
-        other = _Reconstructing.__new__(_Reconstructing)
-        other.__dict__ |= self.__dict__ | {
-            "setting": setting, "recording": self.recording.without(channel), "noise": noise
-        }  # fmt: skip
-        directions = other._directions(again, CHECKED_DIRECTIONS)
-        model = errors.dynamics(again.p)
-        place = int(self.recording.floors[channel]) - 1
-        gain = float(self.varied.centre.model.gain[place])
-        row, direct = gain * model.outputs.rows[place], gain * model.outputs.direct[place]
-        sigma = fitted.errors.noise_at(fitted.p).sensors[channel]
-        error, stated, measured, predicted = [], [], [], []
-        observed = other._observed(again.model, errors, again.p)
-        for number, (run, given) in enumerate(zip(self.recording.runs, observed, strict=True)):
-            found = smooth(model, given, row[None, :])
-            variance = found.output_std[:, 0] ** 2 + sigma**2
-            for direction in directions:
-                moved = other._moved_by(
-                    direction, errors.noise_at(again.p), run.driven, found.completed, found.states[0]
-                )
-                variance += (gain * moved[:, place]) ** 2
-            there = smoothed[number].weights[:, channel] == 1.0
-            value = found.states @ row + direct * run.driven
-            error.append((value - run.measured[:, channel])[there])
-            stated.append(variance[there])
-            measured.append(run.measured[there, channel])
-            if self.predicted is not None:
-                predicted.append(
-                    (gain * self.predicted[number].acceleration[:, place] - run.measured[:, channel])[there]
-                )
-        errors_all, variances = np.concatenate(error), np.concatenate(stated)
-        return SensorCheck(
-            place + 1, _rms(errors_all), float(np.sqrt(np.mean(variances))), _rms(np.concatenate(measured)),
-            _rms(np.concatenate(predicted)) if predicted else None,
-            float(np.mean(np.abs(errors_all) <= 1.959964 * np.sqrt(variances))),
-        )  # fmt: skip
-
-    def _whiteness(self, smoothed: list[Smoothed]) -> tuple[Whiteness, ...]:
-        """Of the innovations of each floor over all runs."""
-        found = []
-        for channel, floor in enumerate(self.recording.floors):
-            runs = [np.nan_to_num(each.innovations[:, channel]) for each in smoothed]
-            weights = np.concatenate([each.weights[:, channel] for each in smoothed])
-            # A spike is no sign of a model that is wrong.
-            power = sum(float(np.sum(np.clip(run, -5, 5) ** 2)) for run in runs)
-            count = int(np.sum(weights > 0))
-            lags = np.arange(1, min(LAGS, min(len(run) for run in runs) - 1) + 1)
-            products = np.array(
-                [sum(float(np.clip(run[lag:], -5, 5) @ np.clip(run[:-lag], -5, 5)) for run in runs) for lag in lags]
-            )
-            correlation = products / power
-            statistic = count * (count + 2) * float(np.sum(correlation**2 / (count - lags)))
-            at = int(np.argmax(np.abs(correlation)))
-            found.append(
-                Whiteness(
-                    int(floor), float(np.sqrt(power / count)), float(correlation[at]),
-                    float(lags[at]) * self.recording.step, float(stats.chi2.sf(statistic, len(lags))),
-                    int(np.sum((weights > 0) & (weights < 1))), int(np.sum(weights == 0)),
-                )
-            )  # fmt: skip
-        return tuple(found)
-
-
-@dataclass(frozen=True, eq=False)
-class _Direction:
-    """The frame one standard deviation to either side."""
-
-    plus: DampedModel
-    minus: DampedModel
-
-
-def _clean(smoothed: list[Smoothed]) -> bool:
-    """Whether no sample was missing or a spike."""
-    return all(bool(np.all(each.weights == 1.0)) for each in smoothed)
-
-
-def _widening(checks: tuple[SensorCheck, ...]) -> float:
-    """Factor on all bands: by how much sensors that were left out missed more than stated; at least 1."""
-    if not checks:
-        return 1.0
-    return max(1.0, float(np.sqrt(np.mean([(each.error / each.stated) ** 2 for each in checks]))))
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _peaks(runs: list[tuple[Response, dict[str, Floats]]]) -> Peaks:
@@ -728,7 +303,7 @@ def _remarks(found: Reconstruction, line: float) -> list[str]:
         )
     if not found.frame.converged:
         said.append("the fit of the frame did not settle; its deviations may be too small")
-    wider = _widening(found.checks)
+    wider = widening(found.checks)
     if wider > WIDER:
         said.append(
             f"sensors that were left out missed by {wider:.1f} times their stated deviation: the model lacks "

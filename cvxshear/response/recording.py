@@ -143,6 +143,14 @@ class Recording:
         runs = tuple(dataclasses.replace(run, measured=np.delete(run.measured, channel, axis=1)) for run in self.runs)
         return dataclasses.replace(self, runs=runs, floors=np.delete(self.floors, channel))
 
+    def cut(self, parts: Sequence[slice]) -> Recording:
+        """The same with one part of each run."""
+        runs = [
+            RecordedRun(run.measured[part], None if run.excitation is None else run.excitation[part], run.name)
+            for run, part in zip(self.runs, parts, strict=True)
+        ]
+        return dataclasses.replace(self, runs=tuple(runs))
+
     def envelopes(self, period: float) -> list[Floats]:
         """Strength of the motion over time in powers of two, relative to its rms over the record; one array a run.
 

@@ -38,7 +38,7 @@ SETTLED = 1e-9
 """Relative change of a covariance over one sample at which it is taken as constant. What is still to come is this over
 the decay a sample, which is at least 1e-3 for a sampled vibration: the motion is then exact to about 1e-6."""
 
-MOST_TRANSIENT = 300
+MOST_TRANSIENT = 100
 """Samples after a change of the weights over which covariances are computed one by one; where they are still changing
 after so many, their limit is taken, so that long records need neither the time nor the memory."""
 
@@ -305,18 +305,23 @@ class Steady:
         return Steady(model, P, np.asarray(S), np.asarray(K, dtype=np.float64), F)
 
     def predicted(self, excitation: Floats, y: Floats, start: Floats) -> tuple[Floats, Floats]:
-        """States predicted from the past, shape (samples, n), and innovations, (samples, m)."""
-        model = self.model
-        seen = y - np.outer(excitation, model.direct)
-        x = recursion(self.F, model.driven(excitation) + seen @ self.K.T, start)
-        return x, seen - x @ model.H.T
+        """States predicted from the past, shape (samples, n), and innovations, (samples, m), in y's precision."""
+        model, kind = self.model, y.dtype
+        seen = y - np.outer(excitation, model.direct.astype(kind))
+        inputs = model.driven(excitation)
+        inputs += seen @ self.K.T.astype(kind)
+        x = recursion(self.F, inputs, start)
+        return x, seen - x @ model.H.T.astype(kind)
 
     def states(self, excitation: Floats, y: Floats, start: Floats) -> Floats:
-        """Smoothed states, shape (samples, n)."""
+        """Smoothed states, shape (samples, n), in y's precision."""
+        kind = y.dtype
         x, e = self.predicted(excitation, y, start)
-        pulled = e @ np.linalg.solve(self.S, self.model.H)
+        pulled = e @ np.linalg.solve(self.S, self.model.H).astype(kind)
         swept = recursion(self.F.T, pulled[::-1], np.zeros(len(self.P)))[::-1]
-        return x + (swept @ self.F + pulled) @ self.P
+        pulled += swept @ self.F.astype(kind)
+        x += pulled @ self.P.astype(kind)
+        return x
 
 
 def motion_program(model: Dynamics, run: Observed, weights: Floats) -> LeastSquares:

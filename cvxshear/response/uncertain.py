@@ -17,9 +17,9 @@ from cvxshear.backends import Backend
 from cvxshear.effects import State, compose
 from cvxshear.measurement.experiment import DAMPING_KINDS, Configuration
 from cvxshear.model.shear import Modes, modes, stiffness_matrix
+from cvxshear.response.damped import DampedModel
 from cvxshear.response.dashpots import Dashpots, Ratios, damping_ratios, rayleigh, story_dashpots
 from cvxshear.response.fitted import Fitted
-from cvxshear.response.model import DampedModel
 from cvxshear.util import checks
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.typing import Floats
@@ -164,14 +164,14 @@ class UncertainFrame:
             C = modal_matrix(M, modes(M, K), ratios.values)
         else:
             tested = self._state(ratios.tested, theta)
-            of = modes(tested.system.M, tested.system.K)
+            real = modes(tested.system.M, tested.system.K)
             if self.kind == "story":
                 start = None if near is None or near.dashpots is None else near.dashpots.values
                 priors = experiment.damping.priors
-                dashpots = story_dashpots(of, tested.story_stiffness, ratios, self.backend, priors, start)
+                dashpots = story_dashpots(real, tested.story_stiffness, ratios, self.backend, priors, start)
                 C = stiffness_matrix(dashpots.values)
             else:
-                factors = rayleigh(of, ratios, self.backend)
+                factors = rayleigh(real, ratios, self.backend)
                 C = factors[0] * M + factors[1] * K
         model = DampedModel(M, C, K, state.gain, experiment.frame.story_heights, self.fitted.mass_known)
         return Damped(model, dashpots, factors)
@@ -180,10 +180,10 @@ class UncertainFrame:
         return compose(self.fitted.experiment, configuration, self.fitted.effects, theta, derivatives=False)
 
 
-def modal_matrix(M: Floats, of: Modes, ratios: Floats) -> Floats:
+def modal_matrix(M: Floats, real: Modes, ratios: Floats) -> Floats:
     """C = M Phi diag(2 zeta omega) Phi' M, with which the modes have these damping ratios and do not couple."""
-    turned = M @ of.shapes.T
-    return (turned * (2 * ratios * np.sqrt(of.eigenvalues))) @ turned.T
+    turned = M @ real.shapes.T
+    return (turned * (2 * ratios * np.sqrt(real.eigenvalues))) @ turned.T
 
 
 FARTHEST_SECANT = 0.5

@@ -9,6 +9,7 @@ own: that of the shear frame nearest to all of them together, its scale free.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -53,7 +54,7 @@ STEEP = 0.15
 SLOWEST = 0.02
 """Hz; the tallest towers begin at some 0.1 Hz, and long bridges at 0.05 Hz."""
 
-LEAST_STD = 1e-6
+BEST_LABORATORY_STD = 1e-6
 """Relative standard deviation; the best counters and interferometers of a laboratory are no better."""
 
 LARGEST_STD = {"frequency_std": 0.05, "mode_shape_std": 0.3}
@@ -62,7 +63,7 @@ LARGEST_STD = {"frequency_std": 0.05, "mode_shape_std": 0.3}
 FACTORS = ((2 * np.pi, "2 pi, as of rad/s"), (60.0, "60, as of cycles a minute"), (1000.0, "1000, as of mHz"))
 """Factors between units of frequency."""
 
-SAME_FACTOR = 0.1
+ONE_FACTOR_STD = 0.1
 """Standard deviation of the logarithms of the modes' ratios below which they are one factor: what changes a frame
 between two tests changes its modes differently."""
 
@@ -82,7 +83,7 @@ frame is near enough to weigh."""
 VAGUE = 0.05
 """Weight, in the uncertainty of an implied total, of the rows that keep floors and stories alike."""
 
-ROUGH_STEPS = 8
+ROUGH_FIT_STEPS = 8
 """Steps of those fits."""
 
 UNIT_OFF = 0.5
@@ -92,15 +93,18 @@ TALLEST_FITTED = 24
 """Stories up to which the frame is fitted."""
 
 
+_doubt = partial(Finding, refuses=False)
+
+
 def gravity(experiment: Experiment) -> Iterator[Finding]:
     """Gravity is known."""
     value = experiment.frame.gravity
     if EARTH[0] <= value <= EARTH[1]:
         return
     unit = next((f" (that would be {unit})" for size, unit in OTHER_GRAVITIES if _near(value, size)), "")
-    yield Finding(
+    yield _doubt(
         "gravity", None, f"gravity = {value:g} m/s2 is not the Earth's{unit}",
-        "write it in m/s2, 9.81, or leave it out", refuses=False,
+        "write it in m/s2, 9.81, or leave it out",
     )  # fmt: skip
 
 
@@ -109,9 +113,9 @@ def heights(experiment: Experiment) -> Iterator[Finding]:
     found = experiment.frame.story_heights
     if found is None or found.max() <= HIGHEST_STORY:
         return
-    yield Finding(
+    yield _doubt(
         "heights", None, f"story_heights of up to {found.max():g} m look like mm or cm",
-        "write story_heights in m", refuses=False,
+        "write story_heights in m",
     )  # fmt: skip
 
 
@@ -127,11 +131,11 @@ def masses(experiment: Experiment) -> Iterator[Finding]:
         unit = "g"
     else:
         return
-    yield Finding(
+    yield _doubt(
         "masses", None,
         f"floors of {quantity(floor, 'kg', 3)} each under stories of {significant(height, 3)} m look like masses in "
         f"{unit}",
-        "write masses in kg", refuses=False,
+        "write masses in kg",
     )  # fmt: skip
 
 
@@ -151,9 +155,9 @@ def angular_frequency(experiment: Experiment) -> Iterator[Finding]:
         said = f"a first frequency of {significant(lowest, 3)} Hz is high for a building of {height} m"
     else:
         return
-    yield Finding(
+    yield _doubt(
         "angular_frequency", None, f"{said}: they look like rad/s",
-        "write frequencies in Hz, the angular ones divided by 2 pi", refuses=False,
+        "write frequencies in Hz, the angular ones divided by 2 pi",
     )  # fmt: skip
 
 
@@ -164,9 +168,9 @@ def added_up(experiment: Experiment) -> Iterator[Finding]:
         return
     multiples = found / found[0] / np.arange(1, len(found) + 1)
     if np.max(np.abs(multiples - 1)) < STEEP:
-        yield Finding(
+        yield _doubt(
             "elevations", None, f"story_heights grow from {found[0]:g} to {found[-1]:g} m as elevations of floors do",
-            "write the height of each story, not the sum of those below", refuses=False,
+            "write the height of each story, not the sum of those below",
         )  # fmt: skip
 
 
@@ -174,11 +178,11 @@ def slow(experiment: Experiment) -> Iterator[Finding]:
     """No structure swings once a minute."""
     lowest = min(float(each.frequencies[0]) for each in experiment.configurations)
     if lowest < SLOWEST:
-        yield Finding(
+        yield _doubt(
             "time_unit", None,
             f"a first frequency of {significant(lowest, 3)} Hz is lower than that of any frame: it looks like time in "
             "milliseconds, or frequencies in kHz",
-            "write frequencies in Hz, and times in s", refuses=False,
+            "write frequencies in Hz, and times in s",
         )  # fmt: skip
 
 
@@ -193,7 +197,7 @@ def deviations(experiment: Experiment) -> Iterator[Finding]:
             std = std[np.isfinite(std) & (std > 0)]
             if not std.size:
                 continue
-            if std.min() < LEAST_STD:
+            if std.min() < BEST_LABORATORY_STD:
                 yield _deviation(each.name, f"{key} = {std.min():.1g} is finer than any instrument measures")
             elif np.median(std) > largest:
                 yield _deviation(
@@ -203,22 +207,22 @@ def deviations(experiment: Experiment) -> Iterator[Finding]:
     stated = [("total_mass_std", frame.total_mass_std)]
     stated += [(f"std of the prior {prior.describe()}", getattr(prior, "std", None)) for prior in experiment.priors]
     for words, value in stated:
-        if value is not None and float(value) < LEAST_STD:
+        if value is not None and float(value) < BEST_LABORATORY_STD:
             yield _deviation(None, f"{words} = {float(value):.1g} is finer than anything is known; exact without std")
 
 
 def _deviation(configuration: str | None, said: str) -> Finding:
     change = "write relative standard deviations, 0.01 for 1 %, or leave them out"
-    return Finding("deviations", configuration, said, change, refuses=False)
+    return _doubt("deviations", configuration, said, change)
 
 
 def repeats(experiment: Experiment) -> Iterator[Finding]:
     """Two tests never agree to the last digit."""
     for names in repeated_configurations(experiment):
         listed = ", ".join(f'"{name}"' for name in names)
-        yield Finding(
+        yield _doubt(
             "repeated", names[1], f"configurations {listed} repeat each other to the last digit",
-            "leave all but one of them out: a copy is no further test", refuses=False,
+            "leave all but one of them out: a copy is no further test",
         )  # fmt: skip
 
 
@@ -253,7 +257,7 @@ def _off_by(configuration: Configuration, others: Sequence[Configuration]) -> tu
         for mode, frequency in zip(configuration.modes.tolist(), configuration.frequencies, strict=True)
         if mode in known
     ])  # fmt: skip
-    if not ratios.size or ratios.std() > SAME_FACTOR:
+    if not ratios.size or ratios.std() > ONE_FACTOR_STD:
         return None
     ratio = float(np.exp(ratios.mean()))
     for factor, words in FACTORS:
@@ -298,7 +302,7 @@ def total_mass(experiment: Experiment) -> Iterator[Finding]:
     if experiment.frame.total_mass_placeholder:
         said = f"total_mass = {experiment.frame.total_mass:g} stands for one that nobody gave: masses and stiffnesses "
         change = "write total_mass in kg, and take total_mass_placeholder out"
-        yield Finding("total_mass", None, f"{said}are relative to it", change, refuses=False)
+        yield _doubt("total_mass", None, f"{said}are relative to it", change)
         return
     declared = experiment.frame.known_total
     different = {tuple(each.added_mass) for each in experiment.configurations}
@@ -315,10 +319,10 @@ def total_mass(experiment: Experiment) -> Iterator[Finding]:
     unit = next((unit for unit, factor in (("g", 1e3), ("t", 1e-3)) if abs(off - np.log(factor)) < UNIT_OFF), None)
     if unit is not None:
         change = "write total_mass (or floor_masses) in kg"
-        yield Finding("masses", None, f"{said}: it looks like {unit}", change, refuses=False)
+        yield _doubt("masses", None, f"{said}: it looks like {unit}", change)
         return
     change = "check total_mass (or floor_masses, without the added mass) and each added_mass"
-    yield Finding("total_mass", None, said, change, refuses=False)
+    yield _doubt("total_mass", None, said, change)
 
 
 def implied_total(experiment: Experiment) -> tuple[float, float]:
@@ -349,7 +353,7 @@ def implied_total(experiment: Experiment) -> tuple[float, float]:
     found = problem.nearest(tuned(np.zeros(2 * N)))
     count = sum(reading.count for reading in readings)
     if found.cost > POOR * count:
-        others = (problem.nearest(tuned(start), ROUGH_STEPS) for start in odd_starts(N))
+        others = (problem.nearest(tuned(start), ROUGH_FIT_STEPS) for start in odd_starts(N))
         found = problem.nearest(min((found, *others), key=lambda item: item.cost).theta)
     share = np.exp(found.theta[:N])
     if found.at is None or found.cost > POOR * count:

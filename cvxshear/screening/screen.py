@@ -36,6 +36,7 @@ from cvxshear.screening.shear_fit import (
     odd_starts,
     robust_fit,
     starts,
+    story_starts,
 )
 from cvxshear.util.errors import InputError
 from cvxshear.util.results import Shown
@@ -226,11 +227,12 @@ class Verdict:
 def judge(reading: Reading) -> Verdict:
     """Compare a reading with shear frames, as given and after single repairs."""
     begin = starts(reading.stories)
-    given = distance(reading, begin)
+    given = distance(reading, [*begin, *story_starts(reading, begin[:1])])
     if _may_stand(reading, given):
         return Verdict(given, ())
     robust = robust_fit(reading, given.theta)
-    odd = fit(reading, odd_starts(reading.stories), most_steps=ROUGH_STEPS)
+    uneven = odd_starts(reading.stories)
+    odd = fit(reading, [*uneven, *story_starts(reading, uneven)], most_steps=ROUGH_STEPS)
     given = min(given, distance(reading, [robust.theta, odd.theta]), key=lambda item: item.cost)
     if _may_stand(reading, given):
         return Verdict(given, ())

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,7 @@ from cvxshear.fit.domain import Domain
 from cvxshear.fit.expectation import MASS_WIDTH, STIFFNESS_WIDTH
 from cvxshear.fit.gauss_newton import gauss_newton
 from cvxshear.fit.optimality import PlainResiduals
+from cvxshear.fit.start import PASSES, solved_story_equations
 from cvxshear.measurement.reading import CLOSER, FARTHER, Reading
 from cvxshear.model.shear import Modes, mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
 from cvxshear.priors import Constraints
@@ -38,7 +40,7 @@ FARTHEST_LOG = 14.0
 """Bound on the logarithms of masses and stiffnesses about their start: factors of a million, bearings under a house."""
 
 STARTING_LOG = 3.0
-"""Logarithm: masses and stiffnesses start no farther than this from their mean."""
+"""Logarithm: masses and stiffnesses start no farther than this from their mean, unless farther off fits better."""
 
 ODD = 1e-3
 """Stiffness of the one story, and inverse mass of the one floor, of the odd frames that a fit starts from."""
@@ -101,14 +103,40 @@ def odd_starts(stories: int) -> list[Floats]:
     return [even + np.where(np.arange(2 * stories) == place, changes, 0.0) for place in range(2 * stories)]
 
 
-def _tuned(reading: Reading, theta: Floats) -> Floats:
-    """The frame with its stiffnesses scaled to the right mean frequency, and nothing far from the mean."""
+def story_starts(reading: Reading, at: Iterable[Floats]) -> list[Floats]:
+    """The frames that the story equations of whole shapes lead to from these; none where some floor was not measured.
+
+    Stories and floors whose sizes differ by thousands are in no valley that even frames lead into.
+    """
+    N = reading.stories
+    if not np.array_equal(reading.floors, np.arange(N)) or not reading.known.all():
+        return []
+    total = Constraints(A=np.concatenate([np.ones((1, N)), np.zeros((1, N))], axis=1), b=np.array([float(N)]))
+    unit = [NamedConstraints("unit of mass", total)]
+    eigenvalues = (2 * np.pi * np.exp(reading.log_frequencies)) ** 2
+    found = []
+    for start in at:
+        theta = np.exp(_tuned(reading, start))
+        with suppress(CvxshearError):
+            for _ in range(PASSES):
+                theta = solved_story_equations(
+                    reading.scaled, eigenvalues, np.zeros(reading.scaled.shape), theta, unit, weighed=True
+                )
+            found.append(np.log(theta))
+    return found
+
+
+def _clipped(theta: Floats) -> Floats:
+    """The frame with nothing far from the mean."""
     by_quantity = theta.reshape(2, -1)
     mean = by_quantity.mean(axis=1, keepdims=True)
-    theta = (mean + np.clip(by_quantity - mean, -STARTING_LOG, STARTING_LOG)).ravel()
+    return np.asarray((mean + np.clip(by_quantity - mean, -STARTING_LOG, STARTING_LOG)).ravel())
+
+
+def _tuned(reading: Reading, theta: Floats) -> Floats:
+    """The frame with its stiffnesses scaled to the right mean frequency."""
     off = np.mean(reading.log_frequencies - np.log(modes_at(theta).frequencies[reading.modes]))
-    tuned: Floats = theta + np.repeat([0.0, 2 * off], reading.stories)
-    return tuned
+    return np.asarray(theta + np.repeat([0.0, 2.0 * float(off)], reading.stories))
 
 
 def fit(
@@ -126,8 +154,20 @@ def fit(
         At most, in each.
     """
     problem = ShearFrames([(reading, np.zeros(reading.stories), reading.weights if weights is None else weights)])
-    found = (problem.nearest(_tuned(reading, theta), most_steps) for theta in at)
+    found = (problem.nearest(_start(problem, reading, theta), most_steps) for theta in at)
     return min(found, key=lambda item: item.cost)
+
+
+def _start(problem: ShearFrames, reading: Reading, theta: Floats) -> Floats:
+    """The frame as it is or with nothing far from the mean, whichever is nearer to the reading."""
+    near: list[tuple[float, Floats]] = []
+    for each in (_clipped(theta), theta):
+        try:
+            tuned = _tuned(reading, each)
+            near.append((problem.evaluate(tuned, derivatives=False).objective, tuned))
+        except NoModesError:
+            continue
+    return min(near, key=lambda item: item[0])[1] if near else _clipped(theta)
 
 
 def distance(reading: Reading, at: Iterable[Floats]) -> NearestFrame:

@@ -32,7 +32,7 @@ LEAST_PER_FORCE = 0.1
 LONG_ROW = 4
 """Numbers in a row from which on the first and the last are enough."""
 
-EXACT = 1e-9
+NEGLIGIBLE_STD = 1e-9
 """Relative standard deviation of which nobody needs to know."""
 
 UNKNOWN = "not determined"
@@ -189,7 +189,7 @@ def with_std(value: float | None, std: float | None, unit: str = "", factor: flo
     if factor is None:
         factor, unit = fitting([value], unit)
     value = value / factor
-    if std is None or not math.isfinite(std) or std <= EXACT * abs(value):
+    if std is None or not math.isfinite(std) or std <= NEGLIGIBLE_STD * abs(value):
         return f"{significant(value, 5)} {unit}".strip()
     std = std / factor
     largest = max(abs(value), std)

@@ -8,8 +8,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from enum import Enum
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -142,80 +141,35 @@ def data_frame(columns: Mapping[str, Sequence[object]]) -> pd.DataFrame:
     return pd.DataFrame(dict(columns))
 
 
-@dataclass(frozen=True)
-class Renderers:
-    """What makes a result visible.
-
-    Parameters
-    ----------
-    line : callable
-        The result in one short line.
-    text : callable
-        Its tables as plain text.
-    html : callable
-        Its tables for a notebook; None where that cannot be made.
-    figure : callable
-        One of its figures, by name; the first where the name is empty.
-    pick : callable
-        The diagram of modes in which poles are chosen by clicking, given the record file that the choice is for.
-    """
-
-    line: Callable[[Any], str]
-    text: Callable[[Any], str]
-    html: Callable[[Any], str | None]
-    figure: Callable[[Any, str], Any]
-    pick: Callable[[Any, Any], Any]
-
-
 _home: list[str] = []
-_renderers: list[Renderers] = []
 
 
 def shown_by(module: str) -> None:
-    """Name the module that calls `register` when it is imported, which is when a result is first looked at."""
-    _home[:] = [module]
+    """Name the module that shows results; it is imported when a result is first looked at.
 
-
-def register(renderers: Renderers) -> None:
-    """Show results in this way from now on."""
-    _renderers[:] = [renderers]
-
-
-def _found() -> Renderers | None:
-    if not _renderers and _home:
-        importlib.import_module(_home[0])
-    return _renderers[0] if _renderers else None
-
-
-def drawing() -> Renderers:
-    """What draws results.
-
-    Raises
-    ------
-    InputError
-        Where no module has been named for it.
+    Parameters
+    ----------
+    module : str
+        With `line_of` (a result in a short line), `text` (its tables), `notebook_html` (the same for a notebook, or
+        None), `drawn` (one of its figures, by name; the first where the name is empty) and `picked` (the diagram in
+        which poles are chosen).
     """
-    renderers = _found()
-    if renderers is None:
-        raise InputError("nobody has said how this result is drawn")
-    return renderers
+    _home[:] = [module]
 
 
 class Shown(InJson):
     """A result that a prompt shows in a line, `print` as tables, a notebook as HTML and `to_dict` as JSON."""
 
     def __repr__(self) -> str:
-        renderers = _found()
-        return object.__repr__(self) if renderers is None else renderers.line(self)
+        return str(shown("line_of", self)) if _home else object.__repr__(self)
 
     def __str__(self) -> str:
-        renderers = _found()
-        return object.__repr__(self) if renderers is None else renderers.text(self)
+        return str(shown("text", self)) if _home else object.__repr__(self)
 
     def _repr_html_(self) -> str | None:
         """What a notebook shows."""
-        renderers = _found()
-        return None if renderers is None else renderers.html(self)
+        found: str | None = shown("notebook_html", self) if _home else None
+        return found
 
     def figure(self, name: str = "") -> Any:
         """Draw a figure of this result.
@@ -235,4 +189,24 @@ class Shown(InJson):
         InputError
             Where there is no figure of that name, the result does not hold what it shows, or matplotlib is missing.
         """
-        return drawing().figure(self, name)
+        return shown("drawn", self, name)
+
+
+def shown(name: str, *given: Any) -> Any:
+    """What the module that shows results makes of one.
+
+    Parameters
+    ----------
+    name : str
+        The function of that module.
+    *given : object
+        The result, and what the function takes besides.
+
+    Raises
+    ------
+    InputError
+        Where no module has been named for it.
+    """
+    if not _home:
+        raise InputError("nobody has said how this result is drawn")
+    return getattr(importlib.import_module(_home[0]), name)(*given)

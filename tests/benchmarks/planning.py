@@ -22,8 +22,8 @@ from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.planning import Declared, Design, plan, predicted
 from cvxshear.planning.choice import choose, equally_spaced, values_of
 from cvxshear.planning.criteria import CRITERIA, criterion_named
-from cvxshear.planning.model import AveragedModel, TestModel
 from cvxshear.planning.planner import GOALS
+from cvxshear.planning.tested_model import AveragedModel, TestModel
 
 NOISE = Declared(frequency_std=0.002, mode_shape_std=0.02)
 MODES = 3

@@ -5,7 +5,7 @@ driven by a filtered noise with an envelope through scipy's `lsim`. Each is test
 one story is 10 % softer, or nothing is, or its beams bend while the model is a plain shear frame; a third of the floors
 carry sensors with noise of 1 to 5 % of their rms. Compared are the peak drifts by prediction, by smoothing with the
 identified frame, and by reconstruction, and how often the true peak and the true drift over time lie within 1.96 stated
-deviations.
+deviations. No sensor is left out in turn, which could but widen the bands.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ def trial(seed, stories, case):
     models, motion, drift, soft = setting(stories, case, seed)
     true = np.abs(drift).max(axis=0)
     alone = reconstruct(models, motion, fit=False, leave_out=False)
-    found = reconstruct(models, motion)
+    found = reconstruct(models, motion, leave_out=False)
     predicted = found.predicted_peaks.values["story_drift"] / true - 1
     errors = [side.peaks.values["story_drift"] / true - 1 for side in (alone, found)]
     peaks = [
@@ -149,27 +149,26 @@ def trial(seed, stories, case):
 
 
 def main(trials=10, jobs=1):
-    print("stories  case   peak drift off by (rms, soft story): prediction, smoothing, reconstruction"
-          "   peaks within: smoothing, reconstruction   drift over time within   story named (wrong ones)")
+    print(
+        "| stories | case | peak drift off by (rms; soft story): prediction | smoothing | reconstruction "
+        "| peaks within 95 %: smoothing | reconstruction | drift over time within: reconstruction "
+        "| soft story named (others) |\n|---:|---|---:|---:|---:|---:|---:|---:|---|"
+    )
     for stories in STORIES:
         for case in CASES:
             found = each(partial(trial, stories=stories, case=case), range(trials), jobs=jobs)
-            off = [np.sqrt(np.mean([item[0][way] ** 2 for item in found])) for way in range(3)]
-            own = [
-                np.sqrt(np.mean([item[0][way][item[4] - 1] ** 2 for item in found])) if case == "soft" else np.nan
-                for way in range(3)
-            ]
-            peaks = [np.mean([np.abs(item[1][way]) <= NORMAL_95 for item in found]) for way in range(2)]
-            times = [np.mean([item[2][way] for item in found]) for way in range(2)]
+            cells = []
+            for way in range(3):
+                off = np.sqrt(np.mean([item[0][way] ** 2 for item in found]))
+                own = np.sqrt(np.mean([item[0][way][item[4] - 1] ** 2 for item in found]))
+                cells.append(f"{100 * off:.1f} %" + (f" ({100 * own:.1f})" if case == "soft" else ""))
+            within = [np.mean([np.abs(item[1][way]) <= NORMAL_95 for item in found]) for way in range(2)]
+            cells += [f"{100 * share:.0f} %" for share in within]
+            cells.append(f"{100 * np.mean([item[2][1] for item in found]):.0f} %")
             named = sum(item[4] in item[3] for item in found)
             wrong = sum(len(set(item[3]) - {item[4]}) for item in found)
-            print(
-                f"{stories:7d}  {case:5s}  "
-                + ", ".join(f"{100 * a:.1f} % ({100 * b:.1f})" for a, b in zip(off, own, strict=True))
-                + f"   {100 * peaks[0]:.0f} %, {100 * peaks[1]:.0f} %   {100 * times[0]:.0f} %, {100 * times[1]:.0f} %"
-                + f"   {named} of {trials} ({wrong})",
-                flush=True,
-            )
+            cells.append((f"{named} of {trials} " if case == "soft" else "") + f"({wrong})")
+            print(f"| {stories} | {case} | " + " | ".join(cells) + " |", flush=True)
 
 
 if __name__ == "__main__":

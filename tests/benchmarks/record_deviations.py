@@ -1,8 +1,7 @@
 """Whether the deviations that `identify_modes` states hold: share of errors within 1.96 of them, by method and mode.
 
 Random frames of 3 to 8 stories, a third of the floors without sensors, 3 % of noise.
-`python -m tests.benchmarks.record_deviations --seeds 20` prints a row a method and quantity; 95 % is right, and what a
-jackknife over 20 blocks can reach at best is 93.5 (Student's t of 19 degrees of freedom).
+`python -m tests.benchmarks.record_deviations --seeds 20` prints a row a method and quantity; 95 % is right.
 """
 
 from __future__ import annotations

@@ -294,8 +294,8 @@ class Damper(Effect):
     stage = "spring"
     parameters = (Parameter("mass", "kg", lower=0.0), Parameter("s", "N/m"))
 
-    def sizes(self, of):
-        return np.array([0.1 * of.floor_mass, 0.1 * of.story_stiffness])
+    def sizes(self, scale):
+        return np.array([0.1 * scale.floor_mass, 0.1 * scale.story_stiffness])
 
     def apply(self, state, place, values, own):
         system = state.system

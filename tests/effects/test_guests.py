@@ -22,8 +22,8 @@ class Cable(Effect):
     parameters = (Parameter("s", "N/m", lower=0.0), Parameter("m", "kg", lower=0.0))
     probability = 0.05
 
-    def sizes(self, of):
-        return np.array([0.1 * of.story_stiffness, 0.1 * of.floor_mass])
+    def sizes(self, scale):
+        return np.array([0.1 * scale.story_stiffness, 0.1 * scale.floor_mass])
 
     def apply(self, state, place, values, own):
         system = state.system

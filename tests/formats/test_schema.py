@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.cli.records import _said
+from cvxshear.cli.before import _said
 from cvxshear.files.modes import IdentifiedRecord, merged
 from cvxshear.files.to_fill_in import template
 from cvxshear.modal import from_arrays, identify_modes

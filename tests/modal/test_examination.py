@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from cvxshear.records.placement import weighed
 from cvxshear.records.signals import scaled
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, base_record
 from cvxshear.report import terminal
+from cvxshear.response.sources import load_unscaled
 from cvxshear.screening import Screening
 from cvxshear.util.errors import InputError
 from tests.benchmarks.record_faults import INPUTS, NAMED_BY, case_of, judged, only
@@ -232,9 +234,34 @@ def test_records_from_arrays_and_tables():
     np.testing.assert_allclose(named.runs[0].responses, plain.runs[0].responses[:, [0, 2]])
     assert (plain.input, named.input, named.floors.tolist()) == ("base", "base", [1, 3])
     assert named.sampling_rate == pytest.approx(20.0)
-    xarray = pytest.importorskip("xarray")
-    array = xarray.DataArray(run.responses, dims=("time", "channel"), coords={"time": time, "channel": list("abc")})
-    assert [channel.name for channel in TimeRecord.of(array).channels] == ["a", "b", "c"]
+
+
+class DataArray:
+    """What of xarray's class is read: values, dims, and coords whose entries have values."""
+
+    def __init__(self, values, dims, coords):
+        self.values, self.dims = values, dims
+        self.coords = {name: SimpleNamespace(values=np.asarray(of)) for name, of in coords.items()}
+
+
+@pytest.mark.parametrize("library", ["stand-in", "xarray"])
+@pytest.mark.parametrize("dates", [False, True])
+def test_records_from_data_arrays(library, dates):
+    kind = DataArray if library == "stand-in" else pytest.importorskip("xarray").DataArray
+    record = base_record(PAPER_FRAME, 0, noise=0.01, duration=60.0)
+    responses = np.column_stack([record.runs[0].responses, record.runs[0].excitation])
+    time = np.arange(len(responses)) / 20.0
+    if dates:
+        time = np.datetime64("2024-05-01T12:00:00", "ms") + np.rint(1000 * time).astype("timedelta64[ms]")
+    array = kind(responses, dims=("time", "channel"), coords={"time": time, "channel": ["a", "b", "c", "ground"]})
+    found = TimeRecord.of(array, excitation="ground")
+    assert [channel.name for channel in found.channels] == ["a", "b", "c"]
+    assert (found.input, found.sampling_rate) == ("base", pytest.approx(20.0))
+    np.testing.assert_array_equal(found.runs[0].responses, record.runs[0].responses)
+    bare = TimeRecord.of(kind(responses, dims=("time", "channel"), coords={"time": time}), floors=[1, 2, 3, 4])
+    assert [channel.name for channel in bare.channels] == ["channel 1", "channel 2", "channel 3", "channel 4"]
+    with pytest.raises(InputError, match="needs two, time and channels"):
+        TimeRecord.of(kind(responses[None], dims=("test", "time", "channel"), coords={}))
 
 
 @pytest.mark.parametrize(
@@ -269,3 +296,10 @@ def test_a_total_mass_that_nobody_gave_is_a_placeholder():
     assert " kg" not in shown
     with pytest.raises(InputError, match="total_mass_placeholder belongs to total_mass"):
         Experiment.from_dict({**declared, "frame": {"stories": 3, "total_mass_placeholder": True}})
+
+
+def test_a_measurement_file_without_a_mass_is_read_with_a_placeholder(tmp_path):
+    path = tmp_path / "modes.toml"
+    path.write_text("[[configuration]]\nfrequencies = [1.0, 3.0]\nmode_shapes = [[0.5, 1.0], [1.0, -0.6]]\n")
+    experiment, mass_known = load_unscaled(path)
+    assert (experiment.frame.total_mass_placeholder, mass_known) == (True, False)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from cvxshear.modal import Channel, Run, TimeRecord, from_arrays, identify_modes
-from cvxshear.modal.functions import band_of, measured_functions, synthesized
+from cvxshear.modal.agreement import band_of, synthesized
+from cvxshear.modal.functions import measured_functions
 from cvxshear.records.simulate import PAPER_FRAME, ambient_record, hammer_record, shaker_record
 from cvxshear.util.errors import InputError
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from cvxshear.planning.design import Design
 from cvxshear.planning.expected_noise import Declared
-from cvxshear.planning.model import TestModel
+from cvxshear.planning.tested_model import TestModel
 from tests.frames import modes_of
 
 NOISE = Declared(frequency_std=0.002, mode_shape_std=0.02)

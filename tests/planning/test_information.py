@@ -8,7 +8,7 @@ import pytest
 from cvxshear.planning.candidates import candidates
 from cvxshear.planning.chances import target
 from cvxshear.planning.design import Design
-from cvxshear.planning.model import VAGUE
+from cvxshear.planning.tested_model import UNKNOWN_STDS
 from cvxshear.util.errors import InputError
 from tests.planning.common import NOISE, design, frame_model, slow_covariance, tapered
 
@@ -77,9 +77,9 @@ def test_known_masses_are_no_part_of_the_question():
 
 def test_what_nothing_is_known_of_keeps_the_vague_standard_deviation():
     question = np.eye(2)
-    of = candidates(np.eye(2) / VAGUE, np.zeros((0, 2)), np.array([[[1e3, 0.0]]]), question, 1.0)
+    of = candidates(np.eye(2) / UNKNOWN_STDS, np.zeros((0, 2)), np.array([[[1e3, 0.0]]]), question, 1.0)
     std = np.sqrt(np.diag(of.covariance(of.own(of.subset([0])))))
-    np.testing.assert_allclose(std, [1e-3, VAGUE], rtol=1e-6)
+    np.testing.assert_allclose(std, [1e-3, UNKNOWN_STDS], rtol=1e-6)
 
 
 def test_what_is_told_of_effects_is_the_inverse_of_their_covariance():

@@ -12,7 +12,7 @@ from cvxshear.records.simulate import PAPER_FRAME, hammer_record
 from cvxshear.report.figures.picked_poles import PolePicker
 from cvxshear.util.errors import InputError
 
-RECORD = '''# a test
+RECORD = """# a test
 added_mass = [0.0, 0.0, 1.0]  # kg
 [record]  # of hits
 input = "force"
@@ -21,7 +21,7 @@ file = "hits.csv"
 [[channel]]  # the roof
 column = "roof"
 floor = 3
-'''
+"""
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from scipy import signal
 
 from cvxshear.report.handover import state_space
 from cvxshear.response import DampedModel, Drive, Motion, floor_spectra, response
-from cvxshear.response.model import SMALL, hold
+from cvxshear.response.damped import SMALL, hold
 from cvxshear.util.errors import InputError
 from tests.response.common import damped_frame, integrated, matrices, shaking
 

@@ -12,11 +12,12 @@ from cvxshear.measurement.declaration import Limits
 from cvxshear.modal import Channel, Run, TimeRecord
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.response import DampedModel, Fitted, Models, reconstruct, response
-from cvxshear.response.dynamics import Noise, Setting, doubled_lyapunov, dynamics, recursion, settled_covariance
-from cvxshear.response.innovations import PredictionErrors, Stretch, Varied
+from cvxshear.response.dynamics import Noise, Setting, doubled, dynamics, recursion, settled_covariance
+from cvxshear.response.innovations import Directions, PredictionErrors, Stretch
 from cvxshear.response.recording import recording_of
 from cvxshear.response.smoother import Observed, Steady, motion_program, smooth
 from cvxshear.response.uncertain import UncertainFrame
+from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util.errors import InputError
 from tests.benchmarks import reconstruction as study
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
@@ -82,7 +83,7 @@ def test_settled_covariances_solve_their_equations(three):
     system = three[2]
     expected = linalg.solve_discrete_lyapunov(system.A, system.Q)
     unit = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(doubled_lyapunov(system.A, system.Q) / np.outer(unit, unit),
+    np.testing.assert_allclose(doubled(system.A, system.Q) / np.outer(unit, unit),
                                expected / np.outer(unit, unit), atol=1e-9)  # fmt: skip
     P = settled_covariance(system)
     S = system.H @ P @ system.H.T + np.diag(system.R)
@@ -107,10 +108,10 @@ def test_the_gradient_of_the_likelihood_is_that_of_differences():
     omega = 2 * np.pi * 8.0
     setting = Setting(np.array([1, 3]), STEP, 0, True, omega, omega, 1e-3 * stiffness)
     errors = PredictionErrors(
-        Varied.of(frame), setting, [Stretch(excitation, y, np.zeros(9))], Noise(np.array([0.03, 0.02]), 0.02)
+        VariedFrame.around(frame), setting, [Stretch(excitation, y, np.zeros(9))], Noise(np.array([0.03, 0.02]), 0.02)
     )  # fmt: skip
     p = 0.02 * rng.standard_normal(errors.size)
-    at = errors.linearised(p)
+    at = errors.linearised(p, Directions(np.eye(errors.size), np.eye(errors.size)))
     step = 1e-4 * np.eye(errors.size)
     differences = [(errors.objective(p + row) - errors.objective(p - row)) / 2e-4 for row in step]
     np.testing.assert_allclose(2 * at.U.T @ at.c, differences, rtol=1e-3, atol=0.05)
@@ -168,7 +169,7 @@ def test_a_spike_a_gap_and_a_late_clock_change_no_drift_by_more_than_its_deviati
         drive = dataclasses.replace(motion.drives[0], responses=changed)
         again = reconstruct(models, dataclasses.replace(motion, drives=(drive,)))
         moved = np.abs(again.peaks.values["story_drift"] - found.peaks.values["story_drift"])
-        assert np.all(moved <= 2 * again.peaks.std["story_drift"]), changed is late
+        assert np.all(moved <= again.peaks.std["story_drift"]), changed is late
 
 
 def test_base_motion_that_nobody_measured_is_estimated(softened):
@@ -252,3 +253,13 @@ def test_a_record_file_gives_one_channel_a_floor_between_start_and_end(tmp_path)
     expected[50] = np.nan
     np.testing.assert_allclose(only.measured[:, 0], expected, atol=1e-12)
     np.testing.assert_allclose(only.excitation, np.cos(9 * time[100:250]), atol=1e-12)
+
+
+@pytest.mark.parametrize("stories", [3, 8])
+def test_an_effect_that_the_model_lacks_is_in_the_bands(stories):
+    """Beams that bend in a finite-element frame, a shear model: drifts between the sensors come out within bands."""
+    errors, deviations, over_time, changed, _ = study.trial(1, stories, "beams")
+    assert np.all(np.abs(deviations[1]) < 3.0)
+    assert np.mean(over_time[1]) > 0.9
+    assert not changed
+    assert np.sqrt(np.mean(errors[2] ** 2)) < 0.4 * np.sqrt(np.mean(errors[0] ** 2))

@@ -70,6 +70,17 @@ def test_a_frame_of_very_different_stories_or_floors_is_right(what, ratio):
         assert not [item for item in found(experiment(values["mass"], values["stiffness"], table)) if item.refuses]
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_a_frame_whose_stories_all_differ_by_up_to_three_thousand_is_right(seed):
+    """The stiffnesses in any order, the largest three thousand times the smallest and the others between."""
+    rng = np.random.default_rng([38, seed])
+    stories = int(rng.integers(2, 7))
+    stiffness = 2e4 * 3000.0 ** rng.permutation(np.linspace(0, 1, stories))
+    mass = 10.0 * rng.uniform(0.8, 1.2, stories)
+    table = configuration(mass, stiffness, rng=rng, shape_noise=0.01, frequency_noise=0.001)
+    assert [item.name for item in found(experiment(mass, stiffness, table)) if item.refuses] == []
+
+
 def test_a_sign_that_noise_can_have_turned_is_passed_over():
     declared = four_stories(shape_noise=0.0)
     shapes = np.array(declared["configuration"][0]["mode_shapes"])

@@ -24,12 +24,10 @@ from cvxshear.util.quantities import AUTOMATIC, Units, capital, counted, listed,
 from cvxshear.util.typing import Floats
 
 METHOD_WORDS = {
-    "era": "eigensystem realization (era)",
-    "okid": "observer identification and eigensystem realization (okid)",
-    "subspace": "subspace identification (subspace)",
-    "ssi": "stochastic subspace identification (ssi)",
+    "era": "eigensystem realization (era)", "okid": "observer identification and eigensystem realization (okid)",
+    "subspace": "subspace identification (subspace)", "ssi": "stochastic subspace identification (ssi)",
     "given": "modes found elsewhere",
-}
+}  # fmt: skip
 """The methods of `identify_modes` in words; another library's name stands as it is."""
 
 

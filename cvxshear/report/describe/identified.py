@@ -24,7 +24,7 @@ from cvxshear.report.describe.vocabulary import (
 from cvxshear.response import IdentifiedDamping
 from cvxshear.util.quantities import (
     AUTOMATIC,
-    EXACT,
+    NEGLIGIBLE_STD,
     UNKNOWN,
     Units,
     capital,
@@ -118,7 +118,7 @@ def _column(values: Floats, stds: Floats | None, factor: float) -> list[str]:
     if stds is None or np.all(np.isnan(stds)):
         written = significants((values / factor).tolist(), 5)
         return [UNKNOWN if np.isnan(value) else text for value, text in zip(values, written, strict=True)]
-    fast = ~np.isnan(values) & ~(stds > EXACT * np.abs(values))
+    fast = ~np.isnan(values) & ~(stds > NEGLIGIBLE_STD * np.abs(values))
     # A fixed value has no deviation; all fixed values have one format.
     shown = _short(significants((values[fast] / factor).tolist(), 5))
     held = dict(zip(np.flatnonzero(fast).tolist(), shown, strict=True))

@@ -9,7 +9,6 @@ from cvxshear.report.figures.figure_table import FigureEntry, drawn_figure, figu
 from cvxshear.report.figures.frequency_figures import coherence, functions, stabilization
 from cvxshear.report.figures.judged import ranking, residual
 from cvxshear.report.figures.modal_figures import mac, modal_mac, modal_shapes
-from cvxshear.report.figures.noise_scatter import noise_boxes, noise_variation
 from cvxshear.report.figures.planned_test import plan
 from cvxshear.report.figures.response import (
     floor_spectra,
@@ -19,37 +18,12 @@ from cvxshear.report.figures.response import (
     story_drifts,
     transfer_functions,
 )
-from cvxshear.report.figures.solving import backend_differences, convergence
+from cvxshear.report.figures.study_figures import backend_differences, convergence, noise_boxes, noise_variation
 from cvxshear.report.figures.style import save
 
 __all__ = [
-    "FigureEntry",
-    "backend_differences",
-    "coherence",
-    "convergence",
-    "drawn_figure",
-    "figure",
-    "figures_of",
-    "findings",
-    "floor_spectra",
-    "frame",
-    "functions",
-    "mac",
-    "modal_mac",
-    "modal_shapes",
-    "noise_boxes",
-    "noise_variation",
-    "plan",
-    "ranking",
-    "reconstructed_histories",
-    "residual",
-    "response_histories",
-    "response_peaks",
-    "save",
-    "shapes",
-    "springs",
-    "springs_between_levels",
-    "stabilization",
-    "story_drifts",
-    "transfer_functions",
-]
+    "FigureEntry", "backend_differences", "coherence", "convergence", "drawn_figure", "figure", "figures_of",
+    "findings", "floor_spectra", "frame", "functions", "mac", "modal_mac", "modal_shapes", "noise_boxes",
+    "noise_variation", "plan", "ranking", "reconstructed_histories", "residual", "response_histories", "response_peaks",
+    "save", "shapes", "springs", "springs_between_levels", "stabilization", "story_drifts", "transfer_functions",
+]  # fmt: skip

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from cvxshear.modal import ModalResult
-from cvxshear.modal.functions import Functions, band_of, synthesized
+from cvxshear.modal.agreement import band_of, synthesized
+from cvxshear.modal.functions import Functions
 from cvxshear.modal.picking import Sweep
 from cvxshear.report.describe.from_records import method_in_words
 from cvxshear.report.figures import style

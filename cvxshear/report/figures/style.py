@@ -51,13 +51,8 @@ LONGEST_NAME = 26
 """Letters of a name that a figure shows."""
 
 OTHER_SCRIPTS = (
-    "Noto Sans CJK SC",
-    "Noto Sans CJK JP",
-    "WenQuanYi Micro Hei",
-    "Microsoft YaHei",
-    "PingFang SC",
-    "SimHei",
-)
+    "Noto Sans CJK SC", "Noto Sans CJK JP", "WenQuanYi Micro Hei", "Microsoft YaHei", "PingFang SC", "SimHei",
+)  # fmt: skip
 """Fonts for names that DejaVu Sans has no letters for; used where one is installed."""
 
 SETTINGS = {

@@ -61,9 +61,9 @@ class Poles:
         return -self.values.real / np.abs(self.values)
 
 
-def modal_damping(of: Modes, C: Floats) -> Floats:
+def modal_damping(real: Modes, C: Floats) -> Floats:
     """Gamma = Phi' C Phi, shape (N, N): diagonal with 2 zeta omega where the modes do not couple."""
-    return of.shapes @ C @ of.shapes.T
+    return real.shapes @ C @ real.shapes.T
 
 
 def poles(M: Floats, C: Floats, K: Floats) -> Poles:
@@ -306,13 +306,13 @@ def response(model: DampedModel, drive: Drive, step: float) -> Response:
     """
     n, p = len(model.M), drive.excitation
     load = _load(model, drive.floor)
-    of = model.poles
-    factors = of.weights * (of.shapes.T @ load) / of.scales
-    z = held(of.values, p, step)
+    own = model.poles
+    factors = own.weights * (own.shapes.T @ load) / own.scales
+    z = held(own.values, p, step)
     # u = Re(sum of shapes factors z); its second derivative has s^2 in each term, and a jump at the load itself that
     # for base motion is the ground's own acceleration, which the total one has besides.
-    table = of.shapes * factors
-    both = np.concatenate([table * of.values**2, table])
+    table = own.shapes * factors
+    both = np.concatenate([table * own.values**2, table])
     moved = np.hstack([both.real, -both.imag]) @ np.vstack([z.real, z.imag])
     acceleration, displacement = moved[:n].T, moved[n:].T
     forces = np.zeros((len(p), n))

@@ -14,9 +14,9 @@ from cvxshear.backends import Backend
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.records.motion import Motion
 from cvxshear.response.compare import RecordComparison, compared
+from cvxshear.response.damped import Response, response
 from cvxshear.response.damping import IdentifiedDamping, described, parts_of
 from cvxshear.response.fitted import Fitted, Models
-from cvxshear.response.model import Response, response
 from cvxshear.response.peaks import FloorSpectra, Peaks, floor_spectra, histories, largest, spectrum_lines
 from cvxshear.response.sources import ModelSource, MotionSource, models_of, motion_of, state_of, state_remarks
 from cvxshear.response.uncertain import Damped, UncertainFrame, propagated

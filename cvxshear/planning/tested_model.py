@@ -19,7 +19,7 @@ from cvxshear.planning.design import Design
 from cvxshear.planning.expected_noise import TestNoise
 from cvxshear.util.typing import Floats, Ints
 
-VAGUE = 10.0
+UNKNOWN_STDS = 10.0
 """Standard deviation, in its own size, of a parameter of which nothing is known: everything is known a little, so that
 every choice, of a single sensor too, has finite standard deviations to compare."""
 
@@ -147,7 +147,7 @@ class TestModel:
     @cached_property
     def known(self) -> Floats:
         """The same, and that everything is known a little."""
-        return np.concatenate([self.learned, np.eye(len(self.units)) / VAGUE])
+        return np.concatenate([self.learned, np.eye(len(self.units)) / UNKNOWN_STDS])
 
     def expected(self, added_mass: Floats) -> Expected:
         """What a test with these masses would show."""
@@ -173,7 +173,7 @@ class TestModel:
             rows[:, own, :P] = test.shape_rows
             rows[:, np.arange(own.start, own.stop), P + np.arange(own.start, own.stop)] = test.entries
         known = linalg.block_diag(
-            np.concatenate([self.known, *(test.frequency_rows for test in tests)]), np.eye(scales) / VAGUE
+            np.concatenate([self.known, *(test.frequency_rows for test in tests)]), np.eye(scales) / UNKNOWN_STDS
         )
         wide = [np.hstack([part, np.zeros((len(part), scales))]) for part in (self.fixed, self.question)]
         return candidates(known, wide[0], rows, wide[1], number / n)
@@ -201,8 +201,8 @@ class TestModel:
         first = self.certain
         fixed = self.fixed[:, :first]
         free = linalg.null_space(fixed, rcond=1e-12) if len(fixed) else np.eye(first)
-        found = separation(rows[:, first:], VAGUE * rows[:, :first] @ free)
-        return found + np.eye(len(found)) / VAGUE**2
+        found = separation(rows[:, first:], UNKNOWN_STDS * rows[:, :first] @ free)
+        return found + np.eye(len(found)) / UNKNOWN_STDS**2
 
 
 Test = tuple[Expected, ...]

@@ -1,4 +1,4 @@
-"""A second opinion on modes: another method's on the same record, a peer's, or peaks in the frequency domain."""
+"""How modes agree with the measured functions, and with a second opinion: another method's, a peer's, or peaks."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from cvxshear.modal.adapters import from_arrays
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.result import ModalResult
 from cvxshear.records.mode_shapes import mac
-from cvxshear.records.record import Finding
-from cvxshear.util.errors import NoSolutionError
-from cvxshear.util.typing import Floats
+from cvxshear.records.record import Complexes, Finding
+from cvxshear.util.errors import InputError, NoSolutionError
+from cvxshear.util.typing import Bools, Floats
 
 FDD = "fdd"
 """The name of the frequency domain decomposition among methods."""
@@ -117,8 +117,7 @@ def second_opinion(result: ModalResult, other: ModalResult) -> list[Finding]:
         found.append(
             Finding(
                 "second opinion",
-                f"{other.name} has mode {mode} at {other.frequencies[place]:.5g} Hz "
-                f"{alike[place]:.4f}",
+                f"{other.name} has mode {mode} at {other.frequencies[place]:.5g} Hz {alike[place]:.4f}",
                 {
                     **numbers,
                     "agrees": True,
@@ -138,3 +137,74 @@ def second_opinion(result: ModalResult, other: ModalResult) -> list[Finding]:
         if place not in seen
     ]
     return found
+
+
+def synthesized(result: ModalResult) -> Complexes:
+    """What the identified modes make of the measured functions, shape (lines, outputs, inputs).
+
+    H_ij = sum_r (psi_ir L_rj / (i w - l_r) + its conjugate) + C_ij + D_ij / w^2 over the band of the modes, the poles
+    l_r and shapes psi_r as identified, participations L and real residual terms C, D by least squares (least-squares
+    frequency domain, Heylen, Lammens and Sas 1997). Where a mode's shape is wrong the curves part.
+
+    Parameters
+    ----------
+    result : ModalResult
+        Of `identify_modes` with `functions`.
+
+    Returns
+    -------
+    array of complex
+        nan outside the band, and at floors that the result has no shape for.
+
+    Raises
+    ------
+    InputError
+        Where the result holds no functions.
+    """
+    functions = result.functions
+    if functions is None:
+        raise InputError("the result holds no functions of its record: identify_modes keeps them with functions=True")
+    within = band_of(functions.frequencies, result.frequencies)
+    places = np.flatnonzero(np.isin(functions.floors, result.floors))
+    basis = _basis(2 * np.pi * functions.frequencies[within], *_poles_and_shapes(functions, result))
+    rows = np.vstack([basis.real, basis.imag])
+    size = np.linalg.norm(rows, axis=0)
+    answer = np.full(functions.values.shape, np.nan + 0j)
+    for column in range(functions.values.shape[2]):
+        target = functions.values[within][:, places, column].T.ravel()
+        weights = np.linalg.lstsq(rows / size, np.concatenate([target.real, target.imag]), rcond=None)[0] / size
+        answer[np.ix_(np.flatnonzero(within), places, np.array([column]))] = (
+            (basis @ weights).reshape(len(places), -1).T[:, :, None]
+        )
+    return answer
+
+
+def band_of(lines: Floats, frequencies: Floats) -> Bools:
+    """The lines from half the lowest to 1.3 times the highest natural frequency, shape (lines,)."""
+    return np.asarray((lines > 0.5 * frequencies[0]) & (lines < 1.3 * frequencies[-1]))
+
+
+def _basis(omega: Floats, poles: Complexes, shapes: Complexes) -> Complexes:
+    """Columns: real and imaginary parts of each mode's participation, then C and D of each output."""
+    outputs, lines = shapes.shape[1], len(omega)
+    columns = []
+    for pole, shape in zip(poles, shapes, strict=True):
+        up = np.outer(shape, 1 / (1j * omega - pole))
+        down = np.outer(np.conj(shape), 1 / (1j * omega - np.conj(pole)))
+        columns += [(up + down).ravel(), (1j * (up - down)).ravel()]
+    for output in range(outputs):
+        for residual in (np.ones(lines), (omega[0] / omega) ** 2):
+            column = np.zeros((outputs, lines), dtype=np.complex128)
+            column[output] = residual
+            columns.append(column.ravel())
+    return np.column_stack(columns)
+
+
+def _poles_and_shapes(functions: Functions, result: ModalResult) -> tuple[Complexes, Complexes]:
+    """The poles as the functions show them, windows and all, and the shapes as recorded where they are known."""
+    omega = 2 * np.pi * result.frequencies
+    decay = result.damping_ratios * omega
+    poles = -decay - functions.decay + 1j * np.sqrt(np.maximum(omega**2 - decay**2, 0.0))
+    if result.sweep is not None and len(result.sweep.chosen) == len(poles):
+        return poles, np.array([item.shape for item in result.sweep.chosen])
+    return poles, result.complex_shapes

@@ -1,0 +1,326 @@
+"""The frame as it was in a record: fitted to the innovations, single stories freed by the evidence.
+
+The likelihood of the innovations times a Gaussian prior is maximized by Gauss-Newton, whose steps are programs with
+bounds: first over a short part of the record, then over a long one. Which stories changed by themselves, and how much
+the form of the model misses, is decided by the evidence of the linearised likelihood; the covariance is that of the
+mixture of all answers.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cvxshear.backends import Backend
+from cvxshear.fit.domain import Domain
+from cvxshear.fit.gauss_newton import gauss_newton
+from cvxshear.priors import Constraints
+from cvxshear.programs.statements import NamedConstraints
+from cvxshear.response.damped import DampedModel
+from cvxshear.response.innovations import Directions, Likelihood, PredictionErrors
+from cvxshear.response.varied_frame import FORM_STDS, NOISE_STD, FramePrior, Gaussian
+from cvxshear.util.typing import Floats
+
+FIRST_SAMPLES, FITTED_SAMPLES = 2_000, 10_000
+"""Samples of each run, the strongest stretch of that length, that the frame is fitted to first and at last. More would
+sharpen a linear frame by the root of their number, which model error does not allow, and cost in proportion."""
+
+LEAST_INFORMATION, FIRST_INFORMATION = 0.5, 10.0
+"""Length of a prior standard deviation in those of the record's from which on a direction is fitted along, at last and
+at first. Along one of less the variance would fall by less than a fifth; it keeps that of the prior."""
+
+MOST_FIT_STEPS = 12
+"""Gauss-Newton steps at most; a fit that starts near takes four to six."""
+
+FITTED, FIRST_FITTED = 0.1, 1.0
+"""Largest change of a combined residual that ends the fit and the first one: that many standard deviations of one
+parameter."""
+
+MOST_DECISIONS = 3
+"""Times that the stories left free are decided anew; the second decision mostly is the first."""
+
+LEAST_WEIGHT = 1e-3
+"""Probability of an answer, relative to the most probable one, below which it is left out of the average."""
+
+MOST_CHANGES = 3
+KEPT_SETS = 6
+"""Changed stories in a set at most, and sets of each size that the next size grows from."""
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Stories (from 0) that may have changed, the standard deviation of the form's errors, and their probability."""
+
+    stories: tuple[int, ...]
+    form_std: float
+    probability: float
+
+
+@dataclass(frozen=True, eq=False)
+class FittedFrame:
+    """The frame in the record.
+
+    Parameters
+    ----------
+    errors : PredictionErrors
+    prior : FramePrior
+    p : ndarray, shape (P,)
+        Unknowns of `PredictionErrors`.
+    covariance : ndarray, shape (P, P)
+        Averaged over the answers.
+    answers : tuple of Answer
+        Most probable first.
+    inflation : float
+        Of the covariance, for innovations that are not white.
+    converged : bool
+    along : Directions
+        Along which it was fitted.
+    """
+
+    errors: PredictionErrors
+    prior: FramePrior
+    p: Floats
+    covariance: Floats
+    answers: tuple[Answer, ...]
+    inflation: float
+    converged: bool
+    along: Directions
+
+    @cached_property
+    def story_probability(self) -> Floats:
+        """That each story changed by itself, shape (N,)."""
+        result = np.zeros(self.errors.stories)
+        for each in self.answers:
+            result[list(each.stories)] += each.probability
+        return result
+
+    @property
+    def factors(self) -> Floats:
+        """On the story stiffnesses, shape (N,)."""
+        return np.exp(self.p[: self.errors.stories])
+
+    @property
+    def factors_std(self) -> Floats:
+        """Their standard deviations, shape (N,)."""
+        return self.factors * np.sqrt(np.diag(self.covariance)[: self.errors.stories])
+
+    @property
+    def model(self) -> DampedModel:
+        """The frame."""
+        return self.errors.model(self.p)
+
+
+class _Point:
+    """The posterior at one point; derivatives are computed where they are asked for."""
+
+    def __init__(self, posterior: _Posterior, p: Floats) -> None:
+        self.posterior, self.p = posterior, p
+        white = posterior.white @ (p - posterior.prior.mean)
+        self.objective = posterior.errors.objective(p) + float(white @ white)
+
+    @cached_property
+    def likelihood(self) -> Likelihood:
+        return self.posterior.errors.linearised(self.p, self.posterior.along)
+
+    @cached_property
+    def triangle(self) -> tuple[Floats, Floats]:
+        at, white = self.likelihood, self.posterior.white
+        return np.concatenate([at.U, white]), np.concatenate([at.c, white @ (self.p - self.posterior.prior.mean)])
+
+    @property
+    def r(self) -> Floats:
+        return self.triangle[1]
+
+    @property
+    def J(self) -> Floats:  # noqa: N802
+        return self.triangle[0]
+
+
+class _Posterior:
+    """-2 log of the posterior density of the unknowns, for Gauss-Newton.
+
+    Parameters
+    ----------
+    errors : PredictionErrors
+    along : Directions
+    prior : Gaussian
+    """
+
+    def __init__(self, errors: PredictionErrors, along: Directions, prior: Gaussian) -> None:
+        self.errors, self.along, self.prior = errors, along, prior
+        self.white = np.linalg.inv(np.linalg.cholesky(prior.covariance))
+
+    def evaluate(self, theta: Floats, /, *, derivatives: bool = True) -> _Point:
+        return _Point(self, theta)
+
+    def maximum(self, p: Floats, backend: Backend, steps: int, near: float = FITTED) -> tuple[_Point, bool]:
+        """The most probable point from p on, and whether it was found within so many steps."""
+        bounds = Constraints(lower=-self.errors.upper, upper=self.errors.upper)
+        domain = Domain([NamedConstraints("bounds", bounds)], np.ones(len(p)), np.full(len(p), np.inf))
+        found = gauss_newton(self, p, domain, backend, near, most_steps=steps)
+        return found.at, found.converged
+
+
+def fit_frame(
+    errors: PredictionErrors, prior: FramePrior, backend: Backend, start: Floats | None = None, *, free: bool = True
+) -> FittedFrame:
+    """Fit the frame to the innovations.
+
+    Parameters
+    ----------
+    errors : PredictionErrors
+    prior : FramePrior
+    backend : Backend
+        Solves the steps.
+    start : ndarray, shape (P,), optional
+    free : bool, optional
+        Whether the frame is fitted; otherwise only the noise is.
+    """
+    p = np.zeros(errors.size) if start is None else start
+    answer = Answer((), FORM_STDS[0], 1.0)
+    if not free:
+        noise = np.eye(errors.size)[errors.frame.stop :]
+        # The frame stays as it was identified: nothing of it is fitted, its uncertainty is in the bands.
+        still = Gaussian(np.zeros(errors.size), NOISE_STD**2 * np.eye(errors.size), 0.0)
+        at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(p, backend, MOST_FIT_STEPS)
+        covariance = prior.gaussian((), answer.form_std, same=errors.setting.base_measured).covariance
+        return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged, at.posterior.along)
+    rough = _Posterior(
+        errors.shortened(FIRST_SAMPLES, p),
+        informative(errors, prior, p, FIRST_INFORMATION),
+        prior.gaussian(range(errors.stories), FORM_STDS[-1]),
+    )
+    p = rough.maximum(p, backend, MOST_FIT_STEPS, FIRST_FITTED)[0].p
+    along = informative(errors, prior, p)
+    for _ in range(MOST_DECISIONS):
+        posterior = _Posterior(errors, along, prior.gaussian(answer.stories, answer.form_std))
+        at, converged = posterior.maximum(p, backend, MOST_FIT_STEPS)
+        p, answers, before = at.p, possible_answers(at.likelihood, prior, at.p), answer
+        answer = answers[0]
+        if (answer.stories, answer.form_std) == (before.stories, before.form_std):
+            break
+    return _mixed(errors, prior, at, answers, converged)
+
+
+def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: float = LEAST_INFORMATION) -> Directions:
+    """The directions along which the record tells something, whichever stories changed and whatever the form misses.
+
+    Parameters
+    ----------
+    errors : PredictionErrors
+    prior : FramePrior
+    p : ndarray, shape (P,)
+    least : float, optional
+    """
+    short = errors.shortened(FIRST_SAMPLES, p)
+    widest = prior.gaussian(range(errors.stories), FORM_STDS[-1])
+    root = np.asarray(np.linalg.cholesky(widest.covariance), dtype=np.float64)
+    return short.told(p, root, least * np.sqrt(short.samples / errors.samples))
+
+
+def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: Backend, steps: int) -> FittedFrame:
+    """The same frame fitted without one sensor, with the same answers possible.
+
+    Parameters
+    ----------
+    frame : FittedFrame
+    errors : PredictionErrors
+    gone : int
+        Unknown that the sensor's noise was.
+    backend : Backend
+    steps : int
+        At most; with none the frame stays as it was.
+    """
+    prior = dataclasses.replace(frame.prior, others=frame.prior.others - 1)
+    start = np.delete(frame.p, gone)
+    if not steps:
+        covariance = np.delete(np.delete(frame.covariance, gone, axis=0), gone, axis=1)
+        return FittedFrame(errors, prior, start, covariance, frame.answers, 1.0, True, frame.along)
+    along = frame.along.without(gone)
+    best = frame.answers[0]
+    posterior = _Posterior(errors, along, prior.gaussian(best.stories, best.form_std))
+    at, converged = posterior.maximum(start, backend, steps)
+    return _mixed(errors, prior, at, frame.answers, converged)
+
+
+def _mixed(
+    errors: PredictionErrors, prior: FramePrior, at: _Point, answers: Sequence[Answer], converged: bool
+) -> FittedFrame:
+    """The frame with the covariance of the mixture of the answers."""
+    total = sum(each.probability for each in answers)
+    covariance = np.zeros((errors.size, errors.size))
+    for each in answers:
+        mean, own = _Linear(at.likelihood, at.p, prior.gaussian(each.stories, each.form_std)).posterior()
+        away = mean - at.p
+        covariance += each.probability / total * (own + np.outer(away, away))
+    inflation, along = at.likelihood.inflation, at.posterior.along
+    return FittedFrame(errors, prior, at.p, covariance, tuple(answers), inflation, converged, along)
+
+
+class _Linear:
+    """Linear data of unknowns with a Gaussian prior, the likelihood tempered by its inflation.
+
+    Parameters
+    ----------
+    at : Likelihood
+    p : ndarray, shape (P,)
+        Where it was linearised.
+    prior : Gaussian
+    """
+
+    def __init__(self, at: Likelihood, p: Floats, prior: Gaussian) -> None:
+        self.U, self.prior, self.covariance = at.U, prior, prior.covariance
+        self.data = at.U @ (p - prior.mean) - at.c
+        self.seen = at.U @ prior.covariance @ at.U.T + at.inflation * np.eye(len(at.c))
+
+    def evidence(self, more: Floats | None = None) -> float:
+        """Log evidence but for a constant, of a prior whose covariance is larger by more more' where given."""
+        whole = self.seen if more is None else self.seen + (self.U @ more) @ (self.U @ more).T
+        _, log_det = np.linalg.slogdet(whole)
+        return self.prior.evidence - 0.5 * float(self.data @ np.linalg.solve(whole, self.data) + log_det)
+
+    def posterior(self) -> tuple[Floats, Floats]:
+        """Mean and covariance of the unknowns."""
+        spread = self.U @ self.covariance
+        gain = np.linalg.solve(self.seen, spread).T
+        return self.prior.mean + gain @ self.data, self.covariance - gain @ spread
+
+
+def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answer, ...]:
+    """Which stories may have changed and how much the form may miss, by the evidence of the linearised likelihood.
+
+    Sets of each size grow from the best of the size before. Each larger error of the form is half as probable as the
+    one before it: most models describe the modes that they were fitted to.
+
+    Parameters
+    ----------
+    at : Likelihood
+        At p.
+    prior : FramePrior
+    p : ndarray, shape (P,)
+    """
+    stories = range(len(prior.identified))
+    odds = float(np.log(prior.probability) - np.log1p(-prior.probability))
+    scores: dict[tuple[tuple[int, ...], float], float] = {}
+    for rank, std in enumerate(FORM_STDS):
+        linear = _Linear(at, p, prior.gaussian((), std))
+        changes = prior.change_std * np.eye(len(p))
+        level: list[tuple[int, ...]] = [()]
+        for size in range(min(MOST_CHANGES, len(stories)) + 1):
+            grown = level
+            if size:
+                pairs = itertools.product(level, stories)
+                grown = sorted({tuple(sorted({*base, story})) for base, story in pairs if story not in base})
+            for each in grown:
+                scores[each, std] = linear.evidence(changes[:, list(each)]) + odds * len(each) - rank * np.log(2.0)
+            level = sorted(grown, key=lambda each: -scores[each, std])[:KEPT_SETS]
+    best = max(scores.values())
+    kept = {each: np.exp(score - best) for each, score in scores.items() if score > best + np.log(LEAST_WEIGHT)}
+    total = sum(kept.values())
+    order = sorted(kept, key=lambda each: -kept[each])
+    return tuple(Answer(*each, float(kept[each] / total)) for each in order)

@@ -1,0 +1,309 @@
+"""The motion of a frame in a record, with its deviations: the frame is fitted, then the motion, then both vary.
+
+A deviation has two parts: the smoother's own, the frame given, and what the uncertainty of the frame moves, along the
+directions that move the motion most.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cvxshear.backends import Backend
+from cvxshear.records.motion import Drive
+from cvxshear.response.damped import DampedModel, Response, response
+from cvxshear.response.dynamics import SHORT, Noise, Outputs, Setting, dynamics
+from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, fit_frame
+from cvxshear.response.innovations import FIRST_FORCE, FIRST_SENSOR, PredictionErrors, Stretch
+from cvxshear.response.recording import Recording
+from cvxshear.response.smoother import Observed, Smoothed, Steady, smooth
+from cvxshear.response.uncertain import UncertainFrame
+from cvxshear.response.varied_frame import FramePrior, VariedFrame
+from cvxshear.util.typing import Floats
+
+PROBED_SAMPLES = 1000
+"""Samples of the strongest motion on which the directions of the frame's uncertainty are compared."""
+
+MOST_DIRECTIONS = 8
+CARRIED_SHARE = 0.995
+"""Directions of the frame's uncertainty that are propagated at most, and the share of the variance that they carry
+together at least where fewer do; what the others add is allowed for."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReconstructedRun:
+    """The motion during one run.
+
+    Parameters
+    ----------
+    name : str
+    response : Response
+    std : dict of str to ndarray
+        Standard deviations of the quantities over time, by the names of `peaks.histories`.
+    base : ndarray, shape (samples,), optional
+        Base acceleration that was estimated, m/s2; None where it was measured.
+    base_std : ndarray, shape (samples,), optional
+    measured : ndarray, shape (samples, m)
+        m/s2; nan where missing.
+    excitation : ndarray, shape (samples,)
+    """
+
+    name: str
+    response: Response
+    std: dict[str, Floats]
+    base: Floats | None
+    base_std: Floats | None
+    measured: Floats
+    excitation: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Directions of the frame's uncertainty.
+
+    Parameters
+    ----------
+    sides : tuple of pairs of DampedModel
+        The frame one standard deviation to either side along each.
+    allowance : ndarray, shape (outputs,)
+        Variance of each output along all directions over that along these.
+    """
+
+    sides: tuple[tuple[DampedModel, DampedModel], ...]
+    allowance: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class FrameMotion:
+    """A frame and what sensors recorded of it.
+
+    Parameters
+    ----------
+    frame : UncertainFrame
+        As identified.
+    varied : VariedFrame
+    recording : Recording
+    setting : Setting
+    noise : Noise
+        Where its levels start.
+    backend : Backend
+    free : bool
+        Whether the frame is fitted.
+    """
+
+    frame: UncertainFrame
+    varied: VariedFrame
+    recording: Recording
+    setting: Setting
+    noise: Noise
+    backend: Backend
+    free: bool
+
+    @staticmethod
+    def around(frame: UncertainFrame, recording: Recording, backend: Backend, *, free: bool) -> FrameMotion:
+        """Around an identified frame."""
+        varied = VariedFrame.around(frame)
+        model = varied.centre.model
+        known, rms = recording.input != "none", recording.rms()
+        frequencies = 2 * np.pi * model.modes.frequencies
+        setting = Setting(
+            recording.floors, recording.step, recording.force_floor, known, float(frequencies[0]),
+            float(frequencies[-1]), frame.story_stiffness * _drift_rms(model, recording),
+        )  # fmt: skip
+        noise = Noise(FIRST_SENSOR * rms, FIRST_FORCE, 0.0 if known else float(rms.min()))
+        # Without the base motion a softer first story and another base motion are one and the same.
+        return FrameMotion(frame, varied, recording, setting, noise, backend, free and known)
+
+    def without(self, channel: int, parts: list[slice]) -> FrameMotion:
+        """One channel fewer, and of each run a part."""
+        return dataclasses.replace(
+            self,
+            recording=self.recording.without(channel).cut(parts),
+            setting=self.setting.without(channel),
+            noise=dataclasses.replace(self.noise, sensors=np.delete(self.noise.sensors, channel)),
+        )
+
+    @cached_property
+    def period(self) -> float:
+        """Of the identified frame's first mode, s."""
+        return 1.0 / float(self.varied.centre.model.modes.frequencies[0])
+
+    def fitted(self) -> tuple[FittedFrame, list[Smoothed]]:
+        """The frame and its motion: gaps and spikes are filled in by the identified frame, then by the fitted one."""
+        smoothed: list[Smoothed] = []
+        whole = not any(np.isnan(run.measured).any() for run in self.recording.runs)
+        errors = self._errors(None, None)
+        prior = FramePrior.around(self.frame, self.varied, errors.size - errors.frame.stop)
+        p = np.zeros(errors.size)
+        if not whole:
+            smoothed = self.smoothed(errors, p)
+            errors = self._errors(smoothed, p)
+        fitted = fit_frame(errors, prior, self.backend, p, free=self.free)
+        smoothed = self.smoothed(errors, fitted.p)
+        if all(bool(np.all(each.weights == 1.0)) for each in smoothed):
+            return fitted, smoothed
+        fitted = fit_frame(self._errors(smoothed, fitted.p), prior, self.backend, fitted.p, free=self.free)
+        return fitted, self.smoothed(fitted.errors, fitted.p)
+
+    def _errors(self, smoothed: list[Smoothed] | None, p: Floats | None) -> PredictionErrors:
+        """The innovations of the strongest part of each run, gaps and spikes filled in by the smoother."""
+        stretches = []
+        for place, run in enumerate(self.recording.runs):
+            y = np.nan_to_num(run.measured) if smoothed is None else smoothed[place].completed
+            start = np.zeros(self.setting.states) if smoothed is None else smoothed[place].states[0]
+            stretches.append(Stretch(run.driven, y, start))
+        errors = PredictionErrors(self.varied, self.setting, stretches, self.noise)
+        return errors.shortened(FITTED_SAMPLES, np.zeros(errors.size) if p is None else p)
+
+    def smoothed(self, errors: PredictionErrors, p: Floats, rows: Floats | None = None) -> list[Smoothed]:
+        """The motion of each run, with deviations of all outputs or of those given by rows on the state.
+
+        Parameters
+        ----------
+        errors : PredictionErrors
+        p : ndarray, shape (P,)
+            Unknowns of the frame and the noise.
+        rows : ndarray, shape (outputs, n), optional
+        """
+        model = errors.dynamics(p)
+        asked = self.outputs(model.outputs).rows if rows is None else rows
+        stationary = np.sqrt(np.maximum(np.sum(model.H @ model.P0 * model.H, axis=1), 1e-300))
+        first = max(2, round(self.period * self.recording.sampling_rate))
+        found = []
+        for run, envelope in zip(self.recording.runs, self.recording.envelopes(self.period), strict=True):
+            begins = run.measured[:first]
+            moved = np.sqrt(np.nanmean((begins if np.isfinite(begins).any() else run.measured) ** 2))
+            scale = max(float(envelope[0]), float(moved / np.sqrt(np.mean(stationary**2))))
+            found.append(smooth(model, Observed(run.driven, run.measured, envelope, scale), asked))
+        return found
+
+    def outputs(self, plain: Outputs) -> Outputs:
+        """With the overturning moment, and the base acceleration where it is estimated."""
+        n = len(self.varied.story_stiffness)
+        rows, direct = [plain.rows], [plain.direct]
+        heights = self.varied.centre.model.heights
+        if heights is not None:
+            rows.append((heights @ plain.rows[3 * n :])[None])
+            direct.append(np.atleast_1d(heights @ plain.direct[3 * n :]))
+        if not self.setting.base_measured:
+            rows.append(np.eye(self.setting.states)[3 * n :])
+            direct.append(np.zeros(1))
+        return Outputs(np.concatenate(rows), np.concatenate(direct))
+
+    def runs(self, fitted: FittedFrame, smoothed: list[Smoothed], wider: float) -> list[ReconstructedRun]:
+        """Every run's motion, its deviations widened by a factor.
+
+        Parameters
+        ----------
+        fitted : FittedFrame
+        smoothed : list of Smoothed
+        wider : float
+        """
+        directions = self.directions(fitted)
+        noise = fitted.errors.noise_at(fitted.p)
+        rows = self.outputs(fitted.errors.dynamics(fitted.p).outputs)
+        model, n = fitted.model, len(self.varied.story_stiffness)
+        result = []
+        for run, found in zip(self.recording.runs, smoothed, strict=True):
+            moved = rows.of(found.states, run.driven)
+            std = found.output_std**2
+            for sides in directions.sides:
+                std += directions.allowance * self.moved_by(sides, noise, run.driven, found) ** 2
+            np.sqrt(std, out=std)
+            std *= wider
+            acceleration, displacement, _, force = (moved[:, k * n : (k + 1) * n] for k in range(4))
+            time = self.recording.step * np.arange(len(moved), dtype=np.float64)
+            motion = Response(time, acceleration, displacement, force, model.heights, model.mass_known)
+            names = ("floor_acceleration", "floor_displacement", "story_drift", "story_shear")
+            stds = {name: std[:, k * n : (k + 1) * n] for k, name in enumerate(names)}
+            stds["base_shear"] = stds["story_shear"][:, 0]
+            if model.heights is not None:
+                stds["story_drift_ratio"] = stds["story_drift"] / model.heights
+                stds["overturning_moment"] = std[:, 4 * n]
+            base, base_std = (None, None) if self.setting.base_measured else (moved[:, -1], std[:, -1])
+            result.append(ReconstructedRun(run.name, motion, stds, base, base_std, run.measured, run.driven))
+        return result
+
+    def moved_by(
+        self, sides: tuple[DampedModel, DampedModel], noise: Noise, excitation: Floats, found: Smoothed
+    ) -> Floats:
+        """Half the difference of all outputs between two frames, shape (samples, outputs).
+
+        Parameters
+        ----------
+        sides : pair of DampedModel
+        noise : Noise
+        excitation : ndarray, shape (samples,)
+        found : Smoothed
+            Whose measurements the frames are smoothed to.
+        """
+        driven, seen = excitation.astype(SHORT), found.completed.astype(SHORT)
+        ends = []
+        for model in sides:
+            moved = dynamics(model, noise, self.setting)
+            states = Steady.of(moved).states(driven, seen, found.states[0])
+            ends.append(self.outputs(moved.outputs).of(states, driven))
+        result: Floats = 0.5 * (ends[0] - ends[1])
+        return result
+
+    def directions(self, fitted: FittedFrame, most: int = MOST_DIRECTIONS) -> Directions:
+        """The directions of the frame's uncertainty that move its motion most, one standard deviation long.
+
+        Parameters
+        ----------
+        fitted : FittedFrame
+        most : int, optional
+        """
+        frame = fitted.errors.frame
+        values, vectors = np.linalg.eigh(fitted.covariance[frame, frame])
+        own = vectors * np.sqrt(np.maximum(values, 0.0))
+        noise = fitted.errors.noise_at(fitted.p)
+        run = max(fitted.errors.stretches, key=lambda each: float(np.mean(each.y**2)))
+        part = run.strongest(PROBED_SAMPLES)
+        excitation, y, start = run.excitation[part], run.y[part], np.zeros(len(run.start))
+
+        def model_at(weights: Floats) -> DampedModel:
+            p = fitted.p.copy()
+            p[frame] += own @ weights
+            return fitted.errors.model(p)
+
+        def moved(model: DampedModel) -> Floats:
+            system = dynamics(model, noise, self.setting)
+            return self.outputs(system.outputs).of(Steady.of(system).states(excitation, y, start), excitation)
+
+        centre = moved(fitted.model)
+        scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
+        # A tenth of a standard deviation: the directions are needed to first order only.
+        slopes = np.array([(moved(model_at(0.1 * row)) - centre) / scale / 0.1 for row in np.eye(len(own))])
+        flat = slopes.reshape(len(own), -1)
+        strength, turned = np.linalg.eigh(flat @ flat.T)
+        order = np.argsort(-strength)
+        carried = np.cumsum(np.maximum(strength[order], 0.0))
+        if carried[-1] <= 0:
+            return Directions((), np.ones(len(scale)))
+        chosen = order[: min(int(np.searchsorted(carried, CARRIED_SHARE * carried[-1])) + 1, most)]
+        along = np.sum(np.tensordot(turned[:, chosen].T, slopes, axes=1) ** 2, axis=(0, 1))
+        sides = tuple((model_at(turned[:, k]), model_at(-turned[:, k])) for k in chosen)
+        return Directions(sides, np.sum(slopes**2, axis=(0, 1)) / np.maximum(along, 1e-300))
+
+
+def predicted_responses(model: DampedModel, recording: Recording) -> list[Response] | None:
+    """The motion of a frame without a look at the sensors; None where the excitation was not measured."""
+    if recording.input == "none":
+        return None
+    drives = [Drive(run.driven, recording.force_floor, name=run.name) for run in recording.runs]
+    return [response(model, drive, recording.step) for drive in drives]
+
+
+def _drift_rms(model: DampedModel, recording: Recording) -> Floats:
+    """Of each story: predicted, or from the first mode scaled to the sensors where the excitation is not known."""
+    responses = predicted_responses(model, recording)
+    if responses is not None:
+        return np.asarray(np.sqrt(np.mean(np.concatenate([item.drift for item in responses]) ** 2, axis=0)))
+    first, at = model.modes.shapes[0], recording.floors - 1
+    amplitude = float(np.linalg.norm(recording.rms()) / np.linalg.norm(first[at] * model.gain[at]))
+    drift: Floats = np.abs(np.diff(first, prepend=0.0)) * amplitude / float(model.modes.eigenvalues[0])
+    return drift

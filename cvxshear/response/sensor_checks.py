@@ -1,0 +1,176 @@
+"""How far a reconstruction can be believed: each sensor from all others, and whether the innovations are white."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from cvxshear.response.damped import Response
+from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, refitted
+from cvxshear.response.frame_motion import FrameMotion
+from cvxshear.response.innovations import PredictionErrors, Stretch
+from cvxshear.response.smoother import SPIKE, Smoothed
+from cvxshear.util.typing import Floats
+
+CHECK_STEPS = 1
+"""Gauss-Newton steps of the frame without one sensor: it starts from the fit to all, and what it needs is the
+covariance."""
+
+CHECKED_DIRECTIONS = 4
+"""Directions propagated to a floor whose sensor was left out."""
+
+LAGS = 20
+"""Lags of the test of whiteness (Ljung and Box 1978)."""
+
+NORMAL_95 = float(stats.norm.ppf(0.975))
+
+
+@dataclass(frozen=True)
+class SensorCheck:
+    """One sensor's acceleration from all other sensors.
+
+    Parameters
+    ----------
+    floor : int
+    error : float
+        Root mean square over time of what was left, m/s2.
+    stated : float
+        The same of its standard deviation, the sensor's own noise included, m/s2.
+    measured : float
+        Root mean square of the measurement, m/s2.
+    prediction_error : float or None
+        Error of the model's prediction, which looks at no sensor; None where the excitation was not measured.
+    within : float
+        Share of samples within 1.96 stated standard deviations.
+    """
+
+    floor: int
+    error: float
+    stated: float
+    measured: float
+    prediction_error: float | None
+    within: float
+
+
+@dataclass(frozen=True)
+class Whiteness:
+    """Whether one floor's innovations are white.
+
+    Parameters
+    ----------
+    floor : int
+    size : float
+        Their standard deviation over the stated one.
+    correlation : float
+        The largest, with an earlier sample.
+    lag : float
+        Of that sample, s.
+    p_value : float
+        Of Ljung and Box's statistic.
+    spikes : int
+        Samples whose weight Huber's loss reduced.
+    missing : int
+        Samples that were not measured.
+    """
+
+    floor: int
+    size: float
+    correlation: float
+    lag: float
+    p_value: float
+    spikes: int
+    missing: int
+
+
+def checked(
+    work: FrameMotion, fitted: FittedFrame, smoothed: Sequence[Smoothed], channel: int,
+    predicted: Sequence[Response] | None,
+) -> SensorCheck:  # fmt: skip
+    """One sensor from the others over the strongest part of each run: frame and motion are fitted without it.
+
+    Parameters
+    ----------
+    work : FrameMotion
+    fitted : FittedFrame
+        With all sensors.
+    smoothed : sequence of Smoothed
+        Likewise.
+    channel : int
+    predicted : sequence of Response or None
+        Motion without a look at the sensors.
+    """
+    whole = [Stretch(run.driven, each.completed, each.states[0])
+             for run, each in zip(work.recording.runs, smoothed, strict=True)]  # fmt: skip
+    parts = [each.strongest(FITTED_SAMPLES) for each in whole]
+    other = work.without(channel, parts)
+    stretches = [dataclasses.replace(each, y=np.delete(each.y, channel, axis=1)) for each in fitted.errors.stretches]
+    errors = PredictionErrors(work.varied, other.setting, stretches, other.noise)
+    at = fitted.errors.frame.stop + channel
+    again = refitted(fitted, errors, at, work.backend, CHECK_STEPS if work.free else 0)
+    directions, noise = other.directions(again, CHECKED_DIRECTIONS), errors.noise_at(again.p)
+    outputs = errors.dynamics(again.p).outputs
+    place = int(work.recording.floors[channel]) - 1
+    gain = float(work.varied.centre.model.gain[place])
+    row, direct = gain * outputs.rows[place], gain * outputs.direct[place]
+    sigma = fitted.errors.noise_at(fitted.p).sensors[channel]
+    left, stated, measured, alone = [], [], [], []
+    found = other.smoothed(errors, again.p, row[None, :])
+    for number, (run, each, part) in enumerate(zip(other.recording.runs, found, parts, strict=True)):
+        variance = each.output_std[:, 0] ** 2 + sigma**2
+        for sides in directions.sides:
+            moved = other.moved_by(sides, noise, run.driven, each)[:, place]
+            variance += directions.allowance[place] * (gain * moved) ** 2
+        there = smoothed[number].weights[part, channel] == 1.0
+        seen = work.recording.runs[number].measured[part, channel]
+        left.append((each.states @ row + direct * run.driven - seen)[there])
+        stated.append(variance[there])
+        measured.append(seen[there])
+        if predicted is not None:
+            alone.append((gain * predicted[number].acceleration[part, place] - seen)[there])
+    error, variances = np.concatenate(left), np.concatenate(stated)
+    return SensorCheck(
+        place + 1, _rms(error), float(np.sqrt(np.mean(variances))), _rms(np.concatenate(measured)),
+        _rms(np.concatenate(alone)) if alone else None,
+        float(np.mean(np.abs(error) <= NORMAL_95 * np.sqrt(variances))),
+    )  # fmt: skip
+
+
+def widening(checks: Sequence[SensorCheck]) -> float:
+    """Factor on all bands: by how much sensors that were left out missed more than stated; at least 1."""
+    return max(1.0, float(np.sqrt(np.mean([(each.error / each.stated) ** 2 for each in checks])))) if checks else 1.0
+
+
+def whiteness(work: FrameMotion, smoothed: Sequence[Smoothed]) -> tuple[Whiteness, ...]:
+    """Of the innovations of each floor over all runs.
+
+    Parameters
+    ----------
+    work : FrameMotion
+    smoothed : sequence of Smoothed
+    """
+    found = []
+    lags = np.arange(1, min(LAGS, min(len(each.weights) for each in smoothed) - 1) + 1)
+    for channel, floor in enumerate(work.recording.floors):
+        # A spike is no sign of a model that is wrong.
+        runs = [np.clip(np.nan_to_num(each.innovations[:, channel]), -SPIKE, SPIKE) for each in smoothed]
+        weights = np.concatenate([each.weights[:, channel] for each in smoothed])
+        power, count = sum(float(run @ run) for run in runs), int(np.sum(weights > 0))
+        correlation = np.array([sum(float(run[lag:] @ run[:-lag]) for run in runs) for lag in lags]) / power
+        statistic = count * (count + 2) * float(np.sum(correlation**2 / (count - lags)))
+        at = int(np.argmax(np.abs(correlation)))
+        found.append(
+            Whiteness(
+                int(floor), float(np.sqrt(power / count)), float(correlation[at]),
+                float(lags[at]) * work.recording.step, float(stats.chi2.sf(statistic, len(lags))),
+                int(np.sum((weights > 0) & (weights < 1))), int(np.sum(weights == 0)),
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))

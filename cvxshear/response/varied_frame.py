@@ -1,0 +1,310 @@
+"""How a frame in a record can differ from the identified one, and how probable each difference is.
+
+Five kinds of unknowns: factors on the story stiffnesses, factors on the damping, the uncertain masses and effects of
+the identified model, what the form of the model misses, and the levels of the noise. The fourth is
+
+    dK = sum over i <= j of e_ij omega_i omega_j M (phi_i phi_j' + phi_j phi_i') M / (1 + delta_ij),
+
+with modes phi_i of the identified model: a symmetric change of the stiffness that no set of stories has. On
+finite-element frames whose beams bend, a shear model that was fitted to their modes misses e_ij of 0.01 to 0.04, alike
+for all i and j, and of i = j more with each mode beyond the measured ones; their standard deviation is estimated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from cvxshear.effects.story_change import StoryChange
+from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.model.shear import modes, stiffness_matrix
+from cvxshear.response.damped import DampedModel
+from cvxshear.response.uncertain import Damped, UncertainFrame, modal_matrix
+from cvxshear.util.typing import Floats
+
+AMPLITUDE_STD = 0.15
+"""Relative standard deviation of one factor on all story stiffnesses: instrumented buildings soften by some 5 to 30 %
+in strong shaking and mostly recover (Clinton, Bradford, Heaton and Favela 2006), bench frames by some percent."""
+
+SCATTER_STD = 0.01
+"""Relative standard deviation by which unchanged stories soften differently: a tenth of what the whole frame does."""
+
+DAMPING_STD = 0.5
+"""Standard deviation of the logarithm of one factor on all damping: ratios double or halve with the amplitude."""
+
+OTHER_DAMPING_STD = 0.3
+"""Standard deviation of the logarithm of each dashpot, or of Rayleigh's factors, by themselves."""
+
+NOISE_STD = 1.0
+"""Standard deviation of the logarithm of each noise level: a factor of seven to either side is within two."""
+
+FORM_STDS = (0.003, 0.01, 0.03, 0.1)
+"""Standard deviations of e_ij that are compared by their evidence: from a model as good as the best data
+to one whose modes have little to do with the frame's."""
+
+MODAL_STEP = 1e-3
+"""Step of the unknowns by which modes are differentiated: their curvature leaves a thousandth of a derivative."""
+
+ASSUMED_FREQUENCY_STD, ASSUMED_SHAPE_STD = 0.005, 0.02
+"""Relative standard deviations of measured frequencies and shapes where none are declared: usual modal tests."""
+
+COUPLED_MODES = 6
+"""Lowest modes that an error of the model's form mixes; of higher modes it changes the frequencies alone. Six have most
+of a building's motion, and more would be as many unknowns as all else together."""
+
+
+@dataclass(frozen=True, eq=False)
+class VariedFrame:
+    """A damped frame with factors on its story stiffnesses and damping, and with matrices that may be off.
+
+    Parameters
+    ----------
+    centre : Damped
+    story_stiffness : ndarray, shape (N,)
+        N/m.
+    ratios : ndarray, shape (N,)
+        Damping ratios of the modes, of modal damping.
+    own_std : ndarray, shape (D,)
+        Of the logarithm of each damping factor, by itself.
+    dM, dK : ndarray, shape (W, N, N)
+        Change of the matrices along each direction of the uncertainty of masses and effects, one standard deviation.
+    dgain : ndarray, shape (W, N)
+    form : ndarray, shape (X, N, N)
+        Changes of the stiffness matrix for e_ij = 1.
+    """
+
+    centre: Damped
+    story_stiffness: Floats
+    ratios: Floats
+    own_std: Floats
+    dM: Floats
+    dK: Floats
+    dgain: Floats
+    form: Floats
+
+    @staticmethod
+    def around(frame: UncertainFrame) -> VariedFrame:
+        """Around the most probable values of an uncertain frame."""
+        centre = frame.at(np.zeros(frame.size))
+        if frame.kind == "modal":
+            own = frame.ratios.std
+        else:
+            own = np.full(2 if centre.rayleigh is not None else len(centre.model.M), OTHER_DAMPING_STD)
+        base = frame.undamped(frame.fitted.theta)
+        moved = [frame.undamped(frame.fitted.theta + column) for column in frame.nuisance_root().T]
+        shape = (len(moved), *base.M.shape)
+        dM, dK, dgain = (
+            np.array([getattr(each, name) - getattr(base, name) for each in moved]).reshape(shape[: 1 + at.ndim])
+            for name, at in (("M", base.M), ("K", base.K), ("gain", base.gain))
+        )
+        measured = max(int(each.modes.max()) for each in frame.fitted.experiment.configurations)
+        form = _form(centre.model, measured)
+        return VariedFrame(centre, frame.story_stiffness, frame.ratios.values, own, dM, dK, dgain, form)
+
+    @property
+    def sizes(self) -> tuple[int, int, int, int]:
+        """Numbers of story factors, damping factors, directions of masses and effects, and errors of the form."""
+        return len(self.story_stiffness), len(self.own_std), len(self.dM), len(self.form)
+
+    @property
+    def nuisance_share(self) -> Floats:
+        """Relative change of masses and modal stiffnesses along each of their directions, shape (W,)."""
+        own = self.centre.model.modes
+        masses = np.diagonal(self.dM, axis1=1, axis2=2) / np.diag(self.centre.model.M)
+        stiffness = np.sum((own.shapes @ self.dK) * own.shapes, axis=2) / own.eigenvalues
+        square: Floats = np.mean(masses**2, axis=1) + np.mean(stiffness**2, axis=1)
+        return np.asarray(np.sqrt(np.maximum(square, 1e-8)), dtype=np.float64)
+
+    def model(self, unknowns: Floats) -> DampedModel:
+        """The frame of given unknowns: logarithms, logarithms, standard deviations, and e_ij.
+
+        Raises
+        ------
+        NoModesError
+            Where it has no modes.
+        """
+        stiffness, damping, nuisance, missed = np.split(unknowns, np.cumsum(self.sizes)[:3])
+        old = self.centre.model
+        M = old.M + np.tensordot(nuisance, self.dM, axes=1)
+        K = old.K + np.tensordot(nuisance, self.dK, axes=1) + np.tensordot(missed, self.form, axes=1)
+        K = K + stiffness_matrix(self.story_stiffness * np.expm1(stiffness))
+        scale = np.exp(damping)
+        if self.centre.dashpots is not None:
+            C = stiffness_matrix(self.centre.dashpots.values * scale)
+        elif self.centre.rayleigh is not None:
+            a, b = self.centre.rayleigh * scale
+            C = a * M + b * K
+        else:
+            C = modal_matrix(M, modes(M, K), self.ratios * scale)
+        return DampedModel(M, C, K, old.gain + nuisance @ self.dgain, old.heights, old.mass_known)
+
+
+def _form(model: DampedModel, measured: int) -> Floats:
+    """The matrices that e_ij multiply, shape (X, N, N); those of modes beyond the measured ones are larger."""
+    own = model.modes
+    # M phi_i omega_i, a row a mode.
+    rows = (own.shapes * np.sqrt(own.eigenvalues)[:, None]) @ model.M
+    coupled = np.triu_indices(min(len(rows), COUPLED_MODES), k=1)
+    pairs = [(i, i) for i in range(len(rows))] + list(zip(*coupled, strict=True))
+    single = np.array([np.outer(rows[i], rows[j]) for i, j in pairs])
+    mirrored: Floats = single + single.swapaxes(1, 2)
+    beyond = np.maximum(np.arange(1, len(rows) + 1) - measured, 0)
+    mirrored[: len(rows)] *= (1 + beyond)[:, None, None] / 2
+    return mirrored
+
+
+@dataclass(frozen=True, eq=False)
+class ModalRows:
+    """What the measured modes say of a frame whose model may be wrong in form, linearised at the identified one.
+
+    Parameters
+    ----------
+    J : ndarray, shape (d, N + W + X)
+        Derivatives of frequencies and shape entries, in standard deviations, by the logarithms of the story
+        stiffnesses in the tests, by masses and effects, and by e_ij.
+    data : ndarray, shape (d,)
+        Measured less modelled.
+    """
+
+    J: Floats
+    data: Floats
+
+    @staticmethod
+    def around(frame: UncertainFrame, varied: VariedFrame) -> ModalRows:
+        """The rows of all tests of the frame's state."""
+        N, D, W, X = varied.sizes
+        configurations = frame.fitted.experiment.configurations
+        tests = [each for each in configurations if each.state == frame.configuration.state]
+
+        def described(z: Floats) -> Floats:
+            model = varied.model(np.concatenate([z[:N], np.zeros(D), z[N:]]))
+            return np.concatenate(
+                [np.zeros(0), *(_standardized(test, model, test.added_mass - frame.configuration.added_mass)
+                                for test in tests)]
+            )  # fmt: skip
+
+        centre = described(np.zeros(N + W + X))
+        if not len(centre) or not frame.uncertain:
+            return ModalRows(np.zeros((0, N + W + X)), np.zeros(0))
+        J = np.array([(described(MODAL_STEP * row) - centre) / MODAL_STEP for row in np.eye(N + W + X)]).T
+        return ModalRows(-J, centre)
+
+
+def _standardized(test: Configuration, model: DampedModel, added: Floats) -> Floats:
+    """Measured less modelled frequencies and shape entries of one test, in standard deviations."""
+    own = modes(model.M + np.diag(added), model.K)
+    at = test.modes - 1
+    std = ASSUMED_FREQUENCY_STD if test.frequency_std is None else test.frequency_std
+    parts = [np.log(test.frequencies / own.frequencies[at]) / std]
+    declared = np.asarray(ASSUMED_SHAPE_STD if test.mode_shape_std is None else test.mode_shape_std, dtype=np.float64)
+    stds = np.broadcast_to(declared if declared.ndim == 2 else declared.reshape(-1, 1), test.mode_shapes.shape)
+    for measured, mode, noise in zip(test.mode_shapes, at, stds, strict=False):
+        there = np.isfinite(measured)
+        if there.sum() < 2:
+            continue
+        entry = (own.shapes[mode] * model.gain)[test.measured_floors - 1][there]
+        seen = measured[there]
+        largest = np.abs(seen) if test.mode_shape_noise == "multiplicative" else np.abs(seen).max()
+        weight = 1.0 / np.maximum(noise[there] * largest, 1e-12 * np.abs(seen).max())
+        scale = float((weight * entry) @ (weight * seen) / ((weight * entry) @ (weight * entry)))
+        parts.append(weight * (seen - scale * entry))
+    return np.concatenate(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class FramePrior:
+    """Gaussian prior of the unknowns of a `VariedFrame` and of the levels of the noise.
+
+    The measured modes are in it twice, in the identified stiffnesses and masses, where the form of the model counts as
+    right, and for what may be wrong of the form.
+
+    Parameters
+    ----------
+    identified : ndarray, shape (N, N)
+        Covariance of the logarithms of the story stiffnesses as they were identified, masses and effects given.
+    change_std : float
+        Of the logarithm of a changed story's factor.
+    probability : float
+        That one story changed.
+    own_damping : ndarray, shape (D,)
+    sizes : tuple of int
+        N, D, W and X.
+    nuisance_share : ndarray, shape (W,)
+        Relative change of the frame along each direction of masses and effects.
+    others : int
+        Number of noise levels.
+    measured : ModalRows
+    """
+
+    identified: Floats
+    change_std: float
+    probability: float
+    own_damping: Floats
+    sizes: tuple[int, int, int, int]
+    nuisance_share: Floats
+    others: int
+    measured: ModalRows
+
+    @staticmethod
+    def around(frame: UncertainFrame, varied: VariedFrame, others: int) -> FramePrior:
+        """What was identified, and what is expected of a story that changed."""
+        change = _expected_change(frame.fitted.experiment)
+        size = float(change.sizes(None)[0])  # type: ignore[arg-type]  # this effect's size needs no scale of the frame
+        probability = 1.0 - (1.0 - change.probability) ** (1.0 / frame.fitted.experiment.stories)
+        return FramePrior(
+            frame.conditional_stiffness(), size, probability, varied.own_std, varied.sizes, varied.nuisance_share,
+            others, ModalRows.around(frame, varied),
+        )  # fmt: skip
+
+    def gaussian(self, changed: Sequence[int], form_std: float, *, same: bool = False) -> Gaussian:
+        """The prior with given stories (from 0) changed, and a given standard deviation of e_ij.
+
+        Parameters
+        ----------
+        changed : sequence of int
+        form_std : float
+        same : bool, optional
+            Whether stiffnesses and damping are still those of the tests.
+        """
+        N, D, W, X = self.sizes
+        # What modes say of masses and effects is no better than the form of the model.
+        nuisances = 1.0 + (form_std / self.nuisance_share) ** 2 / max(W, 1)
+        rest = np.concatenate([nuisances, np.full(X, form_std**2)])
+        tested = linalg.block_diag(self.identified, np.diag(rest))
+        damping = np.diag(self.own_damping**2) + (0.0 if same else DAMPING_STD**2)
+        whole = linalg.block_diag(self.identified, damping, np.diag(rest), NOISE_STD**2 * np.eye(self.others))
+        if not same:
+            whole[:N, :N] += AMPLITUDE_STD**2 + SCATTER_STD**2 * np.eye(N)
+            whole[list(changed), list(changed)] += self.change_std**2
+        # The record's stiffnesses are those of the tests times factors: both move along with the measured modes.
+        crossed = np.zeros((len(whole), len(tested)))
+        crossed[:N, :N] = self.identified
+        crossed[N + D : N + D + W + X, N:] = np.diag(rest)
+        J, data = self.measured.J, self.measured.data
+        seen = J @ tested @ J.T + np.eye(len(data))
+        gain = np.linalg.solve(seen, J @ crossed.T).T
+        _, log_det = np.linalg.slogdet(seen)
+        evidence = -0.5 * float(data @ np.linalg.solve(seen, data) + log_det)
+        covariance = whole - gain @ J @ crossed.T
+        return Gaussian(gain @ data, 0.5 * (covariance + covariance.T), evidence)
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussian:
+    """Mean and covariance of the unknowns, and the log evidence of the measured modes but for a constant."""
+
+    mean: Floats
+    covariance: Floats
+    evidence: float
+
+
+def _expected_change(experiment: Experiment) -> StoryChange:
+    """A story's change, as the measurement file expects it or as the catalogue does."""
+    change = StoryChange()
+    for said in experiment.expected:
+        if said.name == change.name and said.story is None:
+            return change.expecting(size=said.size, probability=said.probability)
+    return change
