@@ -209,7 +209,7 @@ def test_a_prior_that_does_not_hold_is_named():
 
 def test_what_nothing_explains_is_provisional():
     """Noise fifty times what was declared: no set explains it, and no effect is certain."""
-    rng, mass, stiffness = frame(9, 3)
+    rng, mass, stiffness = frame(9)
     closure = loop(
         [measured_in(mass, stiffness, rng, name=f"t{i}", state="one", noise=50.0) for i in range(3)], mass.sum()
     )
