@@ -12,13 +12,13 @@ from cvxshear.data import kinds as registry_module
 from cvxshear.effects import compose
 from cvxshear.fit.misfit import Misfit
 from tests.effects.common import ADDED, HEIGHTS, MASS, STIFFNESS, theta
-from tests.effects.test_derivatives import CASES, SCALES
+from tests.effects.test_derivatives import CASES, flat
 from tests.frames import chain, configuration, experiment, modes_of
 
 EFFECTS = [effect for effect, _ in CASES.values()]
-OWN = [value for _, value in CASES.values()]
+OWN, OWN_SCALES = flat(list(CASES.values()))
 AT = theta(*OWN)
-STEPS = 1e-5 * np.concatenate([MASS, STIFFNESS, list(SCALES.values())])
+STEPS = 1e-5 * np.concatenate([MASS, STIFFNESS, OWN_SCALES])
 FORCE = np.array([0.0, 30.0, 0.0, 120.0])
 
 
