@@ -44,6 +44,10 @@ no step left to try."""
 ROUNDING = 1e-13
 """Relative violation of a constraint that counts as none."""
 
+NO_GAIN = 1e-12
+"""Part of the misfit that is rounding: a damped step that promises less, and is no better, leads nowhere, and a step
+program about such a point has a gradient of nothing but rounding, which no solver can be held to."""
+
 FLAT = 0.1
 FLAT_STEPS = 3
 """Decrease of chi-square, where its mean a datum is one, that this many damped steps in a row must bring to go on."""
@@ -241,8 +245,9 @@ def _descended(
             return Fit(theta, at, Ending.STATIONARY, step, evaluations), refused
         taken, trials = _halved(problem, theta, d, at, domain, 0 if damping.active else HALVINGS)
         evaluations += trials
+        promised = float(at.r @ at.r) - float(np.sum((at.r + at.J @ d) ** 2))
         if taken is None:
-            if damping.exhausted:
+            if damping.exhausted or (damping.active and promised < NO_GAIN * at.objective):
                 return Fit(theta, at, Ending.NO_BETTER_STEP, step, evaluations), refused
             damping.heavier()
             continue
@@ -253,7 +258,6 @@ def _descended(
         if flat == FLAT_STEPS:
             return Fit(theta, at, Ending.FLAT, step, evaluations), refused
         if damping.active:
-            promised = float(before.r @ before.r) - float(np.sum((before.r + before.J @ d) ** 2))
             damping.lighter(gain / promised if promised > 0 else 0.0)
     return Fit(theta, at, Ending.STEP_LIMIT, most_steps, evaluations), refused
 
