@@ -54,6 +54,9 @@ that no set explains ends too. What is left out then is said."""
 ALIKE = 0.1
 """Difference of chi-square, relative where it is above one, that rounding and the priors of sizes leave of twins."""
 
+EXCHANGES = 3
+"""Best sets one after the other whose effects are exchanged when the budget is spent."""
+
 MOTIONS = 12
 """Fits of effects that bring a motion of their own."""
 
@@ -128,6 +131,24 @@ class Search:
             way(model)
         if not self.moved and not self.spent and self._add_motions():
             self.run()
+        elif self.spent:
+            self._exchange_in_best()
+
+    def _exchange_in_best(self) -> None:
+        """Visit what may stand in the place of each effect of the best set, however many sets were visited.
+
+        Without its neighbors the best set seems more probable than it is: of two effects that are a tie one may have
+        been tried beside it, the other only beside sets that are worse.
+        """
+        for _ in range(EXCHANGES):
+            best = self.best
+            if best.effects in self.thinned:
+                break
+            self.thinned.add(best.effects)
+            for placed in best.effects:
+                rest = best.effects - {placed}
+                self._fit_without(best, [rest])
+                self._with_one_of(self._lacking(self.visited[rest]), self.visited[rest], frozenset([placed]))
 
     def _add_motions(self) -> bool:
         """Visit sets with an effect that brings a motion of its own, where the shear model does not explain the data.
