@@ -31,7 +31,7 @@ from cvxshear.loop.verdicts import VERDICTS
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.measurement.reading import repeated_configurations
 from cvxshear.priors import Prior
-from cvxshear.util.errors import CvxshearError, InputError, UnsuitableError
+from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError, UnsuitableError
 from cvxshear.util.typing import Floats
 
 MOST_WIDENINGS = 3
@@ -174,7 +174,12 @@ class _Loop:
         fitter = Fitter(numbering, self.backend, self.looked_for, self.there, self.expectation, jobs=self.jobs)
         noise = self.start.misfit.noise
         misfit = Misfit(numbering.experiment, self.there, None, noise, self.expectation, self.widened)
-        return Search(fitter, fitter.fit(misfit, theta, tolerance))
+        try:
+            found = fitter.fit(misfit, theta, tolerance)
+        except NoSolutionError:
+            # Far from the data a fit may follow a curved valley without an end; effects are looked for from there, too.
+            found = fitter.fit(misfit, theta, ROUGH)
+        return Search(fitter, found)
 
     def dual(self, search: Search) -> Search | None:
         """The search that starts at the dual of another's shear model, and visits the duals of its best sets.

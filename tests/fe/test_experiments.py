@@ -116,7 +116,8 @@ def assert_explained(declared, truth, within=EXACT):
     """The composed model of the truth is within so many standard deviations of every datum."""
     tested = Experiment.from_dict(declared)
     effects = [Placed(named([truth["effect"]])[0], place_of(truth))] if truth["effect"] else []
-    own = [truth["size"]] if effects else []
+    # Further parameters of an effect, as a clamp's that grips less, are at their null values.
+    own = [truth["size"], *(item.null for item in effects[0].effect.parameters[1:])] if effects else []
     theta = np.concatenate([truth["floor_mass"], truth["story_stiffness"], own])
     for test in tested.configurations:
         state = compose(tested, test, effects, theta)
