@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 
 from cvxshear.effects.base import Effect, Parameter, Place, in_percent
 from cvxshear.effects.state import Scale, State
+from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.typing import Floats
 
 
@@ -19,13 +22,14 @@ class JointRelease(Effect):
     flexibility rho / mean(k h^2) more, in series with the floor's beams (joint_rotation): both stories soften together,
     by up to three eighths each where they are alike. And a clamp that grips less lets each column bend on into it: its
     free length h grows by d, and the story loses the part 1 - (1 + d / h)^-3 = loss of its columns' stiffness. At the
-    base and at the top either softens one story alone; only the prior shares it between the two. Only the ratios of
-    the heights matter.
+    base and at the top either softens one story alone, and the loss stands for both. Only the ratios of the heights
+    matter.
 
     Expected sizes: rho 0.5, which costs adjoining stories of equal stiffness 9 %: bolts that lost their preload leave a
     connection some ten times as stiff against turning as its column (Chen and Lui, Stability Design of Steel Frames,
     on semi-rigid connections), a plate whose screws are loose about as stiff. A loss of 5 %: a clamp a tenth as long as
-    its column that grips over five sixths of its length. One frame in thirty that is tested in several states.
+    its column that grips over five sixths of its length. At the base and at the top a loss of 12 %, both together. One
+    frame in thirty that is tested in several states.
     """
 
     name = "joint_release"
@@ -36,7 +40,7 @@ class JointRelease(Effect):
     )
     source = "rotational spring in series with the beams, Bernoulli beam element, static condensation; free length"
     stage = "joint"
-    parameters = (
+    parameters: tuple[Parameter, ...] = (
         Parameter("rho", "", lower=0.0, upper=100.0, start=0.05),
         Parameter("loss", "", lower=0.0, upper=0.99, start=0.01),
     )
@@ -46,37 +50,49 @@ class JointRelease(Effect):
     probability = 0.03
     uses_heights = True
 
+    def bound_at(self, experiment: Experiment, place: Place) -> Self:
+        """A copy that has the loss alone where it softens one story alone: nothing tells its two parts apart."""
+        assert place.floor is not None
+        if len(_adjoining(place.floor, experiment.stories)) > 1:
+            return self
+        own = copy.copy(self)
+        own.parameters = self.parameters[-1:]
+        return own
+
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         assert place.floor is not None
+        *turning, loss = values
         softer, d_softer = state.joint_flexibility.copy(), state.d_joint_flexibility.copy()
         unit, d_unit = state.usual_flexibility()
-        softer[place.floor] += values[0] * unit
-        d_softer[:, place.floor] += values[0] * d_unit
-        d_softer[own.start, place.floor] += unit
+        for rho in turning:
+            softer[place.floor] += rho * unit
+            d_softer[:, place.floor] += rho * d_unit
+            d_softer[own.start, place.floor] += unit
         k, dk = state.story_stiffness.copy(), state.d_story_stiffness.copy()
         for at in _adjoining(place.floor, len(k)):
             columns = k[at] - state.brace_stiffness[at]
             d_columns = dk[:, at] - state.d_brace_stiffness[:, at]
-            k[at] -= values[1] * columns
-            dk[:, at] -= values[1] * d_columns
+            k[at] -= loss * columns
+            dk[:, at] -= loss * d_columns
             dk[own.stop - 1, at] -= columns
         return dataclasses.replace(
             state, story_stiffness=k, d_story_stiffness=dk, joint_flexibility=softer, d_joint_flexibility=d_softer
         )
 
     def sizes(self, scale: Scale) -> Floats:
-        return np.array([0.5, 0.05])
+        return np.array([0.5, 0.05]) if len(self.parameters) == 2 else np.array([0.12])
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         assert place.floor is not None
         # One floor's joints in a frame of equal stories: a story loses rho/4 / (1 + c rho), c = 1/3 a column.
         top = len(scale.heights)
         columns = len(_adjoining(place.floor, top))
-        kept = 1.0 - values[1]
-        denominator = 1.0 + columns * values[0] * kept / 3.0
-        by_turning = values[0] * kept / 4.0 / denominator
+        (rho, loss), (rho_std, loss_std) = (each if len(each) == 2 else (0.0, each[0]) for each in (values, std))
+        kept = 1.0 - loss
+        denominator = 1.0 + columns * rho * kept / 3.0
+        by_turning = rho * kept / 4.0 / denominator
         lost = 1.0 - (1.0 - by_turning) * kept
-        error = np.hypot(kept**2 * std[0] / 4.0 / denominator**2, (1.0 - by_turning) * std[1])
+        error = np.hypot(kept**2 * rho_std / 4.0 / denominator**2, (1.0 - by_turning) * loss_std)
         size = in_percent(lost, float(error))
         where = f'in "{place.state}"'
         if place.floor == 0:
