@@ -108,8 +108,10 @@ def test_the_floors_of_southampton_weigh_what_they_should():
 def test_the_columns_of_the_eighteen_stories_stretch():
     closure = built_in("e-defense")
     assert sorted(names(closure)) == ["axial columns", "base rocking"]
-    # Springs between all floors would do the same, for want of floors and modes.
-    assert {rival.placed.effect.name for item in closure.effects for rival in item.rivals} <= {"other_stiffness"}
+    # Springs between all floors would do the same, for want of floors and modes, or some of them and turning joints.
+    rivals = [rival for item in closure.effects for rival in item.rivals]
+    assert {rival.placed.effect.name for rival in rivals} <= {"other_stiffness", "joint_rotation"}
+    assert {rival.placed.effect.name for rival in rivals if rival.probability > 0.05} <= {"other_stiffness"}
     assert all(item.probability > 0.75 for item in closure.effects)
     assert closure.before.estimate.chi2 > 200
     assert closure.estimate.chi2 < 40

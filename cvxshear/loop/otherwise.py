@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from cvxshear.loop.numbering import Numbering, named_numberings, overlooked_in_all, overlooked_in_one
-from cvxshear.loop.search import REACH, Search
+from cvxshear.loop.search import REACH, Search, holds_open
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.errors import CvxshearError
 
@@ -52,7 +52,8 @@ def searches(experiment: Experiment, begun: Begun, dual: Callable[[Search], Sear
     if given.base.improbable or given.best.effects:
         others += _begun(overlooked_in_all(experiment), begun)
     leader = _leader(given, others)
-    if leader.best.improbable:
+    if leader.best.improbable or holds_open(leader.best.effects):
+        # Before a statement of the shear model is given up the numbers are doubted one test at a time.
         others += _begun(overlooked_in_one(experiment), begun)
         leader = _leader(given, others)
     leader.run()

@@ -102,11 +102,11 @@ class Search:
         """The most probable sets so far, those with an open class counted by themselves: they go with every cause."""
         fitted = [model for model in self.visited.values() if model.estimate is not None]
         fitted.sort(key=lambda model: -model.score)
-        causes = [model for model in fitted if not _holds_open(model.effects)][:BEAM]
+        causes = [model for model in fitted if not holds_open(model.effects)][:BEAM]
         others: list[ModelClass] = []
         for model in fitted:
             # What only adds to a better set would leave no room for sets that are other explanations.
-            if _holds_open(model.effects) and not any(better.effects < model.effects for better in others):
+            if holds_open(model.effects) and not any(better.effects < model.effects for better in others):
                 others.append(model)
             if len(others) == BEAM // 2:
                 break
@@ -258,7 +258,7 @@ class Search:
 
     def _worth_following(self, model: ModelClass) -> bool:
         """Whether a set may lead to a better one; with an open class beside an explanation that is better, hardly."""
-        return self.best.improbable or model is self.best or not _holds_open(model.effects)
+        return self.best.improbable or model is self.best or not holds_open(model.effects)
 
     def _lacking(self, model: ModelClass) -> list[Placed]:
         """What the linearised model at the fit of a set can judge of what the set lacks."""
@@ -386,7 +386,7 @@ class Search:
             self._fit_without(model, [rest])
             firsts = self._with_one_of(self._lacking(self.visited[rest]), self.visited[rest], barred)
             if len(group) > 1:
-                causes = [each for each in firsts if not _holds_open(each.effects - rest)]
+                causes = [each for each in firsts if not holds_open(each.effects - rest)]
                 firsts = sorted(causes, key=lambda each: -each.score)[:1]
             for first in firsts if self._unsatisfied() else ():
                 at, best = None, first
@@ -454,7 +454,7 @@ class Search:
         self._record(self.fitter.models([self.fitter.proposal(model.estimate, effects) for effects in held]))
 
 
-def _holds_open(effects: Set) -> bool:
+def holds_open(effects: Set) -> bool:
     """Whether an open class is among these effects."""
     return any(placed.effect.kind == OPEN for placed in effects)
 
