@@ -816,6 +816,8 @@ def test_the_whole_file_is_sound():
 @example(("frame", "stories"), np.array([1, 2]))
 @example(("configuration", 0, "mode_shapes"), [[1e160, 1e160], [1e160, -1e160]])
 @example(("configuration", 0, "added_mass"), [[1], [1, 2]])
+@example(("configuration", 0, "mode_shapes"), None)
+@example(("configuration", 1, "mode_shapes"), None)
 @example(("frame", "floor_masses"), [1.7e308, 1.7e308])
 def test_junk_is_taken_or_refused(path, junk):
     """Whatever stands in one place, the file is either an experiment or refused with a message of one piece."""

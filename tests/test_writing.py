@@ -220,7 +220,8 @@ def in_memory(tree: ast.AST) -> set[str]:
     """Names that a piece of code binds to nothing but new streams in memory."""
     bound: dict[str, list[ast.expr]] = {}
     for node in ast.walk(tree):
-        for target in node.targets if isinstance(node, ast.Assign) else ():
+        walrus = [node.target] if isinstance(node, ast.NamedExpr) else []
+        for target in node.targets if isinstance(node, ast.Assign) else walrus:
             if isinstance(target, ast.Name):
                 bound.setdefault(target.id, []).append(node.value)
     return {name for name, values in bound.items() if all(ast.unparse(each) in STREAMS for each in values)}
@@ -230,13 +231,22 @@ def calls_that_may_write(tree: ast.AST) -> list[ast.Call]:
     """Every call but those whose first argument is a stream in memory."""
     streams = in_memory(tree)
     calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
-    return [node for node in calls if not (node.args and getattr(node.args[0], "id", None) in streams)]
+    return [node for node in calls if not (node.args and name_of_first(node) in streams)]
+
+
+def name_of_first(call: ast.Call) -> str | None:
+    """The name that stands as the first argument of a call, or is bound there; None where there is none."""
+    first = call.args[0]
+    return getattr(first.target if isinstance(first, ast.NamedExpr) else first, "id", None)
 
 
 def test_a_stream_in_memory_is_told_from_a_file():
     code = "out = BytesIO()\nnp.savez(out)\nnp.savez(path)\n"
     assert [ast.unparse(call) for call in calls_that_may_write(ast.parse(code))] == ["BytesIO()", "np.savez(path)"]
     assert len(calls_that_may_write(ast.parse(code + "out = open(path)\n"))) == 4
+    within = "np.savez(out := BytesIO())\n"
+    assert [ast.unparse(call) for call in calls_that_may_write(ast.parse(within))] == ["BytesIO()"]
+    assert len(calls_that_may_write(ast.parse(within + "np.savez(out := open(path))\n"))) == 4
 
 
 def test_no_other_module_writes():

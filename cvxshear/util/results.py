@@ -103,7 +103,7 @@ def fields_as_table(value: Any, *, empty: bool = False, **unsaid: object) -> Jso
     ----------
     value : dataclass
     empty : bool, optional
-        Whether an empty list says something.
+        Whether an empty list, or one of empty lists, says something.
     **unsaid : object
         Values of single fields that stand for "not given", besides None.
     """
@@ -112,7 +112,7 @@ def fields_as_table(value: Any, *, empty: bool = False, **unsaid: object) -> Jso
         key: as_table(item)
         for key, item in found.items()
         if item is not None
-        and (empty or not hasattr(item, "__len__") or len(item))
+        and (empty or not hasattr(item, "__len__") or (len(item) > 0 and getattr(item, "size", 1) > 0))
         and not (key in unsaid and item == unsaid[key])
     }
 

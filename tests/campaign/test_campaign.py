@@ -44,7 +44,7 @@ def test_one_configuration_a_record(tests, tmp_path):
     assert [each.name for each in experiment.configurations] == ["bare", "loaded", "after"]
     assert [each.state for each in experiment.configurations] == ["bare", "bare", "after"]
     np.testing.assert_array_equal(experiment.configurations[1].added_mass, ADDED)
-    assert "Modes of loaded by okid" in (tmp_path / "test.toml").read_text()
+    assert "Modes of loaded by subspace" in (tmp_path / "test.toml").read_text()
 
 
 def test_from_files_to_the_change(tests):

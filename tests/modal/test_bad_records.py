@@ -291,7 +291,7 @@ def test_arrays_are_checked_too():
 
 def test_unsuitable_method_names_a_suitable_one():
     record = base_record(PAPER_FRAME, 0, noise=0.01, duration=60.0)
-    with pytest.raises(UnsuitableError, match='method "ssi" cannot use input = "base"; use "okid"'):
+    with pytest.raises(UnsuitableError, match='method "ssi" cannot use input = "base"; use "subspace"'):
         identify_modes(record, method="ssi")
     with pytest.raises(InputError, match="did you mean 'okid'"):
         identify_modes(record, method="okidd")

@@ -17,6 +17,7 @@ from cvxshear.report.figures.figure_table import figure
 from cvxshear.report.figures.style import AFTER, BEFORE, GREY, MEASURED, PAGE_WIDTH, new_figure, panels
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.response.compare import seen
+from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import scaled
 from cvxshear.util.typing import Floats, Ints
 
@@ -179,17 +180,20 @@ def transfer_functions(result: RecordPrediction) -> Figure:
     Parameters
     ----------
     result : RecordPrediction
-        With measured accelerations; without, the figure holds a sentence.
+        With measured accelerations.
 
     Returns
     -------
     Figure
+
+    Raises
+    ------
+    InputError
+        Where the record has no accelerations of floors.
     """
     after = result.after.comparison
     if after is None:
-        figure = new_figure(PAGE_WIDTH, 1.2)
-        figure.text(0.5, 0.5, "the record has no accelerations of floors", ha="center", va="center", color=GREY)
-        return figure
+        raise InputError("there are no transfer functions to show: the record has no accelerations of floors")
     floors = _floors(result)
     before = None if result.otherwise_before is None else result.otherwise_before.comparison
     natural = result.after.damped.model.modes.frequencies
