@@ -54,8 +54,8 @@ that no set explains ends too. What is left out then is said."""
 ALIKE = 0.1
 """Difference of chi-square, relative where it is above one, that rounding and the priors of sizes leave of twins."""
 
-EXCHANGES = 3
-"""Best sets one after the other whose effects are exchanged when the budget is spent."""
+EXCHANGES = 4
+"""Sets, the best ones, whose effects are exchanged when the budget is spent: two ties make four sets as probable."""
 
 MOTIONS = 12
 """Fits of effects that bring a motion of their own."""
@@ -135,14 +135,14 @@ class Search:
             self._exchange_in_best()
 
     def _exchange_in_best(self) -> None:
-        """Visit what may stand in the place of each effect of the best set, however many sets were visited.
+        """Visit what may stand in the place of each effect of the best sets, however many sets were visited.
 
-        Without its neighbors the best set seems more probable than it is: of two effects that are a tie one may have
-        been tried beside it, the other only beside sets that are worse.
+        Without its neighbors a set seems more probable than it is: of two effects that are a tie one may have been
+        tried beside the best of the others, the other only beside sets that are worse.
         """
         for _ in range(EXCHANGES):
-            best = self.best
-            if best.effects in self.thinned:
+            best = next((model for model in self.beam if model.effects not in self.thinned), None)
+            if best is None:
                 break
             self.thinned.add(best.effects)
             for placed in best.effects:
