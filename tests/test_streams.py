@@ -273,8 +273,18 @@ def test_nothing_outlives_its_parent(ending):
     """Two processes work for a third one that is ended, by Ctrl-C as a terminal sends it: to all of them."""
     line = [sys.executable, "-m", "cvxshear", "study", "noise", "--jobs", "2", "--samples", "100000", "--methods"]
     found = subprocess.Popen(
-        [*line, "efficient"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
+        [*line, "efficient"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        # A shell that runs the tests in the background has them ignore Ctrl-C, and their children with them.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509 - no threads here
+    )  # fmt: skip
+    try:
+        _ended_by(found, ending)
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(found.pid, signal.SIGKILL)
+
+
+def _ended_by(found, ending):
     until = time.monotonic() + 60
     while len(alive(found.pid)) < 3 and time.monotonic() < until:
         time.sleep(0.05)
