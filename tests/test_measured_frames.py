@@ -24,8 +24,8 @@ DONE_AT_LOS_ALAMOS = {
     "state 9": ("story_change", 4, -0.4375),
 }
 
-MIRROR = {1: 4, 2: 3, 3: 2, 4: 1}
-"""Floors of equal plates on equal stories, from either end."""
+MIRROR = {"added_mass": {1: 4, 2: 3, 3: 2, 4: 1}, "story_change": {2: 4, 3: 3, 4: 2}}
+"""Floors of equal plates, and the equal stories between them, from either end."""
 
 
 def level(placed):
@@ -59,7 +59,7 @@ def test_los_alamos_names_six_of_eight_at_their_place_and_the_others_as_ties():
         tied = [rival for rival in item.rivals if rival.placed.effect.name == name and level(rival.placed) == at]
         assert tied
         assert tied[0].probability > 0.25
-        assert level(item.placed) == MIRROR[at]
+        assert level(item.placed) == MIRROR[name][at]
     assert first >= 6
 
 
