@@ -1,12 +1,12 @@
 """The search among sets of effects: forward from the shear model, then exchange and removal, none visited twice.
 
-In place of a whole group of effects, all of one state or all of one name, single ones are tried too.
-
 A set is expanded by what the linearised model at its fit promises of each further effect, of each pair, and of all
-that it would take one after the other. The best
-sets visited, a beam of them, are expanded until all of them have been; then the same from each of them with one effect
-taken out, which exchanges that effect for another, until the beam stays as it is. As there are finitely many sets and
-none is fitted or expanded twice, it ends.
+that it would take one after the other; where an open class stands in it, its conspicuous entries are tried as causes.
+The best set comes first: it is pruned, expanded, and regrouped, which puts one cause, or several where nothing simple
+explains, in the place of a whole group of effects. Then the rest of the beam is expanded, the best sets visited; and
+at last each of the best with one effect taken out, which exchanges that effect for another. As there are finitely many
+sets and none is fitted or expanded twice, it ends; at the latest when its budget is spent, but for the neighbors of
+the best sets.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ MOST_CAUSES = 4
 """Causes that are put one after the other in the place of a group."""
 
 MOST_SETS = 300
-"""Sets that one search visits at most: twice what sound files of three states need (up to some 150), so that a file
-that no set explains ends too. What is left out then is said."""
+"""Sets after which a search ends, but for what it is at and the neighbors of the best sets: twice what sound files of
+three states need (up to some 150), so that a file that no set explains ends too. What is left out then is said."""
 
 ALIKE = 0.1
 """Difference of chi-square, relative where it is above one, that rounding and the priors of sizes leave of twins."""
