@@ -80,6 +80,6 @@ def quality(data: Sequence[Datum], models: Sequence[Model], chi2: float, dof: in
     )
 
 
-def _extreme(found: dict[str, Floats], name: str, of: Callable[[Floats], float]) -> float | None:
+def _extreme(found: dict[str, Floats], name: str, extreme: Callable[[Floats], float]) -> float | None:
     values = found.get(name)
-    return None if values is None or not values.size else float(of(values))
+    return None if values is None or not values.size else float(extreme(values))

@@ -9,7 +9,6 @@ import dataclasses
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TypeVar
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError, NoScaleError
 from cvxshear.util.results import Shown, as_table
-from cvxshear.util.typing import Json
+from cvxshear.util.typing import Json, T
 
 __all__ = [
     "DAMPING_KINDS", "MOST_STORIES", "Configuration", "Damping", "ExpectedEffect", "Experiment", "Frame", "Limits",
@@ -31,9 +30,6 @@ __all__ = [
 
 Tested = Configuration | StaticTest
 """What was measured on one state of the frame; either has a `name`, a `state` and an `added_mass`."""
-
-T = TypeVar("T")
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Experiment(Shown):

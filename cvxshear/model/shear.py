@@ -231,7 +231,7 @@ def _chain_modes(M: Floats, K: Floats) -> tuple[Floats, Floats]:
     return np.asarray(values, dtype=np.float64), vectors / root[:, None]
 
 
-def mode_derivatives(of: Modes, system: System, which: slice | Ints | list[int]) -> tuple[Floats, Floats]:
+def mode_derivatives(found: Modes, system: System, which: slice | Ints | list[int]) -> tuple[Floats, Floats]:
     """Derivatives of eigenvalues and mass-normalized shapes, by modal superposition (Fox and Kapoor, 1968).
 
     With S = dK - lambda_j dM,
@@ -243,7 +243,7 @@ def mode_derivatives(of: Modes, system: System, which: slice | Ints | list[int])
 
     Parameters
     ----------
-    of : Modes
+    found : Modes
     system : System
         With derivatives by P parameters.
     which : index
@@ -254,7 +254,7 @@ def mode_derivatives(of: Modes, system: System, which: slice | Ints | list[int])
     dlam : ndarray, shape (P, m)
     dphi : ndarray, shape (P, m, N)
     """
-    lam, phi = of.eigenvalues, of.shapes.T
+    lam, phi = found.eigenvalues, found.shapes.T
     lam_j, phi_j = lam[which], phi[:, which]
     by_stiffness, by_mass = system.modal_products(phi, phi_j)
     S = by_stiffness - lam_j * by_mass

@@ -20,6 +20,7 @@ from cvxshear.paper.setups import Setup, bound, six_story, three_story
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError
 from cvxshear.util.parallel import Progress, each
+from cvxshear.util.quantities import NORMAL_95
 from cvxshear.util.results import InJson, Shown
 from cvxshear.util.typing import Bools, Floats
 
@@ -31,9 +32,6 @@ SEED = 2023
 MOST_SAMPLES = 1_000_000
 LARGEST_SEED = 2**63
 COMPARED = ("two-stage", "one-shot", "efficient")
-
-NORMAL_95 = 1.959964
-"""Half width of a 95 % interval in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,6 +35,9 @@ LONG_ROW = 4
 NEGLIGIBLE_STD = 1e-9
 """Relative standard deviation of which nobody needs to know."""
 
+NORMAL_95 = 1.959963984540054
+"""Half width of the interval that holds 95 % of a normal distribution, in standard deviations."""
+
 UNKNOWN = "not determined"
 
 
