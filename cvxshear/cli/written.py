@@ -97,12 +97,9 @@ def _list(result: type) -> None:
     from cvxshear.report.figures import figures_of
     from cvxshear.report.terminal import plain_table
 
-    table = plain_table(
-        "Figures: --figure KIND:OUT.svg, .png or .pdf", "kind", "what it shows", "needs", words=(0, 1, 2)
-    )
-    for name, entry in figures_of(result).items():
-        table.add_row(name, entry.title, entry.needs)
-    show([table])
+    title, head = "Figures: --figure KIND:OUT.svg, .png or .pdf", ("kind", "what it shows", "needs")
+    rows = ((name, entry.title, entry.needs) for name, entry in figures_of(result).items())
+    show([plain_table(title, *head, words=(0, 1, 2), rows=rows)])
 
 
 def _path(text: str) -> str:

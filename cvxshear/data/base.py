@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -14,11 +14,91 @@ from cvxshear.data.pairing import paired
 from cvxshear.effects.state import State
 from cvxshear.measurement.experiment import Configuration, Experiment, Tested
 from cvxshear.model.shear import Modes, System, mode_derivatives, modes
+from cvxshear.util.errors import InputError
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Bools, Floats, Ints
 
-NOISES = ("frequency", "mode_shape", "displacement")
-"""What is measured with a noise of its own."""
+
+@dataclass(frozen=True)
+class ErrorFigure:
+    """An error of a kind of data that an engineer reads.
+
+    Parameters
+    ----------
+    key : str
+        Its key in the JSON: "max_frequency_error".
+    label : str
+        Its name in tables and sentences: "largest frequency error".
+    errors : str
+        Key of the errors in `Datum.errors` that it summarizes.
+    statistic : callable
+        Takes these errors of all data, and returns one number.
+    relative : bool
+        Whether it is a share, written in percent.
+    """
+
+    key: str
+    label: str
+    errors: str
+    statistic: Callable[[Floats], Any]
+    relative: bool = True
+
+
+@dataclass(frozen=True)
+class NoiseKind:
+    """The noise of a kind of data: how large it is, and which errors it makes.
+
+    Parameters
+    ----------
+    name : str
+        Its key in the JSON, in the singular: "mode_shape".
+    plural : str
+        What the data are called: "mode shapes".
+    default : float
+        Standard deviation that stands for an undeclared one; the estimated factor multiplies it.
+    largest : float
+        Largest standard deviation that instruments have.
+    reason : str
+        Why these two.
+    figures : tuple of ErrorFigure
+        A headline names the first one that is relative.
+    negligible : float
+        Largest relative error that no engineer would look into.
+    unit : str
+        Unit of the standard deviations; empty where they are relative.
+    """
+
+    name: str
+    plural: str
+    default: float
+    largest: float
+    reason: str
+    figures: tuple[ErrorFigure, ...] = ()
+    negligible: float = 0.0
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse deviations that leave no room for an estimate."""
+        if not 0 < self.default <= self.largest:
+            raise InputError(
+                f"noise {self.name!r}: default {self.default:g} and largest {self.largest:g} must be positive, "
+                "the largest not below the default"
+            )
+
+    @property
+    def leading(self) -> ErrorFigure | None:
+        """The error that a headline names; None where no error is relative."""
+        return next((each for each in self.figures if each.relative), None)
+
+    def sized(self, *factors: float) -> tuple[tuple[float, ...], str]:
+        """The default times each factor, and its unit: percent where it is relative."""
+        scale = self.default if self.unit else 100 * self.default
+        return tuple(scale * factor for factor in factors), self.unit or "%"
+
+
+def largest(errors: Floats) -> float:
+    """The largest size of an error."""
+    return float(np.max(np.abs(errors)))
 
 
 @dataclass(frozen=True)
@@ -28,7 +108,7 @@ class Noise:
     Parameters
     ----------
     factors : tuple of (str, float)
-        Each kind of `NOISES` whose standard deviation somebody left open, with its factor.
+        The name of each noise whose standard deviation somebody left open, with its factor.
     """
 
     factors: tuple[tuple[str, float], ...] = ()
@@ -100,13 +180,13 @@ class Datum(ABC):
 
     Attributes
     ----------
-    noise : str
-        One of `NOISES`: what its standard deviation is that of.
+    noise : NoiseKind
+        How such data err; kinds of data may share a noise.
     tested : Tested
         The state of the frame that it was measured in.
     """
 
-    noise: ClassVar[str]
+    noise: ClassVar[NoiseKind]
     tested: Tested
 
     @classmethod
@@ -154,7 +234,7 @@ class Datum(ABC):
         return Residual(found.r / factor, found.J / factor[:, None] if model.derivatives else found.J)
 
     def errors(self, model: Model) -> Mapping[str, Floats]:
-        """Errors that an engineer reads, by the words of `Quality`; none by default."""
+        """Errors that an engineer reads, by the keys that its noise summarizes; none by default."""
         return {}
 
     def without(self, left_out: Bools) -> Datum:
@@ -165,7 +245,7 @@ class Datum(ABC):
         """Its parts, each with its error and deviation; by default one of the whole."""
         r = self.residual(model).r
         deviation = float(np.sqrt(np.mean(r**2))) if r.size else 0.0
-        return [Deviation(self.noise, self.tested.name, self.label, None, deviation, max(len(r), 1))]
+        return [Deviation(self.noise.name, self.tested.name, self.label, None, deviation, max(len(r), 1))]
 
     def by_floor(self, model: Model) -> Mapping[int, Floats]:
         """Residuals in standard deviations by the floor they were measured at; none by default."""
@@ -179,7 +259,7 @@ class Deviation(InJson):
     Parameters
     ----------
     noise : str
-        One of `NOISES`, or "prior" for a declared statement.
+        Name of the noise, or "prior" for a declared statement.
     configuration : str
         Where it was measured; empty for a statement.
     place : str

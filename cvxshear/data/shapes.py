@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.data.base import Datum, Deviation, Model, Residual
+from cvxshear.data.base import Datum, Deviation, ErrorFigure, Model, NoiseKind, Residual, largest
 from cvxshear.data.pairing import mac, scaled
+from cvxshear.measurement.configuration import DEFAULT_MODE_SHAPE_STD
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.util.typing import Bools, Floats, Ints
 
@@ -27,7 +28,15 @@ class Shapes(Datum):
         Which of its modes count.
     """
 
-    noise = "mode_shape"
+    noise = NoiseKind(
+        "mode_shape", "mode shapes", DEFAULT_MODE_SHAPE_STD, 0.15,
+        "calibrated sensors show entries to 1 % of the largest; 15 % is more than an uncalibrated one is off",
+        (
+            ErrorFigure("min_mac", "smallest modal assurance criterion (MAC)", "mac", np.min, relative=False),
+            ErrorFigure("max_shape_error", "largest mode-shape error", "shape_error", largest),
+        ),
+        negligible=1e-4,
+    )  # fmt: skip
     tested: Configuration
     kept: Bools
 
@@ -128,7 +137,7 @@ class Shapes(Datum):
         z = self.residual(model).r.reshape(int(self.kept.sum()), -1)
         return [
             Deviation(
-                self.noise,
+                self.noise.name,
                 self.tested.name,
                 f"mode {mode}",
                 shape_error(measured[known], modelled[known]),

@@ -34,9 +34,6 @@ NUMBERED = 1.0 - 2.0 * OVERLOOKED
 """Probability of the numbers of the modes as given from which on a shear model that does not ask for others is called
 adequate: data that tell nothing of them leave what there was beforehand."""
 
-NEGLIGIBLE_FREQUENCY, NEGLIGIBLE_SHAPE = 1e-5, 1e-4
-"""Largest relative errors of a frequency and of a shape entry that no engineer would look into."""
-
 REPORTED = 1e-3
 """Probability of a set from which on it is reported."""
 
@@ -159,10 +156,10 @@ def _verdict(
 
 
 def _negligible(final: Estimate) -> bool:
-    quality = final.quality
-    return (
-        quality.max_frequency_error < NEGLIGIBLE_FREQUENCY and (quality.max_shape_error or 0.0) < NEGLIGIBLE_SHAPE
-    )  # fmt: skip
+    """Whether no kind of data is off by more than an engineer would look into; a kind that cannot say counts as off."""
+    errors = final.quality.errors
+    kinds = final.misfit.noises.values()
+    return all(kind.leading is not None and (errors[kind.leading.key] or 0.0) < kind.negligible for kind in kinds)
 
 
 def _steps(final: Estimate, posterior: Posterior, fitter: Fitter, as_given: Fitter) -> tuple[Step, ...]:
@@ -320,7 +317,7 @@ def _rests_on(final: Estimate) -> Iterator[str]:
     listed = ", ".join(
         f"{kind.replace('_', ' ')} {factors[kind]:.2g} times the default" for kind in final.misfit.open_noises
     )
-    partly = len(final.misfit.open_noises) < len({datum.noise for datum in final.misfit.data})
+    partly = len(final.misfit.open_noises) < len(final.misfit.noises)
     yield f"{'declared and ' if partly else ''}estimated noise ({listed})"
 
 

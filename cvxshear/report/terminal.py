@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from rich.cells import cell_len
@@ -15,6 +15,9 @@ from rich.table import Table as Grid
 from rich.text import Text
 
 from cvxshear.backends import ListedBackend
+from cvxshear.data import noise_kinds
+from cvxshear.effects import catalogue
+from cvxshear.loop import VERDICTS
 from cvxshear.methods import Identification
 from cvxshear.modal import ModalResult
 from cvxshear.report.describe import Document, Facts, Points, Section, Sentence, Table, describe, line
@@ -111,11 +114,15 @@ def _least(column: Column, wraps: bool) -> int:
     return max(min(cells, NARROWEST), header) if wraps else max(cells, header)
 
 
-def plain_table(title: str, *columns: str, words: Sequence[int] = (0,)) -> HouseTable:
-    """A table in the house style: words to the left, numbers to the right, no box around."""
+def plain_table(
+    title: str, *columns: str, words: Sequence[int] = (0,), rows: Iterable[Sequence[str]] = ()
+) -> HouseTable:
+    """Lay out a table in the house style: words to the left, numbers to the right, no box around."""
     table = HouseTable(title, words)
     for place, column in enumerate(columns):
         table.add_column(Text(printable(column)), justify="left" if place in words else "right")
+    for row in rows:
+        table.add_row(*row)
     return table
 
 
@@ -187,6 +194,21 @@ def listed_backends(listed: Sequence[ListedBackend]) -> Iterator[RenderableType]
         yield missing
 
 
+def catalogued() -> Iterator[RenderableType]:
+    """Tabulate the effects that are looked for, the kinds of data with their noise, and the verdicts."""
+    yield plain_table("Effects", "name", "what it is", words=(0, 1), rows=((x.name, x.summary) for x in catalogue()))
+    kinds = []
+    for kind in noise_kinds().values():
+        (usual, most), unit = kind.sized(1.0, kind.largest / kind.default)
+        kinds.append((kind.plural, f"{usual:g} {unit}", f"{most:g} {unit}", kind.reason))
+    yield Text("")
+    head = ("kind", "std where none is declared", "largest std", "why")
+    yield plain_table("Kinds of data", *head, words=(0, 3), rows=kinds)
+    yield Text("")
+    verdicts = ((x.name, x.sentence) for x in VERDICTS.values())
+    yield plain_table("Verdicts", "name", "what it means", words=(0, 1), rows=verdicts)
+
+
 def text(result: object, width: int = PAGE) -> str:
     """A result as plain text, folded to a width."""
     # A console that finds itself in a notebook would show an empty block of its own there.
@@ -231,10 +253,8 @@ def _grid(pairs: Iterator[tuple[str, str]] | list[tuple[str, str]] | tuple[tuple
 
 
 def _table(found: Table) -> RenderableType:
-    table = plain_table(found.title, *found.head, words=found.words)
     brief = len(found.rows) if found.brief is None or len(found.rows) <= found.brief + 1 else found.brief
-    for row in found.rows[:brief]:
-        table.add_row(*row.cells)
+    table = plain_table(found.title, *found.head, words=found.words, rows=(row.cells for row in found.rows[:brief]))
     if brief < len(found.rows):
         table.add_row(f"and {len(found.rows) - brief} more", *([""] * (len(found.head) - 1)))
     return table

@@ -62,7 +62,7 @@ def mode_shapes(estimate: Estimate) -> list[ModeShape]:
     for configuration in estimate.experiment.configurations:
         model, datum = models[id(configuration)], laid.get(id(configuration))
         modelled = _modelled(configuration, model, datum)
-        noise = estimate.misfit.noise.of(Shapes.noise) if datum is not None and not datum.declared else 1.0
+        noise = estimate.misfit.noise.of(Shapes.noise.name) if datum is not None and not datum.declared else 1.0
         for j, mode in enumerate(configuration.modes.tolist()):
             unit = _unit(configuration, j)
             # Which entry is largest may change with the configuration; the mode keeps its sign.
