@@ -91,13 +91,13 @@ class NoiseKind:
         return next((each for each in self.figures if each.relative), None)
 
     def sized(self, *factors: float) -> tuple[tuple[float, ...], str]:
-        """The default times each factor, and its unit: percent where it is relative."""
+        """Scale the default by each factor, with its unit: percent where it is relative."""
         scale = self.default if self.unit else 100 * self.default
         return tuple(scale * factor for factor in factors), self.unit or "%"
 
 
 def largest(errors: Floats) -> float:
-    """The largest size of an error."""
+    """Find the largest size of an error."""
     return float(np.max(np.abs(errors)))
 
 
@@ -114,7 +114,7 @@ class Noise:
     factors: tuple[tuple[str, float], ...] = ()
 
     def of(self, kind: str) -> float:
-        """The factor of a kind; 1 where it is none of these."""
+        """Return the factor of a noise; 1 where it is none of these."""
         return dict(self.factors).get(kind, 1.0)
 
 
@@ -238,7 +238,7 @@ class Datum(ABC):
         return {}
 
     def without(self, left_out: Bools) -> Datum:
-        """The datum without some of the modes of its configuration, where it speaks of modes."""
+        """Leave out some of the modes of its configuration, where it speaks of modes."""
         return self
 
     def describe(self, model: Model) -> list[Deviation]:

@@ -74,7 +74,7 @@ class Frequencies(Datum):
         return {"frequency_error": modelled / self.tested.frequencies[self.kept] - 1.0}
 
     def without(self, left_out: Bools) -> Frequencies:
-        """The other modes."""
+        """Leave out these modes."""
         return Frequencies(self.tested, self.kept & ~left_out)
 
     def describe(self, model: Model) -> list[Deviation]:

@@ -30,7 +30,7 @@ def register(kind: type[Datum]) -> None:
 
 
 def noise_kinds() -> dict[str, NoiseKind]:
-    """The noise of every kind of data, by its name."""
+    """List the noise of every kind of data, by its name."""
     return {kind.noise.name: kind.noise for kind in _kinds.values()}
 
 

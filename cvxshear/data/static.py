@@ -85,7 +85,7 @@ class Static(Datum):
         ]
 
     def by_floor(self, model: Model) -> Mapping[int, Floats]:
-        """The displacement at each floor."""
+        """Return the residual at each floor."""
         floors = np.flatnonzero(self.tested.measured) + 1
         return {int(floor): np.array([z]) for floor, z in zip(floors, self.residual(model).r, strict=True)}
 

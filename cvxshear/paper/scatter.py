@@ -148,7 +148,7 @@ class NoiseStudy(Shown):
     json_keys = "samples seed backend scatters"
 
     def of(self, method: str, mode_shape_std: float | None = None) -> Scatter:
-        """The first scatter of a method, at one noise level if given."""
+        """Find the first scatter of a method, at one noise level if given."""
         for scatter in self.scatters:
             if scatter.method == method and mode_shape_std in (None, scatter.setup.mode_shape_std):
                 return scatter
@@ -213,14 +213,14 @@ def noise_study(
 
 
 def paper_setups(sigmas: Sequence[float] = SIGMAS) -> tuple[Setup, ...]:
-    """The paper's three-story frame at several noise levels."""
+    """Study the paper's three-story frame at several noise levels."""
     return tuple(three_story(sigma) for sigma in sigmas)
 
 
 def six_story_study(
     samples: int = SAMPLES, seed: int = SEED, *, backend: str = "auto", jobs: int = 1, progress: Progress | None = None
 ) -> NoiseStudy:
-    """The efficient method on incomplete data: six stories, four modes at five floors, noise on everything.
+    """Study the efficient method on incomplete data: six stories, four modes at five floors, noise on everything.
 
     Parameters
     ----------

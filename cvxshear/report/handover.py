@@ -45,7 +45,7 @@ def write_model(path: str | Path, result: RecordPrediction) -> None:
 
 
 def model_kind(path: str | Path) -> str:
-    """The kind of file that a name asks for.
+    """Tell the kind of file that a name asks for.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def _sheets(result: RecordPrediction) -> Iterator[Sheet]:
 
 
 def _std(fitted: Fitted) -> Floats:
-    """Standard deviations of all parameters; nan where unknown or open."""
+    """Return the standard deviations of all parameters; nan where unknown or open."""
     if fitted.covariance is None:
         return np.full(len(fitted.theta), np.nan)
     return np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
@@ -120,7 +120,7 @@ def _modes(result: RecordPrediction) -> Sheet:
 
 
 def _residuals(result: RecordPrediction) -> Sheet:
-    """The error of each part of the measurement, relative and in standard deviations, before and after."""
+    """Tabulate the error of each part of the measurement, relative and in standard deviations, before and after."""
     sides = [side.fitted for side in (result.before, result.after) if side is not None]
     words = ["before", "after"][-len(sides) :]
     measures = ["relative error", "standard deviations off"]
@@ -134,7 +134,7 @@ def _residuals(result: RecordPrediction) -> Sheet:
 
 
 def _parts(fitted: Fitted) -> list[Deviation]:
-    """What a fit leaves of each part of every datum."""
+    """Describe what a fit leaves of each part of every datum."""
     misfit = Misfit(fitted.experiment, fitted.effects)
     models = {id(model.state.tested): model for model in misfit.evaluate(fitted.theta, derivatives=False).models}
     return [part for datum in misfit.data for part in datum.describe(models[id(datum.tested)])]
@@ -178,7 +178,7 @@ def matrices(damped: Damped) -> dict[str, Floats]:
 
 
 def state_space(model: DampedModel) -> dict[str, Floats]:
-    """The state-space form of `matrices`."""
+    """Write the state-space form of `matrices`."""
     n = len(model.M)
     inverse = np.linalg.inv(model.M)
     rows = -inverse @ np.hstack([model.K, model.C])
@@ -192,7 +192,7 @@ def state_space(model: DampedModel) -> dict[str, Floats]:
 
 
 def opensees_script(damped: Damped, title: str) -> str:
-    """A script that makes the frame in OpenSeesPy, with its damping.
+    """Write a script that makes the frame in OpenSeesPy, with its damping.
 
     Any symmetric stiffness matrix is that of springs -K_ij between floors i and j and of sum_j K_ij to the ground.
 

@@ -24,7 +24,7 @@ def sheets_of_modes(results: Sequence[ModalResult]) -> list[Sheet]:
 
 
 def sheets_of_identification(result: Identification) -> list[Sheet]:
-    """The identified frame, or frames, and the modes that it has beside those measured."""
+    """Tabulate the identified frame, or frames, and the modes that it has beside those measured."""
     said = result.to_dict()
     parts = [("", said)] if result.joint else [(part["name"], part) for part in said["configurations"]]
     several = len(parts) > 1
@@ -35,7 +35,7 @@ def sheets_of_identification(result: Identification) -> list[Sheet]:
 
 
 def sheets_of_closure(result: Closure) -> list[Sheet]:
-    """The identified frame, the effects added, the errors before and after, and the modes."""
+    """Tabulate the identified frame, the effects added, the errors before and after, and the modes."""
     said = result.to_dict()
     words = {key: label for key, label, _ in compared_errors("predicted from the rest")}
     errors: list[tuple[Cell, ...]] = [

@@ -40,7 +40,7 @@ def compared_errors(held_out: str) -> Iterator[tuple[str, str, Writer]]:
 
 
 def before_after(result: Closure) -> Section:
-    """The model that the loop began with beside the one that it ended with."""
+    """Set the model that the loop began with beside the one that it ended with."""
     first = capital(result.before.action)
     same = "" if len(result.steps) > 1 else " Nothing was added, so that both are the same."
     which = f"{first} beside the final model, in the same noise.{same}"
@@ -64,7 +64,7 @@ def errors_table(result: Closure) -> Table:
 
 
 def not_converged(result: Closure) -> Iterator[Sentence]:
-    """A warning for each fit whose numbers are shown though it did not converge."""
+    """Warn of each fit whose numbers are shown though it did not converge."""
     for step in result.steps:
         fit = step.estimate.fit
         if not fit.converged:
@@ -74,7 +74,7 @@ def not_converged(result: Closure) -> Iterator[Sentence]:
 
 
 def residual_section(result: Closure) -> Section:
-    """The residual of every part of the measurement; a table for each kind of data."""
+    """Tabulate the residual of every part of the measurement; a table for each kind of data."""
     before, after = by_part(result.before.estimate), by_part(result.estimate)
     pairs = list(zip(before, after, strict=True))
     kinds = dict.fromkeys(item.noise for item in after)

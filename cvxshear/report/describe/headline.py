@@ -38,13 +38,13 @@ def in_doubt(result: Closure) -> bool:
 
 
 def other_numbers(result: Closure) -> str:
-    """The second most probable numbering in words."""
+    """Say the second most probable numbering."""
     other = result.numberings[1]
     return numbers_in_words(other.changes) if other.changes else "the modes are those given"
 
 
 def numbering_sections(result: Closure) -> Iterator[Section]:
-    """A table of the numberings that were weighed; nothing where the numbers were not in question."""
+    """Tabulate the numberings that were weighed; nothing where the numbers were not in question."""
     if len(result.numberings) == 1 and not result.numberings[0].changes:
         return
     rows = tuple(
@@ -77,7 +77,7 @@ def _facts(result: Closure) -> Iterator[tuple[str, str]]:
 
 
 def noise_in_words(result: Closure) -> str:
-    """The estimated noise in a few words; empty where all of it was declared."""
+    """Say the estimated noise in a few words; empty where all of it was declared."""
     said = []
     for name, factor in result.noise.noise.factors:
         # Sizes of effects of many parameters are estimated with the noise, and are none.
@@ -88,7 +88,7 @@ def noise_in_words(result: Closure) -> str:
 
 
 def plural_of(noise: str) -> str:
-    """Data of a noise in the plural, "mode shapes", or the declared statements."""
+    """Name the data of a noise in the plural, "mode shapes", or the declared statements."""
     return "priors" if noise == "prior" else noise_kinds()[noise].plural
 
 
@@ -103,7 +103,7 @@ CARRIES = 0.6
 
 
 def verdict_of(result: Closure) -> Verdict:
-    """The verdict with its words.
+    """Look up the verdict with its words.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def verdict_of(result: Closure) -> Verdict:
 
 
 def headline(result: Closure) -> str:
-    """What was found, how probable it is, and what it does to the error that carried the verdict.
+    """Say what was found, how probable it is, and what it does to the error that carried the verdict.
 
     Parameters
     ----------
@@ -172,19 +172,19 @@ def _model(result: Closure) -> str:
 
 
 def _effects(effects: tuple[AddedEffect, ...]) -> str:
-    """The effects with their sizes and probabilities, or how many there are and the first."""
+    """Name the effects with their sizes and probabilities, or say how many there are and name the first."""
     said = [_sized(item) for item in effects]
     return listed(said) if len(said) <= NAMED else f"{len(said)} effects were found, the first: {said[0]}"
 
 
 def _sized(item: AddedEffect) -> str:
-    """An effect with its size, and how probable it is."""
+    """Name an effect with its size, and how probable it is."""
     probable = f"{chance(item.probability)} probable)"
     return f"{item.size[:-1]}; {probable}" if item.size.endswith(")") else f"{item.size} ({probable}"
 
 
 def _rivals(item: AddedEffect, *, several: bool) -> str:
-    """What else it may be: what no datum can distinguish from it first, then what is less probable."""
+    """Say what else it may be: what no datum can distinguish from it first, then what is less probable."""
     twins = [rival.placed.label for rival in item.rivals if rival.twin]
     others = [f"{rival.placed.label} ({chance(rival.probability)})" for rival in item.rivals if not rival.twin]
     mine = item.placed.label if several else "it"
@@ -211,7 +211,7 @@ def chi2_by_kind(estimate: Estimate) -> dict[str, float]:
 
 
 def carried_by(before: Estimate, after: Estimate) -> dict[str, float]:
-    """The share of each kind of data in the fall of chi-square, the largest first; empty where it does not fall.
+    """Divide the fall of chi-square among the kinds of data, the largest share first; empty where it does not fall.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ def evidence_in_words(result: Closure) -> str:
 
 
 def change_in_words(before: Estimate, after: Estimate) -> str:
-    """What became of the leading error of the kind of data that carries the change; frequencies' where none does.
+    """Say what became of the leading error of the kind that carries the change; frequencies' where none does.
 
     Parameters
     ----------

@@ -206,7 +206,7 @@ def _headline(result: Identification) -> str:
 
 
 def part_section(result: Identification, part: SingleIdentification, place: int, units: Units) -> Section:
-    """The frame that one configuration, or all together, speak for, and how well it fits."""
+    """Tabulate the frame that one configuration, or all together, speak for, and how well it fits."""
     title = "All configurations together" if result.joint else part.name
     parts = [
         frame_table(part.frame, "Identified frame (masses without added mass)", units, key=f"identified-{place}"),
@@ -219,7 +219,7 @@ def part_section(result: Identification, part: SingleIdentification, place: int,
 
 
 def _bounds(part: SingleIdentification) -> Iterator[Sentence]:
-    """What would have gone on but for a bound."""
+    """Warn of what would have gone on but for a bound."""
     held = part.frame.at_bounds
     if held:
         are, them = ("is", "it") if len(held) == 1 else ("are", "them")

@@ -78,7 +78,7 @@ class PolePicker:
 
 
 def opened(result: ModalResult, record_file: str | Path | None) -> PolePicker:
-    """The picker in a window, or in the notebook's cell; a window of a script is waited for until it is closed.
+    """Open the picker in a window, or in the notebook's cell; a window of a script is waited for until it is closed.
 
     Raises
     ------
