@@ -242,10 +242,12 @@ class Datum(ABC):
         return self
 
     def describe(self, model: Model) -> list[Deviation]:
-        """Its parts, each with its error and deviation; by default one of the whole."""
+        """Its parts, each with its error and deviation; by default one of the whole, with its first, largest error."""
         r = self.residual(model).r
         deviation = float(np.sqrt(np.mean(r**2))) if r.size else 0.0
-        return [Deviation(self.noise.name, self.tested.name, self.label, None, deviation, max(len(r), 1))]
+        errors = next(iter(self.errors(model).values()), np.zeros(0))
+        error = float(errors[np.argmax(np.abs(errors))]) if errors.size else None
+        return [Deviation(self.noise.name, self.tested.name, self.label, error, deviation, max(len(r), 1))]
 
     def by_floor(self, model: Model) -> Mapping[int, Floats]:
         """Residuals in standard deviations by the floor they were measured at; none by default."""
