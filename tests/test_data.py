@@ -10,7 +10,7 @@ import pytest
 from cvxshear import Experiment, close_loop, identify
 from cvxshear.cli import main
 from cvxshear.data import Datum, ErrorFigure, Frequencies, Model, NoiseKind, Residual, Shapes, Static, data_of, register
-from cvxshear.data import kinds as registry_module
+from cvxshear.data import base as registry_module
 from cvxshear.data.base import largest
 from cvxshear.effects import compose
 from cvxshear.fit.misfit import Misfit

@@ -1,8 +1,18 @@
 """Kinds of measured data: one class a kind, each with its noise, residual, derivative, count, label and errors."""
 
-from cvxshear.data.base import Datum, Deviation, ErrorFigure, Model, Noise, NoiseKind, Residual
+from cvxshear.data.base import (
+    Datum,
+    Deviation,
+    ErrorFigure,
+    Model,
+    Noise,
+    NoiseKind,
+    Residual,
+    data_of,
+    noise_kinds,
+    register,
+)
 from cvxshear.data.frequencies import Frequencies
-from cvxshear.data.kinds import data_of, noise_kinds, register
 from cvxshear.data.shapes import Shapes
 from cvxshear.data.static import Static
 
@@ -21,3 +31,6 @@ __all__ = [
     "noise_kinds",
     "register",
 ]
+
+for _kind in (Frequencies, Shapes, Static):
+    register(_kind)

@@ -286,3 +286,36 @@ class Deviation(InJson):
         if not self.configuration:
             return f'the statement "{self.place}"'
         return f'the {self.noise.replace("_", " ")} of {self.place} of "{self.configuration}"'
+
+
+_kinds: dict[str, type[Datum]] = {}
+"""Every kind of data by the name of its class, the built-in ones first."""
+
+
+def register(kind: type[Datum]) -> None:
+    """Add a kind of datum; one of the same name is replaced.
+
+    Raises
+    ------
+    InputError
+        Where it declares no noise, or another kind has a different noise of that name.
+    """
+    noise = getattr(kind, "noise", None)
+    if not isinstance(noise, NoiseKind):
+        raise InputError(f"{kind.__name__}.noise is {noise!r}: declare a NoiseKind")
+    for other in _kinds.values():
+        if other.__name__ != kind.__name__ and other.noise.name == noise.name and other.noise != noise:
+            raise InputError(f"{kind.__name__}.noise: the name {noise.name!r} is that of the noise of {other.__name__}")
+    _kinds[kind.__name__] = kind
+
+
+def noise_kinds() -> dict[str, NoiseKind]:
+    """List the noise of every kind of data, by its name."""
+    return {kind.noise.name: kind.noise for kind in _kinds.values()}
+
+
+def data_of(experiment: Experiment) -> list[Datum]:
+    """All data of an experiment, kind by kind within each tested state."""
+    found = [datum for kind in _kinds.values() for datum in kind.of(experiment)]
+    order = {id(tested): place for place, tested in enumerate(experiment.tested)}
+    return sorted(found, key=lambda datum: order[id(datum.tested)])

@@ -65,19 +65,6 @@ def _mat(result: RecordPrediction) -> bytes:
     return out.getvalue()
 
 
-def _json(result: RecordPrediction) -> str:
-    return json_text(as_json(matrices(result.after.damped)), indent=1)
-
-
-def _py(result: RecordPrediction) -> str:
-    title = f"{result.after.fitted.experiment.name}, {result.configuration.name}"
-    return opensees_script(result.after.damped, title)
-
-
-def _xlsx(result: RecordPrediction) -> bytes:
-    return workbook(_sheets(result))
-
-
 def _sheets(result: RecordPrediction) -> Iterator[Sheet]:
     fitted = result.after.fitted
     n = fitted.experiment.stories
@@ -143,9 +130,11 @@ def _parts(fitted: Fitted) -> list[Deviation]:
 MODEL_WRITERS: dict[str, Callable[[RecordPrediction], str | bytes]] = {
     "npz": _npz,
     "mat": _mat,
-    "json": _json,
-    "py": _py,
-    "xlsx": _xlsx,
+    "json": lambda result: json_text(as_json(matrices(result.after.damped)), indent=1),
+    "py": lambda result: opensees_script(
+        result.after.damped, f"{result.after.fitted.experiment.name}, {result.configuration.name}"
+    ),
+    "xlsx": lambda result: workbook(_sheets(result)),
 }
 """By the ending of the file."""
 

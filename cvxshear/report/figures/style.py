@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache, wraps
 from io import BytesIO
-from itertools import cycle, islice
+from itertools import cycle
 from pathlib import Path
 from threading import RLock
 from typing import Any, ParamSpec
@@ -171,16 +171,7 @@ def grid_of(panels: int, columns: int) -> tuple[int, int]:
 
 def panels(figure: Figure, count: int, columns: int, *, sharex: bool = False, sharey: bool = False) -> list[Axes]:
     """So many panels in a grid; the places left over stay empty."""
-    rows, columns = grid_of(count, columns)
-    axes = figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey)
-    every: list[Axes] = list(axes.ravel())
-    for unused in every[count:]:
-        unused.remove()
-    if sharex:
-        # The lowest panel of a column tells the numbers, also where the grid's last row does not reach it.
-        for place in range(max(0, count - columns), count):
-            every[place].tick_params(labelbottom=True)
-    return every[:count]
+    return panels_by_group(figure, [count], columns, sharex=sharex, sharey=sharey)[0]
 
 
 def panels_by_group(
@@ -214,8 +205,8 @@ def legend(figure: Figure, axes: Axes, columns: int | None = None, *, left: bool
 
 def looks(count: int) -> list[dict[str, Any]]:
     """Colours with a line and a marker each, for so many lines in one panel."""
-    marks = zip(*(assorted(each, count) for each in (COLOURS, DASHES, MARKERS)), strict=True)
-    return [{"color": colour, "ls": line, "marker": marker} for colour, line, marker in marks]
+    marks = zip(range(count), cycle(COLOURS), cycle(DASHES), cycle(MARKERS), strict=False)
+    return [{"color": colour, "ls": line, "marker": marker} for _, colour, line, marker in marks]
 
 
 def error_bars(axes: Axes, values: Floats, heights: Floats | Ints, std: Floats | None, **look: Any) -> None:
@@ -234,11 +225,6 @@ def letters(text: str, longest: int = LONGEST_NAME) -> str:
     if len(line) > longest:
         line = line[: longest - 1].rstrip() + "…"
     return "".join(each if any(font.get_char_index(ord(each)) for font in _fonts()) else "□" for each in line)
-
-
-def assorted(marks: Sequence[str], count: int) -> list[str]:
-    """So many marks, from the first again where there are not enough."""
-    return list(islice(cycle(marks), count))
 
 
 def power_of_ten(value: float, _: object = None) -> str:
