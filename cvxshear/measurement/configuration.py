@@ -9,15 +9,17 @@ from functools import cached_property
 
 import numpy as np
 
+from cvxshear.measurement.declaration import InTable
 from cvxshear.measurement.measured_modes import OtherModes, copied_rows, other_modes, proportional_rows
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
-from cvxshear.util.results import fields_as_table
-from cvxshear.util.typing import Bools, Floats, Ints, Json
+from cvxshear.util.typing import Bools, Floats, Ints
 
 DEFAULT_FREQUENCY_STD = 0.002
 DEFAULT_MODE_SHAPE_STD = 0.01
+"""Relative, and relative to a mode's largest entry; `data.Frequencies.noise` and `data.Shapes.noise` say why."""
+
 NOISE_KINDS = ("additive", "multiplicative")
 
 
@@ -37,7 +39,7 @@ def _absent(value: object) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Configuration:
+class Configuration(InTable):
     """One tested state of the frame: what was added to it and what was measured on it.
 
     Parameters
@@ -231,17 +233,15 @@ class Configuration:
         where = name
         if isinstance(declared, Mapping) and declared.get("name") is not None:
             where = f'configuration "{checks.text(declared["name"], f"{name}: name")}"'
-        fields = [item.name for item in dataclasses.fields(Configuration)]
-        table = checks.keys(declared, fields, ["frequencies"], where, elsewhere=elsewhere)
         for key in ("added_mass", "measured_floors", "modes", "mode_shapes"):
-            if table.get(key) is not None and _absent(table[key]):
+            if isinstance(declared, Mapping) and declared.get(key) is not None and _absent(declared[key]):
                 raise InputError(f"{where}: {key} must not be empty; leave the key out for its default")
-        given = {key: value for key, value in table.items() if value is not None or key == "frequencies"}
-        return Configuration(**{"name": name, **given})
+        return Configuration.of_table(declared, where, "frequencies", elsewhere=elsewhere, name=name)
 
-    def to_dict(self) -> Json:
-        """Return the table that declares this configuration in a measurement file, every default written out."""
-        return fields_as_table(self, state=self.name)
+    @property
+    def unsaid(self) -> Mapping[str, object]:  # type: ignore[override]  # it hangs on the name
+        """A state of the configuration's own name need not be given."""
+        return {"state": self.name}
 
     def in_frame(self, stories: int) -> Configuration:
         """Fit the configuration to a frame of so many stories: added mass filled in, floors and modes within it.

@@ -6,6 +6,7 @@ import dataclasses
 import datetime
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -15,9 +16,6 @@ from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
 from cvxshear.util.results import fields_as_table
 from cvxshear.util.typing import Floats, Json
-
-UNSAID = (("stories", 0), ("accept", ()), ("total_mass_placeholder", False))
-"""Keys of a frame, with the values that stand for "not given"."""
 
 MISTAKES = {
     "sensor_sign": "one sensor's sign is turned round in every mode",
@@ -57,8 +55,33 @@ NAMES = (*MISTAKES, *DOUBTS)
 DAMPING_KINDS = ("modal", "story", "rayleigh")
 
 
+class InTable:
+    """A dataclass that a table of a measurement file declares.
+
+    Attributes
+    ----------
+    unsaid : mapping of str to object
+        Values of single fields that stand for "not given", besides None.
+    """
+
+    unsaid: ClassVar[Mapping[str, object]] = {}
+
+    @classmethod
+    def of_table(
+        cls, declared: object, where: str, *required: str, elsewhere: Mapping[str, str] | None = None, **given: object
+    ) -> Self:
+        """Read a table whose keys are the fields; `given` has values for fields that it leaves out."""
+        names = [item.name for item in dataclasses.fields(cls)]  # type: ignore[arg-type]  # every subclass is one
+        table = checks.keys(declared, names, required, where, elsewhere=elsewhere)
+        return cls(**given | {key: value for key, value in table.items() if value is not None or key in required})
+
+    def to_dict(self) -> Json:
+        """Return the table that declares it in a measurement file."""
+        return fields_as_table(self, unsaid=self.unsaid)
+
+
 @dataclass(frozen=True, eq=False)
-class Frame:
+class Frame(InTable):
     """What is known of the frame itself, the same in every configuration.
 
     Parameters
@@ -88,6 +111,8 @@ class Frame:
         Naming the key, the value found and what would be right.
     """
 
+    unsaid = {"stories": 0, "total_mass_placeholder": False}  # noqa: RUF012 - nobody writes into it
+
     stories: int = 0
     story_heights: Floats | None = None
     total_mass: float | None = None
@@ -99,42 +124,34 @@ class Frame:
     accept: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        put = object.__setattr__
         # 0 is the default and stands for "not given"; a False or an empty array that equals it does not.
         if type(self.stories) is not int or self.stories != 0:
-            put(self, "stories", checks.whole(self.stories, "frame: stories", least=1, most=MOST_STORIES))
-        if self.story_heights is not None:
-            put(self, "story_heights", self._checked_heights(self.story_heights))
-        if self.total_mass is not None:
-            put(self, "total_mass", checks.number(self.total_mass, "frame: total_mass", above=0.0))
+            checks.put(self, "stories", checks.whole, "frame: stories", least=1, most=MOST_STORIES)
+        checks.put(self, "story_heights", self._checked_heights, "frame: story_heights")
+        checks.put(self, "total_mass", checks.number, "frame: total_mass", above=0.0)
         if self.floor_masses is not None:
-            put(self, "floor_masses", checks.vector(self.floor_masses, "frame: floor_masses", above=0.0))
+            checks.put(self, "floor_masses", checks.vector, "frame: floor_masses", above=0.0)
             if self.total_mass is not None and not np.isclose(self.floor_masses.sum(), self.total_mass, rtol=1e-6):
                 raise InputError(
                     f"frame: floor_masses add up to {self.floor_masses.sum():g} kg, total_mass says "
                     f"{self.total_mass:g} kg; give one of the two, or values that agree"
                 )
-        put(self, "gravity", checks.number(self.gravity, "frame: gravity", above=0.0))
+        checks.put(self, "gravity", checks.number, "frame: gravity", above=0.0)
         if self.total_mass_std is not None:
-            put(self, "total_mass_std", checks.number(self.total_mass_std, "frame: total_mass_std", above=0.0))
+            checks.put(self, "total_mass_std", checks.number, "frame: total_mass_std", above=0.0)
             if self.total_mass is None or self.floor_masses is not None:
                 raise InputError("frame: total_mass_std belongs to total_mass; give that, and no floor_masses")
-        put(self, "total_mass_placeholder", checks.flag(self.total_mass_placeholder, "frame: total_mass_placeholder"))
+        checks.put(self, "total_mass_placeholder", checks.flag, "frame: total_mass_placeholder")
         if self.total_mass_placeholder and (self.total_mass is None or self.floor_masses is not None):
             raise InputError("frame: total_mass_placeholder belongs to total_mass; leave it out where that is known")
-        if self.reference is not None:
-            checks.text(self.reference, "frame: reference")
-        put(self, "accept", self._checked_accept(self.accept))
+        checks.put(self, "reference", checks.text, "frame: reference")
+        if not isinstance(self.accept, list | tuple):
+            raise InputError(f"frame: accept must be a list of names, not {checks.shown(self.accept)}")
+        accepted = tuple(checks.choice(name, NAMES, "frame: accept") for name in self.accept)
+        object.__setattr__(self, "accept", accepted)
 
-    @staticmethod
-    def _checked_accept(accept: object) -> tuple[str, ...]:
-        if not isinstance(accept, list | tuple):
-            raise InputError(f"frame: accept must be a list of names, not {checks.shown(accept)}")
-        return tuple(checks.choice(name, NAMES, "frame: accept") for name in accept)
-
-    def _checked_heights(self, heights: object) -> Floats:
+    def _checked_heights(self, heights: object, where: str) -> Floats:
         """One height a story; a single number, for all stories, stays one until their number is known."""
-        where = "frame: story_heights"
         if checks.many(heights):
             return checks.vector(heights, where, above=0.0)
         height = checks.number(heights, where, above=0.0)
@@ -152,16 +169,9 @@ class Frame:
         """
         if isinstance(declared, list):
             raise InputError(f"[frame] must be one table, in single brackets, not a list: {checks.shown(declared)}")
-        names = [item.name for item in dataclasses.fields(Frame)]
-        table = checks.keys(declared, names, [], "frame", elsewhere=elsewhere)
-        given = {key: value for key, value in table.items() if value is not None}
-        if "stories" in given:
-            given["stories"] = checks.whole(given["stories"], "frame: stories", least=1, most=MOST_STORIES)
-        return Frame(**given)
-
-    def to_dict(self) -> Json:
-        """Return the table that declares this frame in a measurement file."""
-        return fields_as_table(self, stories=0, total_mass_placeholder=False)
+        if isinstance(declared, Mapping) and declared.get("stories") is not None:
+            checks.whole(declared["stories"], "frame: stories", least=1, most=MOST_STORIES)
+        return Frame.of_table(declared, "frame", elsewhere=elsewhere)
 
     @property
     def elevations(self) -> Floats | None:
@@ -204,7 +214,7 @@ class Damping:
 
 
 @dataclass(frozen=True)
-class Heading:
+class Heading(InTable):
     """What a report says of the test besides its results; each part is None where nobody said it.
 
     Parameters
@@ -237,10 +247,6 @@ class Heading:
             table["date"] = table["date"].isoformat()
         return Heading(**{key: checks.text(value, f"report: {key}") for key, value in table.items()})
 
-    def to_dict(self) -> Json:
-        """Return the table that declares it in a measurement file."""
-        return fields_as_table(self)
-
     @property
     def lines(self) -> list[tuple[str, str]]:
         """Names and texts that stand below the title."""
@@ -248,7 +254,7 @@ class Heading:
 
 
 @dataclass(frozen=True, eq=False)
-class Limits:
+class Limits(InTable):
     """Drift ratios that the user wants to know passed or not.
 
     Parameters
@@ -284,8 +290,4 @@ class Limits:
     @staticmethod
     def from_dict(declared: object) -> Limits:
         """Read the limits that the table `[limits]` of a measurement file declares."""
-        return Limits(**checks.keys(declared, ["story_drift", "names"], ["story_drift"], "limits"))
-
-    def to_dict(self) -> Json:
-        """Return the table that declares these limits."""
-        return fields_as_table(self)
+        return Limits.of_table(declared, "limits", "story_drift")

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from cvxshear.measurement.declaration import InTable
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.results import fields_as_table
-from cvxshear.util.typing import Json
 
 
 @dataclass(frozen=True)
-class ExpectedEffect:
+class ExpectedEffect(InTable):
     """What is known of an effect, everywhere or at a place, in place of what the catalogue expects.
 
     Parameters
@@ -39,6 +37,8 @@ class ExpectedEffect:
         Naming the key, the value found and what would be right.
     """
 
+    unsaid = {"exclude": False}  # noqa: RUF012 - nobody writes into it
+
     name: str
     floor: int | None = None
     story: int | None = None
@@ -49,14 +49,11 @@ class ExpectedEffect:
     to: int | None = None
 
     def __post_init__(self) -> None:
-        put = object.__setattr__
         checks.text(self.name, "effect: name")
-        if self.size is not None:
-            put(self, "size", checks.number(self.size, self._at("size"), above=0.0))
-        if self.probability is not None:
-            put(self, "probability", checks.number(self.probability, self._at("probability"), above=0.0))
-            if self.probability >= 1.0:
-                raise InputError(f"{self._at('probability')} = {self.probability:g} must be below 1; assume the effect")
+        checks.put(self, "size", checks.number, self._at("size"), above=0.0)
+        checks.put(self, "probability", checks.number, self._at("probability"), above=0.0)
+        if self.probability is not None and self.probability >= 1.0:
+            raise InputError(f"{self._at('probability')} = {self.probability:g} must be below 1; assume the effect")
         checks.flag(self.exclude, self._at("exclude"))
         if self.exclude and (self.size is not None or self.probability is not None):
             raise InputError(f"{self._at('exclude')} leaves no room for size or probability; give one or the other")
@@ -67,13 +64,7 @@ class ExpectedEffect:
     @staticmethod
     def from_dict(declared: object, where: str) -> ExpectedEffect:
         """Read what a table `[[effect]]` declares."""
-        fields = [item.name for item in dataclasses.fields(ExpectedEffect)]
-        table = checks.keys(declared, fields, ["name"], where)
-        return ExpectedEffect(**{key: value for key, value in table.items() if value is not None})
-
-    def to_dict(self) -> Json:
-        """Return the table that declares it."""
-        return fields_as_table(self, exclude=False)
+        return ExpectedEffect.of_table(declared, where, "name")
 
     def check(self, stories: int, states: Sequence[str]) -> None:
         """Raise `InputError` where it names a floor, story or state that an experiment has not."""

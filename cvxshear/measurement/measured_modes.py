@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cvxshear.measurement.declaration import InTable
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
-from cvxshear.util.results import fields_as_table
-from cvxshear.util.typing import Floats, Ints, Json
+from cvxshear.util.typing import Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)
-class OtherModes:
+class OtherModes(InTable):
     """Another reading of which modes of the frame a configuration holds.
 
     Parameters
@@ -57,10 +57,6 @@ class OtherModes:
         if probability >= 1.0:
             raise InputError(f"{where}: probability = {probability:g} must be below 1; give these as modes")
         return OtherModes(modes, probability)
-
-    def to_dict(self) -> Json:
-        """Return the table that declares it."""
-        return fields_as_table(self)
 
 
 def other_modes(declared: object, own: Ints, where: str) -> tuple[OtherModes, ...]:

@@ -5,19 +5,21 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from cvxshear.measurement.declaration import InTable
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.results import fields_as_table
-from cvxshear.util.typing import Bools, Floats, Json
+from cvxshear.util.typing import Bools, Floats
 
 DEFAULT_DISPLACEMENT_STD = 0.01
+"""Relative to the largest displacement; `data.Static.noise` says why."""
 
 
 @dataclass(frozen=True, eq=False)
-class StaticTest:
+class StaticTest(InTable):
     """Forces on a frame that stands still, and where they move its floors.
 
     Parameters
@@ -48,27 +50,19 @@ class StaticTest:
     displacement_std: float | None = None
 
     def __post_init__(self) -> None:
-        put = object.__setattr__
         checks.text(self.name, "static test: name")
-        put(self, "state", checks.text(self.state, self._at("state")) if self.state else self.name)
-        put(self, "force", checks.vector(self.force, self._at("force")))
-        count = len(self.force)
-        put(
-            self,
-            "displacement",
-            checks.vector(self.displacement, self._at("displacement"), length=count, each=", one a floor", nan=True),
-        )
+        state = checks.text(self.state, self._at("state")) if self.state else self.name
+        object.__setattr__(self, "state", state)
+        checks.put(self, "force", checks.vector, self._at("force"))
+        one_each: dict[str, Any] = {"length": len(self.force), "each": ", one a floor"}
+        checks.put(self, "displacement", checks.vector, self._at("displacement"), nan=True, **one_each)
         if not np.any(self.force):
             raise InputError(f"{self._at('force')} is zero on every floor; a static test needs one that is not")
         if not np.any(np.abs(self.displacement[self.measured]) > 0):
             raise InputError(f"{self._at('displacement')} holds no displacement; give one floor's at least, in m")
         if np.size(self.added_mass):
-            where = self._at("added_mass")
-            added = checks.vector(self.added_mass, where, length=count, each=", one a floor", least=0.0)
-            put(self, "added_mass", added)
-        if self.displacement_std is not None:
-            std = checks.number(self.displacement_std, self._at("displacement_std"), above=0.0)
-            put(self, "displacement_std", std)
+            checks.put(self, "added_mass", checks.vector, self._at("added_mass"), least=0.0, **one_each)
+        checks.put(self, "displacement_std", checks.number, self._at("displacement_std"), above=0.0)
 
     def _at(self, key: str) -> str:
         return f'static test "{self.name}": {key}'
@@ -79,14 +73,7 @@ class StaticTest:
         where = name
         if isinstance(declared, Mapping) and declared.get("name") is not None:
             where = f'static test "{checks.text(declared["name"], f"{name}: name")}"'
-        fields = [item.name for item in dataclasses.fields(StaticTest)]
-        table = checks.keys(declared, fields, ["force", "displacement"], where)
-        given = {key: value for key, value in table.items() if value is not None}
-        return StaticTest(**{"name": name, **given})
-
-    def to_dict(self) -> Json:
-        """Return the table that declares this test in a measurement file."""
-        return fields_as_table(self)
+        return StaticTest.of_table(declared, where, "force", "displacement", name=name)
 
     def in_frame(self, stories: int) -> StaticTest:
         """Fit the test to a frame of so many stories, added mass filled in."""

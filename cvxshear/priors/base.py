@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from abc import ABC
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -288,21 +288,14 @@ def _name(prior: Prior) -> str:
     return prior.kind or type(prior).__name__
 
 
-def set_field(prior: Prior, name: str, value: object) -> None:
-    """Put the checked value in place of the one handed in; the dataclasses are frozen to everyone else."""
-    object.__setattr__(prior, name, value)
-
-
-def check_std(prior: Prior, std: object) -> None:
-    """Put the checked relative standard deviation in place; without one the prior is exact."""
-    if std is not None:
-        set_field(prior, "std", checks.number(std, f"std of the {prior.kind} prior", above=0.0))
+def put(prior: Prior, name: str, check: Callable[..., object], **limits: object) -> None:
+    """Check a field of one of this library's priors, and put what the check returns in its place."""
+    checks.put(prior, name, check, f"{name} of the {prior.kind} prior", **limits)
 
 
 def check_place(prior: Prior, name: str, stories: int = checks.MOST_STORIES) -> None:
     """Raise `InputError` unless the field holds a floor or story, from 1 to `stories`."""
-    where = f"{name} of the {prior.kind} prior"
-    set_field(prior, name, checks.whole(getattr(prior, name), where, least=1, most=stories))
+    put(prior, name, checks.whole, least=1, most=stories)
 
 
 def listed(value: float | Floats, quantity: str) -> str:

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from cvxshear.priors.base import Constraints, Prior, check_quantity, listed, set_field
+from cvxshear.priors.base import Constraints, Prior, check_quantity, listed, put
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
@@ -34,14 +34,8 @@ class Bounds(Prior):
         check_quantity(self)
         if self.lower is None and self.upper is None:
             raise InputError("the bounds prior needs a key 'lower' or 'upper'")
-        self._check_limit("lower", least=0.0)
-        self._check_limit("upper", above=0.0)
-
-    def _check_limit(self, name: str, *, above: float = -np.inf, least: float = -np.inf) -> None:
-        value, where = getattr(self, name), f"{name} of the bounds prior"
-        if value is not None:
-            check = checks.vector if checks.many(value) else checks.number
-            set_field(self, name, check(value, where, above=above, least=least))
+        put(self, "lower", checks.vector if checks.many(self.lower) else checks.number, least=0.0)
+        put(self, "upper", checks.vector if checks.many(self.upper) else checks.number, above=0.0)
 
     def check(self, stories: int) -> None:
         """Raise `InputError` where it names floors or stories that a frame of so many stories has not."""

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.linalg import helmert
 
-from cvxshear.priors.base import Constraints, Prior, certainty, check_quantity, check_std, listed, set_field
+from cvxshear.priors.base import Constraints, Prior, certainty, check_quantity, listed, put
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
@@ -43,9 +43,9 @@ class Nominal(Prior):
 
     def __post_init__(self) -> None:
         check_quantity(self)
-        set_field(self, "values", checks.vector(self.values, "values of the nominal prior", above=0.0))
-        set_field(self, "free_scale", checks.flag(self.free_scale, "free_scale of the nominal prior"))
-        check_std(self, self.std)
+        put(self, "values", checks.vector, above=0.0)
+        put(self, "free_scale", checks.flag)
+        put(self, "std", checks.number, above=0.0)
 
     @property
     def fixes_scale(self) -> bool:

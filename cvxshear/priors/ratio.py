@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from cvxshear.priors.base import Constraints, Prior, certainty, check_place, check_quantity, check_std, set_field
+from cvxshear.priors.base import Constraints, Prior, certainty, check_place, check_quantity, put
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
@@ -40,8 +40,8 @@ class Ratio(Prior):
 
     def __post_init__(self) -> None:
         check_quantity(self)
-        set_field(self, "value", checks.number(self.value, "value of the ratio prior", above=0.0))
-        check_std(self, self.std)
+        put(self, "value", checks.number, above=0.0)
+        put(self, "std", checks.number, above=0.0)
         check_place(self, "of")
         check_place(self, "to")
         if self.of == self.to:

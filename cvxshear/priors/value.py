@@ -8,16 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from cvxshear.priors.base import (
-    Constraints,
-    Prior,
-    certainty,
-    check_place,
-    check_quantity,
-    check_std,
-    listed,
-    set_field,
-)
+from cvxshear.priors.base import Constraints, Prior, certainty, check_place, check_quantity, listed, put
 from cvxshear.util import checks
 from cvxshear.util.typing import Floats
 
@@ -46,8 +37,8 @@ class Value(Prior):
 
     def __post_init__(self) -> None:
         check_quantity(self)
-        set_field(self, "value", checks.number(self.value, "value of the value prior", above=0.0))
-        check_std(self, self.std)
+        put(self, "value", checks.number, above=0.0)
+        put(self, "std", checks.number, above=0.0)
         check_place(self, "at")
 
     @property

@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import math
 import reprlib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -44,6 +44,25 @@ def shown(value: object) -> str:
         # Python refuses to print whole numbers of more than a few thousand digits.
         text = "a number too long to print"
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+def put(target: object, name: str, check: Callable[..., object], where: str, **limits: object) -> None:
+    """Check a field of a frozen dataclass, and put what the check returns in its place; a default of None stays.
+
+    Parameters
+    ----------
+    target : dataclass
+    name : str
+        Of the field.
+    check : callable
+        One of the functions below.
+    where : str
+    **limits
+        Handed to the check.
+    """
+    value = getattr(target, name)
+    if value is not None or getattr(type(target), name, ...) is not None:
+        object.__setattr__(target, name, check(value, where, **limits))
 
 
 def keys(

@@ -96,7 +96,7 @@ def fields_as_json(value: Any) -> Json:
     return found
 
 
-def fields_as_table(value: Any, *, empty: bool = False, **unsaid: object) -> Json:
+def fields_as_table(value: Any, *, empty: bool = False, unsaid: Mapping[str, object] | None = None) -> Json:
     """Write the fields of a dataclass as the table of a measurement file that declares it.
 
     Parameters
@@ -104,10 +104,11 @@ def fields_as_table(value: Any, *, empty: bool = False, **unsaid: object) -> Jso
     value : dataclass
     empty : bool, optional
         Whether an empty list, or one of empty lists, says something.
-    **unsaid : object
+    unsaid : mapping of str to object, optional
         Values of single fields that stand for "not given", besides None.
     """
     found = {field.name: getattr(value, field.name) for field in dataclasses.fields(value) if field.init}
+    unsaid = unsaid or {}
     return {
         key: as_table(item)
         for key, item in found.items()
