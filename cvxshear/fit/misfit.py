@@ -253,11 +253,11 @@ class Misfit:
         if np.any(theta[: 2 * n] <= 0):
             raise NoModesError("floor masses and story stiffnesses must be positive")
         models = {id(each): self._model(each, theta, by, derivatives) for each in self.experiment.tested}
+        factors = {key: self.widened * self.noise.of(key) for keys in self._keys for key in set(keys)}
         parts, rows, keys = [np.zeros(0)], [], list[str]()
         for datum in self.data:
             own = self._keys[len(parts) - 1]
-            factor = self.widened * np.array([self.noise.of(key) for key in own])
-            found = datum.widened_residual(models[id(datum.tested)], factor)
+            found = datum.widened_residual(models[id(datum.tested)], np.array([factors[key] for key in own]))
             parts.append(found.r)
             rows.append(found.J)
             keys += own

@@ -27,6 +27,7 @@ from cvxshear.loop.linear import Linearised
 from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.twins import Invariances, invariances
 from cvxshear.util.errors import NoModesError
+from cvxshear.util.typing import Floats
 
 BEAM = 6
 REACH = 20.0
@@ -197,7 +198,7 @@ class Search:
     def visit_twins(self) -> None:
         """Visit, beside each of the best sets, those in which an effect has given its place to a twin."""
         for model in [each for each in self.beam if each.score >= self.best.score - WITHIN]:
-            if model.estimate is None or not model.effects:
+            if not model.effects or not self._worth_following(model):
                 continue
             found = self.invariances(model)
             for placed in model.effects:
@@ -257,8 +258,12 @@ class Search:
         )
 
     def _worth_following(self, model: ModelClass) -> bool:
-        """Whether a set may lead to a better one; with an open class beside an explanation that is better, hardly."""
-        return self.best.improbable or model is self.best or not holds_open(model.effects)
+        """Whether a set may lead to a better one: what only adds to one that explains the data hardly does."""
+        if self.best.improbable or model is self.best:
+            return True
+        return not holds_open(model.effects) and not any(
+            better.effects < model.effects and better.score > model.score for better in self.beam
+        )
 
     def _lacking(self, model: ModelClass) -> list[Placed]:
         """What the linearised model at the fit of a set can judge of what the set lacks."""
@@ -312,9 +317,9 @@ class Search:
 
     def _promising(self, model: ModelClass, linear: Linearised) -> list[Set]:
         """Sets with one more effect, or two, by what the linearised model promises."""
-        single = {
-            model.effects | {placed}: linear.gain(placed) + self.fitter.log_prior([placed]) for placed in linear.lacking
-        }
+        odds = np.array([self.fitter.log_prior([placed]) for placed in linear.lacking])
+        gains = dict(zip(linear.lacking, linear.gains.tolist(), strict=True))
+        single = {model.effects | {each}: gains[each] + self.fitter.log_prior([each]) for each in linear.lacking}
         order = sorted(single, key=lambda each: -single[each])
         # A set with an effect taken out is far behind: what is put in must catch up with the best.
         floor = max(single[order[0]], 0.0, self.best.score - model.score) - WITHIN
@@ -323,12 +328,10 @@ class Search:
         new = [each for at, each in enumerate(order[:MOST]) if at < least or single[each] > floor]
         if model.improbable:
             # What leaves the accuracy of some data open shows all that it is worth only once they weigh less.
-            rescaling = sorted(
-                (placed for placed in linear.lacking if placed.effect.rescales), key=lambda placed: -linear.gain(placed)
-            )
+            rescaling = sorted((each for each in gains if each.effect.rescales), key=lambda each: -gains[each])
             new += [model.effects | {placed} for placed in rescaling[:RESCALING]]
-        several = model.effects.union(linear.forward([self.fitter.log_prior([placed]) for placed in linear.lacking]))
-        found = (*new, *self._pairs(model, linear, single), several)
+        several = model.effects.union(linear.forward(odds))
+        found = (*new, *self._pairs(model, linear, odds), several)
         return [each for each in found if each not in self.visited and not self._hopeless(each)]
 
     def _hopeless(self, effects: Set) -> bool:
@@ -342,10 +345,9 @@ class Search:
                     return True
         return False
 
-    def _pairs(self, model: ModelClass, linear: Linearised, single: dict[Set, float]) -> Iterable[Set]:
+    def _pairs(self, model: ModelClass, linear: Linearised, odds: Floats) -> Iterable[Set]:
         """Pairs that promise more together than either does by itself, and than nothing."""
-        odds = np.array([self.fitter.log_prior([placed]) for placed in linear.lacking])
-        alone = np.array([single[model.effects | {placed}] for placed in linear.lacking])
+        alone = linear.gains + odds
         together = np.triu(linear.pair_gains() + odds[:, None] + odds[None, :], 1)
         threshold = max(float(alone.max()), 0.0)
         better = together - np.maximum(np.maximum(alone[:, None], alone[None, :]), 0.0)
@@ -401,7 +403,10 @@ class Search:
         if model.estimate is None or not effects:
             return []
         linear = Linearised(model.estimate, effects, self.fitter.expectation)
-        gains = {placed: linear.gain(placed) + self.fitter.log_prior([placed]) for placed in effects}
+        gains = {
+            placed: gain + self.fitter.log_prior([placed])
+            for placed, gain in zip(effects, linear.gains.tolist(), strict=True)
+        }
         best = sorted(gains, key=lambda placed: -gains[placed])[:STAND_FOR_A_GROUP]
         sets = [model.effects | {placed} for placed in best]
         self._visit(model.estimate, linear, [each for each in sets if each not in self.visited])
