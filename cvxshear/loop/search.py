@@ -36,6 +36,10 @@ REACH = 20.0
 WITHIN = 7.0
 """Logarithm of a probability ratio: what is a thousandth as probable as the best is not followed up."""
 
+TIE = 2.0
+"""The same between two sets that are as good as each other: what may stand beside the one is tried beside both, or the
+probabilities would count it for one of them alone."""
+
 A_PILE = 3
 """Effects from which on a set is no simple explanation: two causes at once are met now and then, three seldom."""
 
@@ -262,7 +266,7 @@ class Search:
         if self.best.improbable or model is self.best:
             return True
         return not holds_open(model.effects) and not any(
-            better.effects < model.effects and better.score > model.score for better in self.beam
+            better.effects < model.effects and better.score > model.score + TIE for better in self.beam
         )
 
     def _lacking(self, model: ModelClass) -> list[Placed]:
