@@ -189,7 +189,7 @@ class Estimate:
         return IdentifiedFrame(self.theta[:n], self.theta[n : 2 * n], std[:n], std[n : 2 * n], held)
 
     def _held_by_bounds(self, std: Floats) -> tuple[str, ...]:
-        """The masses and stiffnesses that bounds leave no freedom.
+        """List the masses and stiffnesses that bounds leave no freedom.
 
         Not those of which a bound on several together, such as a ratio, is active: they have a deviation still.
         """
@@ -238,7 +238,7 @@ def fitted(
     tolerance: float = CONVERGED_STEP,
     start: Evaluation | None = None,
 ) -> Estimate:
-    """The estimate that Gauss-Newton reaches from a starting point, with the noise that it speaks for.
+    """Find the estimate that Gauss-Newton reaches from a starting point, with the noise that it speaks for.
 
     Parameters
     ----------

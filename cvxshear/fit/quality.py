@@ -49,7 +49,7 @@ class Quality(InJson):
 
 
 def quality(data: Sequence[Datum], models: Sequence[Model], chi2: float, dof: int, *, declared: bool) -> Quality:
-    """The errors of a model.
+    """Compute the errors of a model.
 
     Parameters
     ----------

@@ -109,7 +109,7 @@ def free_basis(estimate: Estimate, expectation: Expectation) -> Floats:
 
 
 def _program(estimate: Estimate) -> LeastSquares:
-    """The fit's constraints about its optimum."""
+    """Write the constraints of a fit about its optimum."""
     empty = LeastSquares(R=estimate.fit.at.triangle[0], s=np.zeros(len(estimate.fit.at.triangle[1])))
     return constrained(empty, estimate.domain.statements, estimate.theta)
 
@@ -173,7 +173,7 @@ def _log_kept(estimate: Estimate, B: Floats, H: Floats, gradient: Floats) -> flo
 
 
 def _spread(rows: Floats, H: Floats) -> Floats:
-    """Standard deviations of these rows under a Gaussian of this precision."""
+    """Return the standard deviations of these rows under a Gaussian of this precision."""
     variance: Floats = np.einsum("ij,ji->i", rows, np.linalg.solve(H, rows.T))
     return np.sqrt(np.maximum(variance, 0.0))
 

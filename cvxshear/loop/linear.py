@@ -62,7 +62,7 @@ class Linearised:
         self._singles = _Singles(self.lacking, expectation)
 
     def _sensitivities(self) -> Floats:
-        """Derivatives of the residuals by the parameters that are lacking, at their null values, shape (d, p)."""
+        """Compute the derivatives by the parameters that are lacking, at their null values, shape (d, p)."""
         base = self.base
         misfit = base.misfit
         nulls = np.array([item.null for placed in self.lacking for item in placed.effect.parameters])
@@ -77,7 +77,7 @@ class Linearised:
         return columns
 
     def _shift(self, placed: Placed) -> Floats:
-        """The least change of the frame, in typical units, that goes with the parameters of an effect's equalities."""
+        """Find the least change of the frame, in typical units, that an effect's equalities ask for."""
         scale = self.expectation.scale
         assert scale is not None
         n2 = 2 * self.base.experiment.stories
@@ -88,7 +88,7 @@ class Linearised:
         return shift
 
     def columns(self, placed: Placed) -> Floats:
-        """Derivatives of the residuals by an effect's parameters, the frame following its equalities, shape (d, p)."""
+        """Return the derivatives of the residuals by an effect's parameters, the frame following it, shape (d, p)."""
         return self._columns[:, self._at[placed]]
 
     def gain(self, placed: Placed) -> float:
@@ -130,7 +130,7 @@ class Linearised:
         return float(np.logaddexp.reduce(parts))
 
     def _likely_sizes(self, placed: Placed) -> Floats:
-        """Standard deviations under which a first prediction of an effect's parameters is made, shape (p,).
+        """Choose the standard deviations for a first prediction of an effect's parameters, shape (p,).
 
         Those of Student's t are wide, so that a large effect is not held back; a common size is the best one.
         """
@@ -175,7 +175,7 @@ class Linearised:
         return taken
 
     def pair_gains(self) -> Floats:
-        """The same for each pair of effects of one parameter, shape (n, n); -inf where a bound is not kept."""
+        """Find the gains of each pair of effects of one parameter, shape (n, n); -inf where a bound is not kept."""
         single = self._singles
         result = np.full((len(self.lacking), len(self.lacking)), -np.inf)
         own, b = self._own[:, single.columns], -self._slope[single.columns]
@@ -235,7 +235,7 @@ class Linearised:
         return float(-(2.0 * slope @ change + change @ h @ change))
 
     def confounders(self, placed: Placed, names: Sequence[str], share: float = 0.1) -> tuple[str, ...]:
-        """The parameters of the fit whose change does what an effect does; largest part first."""
+        """List the parameters of the fit whose change does what an effect does; largest part first."""
         g = self._columns[:, self._at[placed]].sum(axis=1)
         part = np.abs(self._free @ (self._reached.T @ g)) * np.linalg.norm(self.base.fit.at.J, axis=0)
         order = np.argsort(-part, kind="stable")
@@ -335,13 +335,13 @@ def _log_evidence_by_size(b: Floats, h: Floats, stds: Floats, width: float) -> t
 
 
 def _gain_of_common_size(b: Floats, h: Floats, stds: Floats, width: float) -> float:
-    """The log evidence gained by parameters of one common size, that size integrated out."""
+    """Compute the log evidence gained by parameters of one common size, that size integrated out."""
     _, gained = _log_evidence_by_size(b, h, stds, width)
     return float(np.logaddexp.reduce(gained) - np.logaddexp.reduce(-0.5 * LOG_SIZES**2))
 
 
 def _best_log_size(b: Floats, h: Floats, stds: Floats, width: float) -> float:
-    """The logarithm of the common size that the linearised model finds most probable."""
+    """Find the logarithm of the common size that the linearised model finds most probable."""
     u, gained = _log_evidence_by_size(b, h, stds, width)
     return float(u[np.argmax(gained)])
 
@@ -363,12 +363,12 @@ def _log_evidence_by_noise(reached: Floats, r: Floats, width: float) -> tuple[Fl
 
 
 def _gain_of_noise(reached: Floats, r: Floats, width: float) -> float:
-    """The log evidence gained where the accuracy of some residuals is left open, its factor integrated out."""
+    """Compute the log evidence gained where the accuracy of some residuals is left open, its factor integrated out."""
     _, gained = _log_evidence_by_noise(reached, r, width)
     return float(np.logaddexp.reduce(gained) - np.logaddexp.reduce(-0.5 * LOG_SIZES**2))
 
 
 def _best_log_noise(reached: Floats, r: Floats, width: float) -> float:
-    """The logarithm of the factor on the deviation of some residuals that is most probable."""
+    """Find the logarithm of the factor on the deviation of some residuals that is most probable."""
     u, gained = _log_evidence_by_noise(reached, r, width)
     return float(u[np.argmax(gained)])

@@ -217,12 +217,12 @@ class Search:
                     self._visit(base.estimate, linear, new, CONVERGED_STEP)
 
     def invariances(self, model: ModelClass) -> Invariances:
-        """What no datum tells at the fit of a set."""
+        """Find what no datum tells at the fit of a set."""
         assert model.estimate is not None
         return invariances(model.estimate, self._lacking(model), self.fitter.expectation)
 
     def twins(self, model: ModelClass, placed: Placed) -> list[Placed]:
-        """The effects that no datum tells from one of a set, where the set with them fits as well."""
+        """List the effects that no datum tells from one of a set, where the set with them fits as well."""
         assert model.estimate is not None
         found = []
         for twin in self.invariances(model).twins(placed):
@@ -235,7 +235,7 @@ class Search:
         self._record([self.fitter.refined(model) for model in self.beam])
 
     def fit_of(self, effects: Set) -> Estimate:
-        """The fit of a set, made where it was not visited."""
+        """Find the fit of a set, made where it was not visited."""
         model = self.visited.get(effects)
         if model is not None and model.estimate is not None:
             return model.estimate
@@ -250,7 +250,7 @@ class Search:
         return found.estimate
 
     def _next(self, done: set[Set], within: float) -> ModelClass | None:
-        """The best set of the beam that was not dealt with yet."""
+        """Find the best set of the beam that was not dealt with yet."""
         floor = self.best.score - within
         return next(
             (
@@ -270,7 +270,7 @@ class Search:
         )
 
     def _lacking(self, model: ModelClass) -> list[Placed]:
-        """What the linearised model at the fit of a set can judge of what the set lacks."""
+        """List the effects that a set lacks and the linearised model at its fit can judge."""
         return [
             item.placed
             for item in self.fitter.hypotheses
@@ -320,7 +320,7 @@ class Search:
         self._record(self.fitter.models(proposals))
 
     def _promising(self, model: ModelClass, linear: Linearised) -> list[Set]:
-        """Sets with one more effect, or two, by what the linearised model promises."""
+        """List sets with one more effect, or two, by what the linearised model promises."""
         odds = np.array([self.fitter.log_prior([placed]) for placed in linear.lacking])
         gains = dict(zip(linear.lacking, linear.gains.tolist(), strict=True))
         single = {model.effects | {each}: gains[each] + self.fitter.log_prior([each]) for each in linear.lacking}
@@ -402,7 +402,7 @@ class Search:
                     best = max((at, *self._with_one_of(others, at, barred)), key=lambda each: each.score)
 
     def _with_one_of(self, effects: Sequence[Placed], model: ModelClass, barred: Set) -> list[ModelClass]:
-        """The most promising sets with one of these effects more, none that is barred, visited."""
+        """Visit the most promising sets with one of these effects more, none that is barred."""
         effects = [placed for placed in effects if placed not in barred]
         if model.estimate is None or not effects:
             return []
@@ -417,7 +417,7 @@ class Search:
         return [self.visited[each] for each in sets]
 
     def _groups(self, effects: Set) -> list[Set]:
-        """The groups of two effects or more, and each open class, each once."""
+        """List the groups of two effects or more, and each open class, each once."""
         by_state, by_name = defaultdict[str | None, set[Placed]](set), defaultdict[str, set[Placed]](set)
         for placed in effects:
             by_name[placed.effect.name].add(placed)
@@ -469,7 +469,7 @@ def holds_open(effects: Set) -> bool:
 
 
 def _after_a_step(proposal: FitProposal) -> float:
-    """The objective that the linearised model has after one step from a start."""
+    """Return the objective that the linearised model has after one step from a start."""
     try:
         at = proposal.misfit.evaluate(proposal.starts[0])
     except NoModesError:
