@@ -232,7 +232,8 @@ class Search:
 
     def refine(self) -> None:
         """Fit the sets that count most to full accuracy."""
-        self._record([self.fitter.refined(model) for model in self.beam])
+        floor = self.best.score - REACH
+        self._record([self.fitter.refined(model) for model in self.beam if model.score >= floor])
 
     def fit_of(self, effects: Set) -> Estimate:
         """Find the fit of a set, made where it was not visited."""
