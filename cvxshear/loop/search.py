@@ -335,7 +335,8 @@ class Search:
             # What leaves the accuracy of some data open shows all that it is worth only once they weigh less.
             rescaling = sorted((each for each in gains if each.effect.rescales), key=lambda each: -gains[each])
             new += [model.effects | {placed} for placed in rescaling[:RESCALING]]
-        several = model.effects.union(linear.forward(odds))
+        causes = np.array([each.effect.kind != OPEN for each in linear.lacking])
+        several = model.effects.union(linear.forward(np.where(causes, odds, -np.inf)))
         found = (*new, *self._pairs(model, linear, odds), several)
         return [each for each in found if each not in self.visited and not self._hopeless(each)]
 
