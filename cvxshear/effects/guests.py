@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
-from typing import TypeVar
 
 import numpy as np
 
@@ -15,9 +14,7 @@ from cvxshear.effects.state import STAGES, Scale, State, heights_of
 from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.priors import Constraints
 from cvxshear.util.errors import CvxshearError, InputError
-from cvxshear.util.typing import Floats
-
-T = TypeVar("T")
+from cvxshear.util.typing import Floats, T
 
 PLACE_PARTS = ("floor", "to", "story", "state", "prior")
 NEEDS = ("heights", "several states")
@@ -120,10 +117,10 @@ class _Check:
         if not holds:
             raise InputError(f"effect {self.effect.name}: {otherwise}")
 
-    def _call(self, member: str, of: Callable[[], T], kind: type | tuple[type, ...]) -> T:
+    def _call(self, member: str, member_call: Callable[[], T], kind: type | tuple[type, ...]) -> T:
         """Call a member of the effect, whose result must be of a kind."""
         try:
-            found = of()
+            found = member_call()
         except CvxshearError:
             raise
         except Exception as error:

@@ -15,7 +15,7 @@ from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.quantities import with_std
 from cvxshear.util.typing import Floats
 
-MOST_STORIES = 40
+MOST_OPEN_STORIES = 40
 """Stories up to which a class of springs or masses between all floors is looked for: its N(N-1)/2 parameters make every
 fit of a taller frame take minutes."""
 

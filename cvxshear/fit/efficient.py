@@ -19,7 +19,7 @@ from cvxshear.effects.state import heights_of
 from cvxshear.fit.domain import Domain, domain_of, refuse_contradicting
 from cvxshear.fit.gauss_newton import CONVERGED_STEP, FLAT, HOPELESS, MOST_STEPS, Fit, gauss_newton
 from cvxshear.fit.misfit import Evaluation, Misfit
-from cvxshear.fit.noise import LARGEST_NOISE, NoiseEstimate, estimated_noise
+from cvxshear.fit.noise import NoiseEstimate, estimated_noise
 from cvxshear.fit.quality import Quality, quality
 from cvxshear.fit.results import IdentifiedFrame, Prediction, SingleIdentification, predictions
 from cvxshear.fit.start import nearest_first
@@ -137,16 +137,16 @@ class Estimate:
     def p_value(self) -> float | None:
         """Probability of a residual as large under the noise, declared or estimated; None without degrees of freedom.
 
-        An estimated noise counts up to the largest that instruments have (`noise.LARGEST_NOISE`).
+        An estimated noise counts up to the largest that instruments have (`NoiseKind.largest`).
         """
         if self.dof <= 0:
             return None
         at, noise = self.fit.at, self.misfit.noise
         squares = at.r[: at.measured] ** 2
         for place, item in enumerate(self.misfit.unknown):
-            if item.key in LARGEST_NOISE:
+            if (kind := self.misfit.noises.get(item.key)) is not None:
                 own = at.unknown[: at.measured] == place
-                squares[own] *= max(1.0, noise.of(item.key) / LARGEST_NOISE[item.key]) ** 2
+                squares[own] *= max(1.0, noise.of(item.key) * kind.default / kind.largest) ** 2
         return float(stats.chi2.sf(squares.sum(), self.dof))
 
     @cached_property

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import expit
 
-from cvxshear.data import NOISES, Datum, Deviation, Model, Noise, data_of
+from cvxshear.data import Datum, Deviation, Model, Noise, NoiseKind, data_of, noise_kinds
 from cvxshear.effects import Placed, compose
 from cvxshear.effects.composition import slices
 from cvxshear.fit.expectation import Expectation
@@ -180,7 +180,7 @@ class Misfit:
     @cached_property
     def unknown(self) -> tuple[UnknownSize, ...]:
         """Every standard deviation that is estimated with the rest: of kinds of noise, then of effects."""
-        counts = dict.fromkeys(NOISES, 0.0)
+        counts = dict.fromkeys(noise_kinds(), 0.0)
         rescaled = {placed.label: 0.0 for placed in self.effects if placed.effect.rescales}
         for datum, keys in zip(self.data, self._keys, strict=True):
             # A scale that each mode leaves free takes as much from the rows of either noise.
@@ -202,9 +202,14 @@ class Misfit:
         return (*noises, *sizes)
 
     @property
+    def noises(self) -> dict[str, NoiseKind]:
+        """The noise of each kind of the data, by its name."""
+        return {datum.noise.name: datum.noise for datum in self.data}
+
+    @property
     def open_noises(self) -> dict[str, float]:
         """The kinds of noise that somebody left undeclared, each with its number of data."""
-        return {item.key: item.count for item in self.unknown if item.key in NOISES}
+        return {item.key: item.count for item in self.unknown if item.key in self.noises}
 
     def rescaled_rows(self, at: Evaluation, placed: Placed) -> Bools:
         """Return the rows of an evaluation whose standard deviation an effect leaves open, shape (d,)."""
@@ -214,14 +219,14 @@ class Misfit:
 
     def _rescaled(self, datum: Datum, placed: Placed) -> Bools:
         """Return the rows of a datum whose standard deviation an effect leaves open."""
-        return placed.effect.rescaled(datum.tested, datum.noise, datum.floors, placed.place)
+        return placed.effect.rescaled(datum.tested, datum.noise.name, datum.floors, placed.place)
 
     @cached_property
     def _keys(self) -> list[list[str]]:
         """What the factor on the standard deviation of each row of each datum goes by; empty where it is declared."""
         found = []
         for datum in self.data:
-            keys = [("" if datum.declared else datum.noise)] * len(datum.floors)
+            keys = [("" if datum.declared else datum.noise.name)] * len(datum.floors)
             for placed in self.effects:
                 if placed.effect.rescales:
                     own = self._rescaled(datum, placed)
@@ -325,8 +330,3 @@ class Misfit:
     def _statements(self) -> list[str]:
         """The soft total mass and the priors in words, in the order of their rows."""
         return [words for words, _ in self.experiment.soft_statements]
-
-
-def of_kind(data: Sequence[Datum], noise: str) -> list[Datum]:
-    """List the data whose noise is of this kind."""
-    return [datum for datum in data if datum.noise == noise]

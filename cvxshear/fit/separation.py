@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_ndtr
 
+from cvxshear.data import Frequencies, Shapes
 from cvxshear.data.pairing import numbered
 from cvxshear.effects import compose
 from cvxshear.fit.efficient import Estimate
@@ -190,8 +191,8 @@ def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Co
     measured = dataclasses.replace(
         blank, mode_shapes=np.where(first.measured, shapes[:, first.measured_floors - 1], np.nan)
     )
-    frequency = 1.0 if first.frequency_std is not None else noise.of("frequency")
-    shape = 1.0 if first.mode_shape_std is not None else noise.of("mode_shape")
+    frequency = 1.0 if first.frequency_std is not None else noise.of(Frequencies.noise.name)
+    shape = 1.0 if first.mode_shape_std is not None else noise.of(Shapes.noise.name)
     return dataclasses.replace(
         blank,
         frequencies=found.frequencies[which],

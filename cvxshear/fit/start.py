@@ -40,7 +40,7 @@ from cvxshear.programs.statements import NamedConstraints, constrained, statemen
 from cvxshear.util.errors import CvxshearError, InputError, NoModesError, NoSolutionError
 from cvxshear.util.typing import Floats
 
-PASSES = 6
+START_PASSES = 6
 """Times that the story equations are weighed, missing entries filled in, and solved: with stiffnesses that differ by
 1e6 the first pass has them wrong by a factor of thirty, the third to the noise."""
 
@@ -78,7 +78,7 @@ def starts(experiment: Experiment) -> list[Floats]:
     even = uniform(experiment)
     points = []
     theta = even
-    for number in range(PASSES):
+    for number in range(START_PASSES):
         try:
             theta = _from_story_equations(experiment, theta, weighed=number > 0)
         except CvxshearError:

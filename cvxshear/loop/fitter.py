@@ -97,13 +97,13 @@ class Fitter:
         """Sum of the logarithms of the prior odds."""
         return sum(self._log_odds[placed] for placed in effects)
 
-    def proposal(self, of: Estimate, effects: Sequence[Placed], more: Sequence[Floats] = ()) -> FitProposal:
+    def proposal(self, start: Estimate, effects: Sequence[Placed], more: Sequence[Floats] = ()) -> FitProposal:
         """Propose a fit of these effects, started from a fit that shares some of them."""
         n2 = 2 * self.experiment.stories
-        values = {placed: of.theta[own] for placed, own in slices(of.effects, n2)}
+        values = {placed: start.theta[own] for placed, own in slices(start.effects, n2)}
         own = [values.get(placed, np.array(placed.start)) for placed in effects]
-        plain = np.concatenate([of.theta[:n2], *own])
-        return FitProposal(tuple(effects), (*more, plain), of.misfit.replaced(effects), of.fit.at.objective)
+        plain = np.concatenate([start.theta[:n2], *own])
+        return FitProposal(tuple(effects), (*more, plain), start.misfit.replaced(effects), start.fit.at.objective)
 
     def fit(self, misfit: Misfit, start: Floats, tolerance: float = CONVERGED_STEP) -> Estimate:
         """Fit a model from a starting point."""

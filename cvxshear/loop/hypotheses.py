@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
@@ -13,8 +12,7 @@ from cvxshear.effects import Effect, Place, Placed, catalogue, open_classes
 from cvxshear.measurement.experiment import ExpectedEffect, Experiment
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-
-T = TypeVar("T")
+from cvxshear.util.typing import T
 
 OPEN = "open"
 """Kind of the open classes, and the name that stands for all of them."""

@@ -18,7 +18,7 @@ def _compared(estimate: Estimate) -> list[tuple[Datum, Model, float]]:
     """Each datum with its model and the factor of its noise."""
     models = {id(model.state.tested): model for model in estimate.fit.at.models}
     return [
-        (datum, models[id(datum.tested)], 1.0 if datum.declared else estimate.misfit.noise.of(datum.noise))
+        (datum, models[id(datum.tested)], 1.0 if datum.declared else estimate.misfit.noise.of(datum.noise.name))
         for datum in estimate.misfit.data
     ]
 

@@ -56,7 +56,7 @@ MOST_SETS = 300
 """Sets after which a search ends, but for what it is at and the neighbors of the best sets: twice what sound files of
 three states need (up to some 150), so that a file that no set explains ends too. What is left out then is said."""
 
-ALIKE = 0.1
+TWINS_DIFFER = 0.1
 """Difference of chi-square, relative where it is above one, that rounding and the priors of sizes leave of twins."""
 
 EXCHANGES = 4
@@ -65,8 +65,8 @@ EXCHANGES = 4
 MOTIONS = 12
 """Fits of effects that bring a motion of their own."""
 
-MOST = 10
-LEAST = 1
+MOST_FURTHER = 10
+LEAST_FURTHER = 1
 PAIRS = 2
 RESCALING = 3
 """Most and least further effects, most pairs, and effects on the accuracy of data, that are fitted when a set is
@@ -329,8 +329,8 @@ class Search:
         # A set with an effect taken out is far behind: what is put in must catch up with the best.
         floor = max(single[order[0]], 0.0, self.best.score - model.score) - WITHIN
         # Far from the data the model is not linear: the order of the gains still says something, their sizes do not.
-        least = MOST if _far_off(model) else LEAST
-        new = [each for at, each in enumerate(order[:MOST]) if at < least or single[each] > floor]
+        least = MOST_FURTHER if _far_off(model) else LEAST_FURTHER
+        new = [each for at, each in enumerate(order[:MOST_FURTHER]) if at < least or single[each] > floor]
         if model.improbable:
             # What leaves the accuracy of some data open shows all that it is worth only once they weigh less.
             rescaling = sorted((each for each in gains if each.effect.rescales), key=lambda each: -gains[each])
@@ -500,4 +500,4 @@ def fits_alike(a: ModelClass, b: ModelClass) -> bool:
     """Whether two sets fit the same data equally well."""
     if a.estimate is None or b.estimate is None:
         return False
-    return abs(a.estimate.chi2 - b.estimate.chi2) <= ALIKE * max(1.0, b.estimate.chi2)
+    return abs(a.estimate.chi2 - b.estimate.chi2) <= TWINS_DIFFER * max(1.0, b.estimate.chi2)

@@ -24,7 +24,7 @@ from cvxshear.util.typing import Floats
 EXACT = 1e-5
 """Share of an effect's derivatives that nothing else can make, below which that is rounding."""
 
-SEEN = 1e-3
+BEYOND_FRAME = 1e-3
 """Share that must be left without the twin: what the frame alone can make has no need of a twin."""
 
 
@@ -55,7 +55,7 @@ class Invariances:
             return []
         basis = _basis(self.free[:, ~own])
         wanted = _without(basis, self.free[:, own])
-        if np.max(np.linalg.norm(wanted, axis=0) / np.linalg.norm(self.free[:, own], axis=0)) <= SEEN:
+        if np.max(np.linalg.norm(wanted, axis=0) / np.linalg.norm(self.free[:, own], axis=0)) <= BEYOND_FRAME:
             return []
         return [
             other
