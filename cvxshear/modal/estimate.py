@@ -29,19 +29,27 @@ from cvxshear.util.typing import Bools, Floats, Ints
 Estimate = Callable[[Bools], Floats | None]
 
 
-def jackknife(estimate: Estimate, groups: Ints) -> tuple[Floats, int]:
-    """Covariance by leaving out one piece at a time.
+def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats, Floats, int]:
+    """Find the covariance by leaving out one piece at a time.
+
+    Pieces may tell more or less: with h = W / w_j and the pseudo-value h theta - (h - 1) theta_(-j) of each piece, its
+    squared distance from the weighted mean over h - 1 estimates the variance (Busing, Meijer and van der Leeden 1999,
+    "Delete-m jackknife for unequal m", Statistics and Computing 9). For equal weights it is the usual jackknife.
 
     Parameters
     ----------
     estimate : callable
-        From a mask of kept pieces to the parameters, shape (k,), or None where they are not found.
+        From a mask of pieces to the parameters, shape (k,), or None where they are not found.
     groups : array of int, shape (pieces,)
         Stratum of each piece.
+    weights : array, shape (pieces,)
+        How much each piece tells.
 
     Returns
     -------
     covariance : array, shape (k, k)
+    freedom : array, shape (k,)
+        Degrees of freedom of each variance: those of its strata together (Satterthwaite 1946).
     lost : int
         Pieces without which the parameters were not found; the others stand in for them.
 
@@ -50,10 +58,10 @@ def jackknife(estimate: Estimate, groups: Ints) -> tuple[Floats, int]:
     InputError
         Where fewer than two pieces of some stratum can be left out.
     """
-    total: Floats | None = None
-    lost = 0
+    parts, freedoms, lost = [], [], 0
+    full = estimate(np.ones(len(groups), dtype=bool))
     for group in np.unique(groups):
-        replicates = []
+        replicates, times = [], []
         for piece in np.flatnonzero(groups == group):
             keep = np.ones(len(groups), dtype=bool)
             keep[piece] = False
@@ -62,17 +70,21 @@ def jackknife(estimate: Estimate, groups: Ints) -> tuple[Floats, int]:
                 lost += 1
             else:
                 replicates.append(values)
-        if len(replicates) < 2:
+                times.append(weights[groups == group].sum() / weights[piece])
+        if len(replicates) < 2 or full is None:
             raise InputError(
                 "the modes rest on single pieces of the record: left out one at a time, they are not found again in "
                 "the rest; record longer, or more hits"
             )
-        spread = np.array(replicates) - np.mean(replicates, axis=0)
-        part = (len(replicates) - 1) / len(replicates) * spread.T @ spread
-        total = part if total is None else total + part
-    if total is None:
-        raise InputError("there are no pieces to leave out")
-    return total, lost
+        each = np.array(times)[:, None]
+        pseudo = full - (each - 1) * (np.array(replicates) - full)
+        spread = (pseudo - np.sum(pseudo / each, axis=0) / np.sum(1 / each)) / np.sqrt(each - 1)
+        parts.append(spread.T @ spread / len(replicates))
+        freedoms.append(len(replicates) - 1)
+    variances, total = np.array([np.diag(part) for part in parts]), np.sum(parts, axis=0)
+    squares = np.sum(variances**2 / np.array(freedoms)[:, None], axis=0)
+    freedom = np.divide(np.diag(total) ** 2, squares, out=np.full(len(total), float(sum(freedoms))), where=squares > 0)
+    return total, freedom, lost
 
 
 LARGEST_SHAPE_STD = 0.3
@@ -101,7 +113,7 @@ def scattering(parts: Parts, chosen: Sequence[PoleCandidate]) -> Doubts:
 
         pieces = len(parts.source.groups)
         try:
-            spread, lost = jackknife(replicate, parts.source.groups)
+            spread, _, lost = jackknife(replicate, parts.source.groups, parts.source.weights)
         except InputError:
             lost = pieces
         if 2 * lost > pieces:
@@ -272,6 +284,7 @@ def _products(setting: Replication, values: Values, keep: Bools | None) -> tuple
     amplitudes = residues(sequence, values.eigenvalues, rate, impulse.start)
     if impulse.wrapped:
         amplitudes = unwrapped(amplitudes, values.eigenvalues, len(impulse.sequence) / rate)
+    amplitudes = amplitudes / impulse.excited(values.eigenvalues, rate)[:, None, :]
     return modal_products(amplitudes, values.eigenvalues, rate, setting.quantity, base=setting.base), impulse.driven
 
 
@@ -289,14 +302,14 @@ def covariance(setting: Replication, full: Details, seed: int) -> tuple[Floats, 
         return part.vector()
 
     if len(groups):
-        result, lost = jackknife(replicate, groups)
+        result, freedom, lost = jackknife(replicate, groups, setting.source.weights)
         how = f"jackknife over {len(groups)} {setting.source.unit}s"
         if len(groups) < FEW_PIECES and setting.source.impulse() is not None:
             result, how = _widened(result, disturbed(setting, full, seed)), f"{how}, at least {SURROGATES} surrogates'"
         else:
             # 95 % of the errors are to lie within 1.96 of deviations that are themselves estimates from so many pieces.
-            freedom = len(groups) - len(np.unique(groups))
-            result = result * (stats.t.isf(0.025, freedom) / stats.norm.isf(0.025)) ** 2
+            factor = stats.t.isf(0.025, freedom) / stats.norm.isf(0.025)
+            result = result * np.outer(factor, factor)
         bias = _bias(setting, full)
         if bias is not None:
             result, how = result + np.outer(bias, bias), f"{how}, and what half the observer's lags change"

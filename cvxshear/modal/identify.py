@@ -37,7 +37,6 @@ class Options:
     """How to identify; the parameters of `identify_modes`."""
 
     method: str | None = None
-    estimator: str = "h1"
     blocks: int = BLOCKS
     criteria: Criteria = field(default_factory=Criteria)
     count: int | None = None
@@ -58,7 +57,6 @@ def identify_modes(
     record: Record,
     *,
     method: str | None = None,
-    estimator: str = "h1",
     blocks: int = BLOCKS,
     criteria: Criteria | None = None,
     count: int | None = None,
@@ -80,8 +78,6 @@ def identify_modes(
         decays. "okid": the same on the Markov parameters of an observer, for measured continuous input.
         "subspace": PO-MOESP for the same. "ssi": covariance-driven, for ambient records. What suits the
         input where None.
-    estimator : str, optional
-        "h1" or "h2", for hits.
     blocks : int, optional
         Pieces of a continuous record for the jackknife.
     criteria : Criteria, optional
@@ -119,7 +115,7 @@ def identify_modes(
     if second is not None:
         checks.choice(second, (*METHODS, FDD), "second")
     picked = () if pick is None else tuple(checks.vector(pick, "pick", above=0.0).tolist())
-    options = Options(method, estimator, blocks, criteria or Criteria(), count, rule, accept_swapped, seed, picked)
+    options = Options(method, blocks, criteria or Criteria(), count, rule, accept_swapped, seed, picked)
     try:
         # The matrices are small: with all cores, threads wait for each other longer than they compute.
         with threadpool_limits(1):
@@ -170,7 +166,7 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
     wanted = _wanted(record, options)
 
     def attempt(record: Record, order: Sequence[int] | None = None) -> tuple[Source, Sweep]:
-        source = source_of(record, method, estimator=options.estimator, blocks=options.blocks)
+        source = source_of(record, method, blocks=options.blocks)
         by_signs = len(record.channels) == record.stories > 1
         return source, sweep_orders(
             source,

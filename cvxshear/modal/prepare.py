@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from cvxshear.modal import continuous
-from cvxshear.modal.frf import FrfSource, ImpulseSource, cut, hit_spectra, reached_lines, table_spectra
+from cvxshear.modal.frf import FrfSource, ImpulseSource, hit_spectra, reach, table_spectra
 from cvxshear.modal.picking import Sweep
 from cvxshear.modal.realization import Impulse, Source
 from cvxshear.records.record import FrfRecord, Record, Run, TimeRecord
@@ -27,7 +27,7 @@ def default_method(record: Record) -> str:
     return _suited(record)[0]
 
 
-def source_of(record: Record, method: str, *, estimator: str = "h1", blocks: int = BLOCKS) -> Source:
+def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> Source:
     """The record's data in the form the method needs.
 
     Parameters
@@ -35,8 +35,6 @@ def source_of(record: Record, method: str, *, estimator: str = "h1", blocks: int
     record : TimeRecord or FrfRecord
     method : str
         "era", "okid", "subspace" or "ssi".
-    estimator : str, optional
-        Frequency response of hits, "h1" or "h2".
     blocks : int, optional
         Pieces that a long record is cut into.
 
@@ -56,14 +54,11 @@ def source_of(record: Record, method: str, *, estimator: str = "h1", blocks: int
         kind = "frequency response functions" if isinstance(record, FrfRecord) else f'input = "{record.input}"'
         raise UnsuitableError(f'method "{method}" cannot use {kind}; use "{suited[0]}"')
     if isinstance(record, FrfRecord):
-        spectra, _ = table_spectra(record)
-        lines = len(spectra[0].force_force)
-        if record.band is not None:
-            lines = min(lines, int(np.ceil(1.25 * record.band[1] / record.step)) + 1)
-        spectra, samples = cut(spectra, lines)
-        return FrfSource(spectra, 2 * (lines - 1) * record.step, samples, estimator, wrapped=not record.truncated)
+        highest = np.inf if record.band is None else 1.25 * record.band[1]
+        spectra, samples = table_spectra(record, highest)
+        return FrfSource(spectra, samples * record.step, samples, wrapped=not record.truncated)
     if method == "era":
-        return _decays(record) if record.input == "free_decay" else _hits(record, estimator)
+        return _decays(record) if record.input == "free_decay" else _hits(record)
     record = decimated(detrended(record))
     if method == "ssi":
         return _ambient(record, blocks)
@@ -79,16 +74,12 @@ def _suited(record: Record) -> tuple[str, ...]:
     return {"none": ("ssi",), "free_decay": ("era", "ssi"), "base": ("subspace", "okid")}[record.input]
 
 
-def _hits(record: TimeRecord, estimator: str) -> FrfSource:
+def _hits(record: TimeRecord) -> FrfSource:
     record = without_offset(record)
+    lowest, highest = (0.0, np.inf) if record.band is None else record.band
+    record = decimated(dataclasses.replace(record, band=(lowest, min(highest, reach(record)))))
     spectra, samples = hit_spectra(record)
-    lines = reached_lines(spectra)
-    if record.band is not None:
-        wanted = int(np.ceil(1.25 * record.band[1] * samples / record.sampling_rate)) + 1
-        lines = min(lines, wanted)
-    step = record.sampling_rate / samples
-    spectra, samples = cut(spectra, lines)
-    return FrfSource(spectra, 2 * (lines - 1) * step, samples, estimator)
+    return FrfSource(spectra, record.sampling_rate, samples, samples // 2)
 
 
 def _decays(record: TimeRecord) -> ImpulseSource:

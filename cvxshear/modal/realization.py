@@ -42,6 +42,11 @@ class Source(ABC):
     unit: str
     energies: Floats
 
+    @property
+    def weights(self) -> Floats:
+        """How much each piece tells, shape (pieces,)."""
+        return np.ones(len(self.groups))
+
     @abstractmethod
     def factor(self, keep: Bools | None = None) -> Floats:
         """Left factor of the data, shape (rows * outputs, m), columns by descending singular value."""
@@ -72,12 +77,22 @@ class Impulse:
         The floor of each input; 0 the ground, or no input at all.
     wrapped : bool, optional
         Whether what comes after the end is folded back onto the start.
+    pulse : array, shape (lags, inputs), optional
+        The symmetric pulses that the sequence answers to, from lag 0 on; unit pulses where not given.
     """
 
     sequence: Floats
     start: int
     driven: Ints
     wrapped: bool = False
+    pulse: Floats | None = None
+
+    def excited(self, eigenvalues: Complexes, sampling_rate: float) -> Complexes:
+        """Return the pulses' transforms at eigenvalues in 1/s, shape (modes, inputs): what multiplies residues."""
+        if self.pulse is None:
+            return np.ones((len(eigenvalues), len(self.driven)), dtype=np.complex128)
+        steps = np.outer(eigenvalues, np.arange(1, len(self.pulse))) / sampling_rate
+        return np.asarray(self.pulse[0] + 2 * np.cosh(steps) @ self.pulse[1:])
 
 
 class DampedModes:
