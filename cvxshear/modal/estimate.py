@@ -126,7 +126,7 @@ def scattering(parts: Parts, chosen: Sequence[PoleCandidate]) -> Doubts:
 
 
 def doubted(item: PoleCandidate, of_shape: float, of_frequency: float) -> Doubts:
-    """The mode, where these standard deviations, over its largest entry and relative, say that it is none."""
+    """Doubt a mode whose standard deviations, over its largest entry and relative, say that it is none."""
     if of_shape <= LARGEST_SHAPE_STD and of_frequency <= LARGEST_FREQUENCY_STD:
         return {}
     return {
@@ -196,7 +196,7 @@ class Replication:
         return np.asarray(energy > FAINT * energy.max())
 
     def values(self, keep: Bools | None) -> Values | None:
-        """The chosen modes on a part of the data; None where one of them is not found there."""
+        """Find the chosen modes on a part of the data; None where one of them is not found there."""
         return self.parts.values(self.sweep.chosen, keep)
 
 
@@ -236,7 +236,7 @@ class Details(DampedModes):
 
 
 def details(setting: Replication, values: Values, keep: Bools | None, reference: Details | None = None) -> Details:
-    """What the poles and shapes say, with the residues of the data kept."""
+    """Find all parameters of the modes from poles, shapes and the residues of the data kept."""
     products, driven = _products(setting, values, keep)
     turned = None if products is None else participations(products, values.shapes)
     clocks = offsets(
@@ -318,7 +318,7 @@ def covariance(setting: Replication, full: Details, seed: int) -> tuple[Floats, 
 
 
 def _bias(setting: Replication, full: Details) -> Floats | None:
-    """What a rougher approximation of the same data changes in `full.vector()`; None where there is none."""
+    """Find what a rougher approximation of the same data changes in `full.vector()`; None where there is none."""
     rougher = setting.source.rougher()
     if rougher is None:
         return None
@@ -331,7 +331,7 @@ def _bias(setting: Replication, full: Details) -> Floats | None:
 
 
 def _widened(spread: Floats, other: Floats) -> Floats:
-    """The covariance with every standard deviation raised to the other's where that is larger.
+    """Raise every standard deviation to the other covariance's where that is larger.
 
     The scatter of three pieces is small by chance often enough that it must not stand alone.
     """
@@ -369,7 +369,7 @@ def disturbed(setting: Replication, full: Details, seed: int) -> Floats:
 
 
 def _fit(impulse: Impulse, eigenvalues: Complexes, rate: float) -> Floats:
-    """The chosen modes' part of the impulse responses, from their start on."""
+    """Return the chosen modes' part of the impulse responses, from their start on."""
     amplitudes = residues(impulse.sequence, eigenvalues, rate, impulse.start)
     powers = np.exp(np.outer(np.arange(impulse.start, len(impulse.sequence)), eigenvalues) / rate)
     return np.asarray(2 * np.real(np.einsum("kr,roi->koi", powers, amplitudes)))

@@ -15,7 +15,6 @@ from scipy import linalg
 
 from cvxshear.modal.realization import Impulse, Source, block_hankel, left_factor
 from cvxshear.records.record import Complexes, FrfRecord, Run, TimeRecord
-from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats, Ints
 
@@ -49,7 +48,7 @@ def residues(sequence: Floats, eigenvalues: Complexes, sampling_rate: float, sta
 def modal_products(
     amplitudes: Complexes, eigenvalues: Complexes, sampling_rate: float, quantity: str, *, base: bool
 ) -> Complexes:
-    """What the amplitudes say of shape times participation, shape (modes, outputs, inputs); real for real modes.
+    """Turn amplitudes into shape times participation, shape (modes, outputs, inputs); real for real modes.
 
     The receptance residue of a mass-normalized real mode is phi_i phi_d / (2i w_d); a derivative multiplies
     it by the eigenvalue, a base acceleration's participation stands for -phi_d. The sampled sequence is 1/fs
@@ -66,14 +65,14 @@ def unwrapped(amplitudes: Complexes, eigenvalues: Complexes, length: float) -> C
 
 
 def participations(products: Complexes, shapes: Complexes) -> Complexes:
-    """The complex number for each mode that turns its shape into its products, strongest input, shape (modes,)."""
+    """Find the complex number that turns each mode's shape into its products, strongest input, shape (modes,)."""
     columns = np.einsum("ri,rij->rj", np.conj(shapes), products) / np.sum(np.abs(shapes) ** 2, axis=1)[:, None]
     strongest = np.argmax(np.abs(columns), axis=1)
     return np.asarray(columns[np.arange(len(columns)), strongest])
 
 
 def modal_scale(products: Complexes, shape: Floats, floors: Ints, driven: Ints) -> float | None:
-    """The factor that mass-normalizes a real shape, 1/sqrt(kg).
+    """Find the factor that mass-normalizes a real shape, 1/sqrt(kg).
 
     With phi = q psi, products = q^2 psi_i psi_d; q^2 by least squares over all responses and driving points.
     None where no driving point carries a sensor, or where the driving points say that q^2 is not positive.
@@ -136,10 +135,10 @@ class FrfSource(Source):
     """Responses to forces at one or several floors, for the eigensystem realization algorithm.
 
     The cross-spectra of response and force, summed over the hits at a floor, are divided by the root of the force's
-    power, not by the power itself: the responses to a symmetric pulse of the same amplitude spectrum as the blows. White
-    noise stays white in them, and once the pulse is over they are sums of decaying exponentials, as an impulse response
-    is not whose spectrum ends where the hammer's does. The same division makes a table of functions the responses to a
-    unit pulse.
+    power, not by the power itself. They then belong to the responses to a symmetric pulse of the blows' own amplitude
+    spectrum: white noise stays white in them, and once the pulse is over they are sums of decaying exponentials. An
+    impulse response that ends where the hammer's spectrum or the record does is no such sum, which bends the highest
+    modes. The same division makes a table of functions the responses to a unit pulse.
 
     Where a floor was hit three times or more, only the products of different hits at it make the matrix whose
     eigenvectors the poles come from: H_a H_b' of two Hankel matrices, whose noise has nothing in common. The product of
@@ -213,7 +212,7 @@ class FrfSource(Source):
         return np.array([item.force_force.sum() for item in self.spectra])
 
     def factor(self, keep: Bools | None = None) -> Floats:
-        """Left factor of the block Hankel matrix of the responses, that of different hits at a floor where it can be."""
+        """Left factor of the block Hankel matrix of the responses; of products of different hits where there are any."""
         sequence = self.impulse(keep).sequence
         if self._own is None:
             return left_factor(markov_hankel(sequence, self._start))
@@ -229,7 +228,7 @@ class FrfSource(Source):
         return Impulse(responses, self._start, floors, self.wrapped, pulses[: self._start])
 
     def _answered(self, keep: Bools | None) -> tuple[Floats, Floats, Ints]:
-        """Responses, the pulses that they answer to, and where these act."""
+        """Return the responses, the pulses that they answer to, and the floors where these act."""
         used = self.spectra if keep is None else [s for s, k in zip(self.spectra, keep, strict=True) if k]
         floors = np.unique([item.floor for item in used])
         hits = [[item for item in used if item.floor == floor] for floor in floors]
@@ -238,7 +237,7 @@ class FrfSource(Source):
         return np.stack([self._response(each) for each in hits], axis=2), np.column_stack(pulses), floors
 
     def _response(self, hits: Sequence[Spectra]) -> Floats:
-        """Response to the pulse that hits at one floor make together, shape (samples, outputs)."""
+        """Return the response to the pulse that hits at one floor make together, shape (samples, outputs)."""
         cross = np.sum([hit.response_force for hit in hits], axis=0) / self._roots[hits[0].floor][:, None]
         return np.fft.irfft(cross, n=self.samples, axis=0)[: self._stop]
 
@@ -274,7 +273,7 @@ class ImpulseSource(Source):
         return left_factor(markov_hankel(impulse.sequence, impulse.start))
 
     def impulse(self, keep: Bools | None = None) -> Impulse:
-        """The impulse responses, or the decays kept."""
+        """Return the impulse responses, or the decays kept."""
         whole = self._impulse
         if keep is None:
             return whole
@@ -323,7 +322,7 @@ def hit_spectra(record: TimeRecord) -> tuple[list[Spectra], int]:
 
 
 def reach(record: TimeRecord) -> float:
-    """Find the frequency, Hz, at which the spectrum of the blows first falls to nothing; half the sampling rate else."""
+    """Find the frequency, Hz, at which the blows' spectrum first falls to nothing, or half the sampling rate."""
     spectra, samples = hit_spectra(record)
     power = np.sum([item.force_force for item in spectra], axis=0)
     weak = np.flatnonzero(power < WEAKEST_FORCE * power.max())
@@ -332,7 +331,7 @@ def reach(record: TimeRecord) -> float:
 
 
 def hit_start(run: Run) -> int:
-    """The sample from which the blow is seen, with the ringing of the sampler's filter ahead of it."""
+    """Find the sample from which the blow is seen, with the ringing of the sampler's filter ahead of it."""
     force = np.abs(_excitation(run))
     loud = np.flatnonzero(force > 0.02 * force.max())
     blow = int(np.argmax(force))
@@ -345,7 +344,7 @@ def hit_start(run: Run) -> int:
 
 
 def _quiet_after_blow(force: Floats) -> Floats:
-    """The force with its sensor's noise set to zero once the hammer has left the frame.
+    """Set the noise of the force's sensor to zero once the hammer has left the frame.
 
     The usual force window: outside the blow the force is nought, and what the sensor shows is noise.
     """

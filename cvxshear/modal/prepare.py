@@ -23,12 +23,12 @@ BLOCKS = 20
 
 
 def default_method(record: Record) -> str:
-    """The method that suits the record's input."""
+    """Return the method that suits the record's input."""
     return _suited(record)[0]
 
 
 def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> Source:
-    """The record's data in the form the method needs.
+    """Bring the record's data into the form the method needs.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> Source:
 
 
 def _suited(record: Record) -> tuple[str, ...]:
-    """The methods that can use the record's input, the one that suits it best first."""
+    """List the methods that can use the record's input, the one that suits it best first."""
     if isinstance(record, FrfRecord):
         return ("era",)
     if record.input == "force":
@@ -93,7 +93,7 @@ def _decays(record: TimeRecord) -> ImpulseSource:
 
 
 def _release(responses: Floats) -> int:
-    """The sample at which the decay is under way: the last within a tenth of the largest response."""
+    """Find the sample at which the decay is under way: the last within a tenth of the largest response."""
     size = np.linalg.norm(responses / np.maximum(responses.std(axis=0), 1e-300), axis=1)
     return int(np.flatnonzero(size > 0.9 * size.max())[-1])
 
@@ -114,7 +114,7 @@ def _driven(record: TimeRecord, method: str, blocks: int) -> Source:
 
 
 def _one_floor(record: TimeRecord) -> int:
-    """The floor that all runs are driven at; a regression takes one input."""
+    """Return the floor that all runs are driven at; a regression takes one input."""
     floors = sorted({run.floor for run in record.runs})
     if len(floors) > 1:
         raise UnsuitableError(
@@ -156,7 +156,7 @@ Attempt = Callable[..., tuple[Source, Sweep]]
 
 
 def settled(record: Record, wanted: int, attempt: Attempt, highest: float = 0.0) -> tuple[Source, Sweep]:
-    """The source and sweep at the rate that suits the modes.
+    """Find the sampling rate that suits the modes, and source and sweep at it.
 
     Parameters
     ----------

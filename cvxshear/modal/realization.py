@@ -52,15 +52,15 @@ class Source(ABC):
         """Left factor of the data, shape (rows * outputs, m), columns by descending singular value."""
 
     def data(self) -> Floats:
-        """The same of all the data, in no other weight than their own size."""
+        """Return the same of all the data, in no other weight than their own size."""
         return self.factor()
 
     def rougher(self) -> Source | None:
-        """The same data by a rougher approximation, whose difference covers a bias; None where there is no bias."""
+        """Approximate the same data more roughly: the difference covers a bias; None where there is no bias."""
         return None
 
     def impulse(self, keep: Bools | None = None) -> Impulse | None:
-        """The impulse responses behind the factor; None where no input was measured, and none can be known."""
+        """Return the impulse responses behind the factor; None where no input was measured, and none can be known."""
         return None
 
 
