@@ -1,6 +1,6 @@
 """Do the tests notice a wrong sign? Small changes are made to copies of modules, and the tests that run them are run.
 
-`python -m tests.mutation --mutants 100 --seed 1 [--module planning/chances.py] [-n 2] [--limit 300]` draws changes (a
+`python -m tests.mutation --mutants 100 --seed 1 [--module planning/chances.py] [--limit 300]` draws changes (a
 sign, an operator, a comparison, a constant, a condition negated, a return dropped) over `ROOMS`, runs the tests that
 concern each on a copy of the project in a temporary folder, prints how many changes were found and lists the others. A
 change that takes the tests beyond the limit counts as found.
@@ -15,16 +15,13 @@ import ast
 import functools
 import json
 import os
-import queue
 import random
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,8 +47,8 @@ LEFT_OUT = (
 )  # fmt: skip
 """Of these, for the same reason."""
 
-AT_MOST = 120.0
-"""Seconds that the tests of one change may have taken when they were recorded."""
+AT_MOST = 60.0
+"""Seconds of computing that the tests of one change may have taken when they were recorded, which made them slower."""
 
 OPERATORS = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Pow: ast.Mult, ast.MatMult: ast.Mult,
@@ -196,7 +193,7 @@ class Recorder:
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item):
         self._ran, self._failed = set(), False
-        began = time.perf_counter()
+        began = time.process_time()
         threading.settrace(self._traced)
         sys.settrace(self._traced)
         try:
@@ -205,8 +202,8 @@ class Recorder:
             sys.settrace(None)
             threading.settrace(None)
             if not self._failed:
-                ran = {f"{code.co_filename.removeprefix(self._package)}:{code.co_firstlineno}" for code in self._ran}
-                line = {"test": item.nodeid, "seconds": time.perf_counter() - began, "ran": sorted(ran)}
+                ran = {f"{code.co_filename.removeprefix(self._package)}:{code.co_qualname}" for code in self._ran}
+                line = {"test": item.nodeid, "seconds": time.process_time() - began, "ran": sorted(ran)}
                 with self._path.open("a") as file:
                     print(json.dumps(line), file=file)
 
@@ -214,7 +211,7 @@ class Recorder:
 def record(path):
     """Run all tests that may be asked, here, and write what each of them runs into a file."""
     tests = [str(each) for name in ASKED for each in sorted(Path("tests").glob(name)) if each.name not in LEFT_OUT]
-    return pytest.main(["-q", "-n", "0", "-p", "no:cacheprovider", *tests], plugins=[Recorder(path)])
+    return pytest.main(["-q", "-n", "0", "-p", "no:cacheprovider", *QUIET, *tests], plugins=[Recorder(path)])
 
 
 def units(path):
@@ -226,45 +223,49 @@ def units(path):
     for line in path.read_text().splitlines():
         said = json.loads(line)
         file = said["test"].partition("::")[0]
-        found.setdefault(file if shares(ROOT / file) else said["test"], []).append(said)
+        found.setdefault(file if shares(ROOT / file) else said["test"], {})[said["test"]] = said
     return [
         Unit(name, sum(each["seconds"] for each in some), frozenset().union(*(each["ran"] for each in some)))
-        for name, some in found.items()
+        for name, some in ((name, each.values()) for name, each in found.items())
     ]
 
 
-def functions(module):
-    """Each function of a module: its first line, its last, and the names in it."""
-    found = []
-    for node in ast.walk(ast.parse((ROOT / "cvxshear" / module).read_text())):
+def functions(tree, around=""):
+    """Name, as Python qualifies it, and node of each function of a module."""
+    for node in ast.iter_child_nodes(tree):
         if isinstance(node, ast.FunctionDef):
-            first = min([node.lineno, *(each.lineno for each in node.decorator_list)])
-            names = {getattr(each, "id", getattr(each, "attr", None)) for each in ast.walk(node)}
-            found.append((first, node.end_lineno, names))
-    return found
+            yield f"{around}{node.name}", node
+            yield from functions(node, f"{around}{node.name}.<locals>.")
+        else:
+            yield from functions(node, f"{around}{node.name}." if isinstance(node, ast.ClassDef) else around)
 
 
 @functools.cache
 def every_function():
-    package = ROOT / "cvxshear"
-    return {name: functions(name) for name in (str(each.relative_to(package)) for each in package.rglob("*.py"))}
+    """Of each module the functions: name, first line, last line, and the names that stand in it."""
+    package, found = ROOT / "cvxshear", {}
+    for path in package.rglob("*.py"):
+        for name, node in functions(ast.parse(path.read_text())):
+            first = min([node.lineno, *(each.lineno for each in node.decorator_list)])
+            words = {getattr(each, "id", getattr(each, "attr", None)) for each in ast.walk(node)}
+            found.setdefault(str(path.relative_to(package)), []).append((name, first, node.end_lineno, words))
+    return found
 
 
 def runs(mutant):
-    """Where a change is run: the innermost function, or those that name the constant that it is in."""
-    around = [each for each in every_function()[mutant.module] if each[0] <= mutant.line <= each[1]]
+    """Where a change is run: in the innermost function around it, or where the constant or class is named."""
+    around = [each for each in every_function().get(mutant.module, ()) if each[1] <= mutant.line <= each[2]]
     if around:
-        return {f"{mutant.module}:{max(around)[0]}"}
+        return {f"{mutant.module}:{max(around, key=lambda each: each[1])[0]}"}
     tree = ast.parse((ROOT / "cvxshear" / mutant.module).read_text())
     node = next(each for each in tree.body if each.lineno <= mutant.line <= each.end_lineno)
-    if isinstance(node, ast.ClassDef):
-        # A default of a field: whoever makes one runs it, and the methods are what it serves.
-        names = {node.name}
-    else:
-        targets = getattr(node, "targets", [getattr(node, "target", None)])
-        names = {getattr(each, "id", None) for target in targets if target for each in ast.walk(target)}
+    targets = [node] if isinstance(node, ast.ClassDef) else getattr(node, "targets", [getattr(node, "target", node)])
+    names = {getattr(each, "id", getattr(each, "name", None)) for target in targets for each in ast.walk(target)}
     return {
-        f"{module}:{first}" for module, some in every_function().items() for first, _, named in some if names & named
+        f"{module}:{name}"
+        for module, some in every_function().items()
+        for name, _, _, words in some
+        if (names - {None}) & words
     }
 
 
@@ -290,57 +291,65 @@ def drawn(count, seed, only=()):
     return random.Random(seed).sample(every, min(count, len(every)))
 
 
+QUIET = ("-W", "ignore::pytest.PytestAssertRewriteWarning")
+"""pytest has been imported, with its plugins, before it is asked."""
+
+
+def warmed_up():
+    """Import what tests import, once: each change is tried in a process that is forked from this one."""
+    pytest.main(["--collect-only", "-q", "-q", "-n", "0", "-p", "no:cacheprovider", *QUIET, "tests"])
+    for name in list(sys.modules):
+        if name.partition(".")[0] in {"cvxshear", "tests"} and name != __name__:
+            del sys.modules[name]
+
+
 def passes(folder, tests, limit):
     """Whether these tests pass in a copy of the project; False too where they take longer than the limit."""
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider"]
-    run = subprocess.Popen(
-        [*command, *tests],
-        cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
-        env={**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"},
-    )  # fmt: skip
-    try:
-        return run.wait(limit) == 0
-    except subprocess.TimeoutExpired:
-        os.killpg(run.pid, signal.SIGKILL)
-        run.wait()
-        return False
+    child = os.fork()
+    if child == 0:
+        os.setsid()
+        os.chdir(folder)
+        nowhere = os.open(os.devnull, os.O_RDWR)
+        for stream in (0, 1, 2):
+            os.dup2(nowhere, stream)
+        sys.path[:] = [str(folder), *(each for each in sys.path if each not in ("", str(ROOT)))]
+        os.environ["PYTHONPATH"] = str(folder)
+        try:
+            os._exit(int(pytest.main(["-x", "-q", "-n", "0", "-p", "no:cacheprovider", *QUIET, *tests])))
+        except BaseException:
+            os._exit(99)
+    until = time.monotonic() + limit
+    while time.monotonic() < until:
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
+            return status == 0
+        time.sleep(0.05)
+    os.killpg(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return False
 
 
-def survivors(some, known, jobs, limit, say=print):
-    """The changes that were tried, and those of them that no test noticed.
-
-    Each process has a copy of the project of its own.
-    """
+def survivors(some, known, limit, say=print):
+    """The changes that no test noticed."""
+    left = []
     with tempfile.TemporaryDirectory() as temporary:
-        folders = queue.Queue()
-        for place in range(jobs):
-            folder = Path(temporary) / str(place)
-            for name in COPIED:
-                source = ROOT / name
-                ignored = shutil.ignore_patterns("__pycache__")
-                if source.is_dir():
-                    shutil.copytree(source, folder / name, ignore=ignored)
-                else:
-                    shutil.copy(source, folder / name)
-            folders.put(folder)
-
-        def survives(mutant):
-            folder = folders.get()
+        folder = Path(temporary)
+        for name in COPIED:
+            source = ROOT / name
+            if source.is_dir():
+                shutil.copytree(source, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+            else:
+                shutil.copy(source, folder / name)
+        for mutant in some:
             path = folder / "cvxshear" / mutant.module
-            before = path.read_text()
-            try:
-                path.write_text(mutated(before, mutant))
-                tests = tests_of(mutant, known)
-                alive = not tests or passes(folder, tests, limit)
-            finally:
-                path.write_text(before)
-                folders.put(folder)
-            what = "found" if not alive else f"NOT FOUND by {len(tests)}"
-            say(f"{what}: {mutant.module}:{mutant.line} {mutant.words[:100]}")
-            return alive
-
-        with ThreadPoolExecutor(jobs) as pool:
-            return [mutant for mutant, alive in zip(some, pool.map(survives, some), strict=True) if alive]
+            before, tests, began = path.read_text(), tests_of(mutant, known), time.monotonic()
+            path.write_text(mutated(before, mutant))
+            if alive := not tests or passes(folder, tests, limit):
+                left.append(mutant)
+            path.write_text(before)
+            what = f"NOT FOUND by {len(tests)} tests" if alive else "found"
+            say(f"{what}: {mutant.module}:{mutant.line} {mutant.words[:100]} ({time.monotonic() - began:.0f} s)")
+    return left
 
 
 def main():
@@ -348,7 +357,6 @@ def main():
     parser.add_argument("--mutants", type=int, default=30, help="how many changes")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--module", action="append", default=[], help="a room or a module, such as fit/noise.py; again")
-    parser.add_argument("-n", "--jobs", type=int, default=1, help="processes")
     parser.add_argument("--limit", type=float, default=300.0, help="seconds for the tests of one change")
     parser.add_argument("--map", type=Path, default=Path("tests-run.jsonl"), help="which tests run what")
     parser.add_argument("--record", action="store_true", help="make this file, and end")
@@ -358,7 +366,10 @@ def main():
         if given.record:
             return
     some = drawn(given.mutants, given.seed, given.module)
-    left = survivors(some, units(given.map), given.jobs, given.limit, lambda line: print(line, flush=True))
+    known = units(given.map)
+    sys.dont_write_bytecode = True
+    warmed_up()
+    left = survivors(some, known, given.limit, lambda line: print(line, flush=True))
     print(f"{len(some) - len(left)} of {len(some)} changes found (seed {given.seed})")
     for mutant in left:
         print(f"  cvxshear/{mutant.module}:{mutant.line}: {mutant.words}")
