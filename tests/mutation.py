@@ -52,9 +52,16 @@ AT_MOST = 60.0
 
 OPERATORS = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Pow: ast.Mult, ast.MatMult: ast.Mult,
-    ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
-    ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.And: ast.Or, ast.Or: ast.And,
+    ast.Eq: ast.NotEq, ast.NotEq: ast.Eq, ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Is: ast.IsNot, ast.IsNot: ast.Is,
+    ast.And: ast.Or, ast.Or: ast.And, ast.Lt: ast.Gt, ast.Gt: ast.Lt, ast.LtE: ast.GtE, ast.GtE: ast.LtE,
 }  # fmt: skip
+
+BOUNDARY = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt}
+"""Comparisons of whole numbers: one more or less. Real numbers are never equal but by design, so that < in place of <=
+changes nothing; between those the direction is changed."""
+
+LIMIT_OF_ROUNDING = 1e-3
+"""Numbers below are tolerances, which twice as large do the same; they are made a thousand times as large."""
 
 
 @dataclass(frozen=True)
@@ -105,9 +112,18 @@ def change(node, *, apply):
     return None
 
 
+def _whole(node):
+    """Whether a side of a comparison is a whole number as it stands: a count, a length, a place."""
+    if isinstance(node, ast.Constant):
+        return isinstance(node.value, int)
+    return isinstance(node, ast.Call) and getattr(node.func, "id", "") in {"len", "int"}
+
+
 def _other_operator(node):
     if isinstance(node, ast.Compare):
-        node.ops[0] = OPERATORS[type(node.ops[0])]()
+        counted = any(_whole(side) for side in (node.left, *node.comparators))
+        kind = type(node.ops[0])
+        node.ops[0] = (BOUNDARY if counted and kind in BOUNDARY else OPERATORS)[kind]()
     else:
         node.op = OPERATORS[type(node.op)]()
 
@@ -127,7 +143,12 @@ def _negated(node):
 
 
 def _other_number(node):
-    node.value = node.value + 1 if isinstance(node.value, int) else 2 * node.value + (node.value == 0)
+    if isinstance(node.value, int):
+        node.value += 1
+    elif 0 < node.value < LIMIT_OF_ROUNDING:
+        node.value *= 1000.0
+    else:
+        node.value = 2 * node.value + (node.value == 0)
 
 
 def _nothing(node):
