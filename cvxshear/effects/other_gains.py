@@ -47,5 +47,5 @@ class OtherGains(OpenClass):
 
 
 def _floors(experiment: Experiment) -> list[int]:
-    """The floors at which any shape was measured."""
+    """List the floors at which any shape was measured."""
     return sorted({int(floor) for each in experiment.configurations for floor in each.measured_floors})

@@ -79,7 +79,7 @@ class NoiseEstimate:
 
 
 def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats, *, here: bool = False) -> NoiseEstimate:
-    """The noise that a fit speaks for.
+    """Estimate the noise that a fit speaks for.
 
     Parameters
     ----------

@@ -67,7 +67,7 @@ class Quality(InJson):
 
 
 def quality(data: Sequence[Datum], models: Sequence[Model], chi2: float, dof: int, *, declared: bool) -> Quality:
-    """Find the errors of a model.
+    """Compute the errors of a model.
 
     Parameters
     ----------

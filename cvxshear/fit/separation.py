@@ -115,7 +115,7 @@ class Disagreement:
     free_scale: bool
 
     def at(self, floors: Ints) -> float:
-        """Standard deviations between the models with sensors at these floors, zero-based."""
+        """Count the standard deviations between the models with sensors at these floors, zero-based."""
         m, n = self.shapes.shape
         kept = np.zeros((m, n), dtype=bool)
         kept[:, floors] = self.seen[:, floors]
@@ -133,7 +133,7 @@ class Disagreement:
 
 
 def disagreement(accepted: Estimate, rival: Estimate, test: Configuration, first: Configuration) -> Disagreement:
-    """What two fits say of a test.
+    """Compare what two fits say of a test.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def disagreement(accepted: Estimate, rival: Estimate, test: Configuration, first
 
 
 def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Configuration:
-    """A configuration with these masses, measured at every floor as a fit predicts.
+    """Make a configuration with these masses, measured at every floor as a fit predicts.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Co
 
 
 def _everywhere(measured: Configuration, shapes: Floats) -> Floats:
-    """Standard deviations of a mode's entries at every floor over its largest entry, shape (m, N)."""
+    """Return the standard deviations of a mode's entries at every floor over its largest entry, shape (m, N)."""
     std = np.full(shapes.shape, np.nan)
     std[:, measured.measured_floors - 1] = np.where(measured.measured, measured.entry_std, np.nan)
     relative = std / np.max(np.abs(shapes), axis=1, keepdims=True)
@@ -220,14 +220,14 @@ def _everywhere(measured: Configuration, shapes: Floats) -> Floats:
 
 
 def _carried(J: Floats, estimate: Estimate) -> Floats:
-    """Changes of predictions by what a fit leaves uncertain, a column a standard deviation."""
+    """Return the changes of predictions by what a fit leaves uncertain, a column a standard deviation."""
     values, axes = np.linalg.eigh(estimate.uncertainty.covariance())
     result: Floats = J @ (axes * np.sqrt(np.maximum(values, 0.0)))
     return result
 
 
 def _by_itself(accepted: Estimate, test: Configuration) -> Experiment:
-    """The test as an experiment of its own, of a frame as heavy as the fit has it."""
+    """Make the test as an experiment of its own, of a frame as heavy as the fit has it."""
     declared = accepted.experiment.frame
     total = declared.total_mass or float(accepted.theta[: accepted.experiment.stories].sum())
     frame = dataclasses.replace(

@@ -52,7 +52,7 @@ def conclude(
     said: Sequence[str] = (),
     widened: Sequence[Search] = (),
 ) -> Closure:
-    """The verdict on the visited sets.
+    """Reach the verdict on the visited sets.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def conclude(
 
 
 def _fit_of_verdict(searches: Sequence[Search], posterior: Posterior) -> tuple[Search, ModelClass]:
-    """The set of the verdict with the search that fitted it best, to full accuracy."""
+    """Find the set of the verdict, and the search that fitted it best, to full accuracy."""
     own = [each for each in searches if each.fitter.numbering.changes == posterior.best.changes]
     wanted = posterior.verdict_set()
     for each in own:
@@ -163,7 +163,7 @@ def _negligible(final: Estimate) -> bool:
 
 
 def _steps(final: Estimate, posterior: Posterior, fitter: Fitter, as_given: Fitter) -> tuple[Step, ...]:
-    """The shear model, then the modes numbered otherwise where they are, then one effect more at a time.
+    """List the fits: the shear model, the modes numbered otherwise where they are, then one effect more at a time.
 
     The most probable effect comes first; all are in the noise of the last.
     """
@@ -186,7 +186,7 @@ def _steps(final: Estimate, posterior: Posterior, fitter: Fitter, as_given: Fitt
 
 
 def _in_noise_of(final: Estimate, effects: Sequence[Placed], fitter: Fitter) -> Estimate:
-    """The fit with only some of the effects, in the final model's noise.
+    """Fit the model with only some of the effects, in the final model's noise.
 
     It starts where the final model is or, where that has no modes without the others, at the frame before any effect;
     there too where its modes are numbered otherwise.
@@ -246,7 +246,7 @@ def _remarks(final: Estimate, placed: Placed) -> Iterator[str]:
 
 
 def _rival_sets(posterior: Posterior, added: Sequence[AddedEffect]) -> list[frozenset[Placed]]:
-    """The sets that hold what may be there in place of an added effect, twins first."""
+    """List the sets that hold what may be there in place of an added effect, twins first."""
     effects = frozenset(item.placed for item in added)
     twins = [
         (effects - {item.placed}) | {rival.placed} for item in added for rival in item.rivals if rival.twin
@@ -305,7 +305,7 @@ def _quoted(names: Sequence[str]) -> str:
 
 
 def _rests_on(final: Estimate) -> Iterator[str]:
-    """What speaks for the verdict: the noise that the residual is compared with."""
+    """Say what speaks for the verdict: the noise that the residual is compared with."""
     if final.dof <= 0:
         yield "nothing that could speak against it: the model has as many parameters as there are data"
         return
@@ -322,7 +322,7 @@ def _rests_on(final: Estimate) -> Iterator[str]:
 
 
 def _granted(search: Search, found: ModelClass) -> Iterator[str]:
-    """What the verdict takes for granted because no datum tells: sentences of effects that are not in it."""
+    """Say what the verdict takes for granted because no datum tells: sentences of effects that are not in it."""
     candidates = [
         item.placed
         for item in search.fitter.hypotheses
@@ -340,7 +340,7 @@ def _granted(search: Search, found: ModelClass) -> Iterator[str]:
 
 
 def _information(search: Search, posterior: Posterior, final: Estimate, *, negligible: bool) -> Iterator[str]:
-    """What a reader should know besides."""
+    """Say what a reader should know besides."""
     experiment, fitter = search.fitter.experiment, search.fitter
     n = experiment.stories
     if negligible:

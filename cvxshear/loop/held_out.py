@@ -51,7 +51,7 @@ def held_out_frequency_errors(before: Estimate, after: Estimate, fitter: Fitter)
 
 
 def _left_out(experiment: Experiment, concerned: set[str | None]) -> list[tuple[str, Bools]]:
-    """Configuration and the modes of it that are left out, one after the other."""
+    """List what is left out, one after the other: a configuration and modes of it."""
     configurations = experiment.configurations
     if len(configurations) > 1:
         alone = [each for each in configurations if each.state not in concerned]
@@ -62,7 +62,7 @@ def _left_out(experiment: Experiment, concerned: set[str | None]) -> list[tuple[
 
 
 def _prediction_errors(estimate: Estimate, name: str, mask: Bools, fitter: Fitter) -> Errors:
-    """The errors of the left-out frequencies that the rest determines."""
+    """Predict the errors of the left-out frequencies that the rest determines."""
     misfit = Misfit(
         estimate.experiment, estimate.effects, {name: mask}, estimate.misfit.noise, estimate.misfit.expectation
     )

@@ -27,6 +27,7 @@ from cvxshear.loop.linear import Linearised
 from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.twins import Invariances, invariances
 from cvxshear.util.errors import NoModesError
+from cvxshear.util.typing import Floats
 
 BEAM = 6
 REACH = 20.0
@@ -34,6 +35,10 @@ REACH = 20.0
 
 WITHIN = 7.0
 """Logarithm of a probability ratio: what is a thousandth as probable as the best is not followed up."""
+
+TIE = 2.0
+"""The same between two sets that are as good as each other: what may stand beside the one is tried beside both, or the
+probabilities would count it for one of them alone."""
 
 A_PILE = 3
 """Effects from which on a set is no simple explanation: two causes at once are met now and then, three seldom."""
@@ -197,7 +202,7 @@ class Search:
     def visit_twins(self) -> None:
         """Visit, beside each of the best sets, those in which an effect has given its place to a twin."""
         for model in [each for each in self.beam if each.score >= self.best.score - WITHIN]:
-            if model.estimate is None or not model.effects:
+            if not model.effects or not self._worth_following(model):
                 continue
             found = self.invariances(model)
             for placed in model.effects:
@@ -212,12 +217,12 @@ class Search:
                     self._visit(base.estimate, linear, new, CONVERGED_STEP)
 
     def invariances(self, model: ModelClass) -> Invariances:
-        """What no datum tells at the fit of a set."""
+        """Find what no datum tells at the fit of a set."""
         assert model.estimate is not None
         return invariances(model.estimate, self._lacking(model), self.fitter.expectation)
 
     def twins(self, model: ModelClass, placed: Placed) -> list[Placed]:
-        """The effects that no datum tells from one of a set, where the set with them fits as well."""
+        """List the effects that no datum tells from one of a set, where the set with them fits as well."""
         assert model.estimate is not None
         found = []
         for twin in self.invariances(model).twins(placed):
@@ -227,10 +232,11 @@ class Search:
 
     def refine(self) -> None:
         """Fit the sets that count most to full accuracy."""
-        self._record([self.fitter.refined(model) for model in self.beam])
+        floor = self.best.score - REACH
+        self._record([self.fitter.refined(model) for model in self.beam if model.score >= floor])
 
     def fit_of(self, effects: Set) -> Estimate:
-        """The fit of a set, made where it was not visited."""
+        """Find the fit of a set, made where it was not visited."""
         model = self.visited.get(effects)
         if model is not None and model.estimate is not None:
             return model.estimate
@@ -245,7 +251,7 @@ class Search:
         return found.estimate
 
     def _next(self, done: set[Set], within: float) -> ModelClass | None:
-        """The best set of the beam that was not dealt with yet."""
+        """Find the best set of the beam that was not dealt with yet."""
         floor = self.best.score - within
         return next(
             (
@@ -257,11 +263,15 @@ class Search:
         )
 
     def _worth_following(self, model: ModelClass) -> bool:
-        """Whether a set may lead to a better one; with an open class beside an explanation that is better, hardly."""
-        return self.best.improbable or model is self.best or not holds_open(model.effects)
+        """Whether a set may lead to a better one: what only adds to one that explains the data hardly does."""
+        if self.best.improbable or model is self.best:
+            return True
+        return not holds_open(model.effects) and not any(
+            better.effects < model.effects and better.score > model.score + TIE for better in self.beam
+        )
 
     def _lacking(self, model: ModelClass) -> list[Placed]:
-        """What the linearised model at the fit of a set can judge of what the set lacks."""
+        """List the effects that a set lacks and the linearised model at its fit can judge."""
         return [
             item.placed
             for item in self.fitter.hypotheses
@@ -311,10 +321,10 @@ class Search:
         self._record(self.fitter.models(proposals))
 
     def _promising(self, model: ModelClass, linear: Linearised) -> list[Set]:
-        """Sets with one more effect, or two, by what the linearised model promises."""
-        single = {
-            model.effects | {placed}: linear.gain(placed) + self.fitter.log_prior([placed]) for placed in linear.lacking
-        }
+        """List sets with one more effect, or two, by what the linearised model promises."""
+        odds = np.array([self.fitter.log_prior([placed]) for placed in linear.lacking])
+        gains = dict(zip(linear.lacking, linear.gains.tolist(), strict=True))
+        single = {model.effects | {each}: gains[each] + self.fitter.log_prior([each]) for each in linear.lacking}
         order = sorted(single, key=lambda each: -single[each])
         # A set with an effect taken out is far behind: what is put in must catch up with the best.
         floor = max(single[order[0]], 0.0, self.best.score - model.score) - WITHIN
@@ -323,12 +333,11 @@ class Search:
         new = [each for at, each in enumerate(order[:MOST_FURTHER]) if at < least or single[each] > floor]
         if model.improbable:
             # What leaves the accuracy of some data open shows all that it is worth only once they weigh less.
-            rescaling = sorted(
-                (placed for placed in linear.lacking if placed.effect.rescales), key=lambda placed: -linear.gain(placed)
-            )
+            rescaling = sorted((each for each in gains if each.effect.rescales), key=lambda each: -gains[each])
             new += [model.effects | {placed} for placed in rescaling[:RESCALING]]
-        several = model.effects.union(linear.forward([self.fitter.log_prior([placed]) for placed in linear.lacking]))
-        found = (*new, *self._pairs(model, linear, single), several)
+        causes = np.array([each.effect.kind != OPEN for each in linear.lacking])
+        several = model.effects.union(linear.forward(np.where(causes, odds, -np.inf)))
+        found = (*new, *self._pairs(model, linear, odds), several)
         return [each for each in found if each not in self.visited and not self._hopeless(each)]
 
     def _hopeless(self, effects: Set) -> bool:
@@ -342,10 +351,9 @@ class Search:
                     return True
         return False
 
-    def _pairs(self, model: ModelClass, linear: Linearised, single: dict[Set, float]) -> Iterable[Set]:
+    def _pairs(self, model: ModelClass, linear: Linearised, odds: Floats) -> Iterable[Set]:
         """Pairs that promise more together than either does by itself, and than nothing."""
-        odds = np.array([self.fitter.log_prior([placed]) for placed in linear.lacking])
-        alone = np.array([single[model.effects | {placed}] for placed in linear.lacking])
+        alone = linear.gains + odds
         together = np.triu(linear.pair_gains() + odds[:, None] + odds[None, :], 1)
         threshold = max(float(alone.max()), 0.0)
         better = together - np.maximum(np.maximum(alone[:, None], alone[None, :]), 0.0)
@@ -396,19 +404,22 @@ class Search:
                     best = max((at, *self._with_one_of(others, at, barred)), key=lambda each: each.score)
 
     def _with_one_of(self, effects: Sequence[Placed], model: ModelClass, barred: Set) -> list[ModelClass]:
-        """The most promising sets with one of these effects more, none that is barred, visited."""
+        """Visit the most promising sets with one of these effects more, none that is barred."""
         effects = [placed for placed in effects if placed not in barred]
         if model.estimate is None or not effects:
             return []
         linear = Linearised(model.estimate, effects, self.fitter.expectation)
-        gains = {placed: linear.gain(placed) + self.fitter.log_prior([placed]) for placed in effects}
+        gains = {
+            placed: gain + self.fitter.log_prior([placed])
+            for placed, gain in zip(effects, linear.gains.tolist(), strict=True)
+        }
         best = sorted(gains, key=lambda placed: -gains[placed])[:STAND_FOR_A_GROUP]
         sets = [model.effects | {placed} for placed in best]
         self._visit(model.estimate, linear, [each for each in sets if each not in self.visited])
         return [self.visited[each] for each in sets]
 
     def _groups(self, effects: Set) -> list[Set]:
-        """The groups of two effects or more, and each open class, each once."""
+        """List the groups of two effects or more, and each open class, each once."""
         by_state, by_name = defaultdict[str | None, set[Placed]](set), defaultdict[str, set[Placed]](set)
         for placed in effects:
             by_name[placed.effect.name].add(placed)
@@ -460,7 +471,7 @@ def holds_open(effects: Set) -> bool:
 
 
 def _after_a_step(proposal: FitProposal) -> float:
-    """The objective that the linearised model has after one step from a start."""
+    """Return the objective that the linearised model has after one step from a start."""
     try:
         at = proposal.misfit.evaluate(proposal.starts[0])
     except NoModesError:

@@ -49,7 +49,7 @@ class Invariances:
     lacking: dict[Placed, Floats]
 
     def twins(self, placed: Placed) -> list[Placed]:
-        """The effects that can take the place of one in the model, whatever was measured."""
+        """List the effects that can take the place of one in the model, whatever was measured."""
         own = np.array([owner is placed for owner in self.owner])
         if not own.any():
             return []
@@ -73,7 +73,7 @@ class Invariances:
 
 
 def invariances(estimate: Estimate, lacking: Sequence[Placed], expectation: Expectation) -> Invariances:
-    """The derivatives of all data, soft priors among them, at a fit.
+    """Compute the derivatives of all data, soft priors among them, at a fit.
 
     Parameters
     ----------
@@ -107,14 +107,14 @@ def _basis(columns: Floats) -> Floats:
 
 
 def _without(basis: Floats, columns: Floats) -> Floats:
-    """What a basis cannot make of some columns; zero where that is rounding."""
+    """Return what a basis cannot make of some columns; zero where that is rounding."""
     left: Floats = columns - basis @ (basis.T @ columns)
     rounding = np.linalg.norm(left, axis=0) <= EXACT * np.linalg.norm(columns, axis=0)
     return np.where(rounding, 0.0, left)
 
 
 def _beyond(columns: Floats, wanted: Floats) -> float:
-    """The largest share of a wanted column that a combination of others cannot make."""
+    """Return the largest share of a wanted column that a combination of others cannot make."""
     size = np.linalg.norm(wanted, axis=0)
     if columns.shape[1] == 1 and np.any(columns):
         unit = columns / np.linalg.norm(columns)

@@ -206,6 +206,8 @@ class Configuration(InTable):
     def _checked_shape_std(self, value: object, count: int, width: int) -> Floats:
         """One number, one a mode, or one an entry, as one an entry."""
         where = self._at("mode_shape_std")
+        if not width:
+            raise InputError(f"{where} is given, but no mode_shapes: leave it out, or give the shapes")
         if isinstance(value, np.ndarray):
             value = value.tolist()
         if isinstance(value, list | tuple) and any(isinstance(item, list | tuple) for item in value):

@@ -37,7 +37,6 @@ class Options:
     """How to identify; the parameters of `identify_modes`."""
 
     method: str | None = None
-    estimator: str = "h1"
     blocks: int = BLOCKS
     criteria: Criteria = field(default_factory=Criteria)
     count: int | None = None
@@ -58,7 +57,6 @@ def identify_modes(
     record: Record,
     *,
     method: str | None = None,
-    estimator: str = "h1",
     blocks: int = BLOCKS,
     criteria: Criteria | None = None,
     count: int | None = None,
@@ -80,8 +78,6 @@ def identify_modes(
         decays. "okid": the same on the Markov parameters of an observer, for measured continuous input.
         "subspace": PO-MOESP for the same. "ssi": covariance-driven, for ambient records. What suits the
         input where None.
-    estimator : str, optional
-        "h1" or "h2", for hits.
     blocks : int, optional
         Pieces of a continuous record for the jackknife.
     criteria : Criteria, optional
@@ -119,7 +115,7 @@ def identify_modes(
     if second is not None:
         checks.choice(second, (*MODAL_METHODS, FDD), "second")
     picked = () if pick is None else tuple(checks.vector(pick, "pick", above=0.0).tolist())
-    options = Options(method, estimator, blocks, criteria or Criteria(), count, rule, accept_swapped, seed, picked)
+    options = Options(method, blocks, criteria or Criteria(), count, rule, accept_swapped, seed, picked)
     try:
         # The matrices are small: with all cores, threads wait for each other longer than they compute.
         with threadpool_limits(1):
@@ -147,7 +143,7 @@ def identify_modes(
 
 
 def _second(record: Record, result: ModalResult, options: Options, method: str) -> ModalResult:
-    """The modes by another method."""
+    """Identify the modes by another method."""
     if method == FDD and result.functions is not None:
         return frequency_domain_decomposition(result.functions, len(result.frequencies), record.stories)
     other = _identified(record, dataclasses.replace(options, method=method))
@@ -155,7 +151,7 @@ def _second(record: Record, result: ModalResult, options: Options, method: str) 
 
 
 def _with_clocks(looked: Examined, options: Options, *, correct_clocks: bool) -> tuple[ModalResult, Record]:
-    """The result, and the record it is of: with its clocks set right where that was asked for and needed."""
+    """Identify the modes, with clocks set right where that was asked for and needed; the record used comes second."""
     record = looked.record
     result = _identified(record, options, looked.turning)
     if not correct_clocks or not any(finding.kind == "clock offset" for finding in result.findings):
@@ -170,7 +166,7 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
     wanted = _wanted(record, options)
 
     def attempt(record: Record, order: Sequence[int] | None = None) -> tuple[Source, Sweep]:
-        source = source_of(record, method, estimator=options.estimator, blocks=options.blocks)
+        source = source_of(record, method, blocks=options.blocks)
         by_signs = len(record.channels) == record.stories > 1
         return source, sweep_orders(
             source,
@@ -226,7 +222,7 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
 def _repaired(
     record: Record, wanted: int, attempt: Attempt, options: Options
 ) -> tuple[Record, tuple[Source, Sweep], list[Finding]]:
-    """The record with signs and units that its lowest modes show to be wrong set right, and its source and sweep.
+    """Set signs and units right that the lowest modes show to be wrong; source and sweep of the record come second.
 
     Raises
     ------
@@ -285,7 +281,7 @@ def _nothing(sweep: Sweep) -> str:
 
 
 def _with_first_findings(first: ModalResult, again: ModalResult) -> ModalResult:
-    """The second result, with what the record showed before its clocks were set right."""
+    """Put what the record showed before its clocks were set right into the second result."""
     mended = [
         dataclasses.replace(finding, message=finding.message + "; corrected")
         for finding in first.findings
@@ -295,13 +291,13 @@ def _with_first_findings(first: ModalResult, again: ModalResult) -> ModalResult:
 
 
 def _besides(looked: Examined) -> str:
-    """What the record gets wrong, for the message of a record without modes."""
+    """Say what the record gets wrong, for the message of a record without modes."""
     said = [f"{finding.kind}: {finding.message}" for finding in looked.findings]
     return f". What the record gets wrong: {'; '.join(said)}" if said else ""
 
 
 def _with_what_was_seen(looked: Examined, result: ModalResult) -> ModalResult:
-    """The result with what was found before, clocks that were set right counted together with what was left."""
+    """Add what was found before; clocks that were set right count together with what was left."""
     seen, offsets = [], dict(result.clock_offsets)
     for finding in looked.findings:
         name = finding.numbers.get("channel")

@@ -92,7 +92,7 @@ class Remark(Protocol):
         """What is wrong, with the numbers."""
 
     def to_dict(self) -> Json:
-        """The remark as plain values."""
+        """Convert the remark to plain values."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -120,7 +120,7 @@ class Screening(Shown):
 
     @staticmethod
     def of(experiment: Experiment, record: Iterable[Remark] = ()) -> Screening:
-        """What looks wrong in an experiment, and what was said of the records that it comes from."""
+        """Find what looks wrong in an experiment, and what was said of the records that it comes from."""
         return Screening(experiment.name, tuple(experiment.frame.accept), screen(experiment), tuple(record))
 
     @property
@@ -130,7 +130,7 @@ class Screening(Shown):
 
 
 def screen(experiment: Experiment) -> tuple[Finding, ...]:
-    """What looks wrong in an experiment.
+    """Find what looks wrong in an experiment.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def screen(experiment: Experiment) -> tuple[Finding, ...]:
 
 
 def refuse_mistakes(experiment: Experiment, weighed: Collection[str] = ()) -> tuple[Finding, ...]:
-    """The warnings of `screen`, where nothing refuses.
+    """Return the warnings of `screen`, where nothing refuses.
 
     Parameters
     ----------
@@ -261,7 +261,7 @@ def _judged(repair: Repair, at: Floats) -> Judged:
 
 
 def mistakes(configuration: Configuration) -> list[Finding]:
-    """The mistake in one configuration's modes, if there is one."""
+    """Find the mistake in one configuration's modes, if there is one."""
     if not configuration.measured.any():
         return []
     reading = Reading.of(configuration)
@@ -277,7 +277,7 @@ def mistakes(configuration: Configuration) -> list[Finding]:
 
 
 def _told(name: str, verdict: Verdict, broken: list[str]) -> Finding:
-    """The finding of a mistake that one change mends, or one of several."""
+    """Describe a mistake that one change mends, or one of several."""
     told = verdict.told
     names = list(dict.fromkeys(item.repair.name for item in told))
     evidence = broken[0] if broken else "no shear frame has these modes"
