@@ -45,7 +45,7 @@ def answer(closure):
 
 @styled
 def picture(closure):
-    """Published and found sizes by state, the masses on the left, the stories on the right."""
+    """Draw published and found sizes by state, the masses on the left, the stories on the right."""
     figure = new_figure(PAGE_WIDTH, 3.1)
     left, right = figure.subplots(1, 2, width_ratios=(2, 6))
     for axes, kind in ((left, "added_mass"), (right, "story_change")):

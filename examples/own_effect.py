@@ -28,7 +28,7 @@ class Brace(Effect):
 
 
 def measured(added):
-    """A test of a four-story frame with a brace of 400 N/m, to the declared noise."""
+    """Simulate a test of a four-story frame with a brace of 400 N/m, to the declared noise."""
     M = np.diag(np.array([10.0, 9.0, 8.0, 7.0]) + added)
     k = np.array([2000.0, 1800.0, 1500.0, 1200.0])
     K = np.diag(k + np.append(k[1:], 0)) - np.diag(k[1:], 1) - np.diag(k[1:], -1)

@@ -7,7 +7,7 @@ from sphinx.writers.html5 import HTML5Translator
 
 
 def transposed(formula: str) -> str:
-    """The formula with its primes, which stand for transposes throughout, as a superscript that is seen."""
+    """Write the primes of a formula, which stand for transposes throughout, as a superscript that is seen."""
     return formula.replace("'", r"^{\top}")
 
 

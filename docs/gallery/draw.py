@@ -19,7 +19,7 @@ EXAMPLES = HERE.parents[1] / "examples"
 
 
 def results() -> dict[str, object]:
-    """What is drawn, by the name that the pages call it."""
+    """Make what is drawn, by the name that the pages call it."""
     three = cvxshear.load(EXAMPLES / "three_story.toml")
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         run_path(str(EXAMPLES / "before_and_after.py"))
