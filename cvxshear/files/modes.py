@@ -293,17 +293,16 @@ def _frame(tests: Sequence[IdentifiedRecord]) -> dict[str, Any]:
         for key, value in {"stories": test.modes.stories, **test.frame}.items():
             if key in frame and not _same(frame[key], value):
                 raise InputError(
-                    f"frame: {key} is {shown(frame[key])} by {said[key]}, {shown(value)} by {test.file}; {_remedy(key)}"
+                    f"frame: {key} is {shown(frame[key])} by {said[key]}, {shown(value)} by {test.file}; "
+                    + (
+                        "say record: stories in each file whose top floor has no sensor"
+                        if key == "stories"
+                        else "records of one frame must agree, and one of them is enough to say it"
+                    )
                 )
             frame.setdefault(key, value)
             said.setdefault(key, test.file)
     return frame
-
-
-def _remedy(key: str) -> str:
-    if key == "stories":
-        return "say record: stories in each file whose top floor has no sensor"
-    return "records of one frame must agree, and one of them is enough to say it"
 
 
 def _same(one: object, other: object) -> bool:

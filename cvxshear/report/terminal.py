@@ -66,7 +66,7 @@ class HouseTable(Grid):
 
     def _blocks(self, width: int) -> Iterator[HouseTable]:
         """Yield the table, or several of its columns each with its leading words before them."""
-        least = [_least(column, self._wraps(at)) for at, column in enumerate(self.columns)]
+        least = [_least(column, at in self.words) for at, column in enumerate(self.columns)]
         if sum(least) + COLUMN_GAP * len(least) <= width:
             yield self._of(range(len(self.columns)), least, width)
             return
@@ -81,30 +81,24 @@ class HouseTable(Grid):
             used += least[at] + COLUMN_GAP
         yield self._of(block, least, width)
 
-    def _wraps(self, at: int) -> bool:
-        return at in self.words
-
     def _of(self, columns: Sequence[int], least: Sequence[int], width: int) -> HouseTable:
         """Cut out some of the columns, the numbers never narrower than they are."""
         block = HouseTable("", [place for place, at in enumerate(columns) if at in self.words])
+        chosen = [self.columns[at] for at in columns]
         # Where the headers have to be wrapped, rich makes all columns alike, whatever their least width, and cuts what
         # then is too wide: so the columns of numbers are given theirs, and the words have the rest.
-        tight = sum(_natural(self.columns[at]) + COLUMN_GAP for at in columns) > width + COLUMN_GAP
+        natural = (max(cell_len(str(cell)) for cell in (each.header, *each.cells)) for each in chosen)
+        tight = sum(natural) + COLUMN_GAP * len(chosen) > width + COLUMN_GAP
         for at in columns:
             block.add_column(
                 self.columns[at].header,
                 justify=self.columns[at].justify,
                 min_width=least[at],
-                width=least[at] if tight and not self._wraps(at) else None,
+                width=least[at] if tight and at not in self.words else None,
             )
         for cells in zip(*(self.columns[at].cells for at in columns), strict=True):
             block.add_row(*cells)
         return block
-
-
-def _natural(column: Column) -> int:
-    """Measure the width at which nothing of a column is wrapped."""
-    return max(cell_len(str(cell)) for cell in (column.header, *column.cells))
 
 
 def _least(column: Column, wraps: bool) -> int:

@@ -166,7 +166,11 @@ def candidates_section(result: Closure) -> Section:
         tuple(_candidate_row(item, shown) for item, shown in zip(result.candidates, chi2, strict=True)),
         brief=BRIEF_CANDIDATES,
     )
-    said = tuple(_confounded(item) for item in result.candidates if item.confounded_with)
+    said = tuple(
+        f"{capital(item.placed.label)} cannot be distinguished from {in_words(item.confounded_with)}."
+        for item in result.candidates
+        if item.confounded_with
+    )
     parts: tuple[Block, ...] = (table, *_unmoved(result), *([Points("confounded", said)] if said else []))
     return Section("candidates", "What was looked for, and how probable it is", parts, below=True)
 
@@ -203,13 +207,10 @@ def _candidate_row(item: Candidate, chi2: str) -> Row:
     )
 
 
-def _confounded(item: Candidate) -> str:
-    return f"{capital(item.placed.label)} cannot be distinguished from {in_words(item.confounded_with)}."
-
-
 @describe.register
 def _closure(result: Closure, units: Units = AUTOMATIC) -> Document:
     units = units_for(result.experiment, units)
+    effort = f"Backend {result.backend}: {counted(result.fits, 'fit')}, {counted(result.programs, 'step program')}."
     sections = (
         verdict_section(result),
         *numbering_sections(result),
@@ -222,10 +223,10 @@ def _closure(result: Closure, units: Units = AUTOMATIC) -> Document:
         steps_section(result),
         frame_section(result, units),
         limits_section(result),
-        next_section(result, units),
+        Section("next", "What to test next", (Sentence(_next(result, units)),)),
         declared(result.experiment, units),
         measured_modes(result.experiment, units),
-        Section("effort", "Effort", (Sentence(_effort(result)),)),
+        Section("effort", "Effort", (Sentence(effort),)),
     )
     return Document(result.experiment.name, f"{result.verdict.upper()}: {headline(result)}", sections)
 
@@ -301,12 +302,8 @@ def open_questions(result: Closure) -> tuple[str, ...]:
     return (*said[:MOST_QUESTIONS], *([f"{more} more below."] if more > 0 else []))
 
 
-def next_section(result: Closure, units: Units) -> Section:
-    """Describe the test that would distinguish the rivals."""
-    return Section("next", "What to test next", (Sentence(_next(result, units)),))
-
-
 def _next(result: Closure, units: Units) -> str:
+    """Describe the test that would distinguish the rivals, or say why there is none."""
     test = result.next_test
     if test is not None:
         factor, unit = units.of_mass([test.added_mass])
@@ -336,7 +333,3 @@ def _with_sensors(result: Closure, test: NextTest) -> str:
     return (
         f", with {'a sensor' if len(more) == 1 else 'sensors'} at floor{'s' * (len(more) > 1)} {' and '.join(more)} too"
     )
-
-
-def _effort(result: Closure) -> str:
-    return f"Backend {result.backend}: {counted(result.fits, 'fit')}, {counted(result.programs, 'step program')}."

@@ -80,7 +80,9 @@ def _change(configuration: Configuration, before: State, after: State) -> Change
     moved = mass[1] - mass[0]
     # What couples floors moves mass between them and off the diagonal; what is heavier is seen in the row's sum.
     added = np.where(np.abs(moved) > NOTHING * mass[0], moved, diagonal)
-    frequencies = [_frame_frequencies(state) for state in (before, after)]
+    found = [(modes(state.system.M, state.system.K), state.system.M) for state in (before, after)]
+    # Without those of masses attached to the frame.
+    frequencies = [each.frequencies[frame_modes(each, M, n)] for each, M in found]
     return Change(
         configuration.name,
         stiff[1] - stiff[0],
@@ -90,12 +92,6 @@ def _change(configuration: Configuration, before: State, after: State) -> Change
         after.gain / before.gain - 1.0,
         frequencies[1] / frequencies[0] - 1.0,
     )
-
-
-def _frame_frequencies(state: State) -> Floats:
-    """Frequencies of the frame's modes, without those of masses attached to it, shape (N,), Hz."""
-    found = modes(state.system.M, state.system.K)
-    return found.frequencies[frame_modes(found, state.system.M, len(state.story_stiffness))]
 
 
 def _sway_stiffness(state: State) -> Floats:

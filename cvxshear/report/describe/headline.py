@@ -173,14 +173,12 @@ def _model(result: Closure) -> str:
 
 def _effects(effects: tuple[AddedEffect, ...]) -> str:
     """Name the effects with their sizes and probabilities, or say how many there are and name the first."""
-    said = [_sized(item) for item in effects]
+    said = [
+        f"{item.size[:-1]}; {chance(item.probability)} probable)" if item.size.endswith(")")
+        else f"{item.size} ({chance(item.probability)} probable)"
+        for item in effects
+    ]  # fmt: skip
     return listed(said) if len(said) <= NAMED else f"{len(said)} effects were found, the first: {said[0]}"
-
-
-def _sized(item: AddedEffect) -> str:
-    """Name an effect with its size, and how probable it is."""
-    probable = f"{chance(item.probability)} probable)"
-    return f"{item.size[:-1]}; {probable}" if item.size.endswith(")") else f"{item.size} ({probable}"
 
 
 def _rivals(item: AddedEffect, *, several: bool) -> str:
