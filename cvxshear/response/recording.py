@@ -12,7 +12,8 @@ import numpy as np
 from scipy import ndimage
 
 from cvxshear.files.columns import Columns
-from cvxshear.files.record_file import RECORD_KEYS, columns_of, pieces_of, refuse_two_rates
+from cvxshear.files.record_file import RECORD_KEYS, columns_of
+from cvxshear.files.record_pieces import pieces_of, refuse_two_rates
 from cvxshear.files.record_tables import (
     ChannelDeclaration,
     added_mass_of,

@@ -3,7 +3,8 @@
 `figure_table` lists them; needs matplotlib (`pip install matplotlib`).
 """
 
-from cvxshear.report.figures.drawn_frame import findings, frame, springs, springs_between_levels
+from cvxshear.report.figures.drawn_frame import findings, frame
+from cvxshear.report.figures.drawn_network import springs, springs_between_levels
 from cvxshear.report.figures.drawn_shapes import shapes
 from cvxshear.report.figures.figure_table import FigureEntry, drawn_figure, figure, figures_of
 from cvxshear.report.figures.frequency_figures import coherence, functions, stabilization
