@@ -320,7 +320,8 @@ class Misfit:
             residuals.append(r)
             rows.append(row)
         for placed, own in slices(self.effects, 2 * n):
-            if placed.place.prior is not None:
+            # A test that is only imagined has no priors that could be wrong.
+            if placed.place.prior in self._statements:
                 at_prior = 1 + self._statements.index(placed.place.prior)
                 residuals[at_prior] = residuals[at_prior] - theta[own]
                 rows[at_prior][:, own] -= np.eye(own.stop - own.start)

@@ -127,9 +127,13 @@ class Fitter:
         self.stand_ins += sum(stood_in for _, stood_in in found)
         return [self._model(proposal, item) for proposal, (item, _) in zip(proposals, found, strict=True)]
 
+    def set_of(self, proposal: FitProposal) -> frozenset[Placed]:
+        """Return the set that a proposal is of, without what is assumed in every set."""
+        return frozenset(proposal.effects) - frozenset(self.assumed)
+
     def _model(self, proposal: FitProposal, found: Estimate | CvxshearError) -> ModelClass:
         self.fits += 1
-        effects = frozenset(proposal.effects) - frozenset(self.assumed)
+        effects = self.set_of(proposal)
         if isinstance(found, CvxshearError):
             return ModelClass(effects, None, -np.inf, self.log_prior(effects), found, self.numbering.changes)
         self.programs += found.fit.steps

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
+from cvxshear.loop.neighbors import holds_open
 from cvxshear.loop.numbering import Numbering, named_numberings, overlooked_in_all, overlooked_in_one
-from cvxshear.loop.search import REACH, Search, holds_open
+from cvxshear.loop.search import REACH, Search
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.errors import CvxshearError
 
