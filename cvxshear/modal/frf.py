@@ -190,8 +190,8 @@ class FrfSource(Source):
             self.unit = "none"
             self.groups = np.zeros(0, dtype=np.int64)
         self.energies = np.array([float(item.response_response.sum()) for item in spectra])
-        power = {floor: sum(item.force_force for item in spectra if item.floor == floor) for floor in self.floors}
         power = {floor: np.sum([s.force_force for s in spectra if s.floor == floor], axis=0) for floor in self.floors}
+        self._roots = {floor: np.sqrt(each + LEAST_FORCE * each.max()) for floor, each in power.items()}
         self._stop = samples
         pulse = np.abs(self._answered(None)[1][: samples // 2 + 1])
         over = int(np.flatnonzero(pulse > PULSE_OVER * pulse.max(axis=0)[None, :])[-1]) // pulse.shape[1] + 1
