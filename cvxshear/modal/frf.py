@@ -212,7 +212,7 @@ class FrfSource(Source):
         return np.array([item.force_force.sum() for item in self.spectra])
 
     def factor(self, keep: Bools | None = None) -> Floats:
-        """Left factor of the block Hankel matrix of the responses; of products of different hits where there are any."""
+        """Left factor of the responses' block Hankel matrix; of products of different hits where there are any."""
         sequence = self.impulse(keep).sequence
         if self._own is None:
             return left_factor(markov_hankel(sequence, self._start))
