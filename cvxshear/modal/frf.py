@@ -99,7 +99,7 @@ ERA_COLUMNS = 600
 SKIPPED = 3
 """Samples at the start of an impulse response that its cut at half the sampling rate disturbs most."""
 RINGING = 12
-"""Samples that a blow, sampled behind a steep filter, rings before and after."""
+"""Samples that a step or a blow, sampled behind a steep filter, rings before and after."""
 WEAKEST_FORCE = 0.01
 """Of the largest force power: lines beyond the first weaker one say nothing of the frame."""
 LEAST_FORCE = 0.1
