@@ -14,9 +14,9 @@ from cvxshear.util.typing import Bools, Floats
 
 FDD = "fdd"
 """The name of the frequency domain decomposition among methods."""
-NEAR = 0.05
+SAME_FREQUENCY = 0.05
 """Relative distance of frequencies within which two methods may have found the same mode."""
-ALIKE = 0.9
+SAME_MODE_MAC = 0.9
 """MAC from which on two shapes within that distance are taken for those of one mode; usual in correlating tests."""
 
 
@@ -99,7 +99,7 @@ def second_opinion(result: ModalResult, other: ModalResult) -> list[Finding]:
     for row, (mode, frequency) in enumerate(zip(result.modes.tolist(), result.frequencies.tolist(), strict=True)):
         changes = other.frequencies / frequency - 1.0
         alike = np.array([mac(own[row], shape) for shape in its])
-        near = np.flatnonzero((np.abs(changes) < NEAR) & (alike > ALIKE))
+        near = np.flatnonzero((np.abs(changes) < SAME_FREQUENCY) & (alike > SAME_MODE_MAC))
         numbers = {"mode": mode, "method": other.name}
         if not near.size:
             closest = int(np.argmin(np.abs(changes)))

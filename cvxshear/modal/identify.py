@@ -15,8 +15,8 @@ from cvxshear.modal.assemble import assembled
 from cvxshear.modal.diagnostics import left_out, overlooked_modes
 from cvxshear.modal.estimate import Replication, covariance, details, doubted, scattering, settle_truncation
 from cvxshear.modal.functions import measured_functions
-from cvxshear.modal.picking import REACH, Choice, Parts, Sweep, Values, strongest, sweep_orders
-from cvxshear.modal.prepare import BLOCKS, METHODS, Attempt, default_method, settled, source_of
+from cvxshear.modal.picking import PICKABLE, Choice, Parts, Sweep, Values, strongest, sweep_orders
+from cvxshear.modal.prepare import BLOCKS, MODAL_METHODS, Attempt, default_method, settled, source_of
 from cvxshear.modal.realization import Source
 from cvxshear.modal.result import ModalResult
 from cvxshear.modal.stabilization import Criteria
@@ -28,7 +28,7 @@ from cvxshear.records.signals import in_step, scaled
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError
 
-SHOWN = 1.5
+FUNCTION_RANGE = 1.5
 """Times the highest natural frequency: as far the functions of a record are kept."""
 
 
@@ -48,7 +48,7 @@ class Options:
     def __post_init__(self) -> None:
         checks.choice(self.rule, RULES, "rule")
         if self.method is not None:
-            checks.choice(self.method, METHODS, "method")
+            checks.choice(self.method, MODAL_METHODS, "method")
         if self.pick and self.count is not None:
             raise InputError("give either count or pick: the modes picked by hand are as many as they are")
 
@@ -113,7 +113,7 @@ def identify_modes(
         Where no mode of the frame was found.
     """
     if second is not None:
-        checks.choice(second, (*METHODS, FDD), "second")
+        checks.choice(second, (*MODAL_METHODS, FDD), "second")
     picked = () if pick is None else tuple(checks.vector(pick, "pick", above=0.0).tolist())
     options = Options(method, blocks, criteria or Criteria(), count, rule, accept_swapped, seed, picked)
     try:
@@ -129,7 +129,7 @@ def identify_modes(
             result = _with_what_was_seen(looked, result)
             if functions or second == FDD:
                 result = dataclasses.replace(
-                    result, functions=measured_functions(record, SHOWN * result.frequencies[-1])
+                    result, functions=measured_functions(record, FUNCTION_RANGE * result.frequencies[-1])
                 )
             if second is not None:
                 other = _second(record, result, dataclasses.replace(options, pick=()), second)
@@ -263,10 +263,10 @@ def _wanted(record: Record, options: Options) -> int:
 
 def _out_of_reach(sweep: Sweep, picked: tuple[float, ...]) -> str:
     near = [item.frequency for item in sweep.chosen]
-    missing = [f for f in picked if not any(abs(f - other) <= REACH * f for other in near)]
+    missing = [f for f in picked if not any(abs(f - other) <= PICKABLE * f for other in near)]
     named = ", ".join(f"{f:g}" for f in missing or picked)
     there = ", ".join(f"{item.frequency:.4g}" for item in sweep.candidates)
-    return f"pick: no stable pole of its own within {100 * REACH:g} % of {named} Hz; there are {there or 'none'} Hz"
+    return f"pick: no stable pole of its own within {100 * PICKABLE:g} % of {named} Hz; there are {there or 'none'} Hz"
 
 
 def _chosen(sweep: Sweep) -> Values:

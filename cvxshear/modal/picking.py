@@ -41,7 +41,7 @@ high again as the second."""
 UNSURE = 0.05
 """Of a shape's largest entry: smaller ones can have either sign, by noise or by a sensor that stands askew."""
 
-REACH = 0.03
+PICKABLE = 0.03
 """Relative; a pole picked by hand is looked for so far around the frequency given."""
 
 
@@ -304,7 +304,7 @@ def _by_hand(found: list[PoleCandidate], picked: Sequence[float]) -> list[PoleCa
         near = [
             item
             for item in found
-            if abs(item.frequency - frequency) <= REACH * frequency and not any(item is other for other in chosen)
+            if abs(item.frequency - frequency) <= PICKABLE * frequency and not any(item is other for other in chosen)
         ]
         if near:
             chosen.append(min(near, key=lambda item: abs(item.frequency - frequency)))

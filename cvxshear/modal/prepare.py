@@ -18,7 +18,7 @@ from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError, UnsuitableError
 from cvxshear.util.typing import Floats
 
-METHODS = ("era", "okid", "subspace", "ssi")
+MODAL_METHODS = ("era", "okid", "subspace", "ssi")
 BLOCKS = 20
 
 
@@ -47,7 +47,7 @@ def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> Source:
     UnsuitableError
         Where the method cannot use the record's input; names one that can.
     """
-    checks.choice(method, METHODS, "method")
+    checks.choice(method, MODAL_METHODS, "method")
     checks.whole(blocks, "blocks", least=4, most=200)
     suited = _suited(record)
     if method not in suited:

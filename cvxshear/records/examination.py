@@ -29,7 +29,7 @@ LATE = 0.5
 """Samples; a delay of less is left to the phases of the modes, which tell it finer."""
 CERTAIN_DELAY = 4.0
 """Standard deviations of a delay that is taken out."""
-SEEN = 5.0
+SIGNIFICANT_DRIFT = 5.0
 """Standard deviations of a drift that another clock must show it by, or contradict it."""
 QUIET = 0.5
 """Of the frequency at which the motion of some floor is twice the base's: below it the floors move with the base."""
@@ -166,7 +166,7 @@ def _drifts(segments: Segments, late: int, right: int, slope: float, clocks: lis
         for k in range(len(clocks))
         if k not in (late, right)
     ]
-    sharp = [drift for drift, std in against if SEEN * std < abs(slope)]
+    sharp = [drift for drift, std in against if SIGNIFICANT_DRIFT * std < abs(slope)]
     return sum(abs(drift - slope) > abs(slope) / 2 for drift in sharp) <= len(sharp) / 2
 
 

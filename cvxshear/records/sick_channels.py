@@ -33,7 +33,7 @@ MANY_SPIKES = 0.02
 """Share of the samples; more is no accident."""
 AR_ORDER = 24
 """Coefficients of the model that spikes stand out of: two for each mode of a dozen stories."""
-PASSES = 8
+SPIKE_PASSES = 8
 """Times that spikes are looked for; so many may stand within reach of each other."""
 WINSORIZED = 4.0
 """Local deviations that samples are cut to where the model is fitted, lest spikes make it."""
@@ -109,7 +109,7 @@ def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
     """
     cleaned, found = np.array(responses), np.zeros(responses.shape, dtype=bool)
     # One spike throws the errors around it off: the largest in reach is taken first, and those beside it after.
-    for _ in range(PASSES):
+    for _ in range(SPIKE_PASSES):
         off, scale = np.zeros(responses.shape), np.full(responses.shape, np.inf)
         for column, values in enumerate(cleaned.T):
             if values.std() > 0:
