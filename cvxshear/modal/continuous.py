@@ -100,7 +100,8 @@ class Triangles:
         if not left:
             return self._before[-1]
         if len(left) > 1:
-            return _triangle(np.vstack([piece for piece, kept in zip(self.pieces, keep, strict=True) if kept]))
+            chosen = np.ones(len(self.pieces), dtype=bool) if keep is None else keep
+            return _triangle(np.vstack([piece for piece, kept in zip(self.pieces, chosen, strict=True) if kept]))
         before, after = self._before[: left[0]][-1:], self._after[left[0] + 1 :][:1]
         return _joined(before[0], after[0]) if before and after else (before or after)[0]
 

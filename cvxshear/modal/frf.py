@@ -190,8 +190,10 @@ class FrfSource(Source):
             self.unit = "none"
             self.groups = np.zeros(0, dtype=np.int64)
         self.energies = np.array([float(item.response_response.sum()) for item in spectra])
-        power = {floor: sum(item.force_force for item in spectra if item.floor == floor) for floor in self.floors}
-        self._roots = {floor: np.sqrt(each + LEAST_FORCE * each.max()) for floor, each in power.items()}
+        self._roots: dict[int, Floats] = {}
+        for floor in self.floors.tolist():
+            power = np.sum([item.force_force for item in spectra if item.floor == floor], axis=0)
+            self._roots[floor] = np.sqrt(power + LEAST_FORCE * power.max())
         self._stop = samples
         pulse = np.abs(self._answered(None)[1][: samples // 2 + 1])
         over = int(np.flatnonzero(pulse > PULSE_OVER * pulse.max(axis=0)[None, :])[-1]) // pulse.shape[1] + 1
