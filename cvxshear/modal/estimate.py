@@ -69,8 +69,8 @@ def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats
         for piece, share in zip(pieces, shares, strict=True):
             keep = np.ones(len(groups), dtype=bool)
             keep[piece] = False
-            values = None if full is None else estimate(keep)
-            if values is None:
+            values = estimate(keep)
+            if values is None or full is None:
                 lost += 1
             else:
                 changes.append(values - full)
