@@ -1,4 +1,4 @@
-"""Measurements of every sort that a file may hold: the loop ends in a verdict or in words, never in a traceback."""
+"""Measurements of every sort that a file may hold: commands end in results or in words, never in a traceback."""
 
 import json
 
@@ -48,3 +48,23 @@ def test_a_loop_ends_in_a_verdict_or_in_words(seed):
     json.dumps(result, allow_nan=False)
     assert result["verdict"] in {"adequate", "explained", "located", "ambiguous", "unexplained"}
     assert all(0.0 <= item["probability"] <= 1.0 for item in result["candidates"])
+
+
+def written(declared, path):
+    """A measurement as TOML; JSON's numbers, texts and lists are TOML's too."""
+    tables = [("[frame]", declared["frame"])]
+    tables += [(f"[[{key}]]", table) for key in ("configuration", "prior") for table in declared[key]]
+    lines = [line for head, table in tables for line in (head, *(f"{k} = {json.dumps(v)}" for k, v in table.items()))]
+    path.write_text("\n".join(lines))
+    return path
+
+
+@pytest.mark.parametrize("seed", [105, 106])
+def test_commands_end_in_results_or_in_words(seed, run, tmp_path):
+    """A soft prior, configurations without shapes, a single sensor."""
+    path = written(odd(seed), tmp_path / "odd.toml")
+    for command in (["check"], ["identify"], ["plan"], ["loop", "--report", tmp_path / "report.html"]):
+        status, out, err = run(command[0], path, *command[1:])
+        assert status in (0, 1, 2)
+        assert "Traceback" not in out + err
+        assert (status == 2) == err.startswith("cvxshear: ")
