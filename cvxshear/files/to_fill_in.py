@@ -5,6 +5,7 @@ Their texts stand in the folder `blank`; a record file marks what follows from t
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import re
 from collections.abc import Sequence
@@ -140,13 +141,20 @@ def _listed(values: Floats | np.ndarray, shown: str) -> str:
 
 
 TIME = re.compile(r"(time|zeit|t|temps|tiempo|timestamp|date|datetime|elapsed|stamp|seconds)\b", re.IGNORECASE)
-GROUND = re.compile(r"ground|base\b|basement|table|platform|input|boden|fundament|sol\b|floor ?0\b", re.IGNORECASE)
+GROUND = re.compile(
+    r"ground|base\b|basement|table|platform|input|boden|tisch\b|fundament|sol\b|floor ?0\b", re.IGNORECASE
+)
 FORCE = re.compile(r"force|hammer|impact|shaker|load ?cell|kraft", re.IGNORECASE)
+ROOF = re.compile(r"roof|\btop\b|dach|toit", re.IGNORECASE)
+NO_MOTION = re.compile(r"temp|humid|batt|status|comment", re.IGNORECASE)
 NUMBER = re.compile(r"\d+")
 AXIS = re.compile(r"(?:^|[^a-z])([xyz])(?:$|[^a-z])|\d([xyz])$", re.IGNORECASE)
 
 BRACKETED = re.compile(r"[\[(]([^\])]*)[\])]|[,/]\s*([a-zA-Zµ/²^*0-9.]+)\s*$")
 """A unit in a header: "acc [g]", "acc (m/s^2)", "acc, g"."""
+
+ENDING = re.compile(r"_(g|mg|ms|us|gal|kn|(?:mm|cm|m|in)_?(?:s2|ps2))$", re.IGNORECASE)
+"""A unit at the end of a name: "epoch_ms", "ch1_x_mg"."""
 
 RATE = re.compile(
     r"(?:sampl\w*[ _-]?(?:rate|freq\w*)?|\bfs\b|\brate\b|abtastrate)[^\d\n]{0,20}(\d+(?:[.,]\d+)?)", re.IGNORECASE
@@ -239,10 +247,13 @@ def record_template(data: str | Path, folder: str | Path = ".") -> str:
     if several:
         rate += f'\naxis = "{axes[0]}"  # GUESSED: the direction of test, of those below'
     top = max(1, *(each.floor for each in guesses))
+    left = [
+        f"\n# Left out, no motion by its name: {printable(each)}\n" for each in columns.names if NO_MOTION.search(each)
+    ]
     return _blank("record.toml").format(
         file=printable(path.name), name=toml_line("x", named_after(path))[4:], kind=kind, why=why, rate=rate,
         source=toml_line("file", os.path.relpath(path, folder)),
-        channels="".join(_channel(each, top, several=several) for each in guesses),
+        channels="".join((*(_channel(each, top, several=several) for each in guesses), *left)),
     )  # fmt: skip
 
 
@@ -285,6 +296,8 @@ def _unit(columns: Columns, name: str) -> tuple[str, str]:
     said = columns.units[columns.names.index(name)] if columns.units else ""
     if not said and (found := BRACKETED.search(name)):
         said = found[1] or found[2] or ""
+    elif not said and (found := ENDING.search(name)):
+        said = re.sub(r"_?p?s2", "/s2", found[1])
     plain = re.sub(r"[\s*^]", "", said.strip().replace("²", "2").replace("**", ""))
     known = {each.lower(): each for each in (*CHANNEL_UNITS, *TIME_UNITS)}
     lower = plain.lower()
@@ -295,10 +308,10 @@ def _guesses(columns: Columns, names: Sequence[str]) -> list[Guess]:
     """Tell what each column is, those that hold no number left out."""
     found: list[Guess] = []
     for name in names:
-        if not np.isfinite(columns.values[:, columns.names.index(name)]).any():
+        if NO_MOTION.search(name) or not np.isfinite(columns.values[:, columns.names.index(name)]).any():
             continue
         unit, said = _unit(columns, name)
-        bare = BRACKETED.sub("", name)
+        bare = ENDING.sub("", BRACKETED.sub("", name))
         force = bool(FORCE.search(bare)) or (unit in CHANNEL_UNITS and CHANNEL_UNITS[unit][0] == "force")
         ground = not force and bool(GROUND.search(bare))
         number = NUMBER.findall(bare)
@@ -309,15 +322,17 @@ def _guesses(columns: Columns, names: Sequence[str]) -> list[Guess]:
             Guess(name, unit if unit in CHANNEL_UNITS else None, role, floor, floor >= 0,
                   (axis[1] or axis[2]).lower() if axis else "x", "" if unit in CHANNEL_UNITS else said)
         )  # fmt: skip
-    # Channels numbered from 0 or without gaps in another count stand in the order of the columns all the same.
-    order = 0
+    # Columns without a number stand in order on the floors that no number says; a roof above all others.
+    named = {each.floor for each in found if each.role == "floor"}
+    free = iter(sorted(set(range(1, len(found) + max({0, *named}) + 1)) - named))
     result = []
-    for each in found:
-        if each.role == "floor" and each.floor < 0:
-            order += 1
-            each = Guess(each.column, each.unit, each.role, order, False, each.axis, each.said)  # noqa: PLW2901
-        result.append(each)
-    return result
+    for each in sorted(found, key=lambda each: bool(each.floor < 0 and ROOF.search(each.column))):
+        floor = each.floor
+        if each.role == "floor" and floor < 0:
+            floor = next(free) if not ROOF.search(each.column) else max({0, *named}) + 1
+            named.add(floor)
+        result.append(dataclasses.replace(each, floor=floor))
+    return sorted(result, key=lambda each: names.index(each.column))
 
 
 def _channel(guess: Guess, top: int, *, several: bool) -> str:

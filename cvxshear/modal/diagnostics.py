@@ -77,6 +77,8 @@ SIGNIFICANT_STDS = 3.0
 """Standard deviations."""
 CLOCK_CERTAIN = 4.5
 """Standard deviations, of a score of blocks, for a clock that is off: one sound record in some hundreds has one."""
+STRAIGHT = 0.7
+"""Of the phases of a channel: where a straight line through the origin leaves more of them, they are no clock's."""
 LEAST_TURN = 1.0
 """Degrees at the highest mode; a clock offset that turns it less changes nothing that is reported."""
 COMPLEX = 5.0
@@ -154,6 +156,8 @@ def clock_findings(result: ModalResult, full: Details) -> list[Finding]:
     ):
         turn = float(np.degrees(highest * abs(late)))
         if len(full.frequencies) < 2 or turn < LEAST_TURN or abs(late) < CLOCK_CERTAIN * std:
+            continue
+        if name != "input" and left > STRAIGHT * before:
             continue
         phases = (
             f"; phases of {before:.1f} degrees before, {left:.1f} after a straight line over frequency"

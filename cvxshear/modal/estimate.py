@@ -32,9 +32,10 @@ Estimate = Callable[[Bools], Floats | None]
 def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats, Floats, int]:
     """Find the covariance by leaving out one piece at a time.
 
-    Pieces may tell more or less: with h = W / w_j and the pseudo-value h theta - (h - 1) theta_(-j) of each piece, its
-    squared distance from the weighted mean over h - 1 estimates the variance (Busing, Meijer and van der Leeden 1999,
-    "Delete-m jackknife for unequal m", Statistics and Computing 9). For equal weights it is the usual jackknife.
+    Pieces may tell more or less. With p_j the share of a piece's weight in its stratum, the sum of (1 - p_j) times the
+    squares of what leaving it out changes is without bias where a piece's variance goes with 1 / p_j, and nearly so
+    where it does not (HC2 of MacKinnon and White 1985, "Some heteroskedasticity-consistent covariance matrix
+    estimators", J. Econometrics 29). For equal weights it is the usual jackknife.
 
     Parameters
     ----------
@@ -49,7 +50,8 @@ def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats
     -------
     covariance : array, shape (k, k)
     freedom : array, shape (k,)
-        Degrees of freedom of each variance: those of its strata together (Satterthwaite 1946).
+        Degrees of freedom of each variance, its strata's together (Satterthwaite 1946), a stratum's from its weights
+        (Bell and McCaffrey 2002).
     lost : int
         Pieces without which the parameters were not found; the others stand in for them.
 
@@ -61,26 +63,27 @@ def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats
     parts, freedoms, lost = [], [], 0
     full = estimate(np.ones(len(groups), dtype=bool))
     for group in np.unique(groups):
-        replicates, times = [], []
-        for piece in np.flatnonzero(groups == group):
+        changes, rest = [], []
+        pieces = np.flatnonzero(groups == group)
+        shares = weights[pieces] / weights[pieces].sum()
+        for piece, share in zip(pieces, shares, strict=True):
             keep = np.ones(len(groups), dtype=bool)
             keep[piece] = False
             values = estimate(keep)
-            if values is None:
+            if values is None or full is None:
                 lost += 1
             else:
-                replicates.append(values)
-                times.append(weights[groups == group].sum() / weights[piece])
-        if len(replicates) < 2 or full is None:
+                changes.append(values - full)
+                rest.append(1 - share)
+        if len(changes) < 2:
             raise InputError(
                 "the modes rest on single pieces of the record: left out one at a time, they are not found again in "
                 "the rest; record longer, or more hits"
             )
-        each = np.array(times)[:, None]
-        pseudo = full - (each - 1) * (np.array(replicates) - full)
-        spread = (pseudo - np.sum(pseudo / each, axis=0) / np.sum(1 / each)) / np.sqrt(each - 1)
-        parts.append(spread.T @ spread / len(replicates))
-        freedoms.append(len(replicates) - 1)
+        spread = (np.array(changes) - np.average(changes, axis=0, weights=rest)) * np.sqrt(rest)[:, None]
+        parts.append(spread.T @ spread * len(pieces) / len(changes))
+        form = (shares**2 / (1 - shares))[:, None] * (np.diag(1 / shares) - 1)
+        freedoms.append(np.trace(form) ** 2 / np.sum(form * form.T) * (len(changes) - 1) / (len(pieces) - 1))
     variances, total = np.array([np.diag(part) for part in parts]), np.sum(parts, axis=0)
     squares = np.sum(variances**2 / np.array(freedoms)[:, None], axis=0)
     freedom = np.divide(np.diag(total) ** 2, squares, out=np.full(len(total), float(sum(freedoms))), where=squares > 0)

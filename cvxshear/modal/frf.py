@@ -99,7 +99,7 @@ ERA_COLUMNS = 600
 SKIPPED = 3
 """Samples at the start of an impulse response that its cut at half the sampling rate disturbs most."""
 RINGING = 12
-"""Samples that a blow, sampled behind a steep filter, rings before and after."""
+"""Samples that a step or a blow, sampled behind a steep filter, rings before and after."""
 WEAKEST_FORCE = 0.01
 """Of the largest force power: lines beyond the first weaker one say nothing of the frame."""
 LEAST_FORCE = 0.1
@@ -190,8 +190,10 @@ class FrfSource(Source):
             self.unit = "none"
             self.groups = np.zeros(0, dtype=np.int64)
         self.energies = np.array([float(item.response_response.sum()) for item in spectra])
-        power = {floor: np.sum([s.force_force for s in spectra if s.floor == floor], axis=0) for floor in self.floors}
-        self._roots = {floor: np.sqrt(each + LEAST_FORCE * each.max()) for floor, each in power.items()}
+        self._roots: dict[int, Floats] = {}
+        for floor in self.floors.tolist():
+            power = np.sum([item.force_force for item in spectra if item.floor == floor], axis=0)
+            self._roots[floor] = np.sqrt(power + LEAST_FORCE * power.max())
         self._stop = samples
         pulse = np.abs(self._answered(None)[1][: samples // 2 + 1])
         over = int(np.flatnonzero(pulse > PULSE_OVER * pulse.max(axis=0)[None, :])[-1]) // pulse.shape[1] + 1
@@ -212,7 +214,7 @@ class FrfSource(Source):
         return np.array([item.force_force.sum() for item in self.spectra])
 
     def factor(self, keep: Bools | None = None) -> Floats:
-        """Left factor of the Hankel matrix of the responses; of products of different hits where there are any."""
+        """Left factor of the responses' block Hankel matrix; of products of different hits where there are any."""
         sequence = self.impulse(keep).sequence
         if self._own is None:
             return left_factor(markov_hankel(sequence, self._start))

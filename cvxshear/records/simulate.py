@@ -102,7 +102,7 @@ def hammer_record(
             blow = np.where((time > 0) & (time < 0.1), np.sin(np.pi * time / 0.1), 0.0) * random.uniform(50, 150)
             forces = np.zeros((count, len(frame.masses)))
             forces[:, floor - 1] = blow
-            both = np.column_stack([blow, frame.accelerations(forces, step)])
+            both = np.column_stack([_acting(blow), frame.accelerations(forces, step)])
             runs.append(_sensed(both, noise, random, floor, f"hit {hit + 1} at floor {floor}"))
     return _record(frame, runs, sampling_rate, "force")
 
@@ -135,7 +135,7 @@ def shaker_record(
     force = 10.0 * _white(int(duration * sampling_rate) * OVERSAMPLING, random)
     forces = np.zeros((len(force), len(frame.masses)))
     forces[:, floor - 1] = force
-    run = _sensed(np.column_stack([force, frame.accelerations(forces, step)]), noise, random, floor, name)
+    run = _sensed(np.column_stack([_acting(force), frame.accelerations(forces, step)]), noise, random, floor, name)
     return _record(frame, [run], sampling_rate, "force")
 
 
@@ -156,6 +156,14 @@ def _white(count: int, random: np.random.Generator) -> Floats:
     lowpass = signal.butter(6, 0.8 / OVERSAMPLING, output="sos")
     values = signal.sosfiltfilt(lowpass, random.standard_normal(count))
     return np.asarray(values / values.std())
+
+
+def _acting(force: Floats) -> Floats:
+    """Smooth the samples of a force that is a straight line between them, to those of its part in their band.
+
+    The line has the samples' spectrum times sinc squared, 1 - w^2 / 12 for w radians a sample; so have these weights.
+    """
+    return np.convolve(force, np.array([1.0, 10.0, 1.0]) / 12.0, mode="same")
 
 
 def _sensed(

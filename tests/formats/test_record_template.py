@@ -43,6 +43,12 @@ HEADS = {
     ),
     "tabs": ("t\tinput (cm/s2)\tch1 (gal)\tch2 (Gal)\tch3 (cm/s²)\n", {"separator": "\t"}, 1e-2),
     "commented header": ("# t ground a1 a2 a3\n", {"separator": " "}, 1.0),
+    "a roof without a number": (
+        "Zeit;Tisch;Etage 1;Etage 2;Dach\ns;cm/s2;cm/s2;cm/s2;cm/s2\n",
+        {"separator": ";"},
+        1e-2,
+    ),
+    "units at the ends": ("time_s,table_x_mg,ch1_x_mg,ch2_x_mg,ch3_x_mg\n", {}, 1e-3 * GRAVITY),
 }
 
 
@@ -68,6 +74,14 @@ def test_headers(kind, values, run, tmp_path):
     check(record, values, factor)
     # Every guess says that it is one: the kind of input, the time, four floors, and the units where there are some.
     assert said.count("GUESSED") == 1 + 6 + 4 * (factor != 1.0 or "m/s²" in header)
+
+
+def test_a_column_that_is_no_motion_is_left_out_and_said(values, run, tmp_path):
+    table = np.column_stack([values, 20 + 0.001 * np.arange(len(values))])
+    (tmp_path / "a.csv").write_text(text("time,ground,a1,a2,a3,temp_degC\n", table))
+    said, record = begun(run, tmp_path, "a.csv")
+    check(record, values)
+    assert "# Left out, no motion by its name: temp_degC" in said
 
 
 def test_stamps(values, run, tmp_path):

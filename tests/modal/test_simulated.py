@@ -11,6 +11,7 @@ from scipy import integrate
 
 import cvxshear
 from cvxshear.modal import Channel, Run, TimeRecord, identify_modes
+from cvxshear.modal.estimate import jackknife
 from cvxshear.records.mode_shapes import possible_changes, sign_changes
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
 from tests.benchmarks.records import scatter
@@ -137,11 +138,40 @@ def test_exponential_window_is_taken_out():
     np.testing.assert_allclose(result.frequencies, TWO_STORY_FREQUENCIES, rtol=3e-4)
 
 
-def test_h2_agrees_with_h1():
-    record = hammer_record(PAPER_FRAME, 1, noise=0.005, floors=(3,), hits=3)
-    first, second = identify_modes(record), identify_modes(record, estimator="h2")
-    np.testing.assert_allclose(first.frequencies, second.frequencies, rtol=1e-4)
-    assert not np.array_equal(first.mode_shapes, second.mode_shapes)
+@pytest.mark.parametrize("seed", range(SEEDS))
+def test_modes_that_a_soft_hammer_hardly_reaches_are_not_bent(seed):
+    """The blow's spectrum is nil at 15 Hz, and has 0.15 % of its largest power at the highest mode, 14.1 Hz."""
+    frame = KnownFrame(np.full(5, 10.0), np.full(5, 21400.0), 0.01)
+    frequencies, _ = frame.modes()
+    assert 14.0 < frequencies[-1] < 14.2
+    result = identify_modes(hammer_record(frame, seed, noise=0.02, floors=(1, 5), duration=40.0, sampling_rate=37.0))
+    assert result.modes.tolist() == [1, 2, 3, 4, 5]
+    np.testing.assert_allclose(result.frequencies, frequencies, rtol=3e-4)
+    np.testing.assert_allclose(result.damping_ratios, 0.01, atol=6e-4)
+
+
+def test_pieces_that_tell_more_weigh_more_in_the_jackknife():
+    """The weighted mean of values of variance 1 / weight has a variance of 1 / the sum of the weights."""
+    random = np.random.default_rng(3)
+    weights = np.array([1.0, 2.0, 4.0, 8.0, 3.0, 5.0])
+    groups = np.array([0, 0, 0, 0, 1, 1])
+    found = []
+    for _ in range(2000):
+        values = random.standard_normal(6) / np.sqrt(weights)
+
+        def means(keep, values=values):
+            parts = [keep & (groups == group) for group in (0, 1)]
+            each = [np.average(values[part], weights=weights[part]) for part in parts]
+            return np.array([each[0], each[1], each[0] + each[1]])
+
+        covariance, freedom, lost = jackknife(means, groups, weights)
+        found.append(np.diag(covariance))
+        assert lost == 0
+    expected = np.array([1 / 15, 1 / 8, 1 / 15 + 1 / 8])
+    np.testing.assert_allclose(np.mean(found, axis=0), expected, rtol=0.1)
+    # A chi-square of n degrees of freedom has the variance 2 n.
+    np.testing.assert_allclose(freedom[:2], 2 * expected[:2] ** 2 / np.var(found, axis=0)[:2], rtol=0.2)
+    assert 1 <= freedom[2] <= 4
 
 
 def test_a_band_decimates_and_keeps_the_modes():

@@ -7,6 +7,10 @@ where they fail.
 import json
 import os
 import shutil
+import socket
+import subprocess
+import sys
+import tomllib
 
 import pytest
 
@@ -29,6 +33,18 @@ FLAGS = (
 )  # fmt: skip
 DESKTOP, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
 A4 = {"width": 680, "height": 1000}
+
+PICKED = """
+import socket, sys
+import matplotlib
+from cvxshear.modal import identify_modes
+from cvxshear.records.simulate import PAPER_FRAME, hammer_record
+
+port, file = int(sys.argv[1]), sys.argv[2]
+matplotlib.rcParams |= {"webagg.port": port, "webagg.port_retries": 1, "webagg.open_in_browser": False}
+identify_modes(hammer_record(PAPER_FRAME, 1, noise=0.005, hits=2)).pick(file)
+"""
+"""A script that opens the stabilization diagram of the paper's frame as a browser page."""
 
 
 def missing(what):
@@ -226,3 +242,53 @@ def test_a_keyboard_reaches_the_result_first(opened):
     page = opened("paper")
     page.keyboard.press("Tab")
     assert page.evaluate("document.activeElement.textContent") == "To the result"
+
+
+@pytest.fixture
+def picking(tmp_path):
+    """The address of a stabilization diagram that a script of its own shows, and the record file that it writes to."""
+    pytest.importorskip("tornado", reason="matplotlib's browser pages need the package tornado")
+    file = tmp_path / "record.toml"
+    file.write_text('[record]\ninput = "force"\n')
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    environment = {**os.environ, "MPLBACKEND": "webagg"}
+    command = [sys.executable, "-c", PICKED, str(port), str(file)]
+    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
+        line = process.stdout.readline()
+        assert f":{port}" in line, line
+        yield f"http://127.0.0.1:{port}/", file
+        process.terminate()
+
+
+LINES = """() => {
+  const canvas = document.querySelector("canvas.mpl-canvas");
+  const row = canvas.getContext("2d").getImageData(0, Math.round(0.86 * canvas.height), canvas.width, 1).data;
+  const found = [];
+  for (let x = 0; x < canvas.width; x++) {
+    const blue = row[4 * x] < 90 && row[4 * x + 2] > 150 && row[4 * x + 3] > 200;
+    if (blue && (!found.length || x > found[found.length - 1] + 3)) found.push(x);
+  }
+  return found.map((x) => x * canvas.clientWidth / canvas.width);
+}"""
+"""Where the lines through the chosen poles stand in the picture, in pixels of the page."""
+
+
+def test_a_click_in_a_browser_chooses_a_pole_and_is_written(browser, picking):
+    """A click on the line of the second mode gives it up, another chooses it again."""
+    address, file = picking
+    page = browser.new_page(viewport=DESKTOP)
+    said = []
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.goto(address)
+    box = page.wait_for_selector("canvas.mpl-canvas").bounding_box()
+    page.wait_for_function(f"() => ({LINES})().length === 3")
+    second = page.evaluate(LINES)[1]
+    frequencies = PAPER_FRAME.modes()[0]
+    for lines, expected in ((2, frequencies[[0, 2]]), (3, frequencies)):
+        page.mouse.click(box["x"] + second, box["y"] + box["height"] / 2)
+        page.wait_for_function(f"() => ({LINES})().length === {lines}")
+        assert tomllib.loads(file.read_text())["record"]["pick"] == pytest.approx(expected, rel=1e-3)
+    page.close()
+    assert said == []

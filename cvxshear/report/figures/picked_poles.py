@@ -73,7 +73,8 @@ class PolePicker:
             self._lines.pop().remove()
         self._lines += [self._axes.axvline(frequency, color=style.AFTER, lw=1.2) for frequency in self.frequencies]
         said = ", ".join(f"{frequency:.4g}" for frequency in self.frequencies) or "none"
-        self._axes.set_title(f"click poles to choose; chosen: {said} Hz (at most {self._stories})")
+        # On the left, where the diagram has its own title: in the middle the two would lie on each other.
+        self._axes.set_title(f"click poles to choose; chosen: {said} Hz (at most {self._stories})", loc="left")
         self.figure.canvas.draw_idle()
 
 
