@@ -1,13 +1,17 @@
 """The linearised model at a fit, against fits, evidences and finite differences."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from scipy import integrate, stats
 
 from cvxshear import Experiment, backends
 from cvxshear.effects import Place, Placed, Scale, named
 from cvxshear.fit.efficient import efficient, fitted_with
 from cvxshear.fit.expectation import Expectation
 from cvxshear.fit.misfit import Misfit
+from cvxshear.loop import linear as module
 from cvxshear.loop.evidence import log_evidence
 from cvxshear.loop.linear import Linearised
 from tests.frames import configuration, experiment, modes_of
@@ -122,3 +126,87 @@ def test_the_triangle_of_an_evaluation_stands_for_its_rows(base):
     rows = np.sum((at.J @ steps + at.r[:, None]) ** 2, axis=0)
     short = np.sum((U @ steps + c[:, None]) ** 2, axis=0)
     np.testing.assert_allclose(np.diff(rows), np.diff(short), rtol=1e-8)
+
+
+def test_how_much_surer_an_effect_is_known_is_the_ratio_of_precisions(base, linear):
+    """1 + (expected size / deviation from the data alone)^2, by a fit of which nothing is expected."""
+    for placed in (MASS_3, GAIN_2, CHANGE_4):
+        wide = Expectation(SCALE, {placed: np.array([1e9])})
+        free = fitted_with(
+            Misfit(base.experiment, [placed], expectation=wide),
+            np.append(base.theta, placed.start),
+            backends.get("auto"),
+        )
+        expected = 1 + (EXPECTED.of(placed)[0] / free.uncertainty.std()[10]) ** 2
+        assert linear.told(placed) == pytest.approx(expected, rel=0.1)
+
+
+def test_what_a_frame_changes_instead_of_a_story_is_first_of_all_that_story(linear):
+    names = [f"{kind} {i}" for kind in ("mass", "stiffness") for i in range(1, 6)]
+    assert linear.confounders(CHANGE_4, names)[0] == "stiffness 4"
+    assert set(linear.confounders(CHANGE_4, names, share=0.0)) == set(names)
+    assert linear.confounders(CHANGE_4, names, share=0.999) == ("stiffness 4",)
+
+
+def drawn_normal(seed):
+    """The slope b and information h of two parameters, and sizes that are expected of them."""
+    rng = np.random.default_rng(seed)
+    columns = rng.standard_normal((6, 2)) * [3.0, 0.5]
+    return columns.T @ rng.normal(0.0, 2.0, 6), columns.T @ columns, np.array([0.4, 1.5])
+
+
+def gained(b, h, stds):
+    """log of the integral of exp(b'x - x'h x / 2) over x normal about zero with these deviations."""
+    H = h + np.diag(stds**-2.0)
+    return 0.5 * b @ np.linalg.solve(H, b) - 0.5 * np.linalg.slogdet(np.diag(stds**2) @ H)[1]
+
+
+def over_log_sizes(log_gain, points=4001):
+    """log of the mean of a gain over a normal variable, and where gain times density is largest."""
+    t = np.linspace(-9.0, 9.0, points)
+    logs = np.array([log_gain(each) for each in t]) + stats.norm.logpdf(t)
+    return np.log(integrate.trapezoid(np.exp(logs - logs.max()), t)) + logs.max(), t[np.argmax(logs)]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_gain_by_several_parameters_is_the_integral_over_them(linear, seed):
+    b, h, stds = drawn_normal(seed)
+    free = SimpleNamespace(lower=-np.inf, upper=np.inf, null=0.0)
+    placed = SimpleNamespace(effect=SimpleNamespace(parameters=[free, free]))
+    assert linear._gain_of_normal(placed, b, h, stds) == pytest.approx(gained(b, h, stds), rel=1e-9)
+    # A bound at half a deviation leaves a prior that is as much higher.
+    half = SimpleNamespace(lower=1.0 - 0.5 * stds[0], upper=np.inf, null=1.0)
+    placed = SimpleNamespace(effect=SimpleNamespace(parameters=[half, free]))
+    expected = gained(b, h, stds) - stats.norm.logcdf(0.5)
+    assert linear._gain_of_normal(placed, b, h, stds) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("width", [0.5, 1.5])
+def test_a_common_size_is_integrated_out(seed, width):
+    b, h, stds = drawn_normal(seed)
+    expected, best = over_log_sizes(lambda t: gained(b, h, np.exp(width * t) * stds))
+    assert module._gain_of_common_size(b, h, stds, width) == pytest.approx(expected, abs=1e-3)
+    assert module._best_log_size(b, h, stds, width) == pytest.approx(width * best, abs=0.13 * width)
+
+
+@pytest.mark.parametrize("size", [0.3, 1.0, 6.0])
+@pytest.mark.parametrize("width", [0.5, 1.5])
+def test_an_accuracy_that_is_left_open_is_integrated_out_the_fit_following(size, width):
+    """Five residuals of twelve have e^2u times their variance, and e^u a normal logarithm beyond one."""
+    rng = np.random.default_rng(1)
+    Q = np.linalg.qr(rng.standard_normal((12, 3)))[0]
+    r = rng.standard_normal(12) * np.where(np.arange(12) < 5, size, 1.0)
+    r -= Q @ (Q.T @ r)
+
+    def log_gain(t):
+        u = 0.5 * np.log1p(np.exp(2 * width * t))
+        weight = np.where(np.arange(12) < 5, np.exp(-u), 1.0)
+        rows, sides = weight[:, None] * Q, weight * r
+        left = sides - rows @ np.linalg.lstsq(rows, sides, rcond=None)[0]
+        return 0.5 * (r @ r - left @ left) - 0.5 * np.linalg.slogdet(rows.T @ rows)[1] - 5 * u
+
+    expected, best = over_log_sizes(log_gain, 1001)
+    assert module._gain_of_noise(Q[:5], r[:5], width) == pytest.approx(expected, abs=1e-2)
+    found = module._best_log_noise(Q[:5], r[:5], width)
+    assert np.log(np.expm1(2 * found)) / 2 == pytest.approx(width * best, abs=0.13 * width)
