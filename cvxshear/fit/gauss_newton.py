@@ -160,7 +160,7 @@ class _Damping:
 
 
 def step_program(at: Residuals, theta: Floats, domain: Domain, damping: float = LEAST_DAMPING) -> LeastSquares:
-    """The program of one step d: minimize |J d + r|^2 + |damping D d|^2, theta + d within its domain.
+    """Write the program of one step d: minimize |J d + r|^2 + |damping D d|^2, theta + d within its domain.
 
     D is the diagonal of the sensitivities (`fit.optimality.sensitivities`).
     """
@@ -277,7 +277,7 @@ def _descended(
 
 
 def _certified(problem: Problem[E], fit: Fit[E], domain: Domain, name: str) -> Optimality:
-    """The certificate of the final point.
+    """Certify the final point.
 
     Raises
     ------
@@ -324,7 +324,7 @@ def _halved(
 
 
 def _made_feasible(theta: Floats, domain: Domain, backend: Backend) -> Floats:
-    """The nearest point, in relative change, that keeps the exact statements."""
+    """Find the nearest point, in relative change, that keeps the exact statements."""
     nearest = LeastSquares(R=np.diag(1.0 / domain.scale), s=np.zeros(len(theta)))
     program = constrained(nearest, domain.statements, theta)
     return theta if _kept(program, domain.scale) else theta + backend.solve(program).x

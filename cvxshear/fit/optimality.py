@@ -191,7 +191,7 @@ def violation(theta: Floats, at: Residuals, domain: Domain) -> float:
 
 
 def best_step(theta: Floats, at: Residuals, domain: Domain, weight: float) -> tuple[Floats, Floats]:
-    """The best linearised step d that keeps the active constraints, and R d, each of shape (P,)."""
+    """Find the best linearised step d that keeps the active constraints, and R d, each of shape (P,)."""
     U, c = at.triangle
     damping = np.diag(weight * sensitivities(U, domain))
     # The right side as a further column: Q'[c; 0] is the last column of the triangle.
@@ -209,7 +209,7 @@ def best_step(theta: Floats, at: Residuals, domain: Domain, weight: float) -> tu
 
 
 def _unopposed(gradient: Floats, equalities: Floats, active: Floats) -> Floats:
-    """What is left of a gradient that multipliers cannot cancel, those of inequalities not negative."""
+    """Return what is left of a gradient that multipliers cannot cancel, those of inequalities not negative."""
     left = gradient
     if len(equalities):
         # Statements that follow from others leave the rank below the number of rows.
@@ -235,7 +235,7 @@ def _sizes(theta: Floats, domain: Domain) -> Floats:
 
 
 def _units(theta: Floats, at: Residuals, domain: Domain) -> Floats:
-    """The change of each parameter that changes the residuals by one, at most its size."""
+    """Return the change of each parameter that changes the residuals by one, at most its size."""
     lengths = np.linalg.norm(at.triangle[0], axis=0)
     return np.asarray(1.0 / np.maximum(lengths, 1.0 / _sizes(theta, domain)))
 

@@ -55,7 +55,7 @@ class Reading:
 
     @staticmethod
     def of(configuration: Configuration) -> Reading:
-        """The reading of a configuration that is part of an experiment."""
+        """Read a configuration that is part of an experiment."""
         return Reading(
             stories=len(configuration.added_mass),
             modes=configuration.modes - 1,
@@ -111,7 +111,7 @@ class Reading:
 
 
 def repeated_configurations(experiment: Experiment) -> tuple[tuple[str, ...], ...]:
-    """Configurations that repeat each other to the last digit: one test, however often it is listed.
+    """Group configurations that repeat each other to the last digit: one test, however often it is listed.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ class Candidates:
 
     @staticmethod
     def averaged(frames: Sequence[Candidates]) -> Candidates:
-        """The same candidates on several frames, over which a criterion is an average."""
+        """Return the candidates on several frames, over which a criterion is an average."""
         parts = [[each.base for each in frames], [each.rows for each in frames], [each.asked for each in frames]]
         return Candidates(*map(np.concatenate, parts))
 
@@ -74,7 +74,7 @@ class Candidates:
         return result
 
     def subset(self, chosen: Ints | list[int]) -> Floats:
-        """The information of the chosen candidates, shape (q, p, p)."""
+        """Return the information of the chosen candidates, shape (q, p, p)."""
         result: Floats = self.base + self.added[:, chosen].sum(axis=1)
         return result
 
@@ -104,7 +104,7 @@ class Candidates:
         return result
 
     def slopes(self, information: Floats, weight: Floats) -> Floats:
-        """Derivatives by the weights of the frames' mean tr(weight C_aa), C the whole covariance, shape (n,).
+        """Differentiate by the weights the frames' mean tr(weight C_aa), C the whole covariance, shape (n,).
 
         Of one frame -tr(weight C_a. G_j C_.a).
 
@@ -155,7 +155,7 @@ def candidates(known: Floats, fixed: Floats, rows: Floats, question: Floats, wei
 
 
 def _lower(whole: Floats) -> Floats:
-    """The lower triangular L with (whole L)'(whole L) = 1: the first coordinates depend on the first of z alone."""
+    """Find lower triangular L with (whole L)'(whole L) = 1: the first coordinates depend on the first of z alone."""
     # QR of the columns in reverse order gives whole' whole = U U' with U upper triangular; L is U^-T.
     triangle = np.asarray(np.linalg.qr(whole[:, ::-1], mode="r"))
     upper = triangle.T[::-1, ::-1]

@@ -80,7 +80,7 @@ class Target:
 
 
 def target(text: str, frame: Frame, scale: Scale) -> Target:
-    """The effect that "NAME", "NAME@PLACE", or either with "=SIZE", stands for.
+    """Return the effect that "NAME", "NAME@PLACE", or either with "=SIZE", stands for.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def target(text: str, frame: Frame, scale: Scale) -> Target:
 
 
 def _place(name: str, sits_at: tuple[str, ...], lowest: int, where: str, stories: int) -> Place:
-    """The place that stands behind the @."""
+    """Return the place that stands behind the @."""
     if not sits_at:
         if where:
             raise InputError(f"effect {name} has no place of its own; write {name} alone, not {name}@{where}")
@@ -173,7 +173,7 @@ class Chance(InJson):
 
 
 def chances(targets: Sequence[Target], information: Floats) -> tuple[Chance, ...]:
-    """What becomes of each possibility: none of the effects, or one of them.
+    """Say what becomes of each possibility: none of the effects, or one of them.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def chances(targets: Sequence[Target], information: Floats) -> tuple[Chance, ...
 
 
 def _distances(targets: Sequence[Target], G: Floats) -> Floats:
-    """Standard deviations of each effect (row) from the value of each other one that does most like it, shape (e, e).
+    """Compute standard deviations of each effect (row) from the value of each other that does most like it, (e, e).
 
     That value is among those that physics allows.
     """

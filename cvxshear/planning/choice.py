@@ -114,7 +114,7 @@ def choose(
     enumerate_up_to: int = FEW,
     widths: Sequence[int] = WIDTHS,
 ) -> Choice:
-    """The best choice: of all, where there are few, else the best that rounding and exchange find.
+    """Find the best choice: of all, where there are few, else the best that rounding and exchange find.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def _best_of_all(problem: Candidates, number: int, by: Criterion, program: float
 
 
 def values_of(problem: Candidates, choices: Sequence[Sequence[int]], by: Criterion) -> Floats:
-    """The criterion of each of many choices, shape (len(choices),)."""
+    """Evaluate the criterion of each of many choices, shape (len(choices),)."""
     step = max(1, AT_ONCE // problem.base.size)
     parts = []
     for first in range(0, len(choices), step):
@@ -287,7 +287,7 @@ def relaxed(problem: Candidates, number: int, by: Criterion, solver: str = "clar
 
 
 def _reduced(problem: Candidates, weight: float) -> Reduced:
-    """The frame as designed in the directions that its candidates tell of."""
+    """Return the frame as designed in the directions that its candidates tell of."""
     base, added, asked = problem.base[0], problem.added[0], problem.asked[0]
     whole = weight * added.sum(axis=0)
     a = asked.shape[1]
@@ -310,7 +310,7 @@ def _telling(whole: Floats) -> tuple[Floats, bool]:
 
 
 def _as_mixture(matrix: Floats) -> Floats:
-    """The nearest positive semidefinite matrix, of trace 1: what rounding leaves of a multiplier is made one."""
+    """Find the nearest positive semidefinite matrix, of trace 1: what rounding leaves of a multiplier is made one."""
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
     values = np.maximum(values, 0.0)
     result: Floats = (vectors * (values / values.sum())) @ vectors.T

@@ -73,20 +73,20 @@ class Criterion(ABC):
     summary: ClassVar[str]
 
     def value(self, problem: Candidates, information: Floats) -> Floats:
-        """The standard deviation that an information stands for, shape (...), for information (..., q, p, p)."""
+        """Return the standard deviation that an information stands for, shape (...), for information (..., q, p, p)."""
         return self.value_at(problem, problem.own(information))
 
     @abstractmethod
     def value_at(self, problem: Candidates, own: Floats) -> Floats:
-        """The same, shape (...), for covariances of z_a, shape (..., q, a, a)."""
+        """Return the standard deviation, shape (...), for covariances of z_a, shape (..., q, a, a)."""
 
     @abstractmethod
     def smooth(self, problem: Candidates, weights: Floats) -> tuple[float, Floats]:
-        """A smooth convex function that is least where the criterion is, or nearly, and its gradient, shape (n,)."""
+        """Evaluate a smooth convex function, least where the criterion is or nearly, and its gradient, shape (n,)."""
 
     @abstractmethod
     def bound(self, problem: Candidates, weights: Floats, number: int, hardest: Floats | None = None) -> float:
-        """What no choice of so many candidates can beat, by linearising at these weights.
+        """Bound from below what a choice of so many candidates can reach, by linearising at these weights.
 
         A convex function lies above its tangent, whose minimum over 0 <= w <= 1, sum w = N is a matter of sorting:
         the bound holds however roughly the weights were found.
@@ -104,7 +104,7 @@ class Criterion(ABC):
     def windowed(
         self, problem: Candidates, weights: Floats, number: int, width: int, enough: float
     ) -> tuple[float, list[int]]:
-        """What no choice of so many candidates can beat, every choice within windows of neighbours looked at.
+        """Bound the same, every choice within windows of neighbours looked at.
 
         Parameters
         ----------
@@ -127,7 +127,7 @@ class Criterion(ABC):
 
     @abstractmethod
     def program(self, cp: Any, reduced: Reduced, information: Any) -> Program:
-        """The criterion for a conic solver, the information being affine in the weights."""
+        """State the criterion for a conic solver, the information being affine in the weights."""
 
 
 class Determinant(Criterion):
@@ -188,7 +188,7 @@ class _Mixture(Criterion):
 
     @abstractmethod
     def hardest(self, covariance: Floats) -> tuple[Floats, float]:
-        """A mixture of trace 1 at which tr(Z C) is nearly the largest, and the smooth function of C behind it."""
+        """Find a mixture of trace 1 at which tr(Z C) is nearly the largest, and the smooth function of C behind it."""
 
 
 class Trace(_Mixture):
@@ -232,7 +232,7 @@ class _Largest(_Mixture):
 
     @abstractmethod
     def largest(self, covariance: Floats) -> tuple[Floats, Floats]:
-        """The largest variance, shape (...), of covariances (..., s, s), and its mixture of parameters, (..., s)."""
+        """Return the largest variance, shape (...), of covariances (..., s, s), and its mixture, shape (..., s)."""
 
 
 class Eigenvalue(_Largest):
@@ -300,7 +300,7 @@ CRITERIA: dict[str, Criterion] = {each.name: each for each in (Determinant(), Tr
 
 
 def criterion_named(name: str) -> Criterion:
-    """The criterion of this name.
+    """Return the criterion of this name.
 
     Raises
     ------
@@ -319,12 +319,12 @@ def _power_mean(variances: Floats) -> tuple[Floats, float]:
 
 
 def _least(slopes: Floats, weights: Floats, number: int) -> float:
-    """The least of slopes' (w - weights) over 0 <= w <= 1, sum w = number: the lowest slopes, so many."""
+    """Find the least of slopes' (w - weights) over 0 <= w <= 1, sum w = number: the lowest slopes, so many."""
     return float(np.sort(slopes)[:number].sum() - slopes @ weights)
 
 
 def _above(cp: Any, asked: Floats, information: Any) -> tuple[Any, Any]:
-    """A matrix T, and the constraint that makes it at least F C_a F'."""
+    """Return a matrix T, and the constraint that makes it at least F C_a F'."""
     s, r = len(asked), information.shape[0]
     wide = np.hstack([asked, np.zeros((s, r - asked.shape[1]))])
     T = cp.Variable((s, s), symmetric=True)

@@ -143,7 +143,7 @@ class Design:
         return np.concatenate([self.sizes, away])
 
     def possible(self) -> tuple[Design, ...]:
-        """The frame as designed, then frames that its design values allow; these alone where they are firm.
+        """Return the frame as designed, then frames that its design values allow; these alone where they are firm.
 
         Masses and stiffnesses are drawn from what is known beforehand, in pairs about the design values, so that the
         mean and the variance of each are those known. What nothing is known of stays as designed.
@@ -163,7 +163,7 @@ class Design:
         return (self, *(self._moved(root @ each) for each in (*z, *-z)))
 
     def _moved(self, change: Floats) -> Design:
-        """The frame with masses and stiffnesses changed by these parts of themselves, with its declared total mass."""
+        """Change masses and stiffnesses by these parts of themselves; the total mass stays as declared."""
         # Below a half the logarithm is changed instead, which leaves every value positive.
         factor = np.where(change > -0.5, 1 + change, 0.5 * np.exp(2 * np.minimum(change, 0.0) + 1))
         mass, stiffness = np.split(self.sizes * factor, 2)
@@ -183,12 +183,12 @@ class Design:
         return tuple(found)
 
     def shell(self) -> Experiment:
-        """An experiment that holds the frame's dimensions for the forward model; its masses are those expected."""
+        """Make an experiment that holds the frame's dimensions for the forward model; its masses are those expected."""
         frame = dataclasses.replace(self.frame, floor_masses=self.floor_mass, total_mass=None)
         return Experiment(frame, (self.blank(np.zeros(self.stories)),))
 
     def blank(self, added_mass: Floats, name: str = "planned test") -> Configuration:
-        """A configuration with these masses that nothing was measured on yet."""
+        """Make a configuration with these masses that nothing was measured on yet."""
         return Configuration(
             frequencies=np.array([1.0]),
             mode_shapes=np.full((1, self.stories), np.nan),
@@ -215,7 +215,7 @@ class Design:
         return np.concatenate(rows)
 
     def known(self, more: Sequence[Placed] = (), nulls: Sequence[float] = ()) -> Floats:
-        """What is known before the test, rows in standard deviations, shape (k, 2N + e + m).
+        """Return what is known before the test, rows in standard deviations, shape (k, 2N + e + m).
 
         Derivatives are relative to `units`.
 
@@ -249,7 +249,7 @@ class Design:
     def of_experiment(
         experiment: Experiment, *, fresh: bool = False, loop: bool = False, state: str | None = None
     ) -> Design:
-        """The frame that a measurement tells of.
+        """Take the frame from a measurement.
 
         Parameters
         ----------
@@ -291,7 +291,7 @@ class Design:
 
     @staticmethod
     def of_file(declared: Mapping[str, Any], name: str) -> Design:
-        """The frame that a measurement file without configurations declares: `[frame]` and priors with design values.
+        """Read the frame of a measurement file without configurations: `[frame]` and priors with design values.
 
         Raises
         ------
@@ -331,7 +331,7 @@ class Design:
 
     @staticmethod
     def of_result(result: Mapping[str, Any], name: str) -> Design:
-        """The frame of a result's JSON, of `identify` or `loop`: values with standard deviations.
+        """Read the frame of a result's JSON, of `identify` or `loop`: values with standard deviations.
 
         Raises
         ------
@@ -360,20 +360,20 @@ def _place(prior: Prior, n: int) -> slice:
 
 
 def _nominal(priors: Sequence[Prior], quantity: str, stories: int) -> Floats | None:
-    """The design values of a quantity, where a prior declares all of them; `stories` is 0 where not declared."""
+    """Read the design values of a quantity, where a prior declares all of them; `stories` is 0 where not declared."""
     values = [prior.suggested(stories) for prior in priors if prior.quantity == quantity]
     return next((each for each in values if each is not None and each.size and not np.any(np.isnan(each))), None)
 
 
 def _completed(frame: Frame, stories: int) -> Frame:
-    """The frame with its number of stories, and one height a story."""
+    """Read the frame with its number of stories, and one height a story."""
     heights = frame.story_heights
     whole = heights if heights is None or heights.ndim else np.full(stories, float(heights))
     return dataclasses.replace(frame, stories=stories, story_heights=whole)
 
 
 def _effects(result: Mapping[str, Any]) -> tuple[tuple[Placed, ...], Floats, Floats]:
-    """The effects that a result of the loop holds in every state, their parameters and standard deviations.
+    """Read the effects that a result of the loop holds in every state, their parameters and standard deviations.
 
     Raises
     ------
@@ -400,7 +400,7 @@ def _effects(result: Mapping[str, Any]) -> tuple[tuple[Placed, ...], Floats, Flo
 def read_design(
     source: str | Path | Experiment, *, fresh: bool = False, loop: bool = False, state: str | None = None
 ) -> Design:
-    """The frame before the test that a source tells of.
+    """Read the frame before the test from a source.
 
     Parameters
     ----------
@@ -436,7 +436,7 @@ def read_design(
 
 
 def measurement_of(source: str | Path) -> Experiment | None:
-    """What a file tells to have been measured; None where it holds design values or the JSON of a result.
+    """Read what was measured from a file; None where it holds design values or the JSON of a result.
 
     Raises
     ------

@@ -44,7 +44,7 @@ class TestNoise(ABC):
 
     @abstractmethod
     def of(self, found: Modes, mass: Floats, which: Ints) -> tuple[Floats, Floats]:
-        """Standard deviations of the modes of a frame.
+        """Return standard deviations of the modes of a frame.
 
         Parameters
         ----------

@@ -74,7 +74,7 @@ class Limits:
 
     @staticmethod
     def of(floor: object, total: object, stories: int) -> Limits:
-        """The limits that options declare: one number or one a floor, and a number or nothing for all together."""
+        """Read the limits that options declare: one number or one a floor, and a number or nothing for all together."""
         if floor is None:
             if total is not None:
                 raise InputError("a limit of the added mass in all needs one of each floor: give added_mass as well")
@@ -89,7 +89,7 @@ class Limits:
         return self.total > 0
 
     def grid(self) -> list[Floats]:
-        """Tests to choose from: nothing, each floor alone, all floors, the lower and the upper half; none twice."""
+        """List the tests to choose from: nothing, each floor alone, all floors, lower and upper half; none twice."""
         n = len(self.floor)
         patterns = [np.zeros(n), *np.eye(n), np.ones(n)]
         if n > 2:
@@ -99,12 +99,12 @@ class Limits:
         return list({tuple(np.round(test, 9)): test for test in tests}.values())
 
     def _within(self, test: Floats) -> Floats:
-        """The test, made smaller where it is too heavy in all."""
+        """Make the test smaller where it is too heavy in all."""
         result: Floats = test * min(1.0, self.total / max(float(test.sum()), 1e-300))
         return result
 
     def practical(self, test: Floats) -> Floats:
-        """The masses as one would weigh them, within the limits."""
+        """Round the masses as one would weigh them, within the limits."""
         largest = float(self.floor.max())
         result: Floats = np.minimum(np.round(test / largest, MASS_DIGITS) * largest, self.floor)
         return self._within(result)
@@ -194,7 +194,7 @@ def plan(
 
 
 def _model(design: Design, goal: str, modes: int | Sequence[int] | None, noise: TestNoise) -> TestModel:
-    """The model of the tests, for this goal."""
+    """Build the model of the tests, for this goal."""
     which = _which(modes, design)
     if goal in GOALS:
         return TestModel(design, (), GOALS[goal], which, noise)
@@ -203,7 +203,7 @@ def _model(design: Design, goal: str, modes: int | Sequence[int] | None, noise: 
 
 
 def _which(modes: int | Sequence[int] | None, design: Design) -> Ints:
-    """The modes that will be identified, zero-based."""
+    """Return the modes that will be identified, zero-based."""
     n = design.stories
     if modes is None:
         if design.declared:
@@ -215,7 +215,7 @@ def _which(modes: int | Sequence[int] | None, design: Design) -> Ints:
 
 
 def _declared(design: Design) -> list[Floats]:
-    """The masses of the tests that the file declares."""
+    """Return the masses of the tests that the file declares."""
     if not design.declared:
         raise InputError(f"{design.name} declares no tests; say how many to plan")
     return [each.added_mass for each in design.declared]
@@ -231,7 +231,7 @@ def _names(design: Design, count: int) -> list[str]:
 def _masses(
     model: AveragedModel, number: int, count: int, by: Criterion, limits: Limits, solver: str
 ) -> list[Floats]:
-    """The masses of so many tests, kg, the lightest first; floors and masses chosen by turns."""
+    """Choose the masses of so many tests, kg, the lightest first; floors and masses chosen by turns."""
     n = len(limits.floor)
     grid = limits.grid()
     if count > len(grid):
@@ -253,13 +253,13 @@ def _masses(
 
 
 def value_of(model: AveragedModel, tests: Sequence[Test], floors: Ints, by: Criterion) -> float:
-    """The criterion of these tests at these floors."""
+    """Evaluate the criterion of these tests at these floors."""
     problem = model.choices(tests, floors, len(tests))
     return float(by.value(problem, problem.information(np.ones(len(tests)))))
 
 
 def refined(model: AveragedModel, tests: Sequence[Floats], floors: Ints, by: Criterion, limits: Limits) -> list[Floats]:
-    """The tests with masses between the grid's points, where these are better.
+    """Move the masses of the tests between the grid's points, where that is better.
 
     The masses are looked for on the frame as designed, and judged on all that the design values allow.
 
@@ -316,7 +316,7 @@ def _finished(
     solver: str,
     limits: Limits | None,
 ) -> Plan:
-    """The plan with its outlook: the sensors for these tests, with one more, one less, and with all."""
+    """Make the plan with its outlook: the sensors for these tests, with one more, one less, and with all."""
     designed = model.frames[0]
     n = designed.design.stories
     expected = [model.expected(test) for test in masses]
@@ -345,7 +345,7 @@ def _finished(
 
 
 def outlook(model: AveragedModel, tests: Sequence[Test], choice: Choice) -> Outlook:
-    """What is expected of the shear model with the chosen floors.
+    """State what is expected of the shear model with the chosen floors.
 
     Parameters
     ----------

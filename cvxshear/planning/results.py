@@ -230,7 +230,7 @@ class Plan(Shown):
 
 
 def accuracy_curve(plan: Plan) -> list[tuple[int, float, float]]:
-    """Number of sensors, the criterion of the best choice found, and what no choice is below; ascending.
+    """List numbers of sensors, the criterion of the best choice found, and what no choice is below; ascending.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ def accuracy_curve(plan: Plan) -> list[tuple[int, float, float]]:
 
 
 def predicted(plan: Plan) -> Experiment:
-    """The planned tests, measured without error on the frame as it is expected.
+    """Simulate the planned tests, measured without error on the frame as it is expected.
 
     Parameters
     ----------
@@ -289,7 +289,7 @@ def _configuration(plan: Plan, name: str, masses: Floats, test: Expected, floors
 
 
 def relative_std(test: Expected, floors: Ints) -> Floats:
-    """The entries' standard deviations, shape (m, n), as a file has them: of a mode's largest measured entry."""
+    """Return the entries' standard deviations, shape (m, n), as a file has them: of a mode's largest measured entry."""
     largest = np.max(np.abs(test.shapes[:, floors]), axis=1, keepdims=True)
     result: Floats = test.shape_std[:, floors] / largest
     return result
@@ -326,6 +326,6 @@ def write_template(path: str | Path, plan: Plan) -> None:
 
 
 def _to_fill_in(table: Json) -> Json:
-    """The table of a planned test without its predictions."""
+    """Return the table of a planned test without its predictions."""
     shapes = np.full(np.shape(table["mode_shapes"]), np.nan)
     return {**table, "frequencies": np.full(len(table["frequencies"]), np.nan).tolist(), "mode_shapes": shapes.tolist()}

@@ -56,7 +56,7 @@ class Expected:
         return result
 
     def at(self, floors: Ints) -> Floats:
-        """What is measured at these floors (zero-based), each shape's scale eliminated, shape (m + m n, P)."""
+        """Return what is measured at these floors (zero-based), each shape's scale eliminated, shape (m + m n, P)."""
         rows, entries = self.shape_rows[floors], self.entries[floors]
         length = np.linalg.norm(entries, axis=0)
         unit = entries / np.where(length > 0, length, 1.0)
@@ -64,7 +64,7 @@ class Expected:
         return np.concatenate([self.frequency_rows, own.reshape(-1, rows.shape[2])])
 
     def without(self, first: int) -> Expected:
-        """The same test with the derivatives by the first so many parameters alone."""
+        """Return the test with the derivatives by the first so many parameters alone."""
         return dataclasses.replace(
             self, frequency_rows=self.frequency_rows[:, :first], shape_rows=self.shape_rows[:, :, :first]
         )
@@ -150,7 +150,7 @@ class TestModel:
         return np.concatenate([self.learned, np.eye(len(self.units)) / UNKNOWN_STDS])
 
     def expected(self, added_mass: Floats) -> Expected:
-        """What a test with these masses would show."""
+        """Predict what a test with these masses would show."""
         state = compose(self.design.shell(), self.design.blank(added_mass), self.effects, self.theta)
         found = modes(state.system.M, state.system.K)
         dlam, dphi = mode_derivatives(found, state.system, self.which)
@@ -164,7 +164,7 @@ class TestModel:
         return Expected(found, frequency_std, psi / largest, std, frequency.T, shape.transpose(2, 1, 0))
 
     def sensors(self, tests: Sequence[Expected], number: int) -> Candidates:
-        """The floors as candidates, measured in every one of these tests."""
+        """Take the floors as candidates, measured in every one of these tests."""
         m, scales, P = len(self.which), len(self.which) * len(tests), len(self.units)
         n = self.design.stories
         rows = np.zeros((n, scales, P + scales))
@@ -179,7 +179,7 @@ class TestModel:
         return candidates(known, wide[0], rows, wide[1], number / n)
 
     def choices(self, tests: Sequence[Expected], floors: Ints, number: int) -> Candidates:
-        """Tests as candidates, each measured at these floors."""
+        """Take tests as candidates, each measured at these floors."""
         rows = np.array([test.at(floors) for test in tests])
         return candidates(self.known, self.fixed, rows, self.question, number / len(tests))
 
@@ -223,23 +223,23 @@ class AveragedModel:
 
     @staticmethod
     def around(model: TestModel) -> AveragedModel:
-        """The frames that the design values of a model allow."""
+        """Return the frames that the design values of a model allow."""
         return AveragedModel(tuple(dataclasses.replace(model, design=each) for each in model.design.possible()))
 
     def expected(self, added_mass: Floats) -> Test:
-        """What a test with these masses would show."""
+        """Predict what a test with these masses would show."""
         return tuple(each.expected(added_mass) for each in self.frames)
 
     def sensors(self, tests: Sequence[Test], number: int) -> Candidates:
-        """The floors as candidates, measured in every one of these tests."""
+        """Take the floors as candidates, measured in every one of these tests."""
         return Candidates.averaged([each.sensors(own, number) for each, own in self._by_frame(tests)])
 
     def choices(self, tests: Sequence[Test], floors: Ints, number: int) -> Candidates:
-        """Tests as candidates, each measured at these floors."""
+        """Take tests as candidates, each measured at these floors."""
         return Candidates.averaged([each.choices(own, floors, number) for each, own in self._by_frame(tests)])
 
     def shear_std(self, tests: Sequence[Test], floors: Ints) -> Floats:
-        """Standard deviations of masses and stiffnesses without the targets, relative, shape (2N,).
+        """Return standard deviations of masses and stiffnesses without the targets, relative, shape (2N,).
 
         The root mean square over the frames.
         """

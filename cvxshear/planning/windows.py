@@ -64,20 +64,20 @@ class Term:
     weight: float = 1.0
 
     def information(self, weights: Floats) -> Floats:
-        """The information, shape (p, p), at weights of shape (n,)."""
+        """Return the information, shape (p, p), at weights of shape (n,)."""
         weighed = (self.rows * np.sqrt(weights)[:, None, None]).reshape(-1, len(self.v))
         result: Floats = self.base + weighed.T @ weighed
         return result
 
     def slopes(self, weights: Floats) -> Floats:
-        """Derivatives by the weights, shape (n,)."""
+        """Return derivatives by the weights, shape (n,)."""
         seen = np.linalg.solve(self.information(weights), self.v)
         steep: Floats = -np.sum((self.rows @ seen) ** 2, axis=1)
         return self.weight * (steep / float(self.v @ seen) if self.logarithm else steep)
 
 
 def variance(problem: Candidates, mixture: Floats) -> list[Term]:
-    """The variance of a mixture of the parameters asked for: a term a frame, whose sum is the mean.
+    """Return the variance of a mixture of the parameters asked for: a term a frame, whose sum is the mean.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def log_volume(problem: Candidates, weights: Floats) -> tuple[list[Term], float]
 
 
 def least_of_sum(terms: Sequence[Term], weights: Floats, number: int, width: int) -> tuple[float, list[int]]:
-    """What the sum of terms is at least for any choice of so many candidates, and the choice that it is least for.
+    """Bound the sum of terms from below for any choice of so many candidates; return the choice at the bound, too.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def least_of_sum(terms: Sequence[Term], weights: Floats, number: int, width: int
 def least_of_largest(
     problem: Candidates, hardest: Hardest, weights: Floats, number: int, width: int, enough: float
 ) -> tuple[float, list[int]]:
-    """What the largest variance of a mixture of the parameters is at least for any choice of so many candidates.
+    """Bound the largest variance of a mixture of the parameters from below for any choice of so many candidates.
 
     Mixtures that bound the choice that is best as far as is known are added in turn, each in a window.
 
@@ -275,7 +275,7 @@ def patterns(width: int) -> Ints:
 
 
 def least_sum(values: Floats, slopes: Floats, number: int) -> tuple[float, list[int]]:
-    """The least that the windows' values and the chosen candidates' slopes can add up to, and where.
+    """Find the least that the windows' values and the chosen candidates' slopes can add up to, and where.
 
     Parameters
     ----------
@@ -289,7 +289,7 @@ def least_sum(values: Floats, slopes: Floats, number: int) -> tuple[float, list[
 
 
 def least_largest(values: Floats, number: int) -> tuple[float, list[int]]:
-    """The least that the largest of the windows' values can be, and where; parameters as in `least_sum`."""
+    """Find the least that the largest of the windows' values can be, and where; parameters as in `least_sum`."""
     width = int(values.shape[1]).bit_length() - 1
     return _least(values, np.zeros(len(values) + width - 1), number, np.maximum)
 
@@ -317,7 +317,7 @@ def _least(values: Floats, slopes: Floats, number: int, together: np.ufunc) -> t
 
 
 def _traced(state: int, number: int, gone: Sequence[Bools], width: int) -> list[int]:
-    """The candidates of the path that ends in a state of the last window, ascending."""
+    """Return the candidates of the path that ends in a state of the last window, ascending."""
     last = len(gone)
     chosen = [last + bit for bit in range(width) if state >> bit & 1]
     for first in range(last - 1, -1, -1):

@@ -66,7 +66,7 @@ def segment(samples: int, rate: float, frequency: float, ratio: float) -> int:
 
 
 def transfer(excitations: Sequence[Floats], responses: Sequence[Floats], rate: float, length: int) -> Transfer:
-    """The transfer functions over all runs together.
+    """Estimate the transfer functions over all runs together.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def transfer(excitations: Sequence[Floats], responses: Sequence[Floats], rate: f
 
 
 def around(frequencies: Floats, natural: Floats, mode: int) -> Bools:
-    """The lines near one natural frequency and nearer to it than to any other, shape (lines,)."""
+    """Return the lines near one natural frequency and nearer to it than to any other, shape (lines,)."""
     own = natural[mode]
     near: Bools = np.abs(frequencies - own) <= AROUND * own
     others = np.delete(natural, mode)
@@ -217,14 +217,14 @@ class RecordComparison(InJson):
 
 
 def seen(model: DampedModel, response: Response, floors: Ints) -> Floats:
-    """The predicted accelerations as the sensors would show them, shape (samples, n)."""
+    """Return the predicted accelerations as the sensors would show them, shape (samples, n)."""
     return response.acceleration[:, floors - 1] * model.gain[floors - 1]
 
 
 def compared(
     model: DampedModel, responses: Sequence[Response], motion: Motion, measured_modes: Ints | None = None
 ) -> RecordComparison | None:
-    """The prediction beside the record; None where the record has no accelerations of floors.
+    """Compare the prediction with the record; None where the record has no accelerations of floors.
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ def compared(
 
 
 def _shifts(measured: Transfer, predicted: Transfer, natural: Floats, measured_modes: Ints | None) -> tuple[Shift, ...]:
-    """The modes whose resonance is elsewhere than the model's.
+    """Find the modes whose resonance is elsewhere than the model's.
 
     By more than a line of the spectrum, and so far that either transfer function has fallen where the other peaks.
     """
@@ -320,7 +320,7 @@ def _around_modes(
 
 
 def contradiction(measured: Sequence[Floats], predicted: Sequence[Floats], floors: Ints) -> str:
-    """What one factor, a sign or an exchange of two channels would explain, in words; empty where nothing is.
+    """Say what one factor, a sign or an exchange of two channels would explain; empty where none does.
 
     Parameters
     ----------

@@ -67,7 +67,7 @@ def modal_damping(real: Modes, C: Floats) -> Floats:
 
 
 def poles(M: Floats, C: Floats, K: Floats) -> Poles:
-    """The complex modes of a damped frame.
+    """Compute the complex modes of a damped frame.
 
     Parameters
     ----------

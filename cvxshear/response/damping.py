@@ -56,7 +56,7 @@ class IdentifiedDamping(Shown):
 
 
 def parts_of(damped: Damped) -> Floats:
-    """The damping's own numbers in one vector: ratios, then dashpots or Rayleigh's factors."""
+    """Return the damping's own numbers in one vector: ratios, then dashpots or Rayleigh's factors."""
     parts = [damped.model.ratios]
     if damped.dashpots is not None:
         parts.append(damped.dashpots.values)
@@ -66,7 +66,7 @@ def parts_of(damped: Damped) -> Floats:
 
 
 def described(frame: UncertainFrame, damped: Damped, std: Floats) -> IdentifiedDamping:
-    """The damping with standard deviations of `parts_of`."""
+    """Return the damping with standard deviations of `parts_of`."""
     n = len(damped.model.M)
     ratios, own = std[:n], std[n:]
     remarks = [*frame.ratios.assumed()]
@@ -93,7 +93,7 @@ def described(frame: UncertainFrame, damped: Damped, std: Floats) -> IdentifiedD
 
 
 def _missed(frame: UncertainFrame, damped: Damped, measured: Floats) -> list[str]:
-    """The measured ratios that this kind of damping does not have, and which kind would."""
+    """Name the measured ratios that this kind of damping does not have, and which kind would."""
     std = frame.ratios.std * np.maximum(frame.ratios.values, LEAST_RATIO)
     far = np.flatnonzero(np.abs(damped.model.ratios - np.nan_to_num(measured)) > MISSED * std)
     modes = [int(mode) + 1 for mode in far if np.isfinite(measured[mode])]
@@ -120,7 +120,7 @@ def damping_of(
     kind: str | None = None,
     configuration: str | None = None,
 ) -> IdentifiedDamping | None:
-    """The damping of an identified frame, from the damping ratios that its experiment declares.
+    """Find the damping of an identified frame from the damping ratios that its experiment declares.
 
     Parameters
     ----------

@@ -57,7 +57,7 @@ class Ratios:
     tested: Configuration
 
     def assumed(self) -> tuple[str, ...]:
-        """What is taken for known and was not measured, in words."""
+        """Say what is taken for known and was not measured."""
         said = []
         if not self.measured.all():
             names = ranged([int(j) + 1 for j in np.flatnonzero(~self.measured)])
@@ -85,7 +85,7 @@ def known(experiment: Experiment) -> bool:
 
 
 def damping_ratios(experiment: Experiment, configuration: Configuration) -> Ratios:
-    """The ratios of a configuration, or of the first that has some where it has none.
+    """Return the ratios of a configuration, or of the first that has some where it has none.
 
     Parameters
     ----------
@@ -241,7 +241,7 @@ class _Fit:
         self.statement = _statement(real, self.seen, size, stiffness)
 
     def program(self, c: Floats) -> LeastSquares:
-        """The program of a change of the dashpots: measured ratios first, then what is assumed, then soft priors."""
+        """State the program of a change of the dashpots: measured ratios, then what is assumed, then soft priors."""
         found, J = _pole_ratios(self.real, c, self.seen)
         R = np.concatenate([J / self.std[:, None], self.statement])
         s = np.concatenate([(self.zeta - found) / self.std, -self.statement @ c])
@@ -250,7 +250,7 @@ class _Fit:
         return softened(LeastSquares(R, s, names=names), self.priors, QUANTITY, at, 1.0, step=True)
 
     def residuals(self, c: Floats) -> PlainResiduals:
-        """The rows at given dashpots.
+        """Return the rows at given dashpots.
 
         Raises
         ------
@@ -261,14 +261,14 @@ class _Fit:
         return PlainResiduals(-program.s, program.R)
 
     def evaluate(self, theta: Floats, /, *, derivatives: bool = True) -> PlainResiduals:
-        """The same for Gauss-Newton, to which such dashpots are too long a step."""
+        """Return the rows as Gauss-Newton takes them; dashpots that overdamp a mode are too long a step."""
         try:
             return self.residuals(theta)
         except UnsuitableError as error:
             raise NoModesError(str(error)) from None
 
     def found(self, c: Floats, program: LeastSquares) -> Dashpots:
-        """The dashpots at the end, with what the program's rows of data leave open."""
+        """Return the dashpots at the end, with what the program's rows of data leave open."""
         measured, assumed = len(self.seen), len(self.statement)
         exact = [prior.constraints(len(c)).A for prior in self.priors]
         rows = [program.R[:measured], program.R[measured + assumed :], *(A for A in exact if A is not None)]
@@ -314,7 +314,7 @@ def _pole_ratios(real: Modes, c: Floats, seen: Ints) -> tuple[Floats, Floats]:
 
 
 def _left_open(data: Floats) -> tuple[tuple[str, ...], Bools]:
-    """The combinations of dashpots that rows leave open, in words, and which stories take part in none."""
+    """Name the combinations of dashpots that rows leave open, and which stories take part in none."""
     length = np.linalg.norm(data, axis=0)
     unit = 1.0 / np.where(length > 0, length, 1.0)
     _, values, right = np.linalg.svd(data * unit, full_matrices=True)
@@ -330,7 +330,7 @@ def _left_open(data: Floats) -> tuple[tuple[str, ...], Bools]:
 
 
 def rayleigh(real: Modes, ratios: Ratios, backend: Backend) -> Floats:
-    """a and b of C = a M + b K, both at least zero, by zeta_i = a / (2 omega_i) + b omega_i / 2, weighted.
+    """Find a and b of C = a M + b K, both at least zero, by zeta_i = a / (2 omega_i) + b omega_i / 2, weighted.
 
     Parameters
     ----------

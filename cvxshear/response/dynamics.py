@@ -90,7 +90,7 @@ class Dynamics:
         return doubled(self.A, self.Q)
 
     def driven(self, excitation: Floats) -> Floats:
-        """What the excitation adds to the state over each step, shape (samples, n); the last row is not used."""
+        """Return what the excitation adds to the state over each step, shape (samples, n); the last row is not used."""
         following = np.append(excitation[1:], excitation[-1])
         kind = excitation.dtype
         driven: Floats = np.outer(excitation, self.before.astype(kind))
@@ -113,7 +113,7 @@ class Outputs:
     direct: Floats
 
     def of(self, states: Floats, excitation: Floats) -> Floats:
-        """The outputs over time, shape (samples, outputs), in the precision of the states."""
+        """Return the outputs over time, shape (samples, outputs), in the precision of the states."""
         result: Floats = states @ self.rows.T.astype(states.dtype)
         result += np.outer(excitation, self.direct.astype(states.dtype))
         return result
@@ -154,12 +154,12 @@ class Setting:
         return 3 * len(self.story_force) + (0 if self.base_measured else 1)
 
     def without(self, channel: int) -> Setting:
-        """The same with one channel fewer."""
+        """Return the setting with one channel fewer."""
         return dataclasses.replace(self, floors=np.delete(self.floors, channel))
 
 
 def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
-    """The discrete state-space model of a frame.
+    """Build the discrete state-space model of a frame.
 
     Parameters
     ----------
@@ -322,7 +322,7 @@ def recursion(F: Floats, inputs: Floats, start: Floats, rows: Floats | None = No
 def _blocks(
     turned: Floats, inputs: Floats, state: Floats, carried: list[Floats], leap: Floats, plain: bool
 ) -> tuple[Floats, Floats]:
-    """The recursion over some blocks, and the state after the last."""
+    """Run the recursion over some blocks; return its states and the one after the last."""
     samples, n = inputs.shape
     blocks = -(-samples // BLOCK)
     padded = np.zeros((blocks * BLOCK, n), dtype=inputs.dtype)

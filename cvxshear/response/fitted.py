@@ -61,7 +61,7 @@ class Fitted(InJson):
 
     @staticmethod
     def of(estimate: Estimate, *, mass_known: bool = True) -> Fitted:
-        """What an estimate says."""
+        """Take over an estimate."""
         return Fitted(
             estimate.experiment,
             estimate.effects,
@@ -74,7 +74,7 @@ class Fitted(InJson):
 
     @staticmethod
     def of_identification(result: Identification) -> Fitted | None:
-        """What a joint identification says; None of others, and of one that left values open."""
+        """Take over a joint identification; None for other methods, and where values were left open."""
         frame = result.frame
         if not result.joint or frame is None or result.correlation is None:
             return None
@@ -111,7 +111,7 @@ class Fitted(InJson):
 
     @staticmethod
     def from_dict(declared: object, experiment: Experiment, where: str, *, mass_known: bool) -> Fitted:
-        """The fitted model that `to_dict` wrote.
+        """Read the fitted model that `to_dict` wrote.
 
         Raises
         ------
@@ -163,14 +163,14 @@ class Models(InJson):
     after: Fitted
 
     def to_dict(self) -> Json:
-        """The documented JSON; null for what was not measured in a shape."""
+        """Return the documented JSON; null for what was not measured in a shape."""
         return dict(as_json(super().to_dict()))
 
     json_keys = "experiment=after.experiment name=after.experiment.name mass_known=after.mass_known before after"
 
     @staticmethod
     def from_dict(declared: object, where: str) -> Models:
-        """The models that `to_dict` wrote."""
+        """Read the models that `to_dict` wrote."""
         keys = ["experiment", "name", "mass_known", "before", "after"]
         table = checks.keys(declared, keys, keys, where)
         experiment = Experiment.from_dict(_with_nan(table["experiment"]), name=table["name"])

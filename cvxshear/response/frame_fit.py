@@ -23,7 +23,7 @@ from cvxshear.priors import Constraints
 from cvxshear.programs.statements import NamedConstraints
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.innovations import Directions, Likelihood, PredictionErrors
-from cvxshear.response.varied_frame import FORM_STDS, NOISE_STD, FramePrior, Gaussian
+from cvxshear.response.varied_frame import FORM_STDS, NOISE_STD, SCATTER_STDS, FramePrior, Gaussian
 from cvxshear.util.typing import Floats
 
 FIRST_SAMPLES, FITTED_SAMPLES = 2_000, 10_000
@@ -54,11 +54,28 @@ KEPT_SETS = 6
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """Stories (from 0) that may have changed, the standard deviation of the form's errors, and their probability."""
+    """One possible way in which the frame differs from the identified one.
+
+    Parameters
+    ----------
+    stories : tuple of int
+        That changed by themselves, from 0.
+    form_std : float
+        Standard deviation of the errors of the model's form.
+    scatter_std : float
+        Standard deviation of the factors of the other stories.
+    probability : float
+    """
 
     stories: tuple[int, ...]
     form_std: float
+    scatter_std: float
     probability: float
+
+    @property
+    def prior(self) -> tuple[tuple[int, ...], float, float]:
+        """Arguments of `FramePrior.gaussian`."""
+        return self.stories, self.form_std, self.scatter_std
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,8 +176,8 @@ class _Posterior:
         return _Point(self, theta)
 
     def maximum(self, p: Floats, backend: Backend, steps: int, near: float = FITTED) -> tuple[_Point, bool]:
-        """The most probable point from p on, and whether it was found within so many steps."""
-        bounds = Constraints(lower=-self.errors.upper, upper=self.errors.upper)
+        """Find the most probable point from p on, and whether it was reached within so many steps."""
+        bounds = Constraints(lower=self.errors.lower, upper=self.errors.upper)
         domain = Domain([NamedConstraints("bounds", bounds)], np.ones(len(p)), np.full(len(p), np.inf))
         found = gauss_newton(self, p, domain, backend, near, most_steps=steps)
         return found.at, found.converged
@@ -182,33 +199,33 @@ def fit_frame(
         Whether the frame is fitted; otherwise only the noise is.
     """
     p = np.zeros(errors.size) if start is None else start
-    answer = Answer((), FORM_STDS[0], 1.0)
+    answer = Answer((), FORM_STDS[0], SCATTER_STDS[0], 1.0)
     if not free:
         noise = np.eye(errors.size)[errors.frame.stop :]
         # The frame stays as it was identified: nothing of it is fitted, its uncertainty is in the bands.
         still = Gaussian(np.zeros(errors.size), NOISE_STD**2 * np.eye(errors.size), 0.0)
         at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(p, backend, MOST_FIT_STEPS)
-        covariance = prior.gaussian((), answer.form_std, same=errors.setting.base_measured).covariance
+        covariance = prior.gaussian(*answer.prior, same=errors.setting.base_measured).covariance
         return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged, at.posterior.along)
     rough = _Posterior(
         errors.shortened(FIRST_SAMPLES, p),
         informative(errors, prior, p, FIRST_INFORMATION),
-        prior.gaussian(range(errors.stories), FORM_STDS[-1]),
+        prior.gaussian(range(errors.stories), FORM_STDS[-1], SCATTER_STDS[-1]),
     )
     p = rough.maximum(p, backend, MOST_FIT_STEPS, FIRST_FITTED)[0].p
     along = informative(errors, prior, p)
     for _ in range(MOST_DECISIONS):
-        posterior = _Posterior(errors, along, prior.gaussian(answer.stories, answer.form_std))
+        posterior = _Posterior(errors, along, prior.gaussian(*answer.prior))
         at, converged = posterior.maximum(p, backend, MOST_FIT_STEPS)
         p, answers, before = at.p, possible_answers(at.likelihood, prior, at.p), answer
         answer = answers[0]
-        if (answer.stories, answer.form_std) == (before.stories, before.form_std):
+        if answer.prior == before.prior:
             break
     return _mixed(errors, prior, at, answers, converged)
 
 
 def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: float = LEAST_INFORMATION) -> Directions:
-    """The directions along which the record tells something, whichever stories changed and whatever the form misses.
+    """Find the directions on which the record has information, whichever stories changed and whatever the form misses.
 
     Parameters
     ----------
@@ -218,13 +235,13 @@ def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: f
     least : float, optional
     """
     short = errors.shortened(FIRST_SAMPLES, p)
-    widest = prior.gaussian(range(errors.stories), FORM_STDS[-1])
+    widest = prior.gaussian(range(errors.stories), FORM_STDS[-1], SCATTER_STDS[-1])
     root = np.asarray(np.linalg.cholesky(widest.covariance), dtype=np.float64)
     return short.told(p, root, least * np.sqrt(short.samples / errors.samples))
 
 
 def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: Backend, steps: int) -> FittedFrame:
-    """The same frame fitted without one sensor, with the same answers possible.
+    """Fit the frame again without one sensor, with the same answers possible.
 
     Parameters
     ----------
@@ -243,7 +260,7 @@ def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: B
         return FittedFrame(errors, prior, start, covariance, frame.answers, 1.0, True, frame.along)
     along = frame.along.without(gone)
     best = frame.answers[0]
-    posterior = _Posterior(errors, along, prior.gaussian(best.stories, best.form_std))
+    posterior = _Posterior(errors, along, prior.gaussian(*best.prior))
     at, converged = posterior.maximum(start, backend, steps)
     return _mixed(errors, prior, at, frame.answers, converged)
 
@@ -251,11 +268,11 @@ def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: B
 def _mixed(
     errors: PredictionErrors, prior: FramePrior, at: _Point, answers: Sequence[Answer], converged: bool
 ) -> FittedFrame:
-    """The frame with the covariance of the mixture of the answers."""
+    """Return the frame with the covariance of the mixture of the answers."""
     total = sum(each.probability for each in answers)
     covariance = np.zeros((errors.size, errors.size))
     for each in answers:
-        mean, own = _Linear(at.likelihood, at.p, prior.gaussian(each.stories, each.form_std)).posterior()
+        mean, own = _Linear(at.likelihood, at.p, prior.gaussian(*each.prior)).posterior()
         away = mean - at.p
         covariance += each.probability / total * (own + np.outer(away, away))
     inflation, along = at.likelihood.inflation, at.posterior.along
@@ -278,11 +295,31 @@ class _Linear:
         self.data = at.U @ (p - prior.mean) - at.c
         self.seen = at.U @ prior.covariance @ at.U.T + at.inflation * np.eye(len(at.c))
 
-    def evidence(self, more: Floats | None = None) -> float:
-        """Log evidence but for a constant, of a prior whose covariance is larger by more more' where given."""
-        whole = self.seen if more is None else self.seen + (self.U @ more) @ (self.U @ more).T
-        _, log_det = np.linalg.slogdet(whole)
-        return self.prior.evidence - 0.5 * float(self.data @ np.linalg.solve(whole, self.data) + log_det)
+    def evidences(self, columns: Floats, sets: Sequence[tuple[int, ...]]) -> Floats:
+        """Compute log evidences but for a constant, of priors that are wider along some columns.
+
+        Parameters
+        ----------
+        columns : ndarray, shape (P, N)
+        sets : sequence of tuple of int
+            Columns by whose outer products the covariance of each prior is larger.
+
+        Returns
+        -------
+        ndarray, shape (len(sets),)
+        """
+        more = self.U @ columns
+        half = np.asarray(np.linalg.cholesky(self.seen))
+        white, data = np.linalg.solve(half, more), np.linalg.solve(half, self.data)
+        G, b = white.T @ white, white.T @ data
+        plain = self.prior.evidence - 0.5 * float(data @ data) - float(np.sum(np.log(np.diag(half))))
+        result = np.full(len(sets), plain)
+        for place, own in enumerate(sets):
+            at = list(own)
+            wider = np.eye(len(at)) + G[np.ix_(at, at)]
+            _, log_det = np.linalg.slogdet(wider)
+            result[place] += 0.5 * float(b[at] @ np.linalg.solve(wider, b[at]) - log_det)
+        return result
 
     def posterior(self) -> tuple[Floats, Floats]:
         """Mean and covariance of the unknowns."""
@@ -294,8 +331,8 @@ class _Linear:
 def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answer, ...]:
     """Which stories may have changed and how much the form may miss, by the evidence of the linearised likelihood.
 
-    Sets of each size grow from the best of the size before. Each larger error of the form is half as probable as the
-    one before it: most models describe the modes that they were fitted to.
+    Sets of each size grow from the best of the size before. All sizes of the form's errors, and of the scatter of the
+    stories, are equally probable beforehand.
 
     Parameters
     ----------
@@ -306,19 +343,22 @@ def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answ
     """
     stories = range(len(prior.identified))
     odds = float(np.log(prior.probability) - np.log1p(-prior.probability))
-    scores: dict[tuple[tuple[int, ...], float], float] = {}
-    for rank, std in enumerate(FORM_STDS):
-        linear = _Linear(at, p, prior.gaussian((), std))
-        changes = prior.change_std * np.eye(len(p))
+    scores: dict[tuple[tuple[int, ...], float, float], float] = {}
+    changes = prior.change_std * np.eye(len(p), len(stories))
+    for std, scatter in itertools.product(FORM_STDS, SCATTER_STDS):
+        linear = _Linear(at, p, prior.gaussian((), std, scatter))
         level: list[tuple[int, ...]] = [()]
         for size in range(min(MOST_CHANGES, len(stories)) + 1):
             grown = level
             if size:
                 pairs = itertools.product(level, stories)
                 grown = sorted({tuple(sorted({*base, story})) for base, story in pairs if story not in base})
-            for each in grown:
-                scores[each, std] = linear.evidence(changes[:, list(each)]) + odds * len(each) - rank * np.log(2.0)
-            level = sorted(grown, key=lambda each: -scores[each, std])[:KEPT_SETS]
+            own = {
+                each: float(score) + odds * size
+                for each, score in zip(grown, linear.evidences(changes, grown), strict=True)
+            }
+            scores |= {(each, std, scatter): score for each, score in own.items()}
+            level = sorted(own, key=own.__getitem__, reverse=True)[:KEPT_SETS]
     best = max(scores.values())
     kept = {each: np.exp(score - best) for each, score in scores.items() if score > best + np.log(LEAST_WEIGHT)}
     total = sum(kept.values())

@@ -7,6 +7,7 @@ directions that move the motion most.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -132,7 +133,7 @@ class FrameMotion:
         return 1.0 / float(self.varied.centre.model.modes.frequencies[0])
 
     def fitted(self) -> tuple[FittedFrame, list[Smoothed]]:
-        """The frame and its motion: gaps and spikes are filled in by the identified frame, then by the fitted one."""
+        """Fit the frame and find its motion; gaps and spikes are filled in by the identified, then the fitted frame."""
         smoothed: list[Smoothed] = []
         whole = not any(np.isnan(run.measured).any() for run in self.recording.runs)
         errors = self._errors(None, None)
@@ -149,7 +150,7 @@ class FrameMotion:
         return fitted, self.smoothed(fitted.errors, fitted.p)
 
     def _errors(self, smoothed: list[Smoothed] | None, p: Floats | None) -> PredictionErrors:
-        """The innovations of the strongest part of each run, gaps and spikes filled in by the smoother."""
+        """Set up the innovations of the strongest part of each run, gaps and spikes filled in by the smoother."""
         stretches = []
         for place, run in enumerate(self.recording.runs):
             y = np.nan_to_num(run.measured) if smoothed is None else smoothed[place].completed
@@ -159,7 +160,7 @@ class FrameMotion:
         return errors.shortened(FITTED_SAMPLES, np.zeros(errors.size) if p is None else p)
 
     def smoothed(self, errors: PredictionErrors, p: Floats, rows: Floats | None = None) -> list[Smoothed]:
-        """The motion of each run, with deviations of all outputs or of those given by rows on the state.
+        """Find the motion of each run, with deviations of all outputs or of those given by rows on the state.
 
         Parameters
         ----------
@@ -250,7 +251,7 @@ class FrameMotion:
         return result
 
     def directions(self, fitted: FittedFrame, most: int = MOST_DIRECTIONS) -> Directions:
-        """The directions of the frame's uncertainty that move its motion most, one standard deviation long.
+        """Find the directions of the frame's uncertainty that move its motion most, one standard deviation long.
 
         Parameters
         ----------
@@ -291,11 +292,27 @@ class FrameMotion:
 
 
 def predicted_responses(model: DampedModel, recording: Recording) -> list[Response] | None:
-    """The motion of a frame without a look at the sensors; None where the excitation was not measured."""
+    """Compute the motion of a frame without a look at the sensors; None where the excitation was not measured."""
     if recording.input == "none":
         return None
     drives = [Drive(run.driven, recording.force_floor, name=run.name) for run in recording.runs]
     return [response(model, drive, recording.step) for drive in drives]
+
+
+def shown_by(model: DampedModel) -> Callable[[Recording], list[Floats]]:
+    """Return a function that predicts the accelerations at the sensors of a recording, one array (samples, m) a run.
+
+    They are zero where the excitation was not measured.
+    """
+
+    def shown(recording: Recording) -> list[Floats]:
+        responses = predicted_responses(model, recording)
+        if responses is None:
+            return [np.zeros_like(run.measured) for run in recording.runs]
+        at = recording.floors - 1
+        return [model.gain[at] * item.acceleration[:, at] for item in responses]
+
+    return shown
 
 
 def _drift_rms(model: DampedModel, recording: Recording) -> Floats:

@@ -44,9 +44,9 @@ FURTHEST_FORM = 0.5
 FURTHEST_NOISE = np.log(30.0)
 """Bound on the logarithm of a sensor's noise around its start: none is good to 0.1 % of a building's motion."""
 
-FURTHEST_FORCE = np.log(5.0)
-"""The same of the missed story forces: 0.4 % to 10 % of the rms story force. No frame is linear to less, and a model
-that misses more has no business in a reconstruction."""
+LEAST_FORCE, MOST_FORCE = 3e-4, 0.1
+"""Bounds on the missed story forces, relative to the rms story force: the least is far below what any sensor shows, and
+a model that misses more than the largest has no business in a reconstruction."""
 
 DIFFERENCE = 1e-5
 """Step of the unknowns by which small matrices are differentiated: rounding and curvature both leave 1e-5 of it."""
@@ -73,7 +73,7 @@ class Stretch:
     start: Floats
 
     def strongest(self, most: int) -> slice:
-        """The part of at most so many samples that holds the most of the motion, every channel counting alike."""
+        """Find the part of at most so many samples that holds the most of the motion, every channel counting alike."""
         samples = len(self.y)
         if samples <= most:
             return slice(0, samples)
@@ -98,7 +98,7 @@ class Directions:
     rows: Floats
 
     def without(self, gone: int) -> Directions:
-        """The same without one unknown, a level of the noise, which has a direction of its own."""
+        """Return the directions without one unknown, a level of the noise, which has a direction of its own."""
         own = int(np.flatnonzero(self.rows[:, gone])[-1])
         return Directions(*(
             np.delete(np.delete(each, row, axis=0), column, axis=1)
@@ -145,7 +145,8 @@ class PredictionErrors:
         self.size = force + (1 if setting.base_measured else 2)
         self.upper = np.full(self.size, FURTHEST_NOISE)
         self.upper[self.frame] = np.repeat([FURTHEST, FURTHEST, FURTHEST_STDS, FURTHEST_FORM], varied.sizes)
-        self.upper[force] = FURTHEST_FORCE
+        self.lower = -self.upper
+        self.lower[force], self.upper[force] = np.log(LEAST_FORCE / noise.force), np.log(MOST_FORCE / noise.force)
 
     @property
     def samples(self) -> int:
@@ -153,7 +154,7 @@ class PredictionErrors:
         return sum(len(each.y) for each in self.stretches)
 
     def shortened(self, most: int, p: Floats) -> PredictionErrors:
-        """The same over the strongest part of each stretch, which starts from the state that the filter has there.
+        """Take the strongest part of each stretch, which starts from the state that the filter has there.
 
         Parameters
         ----------
@@ -173,18 +174,18 @@ class PredictionErrors:
         return PredictionErrors(self.varied, self.setting, parts, self.noise)
 
     def model(self, p: Floats) -> DampedModel:
-        """The frame at a point."""
+        """Return the frame at a point."""
         return self.varied.model(p[self.frame])
 
     def noise_at(self, p: Floats) -> Noise:
-        """The noise at a point."""
+        """Return the noise at a point."""
         levels = np.exp(p[self.frame.stop :])
         m = len(self.setting.floors)
         ground = self.noise.ground * levels[m + 1] if len(levels) > m + 1 else 0.0
         return Noise(self.noise.sensors * levels[:m], float(self.noise.force * levels[m]), float(ground))
 
     def dynamics(self, p: Floats) -> Dynamics:
-        """The state-space model at a point."""
+        """Return the state-space model at a point."""
         return dynamics(self.model(p), self.noise_at(p), self.setting)
 
     def objective(self, p: Floats) -> float:
@@ -199,7 +200,7 @@ class PredictionErrors:
         return total
 
     def told(self, p: Floats, root: Floats, least: float) -> Directions:
-        """The directions of the frame that the record tells something of, and each level of the noise.
+        """Find the directions of the frame on which the record has information; add each level of the noise.
 
         Parameters
         ----------
@@ -221,7 +222,7 @@ class PredictionErrors:
         return Directions(np.hstack([columns[:, self.frame] @ turns.T, noise.T]), np.concatenate([rows, noise]))
 
     def linearised(self, p: Floats, along: Directions) -> Likelihood:
-        """The rows of a Gauss-Newton step, reduced to a triangle.
+        """Return the rows of a Gauss-Newton step, reduced to a triangle.
 
         Parameters
         ----------
@@ -233,7 +234,7 @@ class PredictionErrors:
         return Likelihood(whole[:-1, :-1] @ along.rows, whole[:-1, -1], self._inflation(R, r, along))
 
     def _rows(self, p: Floats, columns: Floats) -> tuple[Floats, Floats]:
-        """Derivatives of the residuals along some directions, shape (d, r), and the residuals, shape (d,)."""
+        """Return derivatives of the residuals along some directions, shape (d, r), and the residuals, shape (d,)."""
         here = Steady.of(self.dynamics(p))
         whitening = np.linalg.inv(np.linalg.cholesky(here.S))
         slopes = self._slopes(here, p, columns, whitening)
@@ -286,7 +287,7 @@ class PredictionErrors:
         return 1.0 / float(self.varied.centre.model.modes.frequencies[0])
 
     def _slopes(self, here: Steady, p: Floats, columns: Floats, whitening: Floats) -> list[_Slope]:
-        """Derivatives of the filter's matrices along each direction.
+        """Differentiate the filter's matrices along each direction.
 
         That of the covariance P solves dP = F dP F' + G, in which the gain counts as constant, since it is optimal.
         """
@@ -309,7 +310,7 @@ class PredictionErrors:
         return slopes
 
     def _rates(self, here: Dynamics, p: Floats, column: Floats) -> dict[str, Floats]:
-        """Derivatives of the state-space model's matrices along one direction."""
+        """Differentiate the state-space model's matrices along one direction."""
         step = DIFFERENCE / max(1.0, float(np.max(np.abs(column))))
         there = self.dynamics(p + step * column)
         names = ("A", "H", "R", "Q", "direct", "before", "after")

@@ -168,7 +168,7 @@ def predict(
 
 
 def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Side | None) -> RecordPrediction:
-    """The prediction of the final model, with everything's standard deviations from one propagation."""
+    """Predict by the final model, with everything's standard deviations from one propagation."""
 
     def everything(damped: Damped) -> Floats:
         responses = _responses(damped, motion)
@@ -199,7 +199,7 @@ def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Si
 
 
 def _bands(moved: Response) -> dict[str, Floats]:
-    """The quantities of `BANDS` that apply, flat."""
+    """Return the quantities of `BANDS` that apply, flat."""
     found = histories(moved)
     return {name: values.ravel() for name in BANDS if (values := found[name]) is not None}
 
@@ -246,7 +246,7 @@ def _refuse_other_frame(motion: Motion, stories: int) -> None:
 
 
 def _remarks(after: Side, motion: Motion) -> list[str]:
-    """What the reader has to know besides the numbers."""
+    """Say what the reader has to know besides the numbers."""
     said = []
     if after.fitted.undetermined:
         names = "; ".join(" and ".join(names) for names in after.fitted.undetermined)

@@ -22,7 +22,7 @@ from cvxshear.measurement.experiment import Configuration, Limits
 from cvxshear.response.damped import DampedModel, Response
 from cvxshear.response.fitted import Fitted
 from cvxshear.response.frame_fit import FittedFrame
-from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses
+from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses, shown_by
 from cvxshear.response.peaks import FloorSpectra, Peaks, floor_spectra, histories, spectrum_lines
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
 from cvxshear.response.sensor_checks import SensorCheck, Whiteness, checked, whiteness, widening
@@ -120,7 +120,7 @@ class Reconstruction(Shown):
         return self.spectra.acceleration * relative[:, None]
 
     def to_dict(self) -> Json:
-        """The documented JSON; null where it does not apply."""
+        """Return the documented JSON; null where it does not apply."""
         frame, none = self.frame, [None] * len(self.model.M)
         noise, chances = frame.errors.noise_at(frame.p), self.passed
         limits = self.limits and [
@@ -208,9 +208,8 @@ def reconstruct(
         Where the backend does not solve a program.
     """
     solver = backends.get(backend)
-    recording, line = recording_of(record), 0.0
-    if detrend:
-        recording, line = recording.detrended()
+    recording = recorded = recording_of(record)
+    line = 0.0
     models = models_of(source, solver)
     experiment = models.after.experiment
     highest = int(max(recording.floors.max(), recording.force_floor))
@@ -224,10 +223,18 @@ def reconstruct(
         if progress is not None:
             progress(next(done), parts)
 
+    identified = frame.at(np.zeros(frame.size)).model
+    if detrend:
+        recording, line = recorded.detrended(shown_by(identified))
     work = FrameMotion.around(frame, recording, solver, free=fit)
-    predicted = predicted_responses(work.varied.centre.model, recording)
+    predicted = predicted_responses(identified, recording)
     advance()
     fitted, smoothed = work.fitted()
+    if detrend and work.free:
+        # The fitted frame knows better what of a line is the end of a vibration.
+        recording, line = recorded.detrended(shown_by(fitted.model))
+        work = dataclasses.replace(work, recording=recording)
+        smoothed = work.smoothed(fitted.errors, fitted.p)
     advance()
     checks = []
     for channel in range(len(recording.floors)) if leave_out and len(recording.floors) > 1 else ():
@@ -272,7 +279,7 @@ def _peaks(runs: list[tuple[Response, dict[str, Floats]]]) -> Peaks:
 
 
 def _remarks(found: Reconstruction, line: float) -> list[str]:
-    """What the reader has to know besides the numbers."""
+    """Say what the reader has to know besides the numbers."""
     said = [
         "residual displacement is out of reach: accelerations do not show where a floor comes to rest, and the model "
         "returns to where it began"

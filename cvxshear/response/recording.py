@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from cvxshear.records.motion import Motion, trend
 from cvxshear.records.record import INPUTS, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Floats, Ints
+from cvxshear.util.typing import Bools, Floats, Ints
 
 RecordingSource = str | Path | TimeRecord | Motion
 
@@ -122,29 +122,47 @@ class Recording:
         square: Floats = np.nanmean(np.concatenate([run.measured for run in self.runs]) ** 2, axis=0)
         return np.sqrt(square)
 
-    def detrended(self) -> tuple[Recording, float]:
-        """Without the straight line through each acceleration, and its largest size over the channel's rms."""
-        largest, runs = 0.0, []
-        for run in self.runs:
-            # Over the same samples for all: lines through different parts of one motion would contradict each other.
-            there = np.asarray(np.isfinite(run.measured).all(axis=1))
-            if there.sum() <= len(there) // 2:
-                there = np.ones_like(there)
-            line = np.column_stack([trend(column, there & np.isfinite(column)) for column in run.measured.T])
-            largest = max(largest, float(np.max(np.abs(line) / self.rms())))
+    def detrended(self, shown: Callable[[Recording], Sequence[Floats]] | None = None) -> tuple[Recording, float]:
+        """Take a straight line off each acceleration, and return the largest line over its channel's rms as well.
+
+        The line of a floor is that through what a model does not show. The vibration itself is not without one over a
+        finite time: a cycle that the end of the record cuts off would pass for the sensor's.
+
+        Parameters
+        ----------
+        shown : callable, optional
+            Accelerations of a model at the sensors, one array (samples, m) a run, driven as the recording says.
+        """
+        whole = [self._whole(run) for run in self.runs]
+        runs = []
+        for run, there in zip(self.runs, whole, strict=True):
             excitation = run.excitation
             if excitation is not None and self.input == "base":
                 excitation = excitation - trend(excitation, there)
-            runs.append(dataclasses.replace(run, measured=run.measured - line, excitation=excitation))
-        return dataclasses.replace(self, runs=tuple(runs)), largest
+            runs.append(dataclasses.replace(run, excitation=excitation))
+        driven = dataclasses.replace(self, runs=tuple(runs))
+        expected = [np.zeros_like(run.measured) for run in runs] if shown is None else shown(driven)
+        largest, found = 0.0, []
+        for run, there, own in zip(runs, whole, expected, strict=True):
+            left = run.measured - own
+            line = np.column_stack([trend(column, there & np.isfinite(column)) for column in left.T])
+            largest = max(largest, float(np.max(np.abs(line) / self.rms())))
+            found.append(dataclasses.replace(run, measured=run.measured - line))
+        return dataclasses.replace(self, runs=tuple(found)), largest
+
+    @staticmethod
+    def _whole(run: RecordedRun) -> Bools:
+        """Tell which samples all lines go through: through different parts of a motion they would contradict."""
+        there = np.asarray(np.isfinite(run.measured).all(axis=1))
+        return np.ones_like(there) if there.sum() <= len(there) // 2 else there
 
     def without(self, channel: int) -> Recording:
-        """The same with one channel fewer."""
+        """Return the recording with one channel fewer."""
         runs = tuple(dataclasses.replace(run, measured=np.delete(run.measured, channel, axis=1)) for run in self.runs)
         return dataclasses.replace(self, runs=runs, floors=np.delete(self.floors, channel))
 
     def cut(self, parts: Sequence[slice]) -> Recording:
-        """The same with one part of each run."""
+        """Return the recording with one part of each run."""
         runs = [
             RecordedRun(run.measured[part], None if run.excitation is None else run.excitation[part], run.name)
             for run, part in zip(self.runs, parts, strict=True)
@@ -176,7 +194,7 @@ class Recording:
 
 
 def recording_of(source: RecordingSource) -> Recording:
-    """What sensors recorded.
+    """Read what sensors recorded.
 
     Parameters
     ----------
@@ -226,7 +244,7 @@ def _refuse_other_quantity(quantity: str, name: str) -> None:
 
 
 def _of_file(path: Path) -> Recording:
-    """The recording that a record file names."""
+    """Read the recording that a record file names."""
     table, lines = tables_of(path)
     with placed(path):
         declared = checks.keys(table["record"], RECORD_KEYS, [], "record")
@@ -270,7 +288,7 @@ def _force_floor(run: Mapping[str, Any], declared: Mapping[str, Any], driver: Ch
 
 
 def _by_floor(channels: Sequence[ChannelDeclaration]) -> dict[int, list[ChannelDeclaration]]:
-    """The channels of each floor, from the ground up, without those across the direction of test."""
+    """Group the channels by floor, from the ground up, without those across the direction of test."""
     for item in channels:
         _refuse_other_quantity(item.quantity, f'channel "{item.column}"')
     along = [item for item in channels if abs(_cosine(item)) >= np.cos(np.radians(ACROSS))]
@@ -280,12 +298,12 @@ def _by_floor(channels: Sequence[ChannelDeclaration]) -> dict[int, list[ChannelD
 
 
 def _cosine(item: ChannelDeclaration) -> float:
-    """What a sensor shows of a motion along the direction of test."""
+    """Return the share of a motion along the direction of test that a sensor shows."""
     return float(np.cos(np.radians(item.direction or 0.0)))
 
 
 def _with_gaps(columns: Columns, group: Sequence[ChannelDeclaration], path: Path) -> Floats:
-    """A floor's motion, the mean of its sensors; nan where a sample of one is missing."""
+    """Return a floor's motion, the mean of its sensors; nan where a sample of one is missing."""
     total = np.zeros(len(columns.values))
     for item in group:
         columns.check(item.column, item.place or path.name)

@@ -14,6 +14,7 @@ from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, refitted
 from cvxshear.response.frame_motion import FrameMotion
 from cvxshear.response.innovations import PredictionErrors, Stretch
 from cvxshear.response.smoother import SPIKE, Smoothed
+from cvxshear.util.quantities import NORMAL_95
 from cvxshear.util.typing import Floats
 
 CHECK_STEPS = 1
@@ -25,8 +26,6 @@ CHECKED_DIRECTIONS = 4
 
 LAGS = 20
 """Lags of the test of whiteness (Ljung and Box 1978)."""
-
-NORMAL_95 = float(stats.norm.ppf(0.975))
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.programs import LeastSquares
-from cvxshear.response.dynamics import Dynamics, recursion, settled_covariance
+from cvxshear.response.dynamics import Dynamics, doubled, recursion, settled_covariance
 from cvxshear.util.typing import Bools, Floats, Ints
 
 SPIKE = 5.0
@@ -38,9 +38,13 @@ SETTLED = 1e-9
 """Relative change of a covariance over one sample at which it is taken as constant. What is still to come is this over
 the decay a sample, which is at least 1e-3 for a sampled vibration: the motion is then exact to about 1e-6."""
 
-MOST_TRANSIENT = 100
-"""Samples after a change of the weights over which covariances are computed one by one; where they are still changing
-after so many, their limit is taken, so that long records need neither the time nor the memory."""
+LEAST_TRANSIENT = 100
+MOST_TRANSIENT = 2_000
+"""Samples after a change of the weights over which covariances are computed one by one at least and at most. In between
+their limit is taken as soon as they are near it, so that long records need neither the time nor the memory."""
+
+NEAR_LIMIT = 0.05
+"""Relative difference of a variance from its limit at which the limit is taken: 2.5 % of a deviation."""
 
 LONG = 4 * 64
 """Samples of constant gain from which on matrix products over blocks are faster than a loop."""
@@ -73,7 +77,7 @@ class Observed:
         return np.isfinite(self.measured)
 
     def without(self, channel: int) -> Observed:
-        """The same with one channel fewer."""
+        """Return the run with one channel fewer."""
         return dataclasses.replace(self, measured=np.delete(self.measured, channel, axis=1))
 
 
@@ -121,7 +125,7 @@ class _Gain:
 
 
 def smooth(model: Dynamics, run: Observed, rows: Floats, *, robust: bool = True) -> Smoothed:
-    """The motion that minimizes the program of this module, and its standard deviations.
+    """Find the motion that minimizes the program of this module, and its standard deviations.
 
     Parameters
     ----------
@@ -158,7 +162,7 @@ def _stretches(weights: Floats, envelope: Floats) -> Iterator[tuple[int, int]]:
 
 
 def _gains(model: Dynamics, run: Observed, weights: Floats) -> tuple[list[_Gain], Ints]:
-    """The filter's gains, each distinct one once, and which of them each sample has."""
+    """Compute the filter's gains, each distinct one once, and which of them each sample has."""
     A, R = model.A, model.R
     P = run.start_scale**2 * model.P0
     gains: list[_Gain] = []
@@ -183,13 +187,22 @@ def _gains(model: Dynamics, run: Observed, weights: Floats) -> tuple[list[_Gain]
             settled = bool(np.all(np.abs(now - was) <= SETTLED * now))
             P = following
             t += 1
-            if not settled and t - first == MOST_TRANSIENT and last - t > MOST_TRANSIENT:
-                # What is left of the change is slow and small; the filter has its limit from here on.
-                P = settled_covariance(dataclasses.replace(model, H=H, R=noise, Q=Q))
+            passed = t - first
+            if not settled and passed >= LEAST_TRANSIENT and last - t > LEAST_TRANSIENT:
+                if passed == LEAST_TRANSIENT:
+                    limit = settled_covariance(dataclasses.replace(model, H=H, R=noise, Q=Q))
+                if passed == MOST_TRANSIENT or _near(np.diag(P), np.diag(limit)):
+                    # What is left of the change is slow and small; the filter has its limit from here on.
+                    P = limit
             elif settled:
                 which[t:last] = len(gains) - 1
                 t = last
     return gains, which
+
+
+def _near(variances: Floats, limits: Floats) -> bool:
+    """Tell whether all variances are close to their limits."""
+    return bool(np.all(np.abs(variances - limits) <= NEAR_LIMIT * limits))
 
 
 def _constant(which: Ints) -> Iterator[tuple[int, int, int]]:
@@ -248,7 +261,7 @@ def _sweeps(model: Dynamics, run: Observed, gains: list[_Gain], which: Ints, wei
 
 
 def _deviations(rows: Floats, gains: list[_Gain], which: Ints) -> Floats:
-    """Standard deviations of outputs of the smoothed states: P - P N P with N = H' S^-1 H + F' N F, backward."""
+    """Compute standard deviations of smoothed outputs: P - P N P with N = H' S^-1 H + F' N F, backward."""
     n = len(gains[0].P)
     N = np.zeros((n, n))
     result = np.empty((len(which), len(rows)))
@@ -259,7 +272,7 @@ def _deviations(rows: Floats, gains: list[_Gain], which: Ints) -> Floats:
         spread = rows @ gain.P
         plain = np.sum(spread * rows, axis=1)
         scale = np.sqrt(np.maximum(np.diag(gain.P), 1e-300))
-        t = last - 1
+        t, limit = last - 1, None
         while t >= first:
             following = own + F.T @ N @ F
             change = np.max(np.abs(np.diag(following) - np.diag(N)) * scale**2)
@@ -267,7 +280,15 @@ def _deviations(rows: Floats, gains: list[_Gain], which: Ints) -> Floats:
             variance = plain - np.sum((spread @ N) * spread, axis=1)
             result[t] = np.sqrt(np.maximum(variance, 0.0))
             t -= 1
-            if change <= SETTLED or last - 1 - t > 4 * MOST_TRANSIENT:
+            passed = last - 1 - t
+            if passed == LEAST_TRANSIENT and t - first > LEAST_TRANSIENT:
+                limit = doubled(F.T, own)
+            if limit is not None and (passed == MOST_TRANSIENT or _near(np.diag(N), np.diag(limit))):
+                # The stretch is taken as settled from here back to its beginning.
+                N, change = limit, 0.0
+                variance = plain - np.sum((spread @ N) * spread, axis=1)
+                result[t + 1] = np.sqrt(np.maximum(variance, 0.0))
+            if change <= SETTLED:
                 result[first : t + 1] = result[t + 1]
                 t = first - 1
     return result
@@ -296,7 +317,7 @@ class Steady:
 
     @staticmethod
     def of(model: Dynamics) -> Steady:
-        """The settled filter of a model."""
+        """Settle the filter of a model."""
         P = settled_covariance(model)
         PH = P @ model.H.T
         S = model.H @ PH + np.diag(model.R)
@@ -325,7 +346,7 @@ class Steady:
 
 
 def motion_program(model: Dynamics, run: Observed, weights: Floats) -> LeastSquares:
-    """The program of this module for a backend; its unknowns are the states, one sample after the other.
+    """State the program of this module for a backend; its unknowns are the states, one sample after the other.
 
     Its matrix is block bidiagonal, but a backend of this library takes it as a table: for short records, by which
     `smooth` is checked.

@@ -29,7 +29,7 @@ MotionSource = str | Path | Record | Motion
 
 
 def models_of(source: ModelSource, backend: Backend) -> Models:
-    """The models before and after closing the loop; it is closed here where that was not done before.
+    """Return the models before and after closing the loop, which is closed here where it was not before.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def models_of(source: ModelSource, backend: Backend) -> Models:
 
 
 def _of_file(source: str | Path, backend: Backend) -> Models:
-    """The models of a measurement file, a record file, or what `loop --json` wrote."""
+    """Read the models of a measurement file, a record file, or what `loop --json` wrote."""
     if Path(source).suffix.lower() == ".json":
         return _of_json(Path(source))
     if not is_record_file(source):
@@ -98,7 +98,7 @@ def load_unscaled(path: str | Path) -> tuple[Experiment, bool]:
 
 
 def models_of_loop(closure: Closure, *, mass_known: bool = True) -> Models:
-    """The models that a closed loop began and ended with.
+    """Return the models that a closed loop began and ended with.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def models_of_loop(closure: Closure, *, mass_known: bool = True) -> Models:
 
 
 def _of_json(path: Path) -> Models:
-    """The models in what `loop --json` wrote."""
+    """Read the models from what `loop --json` wrote."""
     try:
         declared = json.loads(read_text(path))
     except json.JSONDecodeError as error:
@@ -123,7 +123,7 @@ def _of_json(path: Path) -> Models:
 
 
 def motion_of(source: MotionSource) -> Motion:
-    """What drives the frame.
+    """Read what drives the frame.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def motion_of(source: MotionSource) -> Motion:
 
 
 def state_of(experiment: Experiment, record: Motion | Recording, name: str | None = None) -> Configuration:
-    """The configuration that the frame was in while it moved.
+    """Find the configuration that the frame was in while it moved.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def state_of(experiment: Experiment, record: Motion | Recording, name: str | Non
 
 
 def state_remarks(experiment: Experiment, record: Motion | Recording, configuration: Configuration) -> list[str]:
-    """What was assumed about the state of the frame while it was recorded."""
+    """Say what was assumed about the state of the frame while it was recorded."""
     if record.state is not None and record.state != configuration.state:
         return [
             f'the record is of state "{record.state}", of which nothing was measured: the model is that of '
@@ -199,7 +199,7 @@ def state_remarks(experiment: Experiment, record: Motion | Recording, configurat
 
 
 def _unused(experiment: Experiment, added: Floats) -> str:
-    """A name for a state that was not tested, which no effect of a tested one acts on."""
+    """Make a name for a state that was not tested, which no effect of a tested one acts on."""
     taken = {each.name for each in experiment.configurations}
     name = f"{added.sum():g} kg added" if np.any(added) else "nothing added"
     while name in taken:

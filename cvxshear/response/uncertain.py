@@ -89,7 +89,7 @@ class UncertainFrame:
         return self._state(self.configuration, self.fitted.theta).story_stiffness
 
     def undamped(self, theta: Floats) -> DampedModel:
-        """The matrices of this state at given parameters, without damping."""
+        """Build the matrices of this state at given parameters, without damping."""
         state = self._state(self.configuration, theta)
         M, K = state.system.M, state.system.K
         return DampedModel(M, np.zeros_like(M), K, state.gain, self.fitted.experiment.frame.story_heights)
@@ -127,7 +127,7 @@ class UncertainFrame:
         return root
 
     def at(self, xi: Floats, near: Damped | None = None) -> Damped:
-        """The damped model at one value of xi.
+        """Build the damped model at one value of xi.
 
         Parameters
         ----------
@@ -146,7 +146,7 @@ class UncertainFrame:
         return self.damped(theta, dataclasses.replace(self.ratios, values=zeta), near)
 
     def damped(self, theta: Floats, ratios: Ratios, near: Damped | None = None) -> Damped:
-        """The damped model of given parameters and ratios.
+        """Build the damped model of given parameters and ratios.
 
         Dashpots and Rayleigh's factors are those of the state in which the ratios were measured; modal damping has the
         same ratios in every state.
@@ -192,7 +192,7 @@ as far as that."""
 
 
 def propagated(frame: UncertainFrame, function: Callable[[Damped], Floats]) -> tuple[Damped, Floats]:
-    """The frame as it was fitted, and the standard deviations of a function of it.
+    """Return the frame as it was fitted, and the standard deviations of a function of it.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def propagated(frame: UncertainFrame, function: Callable[[Damped], Floats]) -> t
 def sampled(
     frame: UncertainFrame, function: Callable[[Damped], Floats], samples: int, rng: np.random.Generator
 ) -> Floats:
-    """The function at random frames, shape (samples, ...): what the linear propagation is checked by.
+    """Evaluate a function at random frames, shape (samples, ...), to check the linear propagation.
 
     Parameters
     ----------

@@ -29,8 +29,9 @@ AMPLITUDE_STD = 0.15
 """Relative standard deviation of one factor on all story stiffnesses: instrumented buildings soften by some 5 to 30 %
 in strong shaking and mostly recover (Clinton, Bradford, Heaton and Favela 2006), bench frames by some percent."""
 
-SCATTER_STD = 0.01
-"""Relative standard deviation by which unchanged stories soften differently: a tenth of what the whole frame does."""
+SCATTER_STDS = (0.0003, 0.001, 0.003, 0.01)
+"""Relative standard deviations by which unchanged stories soften differently, compared by their evidence: from a frame
+whose stories all are what they were, or all softened alike, to a tenth of what the whole frame does."""
 
 DAMPING_STD = 0.5
 """Standard deviation of the logarithm of one factor on all damping: ratios double or halve with the amplitude."""
@@ -41,9 +42,9 @@ OTHER_DAMPING_STD = 0.3
 NOISE_STD = 1.0
 """Standard deviation of the logarithm of each noise level: a factor of seven to either side is within two."""
 
-FORM_STDS = (0.003, 0.01, 0.03, 0.1)
-"""Standard deviations of e_ij that are compared by their evidence: from a model as good as the best data
-to one whose modes have little to do with the frame's."""
+FORM_STDS = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1)
+"""Standard deviations of e_ij that are compared by their evidence: from a shear frame, in which the best data would
+show no error, to one whose modes have little to do with the model's."""
 
 MODAL_STEP = 1e-3
 """Step of the unknowns by which modes are differentiated: their curvature leaves a thousandth of a derivative."""
@@ -119,7 +120,7 @@ class VariedFrame:
         return np.asarray(np.sqrt(np.maximum(square, 1e-8)), dtype=np.float64)
 
     def model(self, unknowns: Floats) -> DampedModel:
-        """The frame of given unknowns: logarithms, logarithms, standard deviations, and e_ij.
+        """Build the frame of given unknowns: logarithms, logarithms, standard deviations, and e_ij.
 
         Raises
         ------
@@ -143,7 +144,7 @@ class VariedFrame:
 
 
 def _form(model: DampedModel, measured: int) -> Floats:
-    """The matrices that e_ij multiply, shape (X, N, N); those of modes beyond the measured ones are larger."""
+    """Build the matrices that e_ij multiply, shape (X, N, N); those of modes beyond the measured ones are larger."""
     own = model.modes
     # M phi_i omega_i, a row a mode.
     rows = (own.shapes * np.sqrt(own.eigenvalues)[:, None]) @ model.M
@@ -174,7 +175,7 @@ class ModalRows:
 
     @staticmethod
     def around(frame: UncertainFrame, varied: VariedFrame) -> ModalRows:
-        """The rows of all tests of the frame's state."""
+        """Linearise all tests of the frame's state."""
         N, D, W, X = varied.sizes
         configurations = frame.fitted.experiment.configurations
         tests = [each for each in configurations if each.state == frame.configuration.state]
@@ -250,7 +251,7 @@ class FramePrior:
 
     @staticmethod
     def around(frame: UncertainFrame, varied: VariedFrame, others: int) -> FramePrior:
-        """What was identified, and what is expected of a story that changed."""
+        """Take what was identified, and what is expected of a story that changed."""
         change = _expected_change(frame.fitted.experiment)
         size = float(change.sizes(None)[0])  # type: ignore[arg-type]  # this effect's size needs no scale of the frame
         probability = 1.0 - (1.0 - change.probability) ** (1.0 / frame.fitted.experiment.stories)
@@ -259,13 +260,18 @@ class FramePrior:
             others, ModalRows.around(frame, varied),
         )  # fmt: skip
 
-    def gaussian(self, changed: Sequence[int], form_std: float, *, same: bool = False) -> Gaussian:
-        """The prior with given stories (from 0) changed, and a given standard deviation of e_ij.
+    def gaussian(
+        self, changed: Sequence[int], form_std: float, scatter_std: float, *, same: bool = False
+    ) -> Gaussian:
+        """Return the prior with given stories (from 0) changed, and given standard deviations.
 
         Parameters
         ----------
         changed : sequence of int
         form_std : float
+            Of e_ij.
+        scatter_std : float
+            Of the factor of each story that did not change.
         same : bool, optional
             Whether stiffnesses and damping are still those of the tests.
         """
@@ -277,7 +283,7 @@ class FramePrior:
         damping = np.diag(self.own_damping**2) + (0.0 if same else DAMPING_STD**2)
         whole = linalg.block_diag(self.identified, damping, np.diag(rest), NOISE_STD**2 * np.eye(self.others))
         if not same:
-            whole[:N, :N] += AMPLITUDE_STD**2 + SCATTER_STD**2 * np.eye(N)
+            whole[:N, :N] += AMPLITUDE_STD**2 + scatter_std**2 * np.eye(N)
             whole[list(changed), list(changed)] += self.change_std**2
         # The record's stiffnesses are those of the tests times factors: both move along with the measured modes.
         crossed = np.zeros((len(whole), len(tested)))
@@ -302,7 +308,7 @@ class Gaussian:
 
 
 def _expected_change(experiment: Experiment) -> StoryChange:
-    """A story's change, as the measurement file expects it or as the catalogue does."""
+    """Return a story's change, as the measurement file expects it or as the catalogue does."""
     change = StoryChange()
     for said in experiment.expected:
         if said.name == change.name and said.story is None:

@@ -45,7 +45,7 @@ HIGHEST_TIMES_FREQUENCY = 200.0
 """m Hz. A building's first frequency is 46 Hz m over its height (Ellis 1980), within a factor of two or so;
 rad/s would make that 290."""
 
-NEAR = 0.15
+UNIT_FACTOR_WITHIN = 0.15
 """Of the logarithm: so near must a ratio be to a factor between units."""
 
 STEEP = 0.15
@@ -294,7 +294,7 @@ def _frequencies(mass: Floats, stiffness: Floats) -> Floats:
 
 
 def _near(value: float, size: float) -> bool:
-    return bool(abs(np.log(value / size)) < NEAR)
+    return bool(abs(np.log(value / size)) < UNIT_FACTOR_WITHIN)
 
 
 def total_mass(experiment: Experiment) -> Iterator[Finding]:
@@ -367,5 +367,5 @@ def implied_total(experiment: Experiment) -> tuple[float, float]:
     return float(share.sum()), float(np.sqrt(scatter * by_masses @ covariance[:N, :N] @ by_masses))
 
 
-DOUBTS = (angular_frequency, heights, added_up, masses, gravity, slow, deviations, repeats)
+DOUBT_CHECKS = (angular_frequency, heights, added_up, masses, gravity, slow, deviations, repeats)
 """What is looked for in the declaration, whatever the shapes are like."""

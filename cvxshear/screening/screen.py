@@ -23,7 +23,7 @@ from cvxshear.measurement.declaration import NUMBERS
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import Reading
 from cvxshear.measurement.sign_rule import violations
-from cvxshear.screening.doubts import DOUBTS, frequency_units, total_mass
+from cvxshear.screening.doubts import DOUBT_CHECKS, frequency_units, total_mass
 from cvxshear.screening.repairs import KINDS, Repair
 from cvxshear.screening.results import Finding
 from cvxshear.screening.shear_fit import (
@@ -55,7 +55,7 @@ costs more than a mistake that is only suspected."""
 SUSPICIOUS = 25.0
 """Cost of a reading as given below which no repair can be that much more probable: it needs 2 log of 1e5."""
 
-ALIKE = 9.0
+RIVAL_COST = 9.0
 """Repairs whose cost is so near to the best one's are named with it: at least a hundredth as probable."""
 
 PLAUSIBLE = 4.0
@@ -143,7 +143,7 @@ def screen(experiment: Experiment) -> tuple[Finding, ...]:
     """
     found = [*frequency_units(experiment), *(item for each in experiment.configurations for item in mistakes(each))]
     # Frequencies and shapes that are wrong tell no mass.
-    for doubt in DOUBTS if found else (total_mass, *DOUBTS):
+    for doubt in DOUBT_CHECKS if found else (total_mass, *DOUBT_CHECKS):
         said = {item.name for item in found}
         found += [item for item in doubt(experiment) if item.name not in said]
     return tuple(item for item in found if not item.accepted(experiment.frame.accept))
@@ -221,7 +221,7 @@ class Verdict:
         left = max(PLAUSIBLE * best.repair.reading.count, UNEXPLAINED * self.given.cost)
         if best.cost - best.prior_cost > left or best.cost - self.given.cost > 2 * np.log(LEFT_TO_GIVEN):
             return ()
-        return tuple(item for item in self.judged if item.cost - best.cost < ALIKE)
+        return tuple(item for item in self.judged if item.cost - best.cost < RIVAL_COST)
 
 
 def judge(reading: Reading) -> Verdict:

@@ -28,7 +28,7 @@ from cvxshear.fit.domain import Domain
 from cvxshear.fit.expectation import MASS_WIDTH, STIFFNESS_WIDTH
 from cvxshear.fit.gauss_newton import gauss_newton
 from cvxshear.fit.optimality import PlainResiduals
-from cvxshear.fit.start import PASSES, solved_story_equations
+from cvxshear.fit.start import START_PASSES, solved_story_equations
 from cvxshear.measurement.reading import CLOSER, FARTHER, Reading
 from cvxshear.model.shear import Modes, mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
 from cvxshear.priors import Constraints
@@ -45,7 +45,7 @@ STARTING_LOG = 3.0
 ODD = 1e-3
 """Stiffness of the one story, and inverse mass of the one floor, of the odd frames that a fit starts from."""
 
-MOST_FIT_STEPS = 60
+MOST_NEAREST_STEPS = 60
 """Step programs at most, in one fit."""
 
 ENOUGH = 3e-2
@@ -118,7 +118,7 @@ def story_starts(reading: Reading, at: Iterable[Floats]) -> list[Floats]:
     for start in at:
         theta = np.exp(_tuned(reading, start))
         with suppress(CvxshearError):
-            for _ in range(PASSES):
+            for _ in range(START_PASSES):
                 theta = solved_story_equations(
                     reading.scaled, eigenvalues, np.zeros(reading.scaled.shape), theta, unit, weighed=True
                 )
@@ -140,7 +140,7 @@ def _tuned(reading: Reading, theta: Floats) -> Floats:
 
 
 def fit(
-    reading: Reading, at: Iterable[Floats], *, weights: Floats | None = None, most_steps: int = MOST_FIT_STEPS
+    reading: Reading, at: Iterable[Floats], *, weights: Floats | None = None, most_steps: int = MOST_NEAREST_STEPS
 ) -> NearestFrame:
     """Return the best of the fits that begin at these frames.
 
@@ -194,9 +194,9 @@ def robust_fit(reading: Reading, at: Floats) -> NearestFrame:
     return found
 
 
-def shape_residual(reading: Reading, of: Modes, weights: Floats) -> Floats:
+def shape_residual(reading: Reading, found: Modes, weights: Floats) -> Floats:
     """Shapes of a frame less those read, each scaled to it by least squares, in standard deviations, shape (m, n)."""
-    psi = weights * of.shapes[np.ix_(reading.modes, reading.floors)]
+    psi = weights * found.shapes[np.ix_(reading.modes, reading.floors)]
     read = weights * reading.scaled
     residual: Floats = _share(psi, read) * psi - read
     return residual
@@ -209,17 +209,17 @@ def _share(psi: Floats, read: Floats) -> Floats:
     return share
 
 
-def misfit(reading: Reading, of: Modes) -> float:
+def misfit(reading: Reading, found: Modes) -> float:
     """Add up the first two sums above for a frame of only about the right proportions, its scale free."""
-    off = np.log(of.frequencies[reading.modes]) - reading.log_frequencies
-    shapes = shape_residual(reading, of, reading.weights)
+    off = np.log(found.frequencies[reading.modes]) - reading.log_frequencies
+    shapes = shape_residual(reading, found, reading.weights)
     return float(np.sum(((off - off.mean()) / ABOUT) ** 2) + np.sum(shapes**2))
 
 
-def farthest(reading: Reading, of: Modes) -> float:
+def farthest(reading: Reading, found: Modes) -> float:
     """Find the largest difference of a frequency or an entry from those of a frame, in standard deviations."""
-    frequency = (np.log(of.frequencies[reading.modes]) - reading.log_frequencies) / reading.frequency_std
-    shapes = shape_residual(reading, of, reading.weights)
+    frequency = (np.log(found.frequencies[reading.modes]) - reading.log_frequencies) / reading.frequency_std
+    shapes = shape_residual(reading, found, reading.weights)
     return float(max(np.max(np.abs(frequency)), np.max(np.abs(shapes))))
 
 
@@ -242,7 +242,7 @@ class ShearFrames:
         self.prior[:N, :N] = (about_mean if centred else np.eye(N)) / MASS_WIDTH
         self.prior[N:, N:] = about_mean / STIFFNESS_WIDTH
 
-    def nearest(self, start: Floats, most_steps: int = MOST_FIT_STEPS) -> NearestFrame:
+    def nearest(self, start: Floats, most_steps: int = MOST_NEAREST_STEPS) -> NearestFrame:
         """Fit a frame by Gauss-Newton from these logarithms, shape (2N,)."""
         size = len(start)
         within = NamedConstraints("reach", Constraints(lower=start - FARTHEST_LOG, upper=start + FARTHEST_LOG))

@@ -49,7 +49,7 @@ TICKS = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999)
     narrow=True,
 )
 def ranking(result: Closure) -> Figure:
-    """The probability of each effect before the data and with them, on an axis of log odds.
+    """Draw the probability of each effect before the data and with them, on an axis of log odds.
 
     Parameters
     ----------
