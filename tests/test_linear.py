@@ -148,11 +148,16 @@ def test_what_a_frame_changes_instead_of_a_story_is_first_of_all_that_story(line
     assert linear.confounders(CHANGE_4, names, share=0.999) == ("stiffness 4",)
 
 
-def drawn_normal(seed):
-    """The slope b and information h of two parameters, and sizes that are expected of them."""
+def drawn_columns(seed):
+    """Columns of two parameters, a residual, and the sizes that are expected of them."""
     rng = np.random.default_rng(seed)
-    columns = rng.standard_normal((6, 2)) * [3.0, 0.5]
-    return columns.T @ rng.normal(0.0, 2.0, 6), columns.T @ columns, np.array([0.4, 1.5])
+    return rng.standard_normal((6, 2)) * [3.0, 0.5], rng.normal(0.0, 2.0, 6), np.array([0.4, 1.5])
+
+
+def drawn_normal(seed):
+    """The slope b and information h of the same, and their sizes."""
+    columns, r, stds = drawn_columns(seed)
+    return -columns.T @ r, columns.T @ columns, stds
 
 
 def gained(b, h, stds):
@@ -168,17 +173,29 @@ def over_log_sizes(log_gain, points=4001):
     return np.log(integrate.trapezoid(np.exp(logs - logs.max()), t)) + logs.max(), t[np.argmax(logs)]
 
 
+def gain_of_two(seed, *, tail=np.inf, lower=-np.inf):
+    """What the linearised model says of an effect of these two, the first bounded below."""
+    columns, r, stds = drawn_columns(seed)
+    parameters = [SimpleNamespace(lower=each, upper=np.inf, null=1.0) for each in (lower, -np.inf)]
+    effect = SimpleNamespace(rescales=(), common_size=False, tail=tail, parameters=parameters)
+    own = SimpleNamespace(expectation=SimpleNamespace(of=lambda placed: stds))
+    return Linearised._gain_of_several(own, SimpleNamespace(effect=effect), columns, r)
+
+
 @pytest.mark.parametrize("seed", range(3))
-def test_the_gain_by_several_parameters_is_the_integral_over_them(linear, seed):
+def test_the_gain_by_several_parameters_is_the_integral_over_them(seed):
     b, h, stds = drawn_normal(seed)
-    free = SimpleNamespace(lower=-np.inf, upper=np.inf, null=0.0)
-    placed = SimpleNamespace(effect=SimpleNamespace(parameters=[free, free]))
-    assert linear._gain_of_normal(placed, b, h, stds) == pytest.approx(gained(b, h, stds), rel=1e-9)
+    assert gain_of_two(seed) == pytest.approx(gained(b, h, stds), rel=1e-9)
     # A bound at half a deviation leaves a prior that is as much higher.
-    half = SimpleNamespace(lower=1.0 - 0.5 * stds[0], upper=np.inf, null=1.0)
-    placed = SimpleNamespace(effect=SimpleNamespace(parameters=[half, free]))
-    expected = gained(b, h, stds) - stats.norm.logcdf(0.5)
-    assert linear._gain_of_normal(placed, b, h, stds) == pytest.approx(expected, rel=1e-9)
+    bounded = gained(b, h, stds) - stats.norm.logcdf(0.5)
+    assert gain_of_two(seed, lower=1.0 - 0.5 * stds[0]) == pytest.approx(bounded, rel=1e-9)
+    # Student's t with four degrees of freedom, by quadrature.
+    x = np.linspace(-25.0, 25.0, 2001)
+    first, second = np.meshgrid(x * stds[0], x * stds[1], indexing="ij")
+    logs = b[0] * first + b[1] * second - 0.5 * (h[0, 0] * first**2 + h[1, 1] * second**2) - h[0, 1] * first * second
+    logs += stats.t.logpdf(x, 4)[:, None] + stats.t.logpdf(x, 4)
+    expected = logs.max() + np.log(np.exp(logs - logs.max()).sum() * (x[1] - x[0]) ** 2)
+    assert gain_of_two(seed, tail=4.0) == pytest.approx(expected, abs=0.1)
 
 
 @pytest.mark.parametrize("seed", range(3))
