@@ -432,9 +432,10 @@ def main():
             return
     some = drawn(given.mutants, given.seed, given.module)
     sys.dont_write_bytecode = True
+    known = units(given.map)
     names = warmed_up()
     names |= {name.partition("::")[0] for name in names}
-    known = [each for each in units(given.map) if each.name in names]
+    known = [each for each in known if each.name in names]
     left = survivors(some, known, given.limit, lambda line: print(line, flush=True))
     print(f"{len(some) - len(left)} of {len(some)} changes found (seed {given.seed})")
     for mutant in left:
