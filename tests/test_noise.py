@@ -17,6 +17,7 @@ from tests.frames import configuration, experiment
 MASS = np.array([21e3, 19e3, 19.5e3, 18e3, 17e3, 20e3])
 STIFFNESS = np.array([30e6, 36e6, 33e6, 27e6, 22e6, 25e6])
 ADDED = (None, [2e3, 6e3, 4e3, 7e3, 3e3, 5e3], [9e3, 0, 0, 4e3, 0, 0])
+STDS = ("frequency_std", "mode_shape_std")
 DEFAULTS = {"frequency": 0.002, "mode_shape": 0.01}
 
 
@@ -258,3 +259,14 @@ def test_factors_taken_as_they_are_have_the_gain_of_laplace_there():
     assert said["frequency"] == pytest.approx({"factor": 1.7, "std": 1.7 * np.sqrt(found.covariance[0, 0])})
     assert said["mode_shape"] == pytest.approx({"factor": 0.9, "std": 0.9 * np.sqrt(found.covariance[1, 1])})
     assert said["displacement"] is None
+
+
+@pytest.mark.parametrize("left_out", [STDS, (*STDS, "mode_shapes", "measured_floors")])
+def test_shapes_of_a_single_sensor_tell_nothing_whatever_their_noise(left_out):
+    """Each shape's scale is free: one entry of it is no datum, and frequencies fix the frame."""
+    tables = [configuration(MASS, STIFFNESS, added, measured_floors=[3], modes=[1, 2, 3]) for added in ADDED]
+    tables = [{key: value for key, value in table.items() if key not in left_out} for table in tables]
+    declared = experiment(MASS, STIFFNESS, *tables, frame={"floor_masses": MASS.tolist()})
+    found = efficient(Experiment.from_dict(declared), backends.get("auto"))
+    np.testing.assert_allclose(found.theta[6:], STIFFNESS, rtol=1e-4)
+    assert found.dof == 9 - 6

@@ -268,7 +268,8 @@ class Misfit:
             keys += own
         soft = self._soft(theta)
         expected, expected_keys, frame = self.expectation.residuals(theta, self.effects, dict(self.noise.factors))
-        places = {"": -1, **{item.key: place for place, item in enumerate(self.unknown)}}
+        # Shapes of a single sensor have no declared deviation and no information that would tell it.
+        places = {item.key: place for place, item in enumerate(self.unknown)}
         keys += [""] * len(soft[0]) + expected_keys + [""] * len(frame[0])
         r = np.concatenate([*parts, soft[0], expected[0], frame[0]])
         measured = len(r) - len(expected[0]) - len(frame[0])
@@ -280,7 +281,7 @@ class Misfit:
             measured,
             len(r) - len(frame[0]),
             tuple(len(part) for part in parts[1:]),
-            np.array([places[key] for key in keys], dtype=np.int64),
+            np.array([places.get(key, -1) for key in keys], dtype=np.int64),
         )
 
     def _model(self, tested: Tested, theta: Floats, by: slice, derivatives: bool) -> Model:

@@ -55,7 +55,8 @@ class Invariances:
             return []
         basis = _basis(self.free[:, ~own])
         wanted = _without(basis, self.free[:, own])
-        if np.max(np.linalg.norm(wanted, axis=0) / np.linalg.norm(self.free[:, own], axis=0)) <= BEYOND_FRAME:
+        size = np.linalg.norm(self.free[:, own], axis=0)
+        if np.max(np.linalg.norm(wanted, axis=0) / np.where(size > 0, size, 1.0)) <= BEYOND_FRAME:
             return []
         return [
             other

@@ -79,7 +79,7 @@ class Reading:
     @property
     def largest(self) -> Floats:
         """The size of each row's largest entry, shape (m, 1); 1 where nothing was measured."""
-        size = np.max(np.abs(np.where(self.known, self.shapes, 0.0)), axis=1, keepdims=True)
+        size = np.max(np.abs(np.where(self.known, self.shapes, 0.0)), axis=1, keepdims=True, initial=0.0)
         return np.where(size > 0, size, 1.0)
 
     @property
