@@ -7,6 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from scipy import linalg
 
 from cvxshear import InfeasibleError, NoSolutionError, backends
 from cvxshear.backends import canonical
@@ -310,3 +311,40 @@ def test_equalities_of_any_scale_that_contradict_each_other_are_refused(side):
             backends.get("auto").solve(program)
     else:
         np.testing.assert_allclose(backends.get("auto").solve(program).x, [5.0, 1.0], rtol=1e-9)
+
+
+@pytest.mark.parametrize(("n", "constraints"), [(5, 0), (5, 1), (5, 2), (102, 0), (102, 3)])
+def test_the_bounds_of_the_minimizer_are_those_of_its_formulas(n, constraints):
+    """delta x = H f + Z (Z'R'RZ)^-1 Z'g + P d, written out; beyond a hundred unknowns by lengths of rows."""
+    rng = np.random.default_rng(n + constraints)
+    R, s = rng.standard_normal((2 * n, n)) * rng.uniform(1e-2, 1e2, n), rng.standard_normal(2 * n)
+    A, b = rng.standard_normal((constraints, n)), rng.standard_normal(constraints)
+    program = LeastSquares(R, s, A=A, b=b, G=-np.eye(1, n), h=np.array([1e9])) if constraints else LeastSquares(R, s)
+    found = minimizer(
+        Assembled(program), Point(np.zeros(n), np.zeros(constraints), np.zeros(len(program.inequalities[1])))
+    )
+    D = 1 / np.linalg.norm(R, axis=0)
+    C, B = R * D, A * D
+    scale = np.linalg.norm(B, axis=1)
+    B, c = B / scale[:, None], b / scale
+    Z = linalg.null_space(B) if constraints else np.eye(n)
+    inverse = Z @ np.linalg.inv(Z.T @ C.T @ C @ Z) @ Z.T
+    P = (np.eye(n) - inverse @ C.T @ C) @ np.linalg.pinv(B)
+    z = inverse @ C.T @ s + P @ c
+    np.testing.assert_allclose(found.point.x, D * z, rtol=1e-8)
+    residual = C @ z - s
+    deviation = np.sqrt(residual @ residual / (2 * n - n + constraints))
+    np.testing.assert_allclose(found.deviations, D * deviation * np.sqrt(np.diag(inverse)), rtol=1e-6)
+    u = 4 * np.finfo(float).eps
+    f = u * np.sqrt(n) * (np.abs(C) @ np.abs(z) + np.abs(s))
+    g = u * np.sqrt(2 * n) * np.abs(C).T @ np.abs(residual)
+    if n <= 100:
+        expected = np.abs(inverse @ C.T) @ f + np.abs(inverse) @ g
+    else:
+        reach = np.sqrt(np.diag(inverse))
+        expected = reach * (np.linalg.norm(f) + reach @ g)
+    expected += np.abs(P) @ (u * np.sqrt(n) * (np.abs(B) @ np.abs(z) + np.abs(c)))
+    # The last correction, of the size of rounding, is added.
+    np.testing.assert_allclose(found.errors, D * expected, rtol=0.2)
+    np.testing.assert_allclose(A.T @ found.point.y, R.T @ (s - R @ found.point.x), atol=1e-6 * np.abs(R.T @ s).max())
+    assert not found.point.w.any()

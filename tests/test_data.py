@@ -12,8 +12,11 @@ from cvxshear.cli import main
 from cvxshear.data import Datum, ErrorFigure, Frequencies, Model, NoiseKind, Residual, Shapes, Static, data_of, register
 from cvxshear.data import base as registry_module
 from cvxshear.data.base import largest
+from cvxshear.data.pairing import numbered, scaled
 from cvxshear.effects import compose
 from cvxshear.fit.misfit import Misfit
+from cvxshear.measurement.configuration import Configuration
+from cvxshear.model.shear import modes
 from cvxshear.report import terminal
 from cvxshear.report.html import render
 from cvxshear.util.errors import InputError
@@ -301,3 +304,51 @@ def test_modes_that_changed_places_are_paired_by_their_shapes():
     (model,) = Misfit(Experiment.from_dict(swapped)).evaluate(theta()).models
     np.testing.assert_array_equal(model.paired, [0, 1, 3, 2])
     np.testing.assert_array_equal(Misfit(of).evaluate(theta()).models[0].paired, [0, 1, 2, 3])
+
+
+def frame_with_masses(*attached):
+    """Modes and mass matrix of the frame of two floors with masses (floor, kg, Hz) attached to it."""
+    n = 2 + len(attached)
+    M, K = np.zeros((n, n)), np.zeros((n, n))
+    M[:2, :2], K[:2, :2] = chain([10.0, 8.0], [9e3, 7e3])
+    for own, (floor, mass, frequency) in enumerate(attached, 2):
+        M[own, own] = mass
+        at = np.ix_((floor, own), (floor, own))
+        K[at] += mass * (2 * np.pi * frequency) ** 2 * np.array([[1, -1], [-1, 1]])
+    return modes(M, K), M
+
+
+def measured_modes(frequencies, which=(1, 2)):
+    return Configuration(np.array(frequencies), modes=np.array(which), added_mass=np.zeros(2))
+
+
+def test_numbers_of_modes_count_those_of_the_frame_without_an_attached_mass_s_own():
+    plain, M = frame_with_masses()
+    np.testing.assert_array_equal(numbered(measured_modes(plain.frequencies), plain, M), [0, 1])
+    low, high = plain.frequencies
+    # Far from every mode of the frame the mass has one of its own, whatever was measured.
+    for frequency, own in ((0.1 * low, 0), (0.5 * (low + high), 1), (10 * high, 2)):
+        found, M = frame_with_masses((1, 0.01, frequency))
+        rest = np.delete(np.arange(3), own)
+        for measured in (found.frequencies[:2], found.frequencies[1:], found.frequencies[[0, 2]]):
+            np.testing.assert_array_equal(numbered(measured_modes(measured), found, M), rest)
+        np.testing.assert_array_equal(numbered(measured_modes([3.0], [2]), found, M), rest[1:])
+    # Tuned to the first mode it makes two of it: the one that was measured counts.
+    found, M = frame_with_masses((1, 0.05, low))
+    for measured in ([0, 2], [1, 2]):
+        np.testing.assert_array_equal(numbered(measured_modes(found.frequencies[measured]), found, M), measured)
+    # Of several masses the modes with most of their energy are left out.
+    found, M = frame_with_masses((0, 0.01, 0.1 * low), (1, 0.01, 0.5 * (low + high)))
+    np.testing.assert_array_equal(numbered(measured_modes(plain.frequencies), found, M), [1, 3])
+
+
+def test_a_scale_is_that_of_weighted_least_squares():
+    rng = np.random.default_rng(3)
+    measured, modelled, weights = rng.standard_normal((3, 2, 5))
+    weights[1] = 0.0
+    scale, unit = scaled(measured, modelled, np.abs(weights))
+    column, side = np.abs(weights[0]) * modelled[0], np.abs(weights[0]) * measured[0]
+    assert scale[0] == pytest.approx(np.linalg.lstsq(column[:, None], side, rcond=None)[0][0])
+    np.testing.assert_allclose(unit[0], column / np.linalg.norm(column))
+    assert scale[1] == 0.0
+    assert not unit[1].any()

@@ -1,13 +1,17 @@
 """The linearised model at a fit, against fits, evidences and finite differences."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from scipy import integrate, stats
 
 from cvxshear import Experiment, backends
 from cvxshear.effects import Place, Placed, Scale, named
 from cvxshear.fit.efficient import efficient, fitted_with
 from cvxshear.fit.expectation import Expectation
 from cvxshear.fit.misfit import Misfit
+from cvxshear.loop import linear as module
 from cvxshear.loop.evidence import log_evidence
 from cvxshear.loop.linear import Linearised
 from tests.frames import configuration, experiment, modes_of
@@ -122,3 +126,104 @@ def test_the_triangle_of_an_evaluation_stands_for_its_rows(base):
     rows = np.sum((at.J @ steps + at.r[:, None]) ** 2, axis=0)
     short = np.sum((U @ steps + c[:, None]) ** 2, axis=0)
     np.testing.assert_allclose(np.diff(rows), np.diff(short), rtol=1e-8)
+
+
+def test_how_much_surer_an_effect_is_known_is_the_ratio_of_precisions(base, linear):
+    """1 + (expected size / deviation from the data alone)^2, by a fit of which nothing is expected."""
+    for placed in (MASS_3, GAIN_2, CHANGE_4):
+        wide = Expectation(SCALE, {placed: np.array([1e9])})
+        free = fitted_with(
+            Misfit(base.experiment, [placed], expectation=wide),
+            np.append(base.theta, placed.start),
+            backends.get("auto"),
+        )
+        expected = 1 + (EXPECTED.of(placed)[0] / free.uncertainty.std()[10]) ** 2
+        assert linear.told(placed) == pytest.approx(expected, rel=0.1)
+
+
+def test_what_a_frame_changes_instead_of_a_story_is_first_of_all_that_story(linear):
+    names = [f"{kind} {i}" for kind in ("mass", "stiffness") for i in range(1, 6)]
+    assert linear.confounders(CHANGE_4, names)[0] == "stiffness 4"
+    assert set(linear.confounders(CHANGE_4, names, share=0.0)) == set(names)
+    assert linear.confounders(CHANGE_4, names, share=0.999) == ("stiffness 4",)
+
+
+def drawn_columns(seed):
+    """Columns of two parameters, a residual, and the sizes that are expected of them."""
+    rng = np.random.default_rng(seed)
+    return rng.standard_normal((6, 2)) * [3.0, 0.5], rng.normal(0.0, 2.0, 6), np.array([0.4, 1.5])
+
+
+def drawn_normal(seed):
+    """The slope b and information h of the same, and their sizes."""
+    columns, r, stds = drawn_columns(seed)
+    return -columns.T @ r, columns.T @ columns, stds
+
+
+def gained(b, h, stds):
+    """log of the integral of exp(b'x - x'h x / 2) over x normal about zero with these deviations."""
+    H = h + np.diag(stds**-2.0)
+    return 0.5 * b @ np.linalg.solve(H, b) - 0.5 * np.linalg.slogdet(np.diag(stds**2) @ H)[1]
+
+
+def over_log_sizes(log_gain, points=4001):
+    """log of the mean of a gain over a normal variable, and where gain times density is largest."""
+    t = np.linspace(-9.0, 9.0, points)
+    logs = np.array([log_gain(each) for each in t]) + stats.norm.logpdf(t)
+    return np.log(integrate.trapezoid(np.exp(logs - logs.max()), t)) + logs.max(), t[np.argmax(logs)]
+
+
+def gain_of_two(seed, *, tail=np.inf, lower=-np.inf):
+    """What the linearised model says of an effect of these two, the first bounded below."""
+    columns, r, stds = drawn_columns(seed)
+    parameters = [SimpleNamespace(lower=each, upper=np.inf, null=1.0) for each in (lower, -np.inf)]
+    effect = SimpleNamespace(rescales=(), common_size=False, tail=tail, parameters=parameters)
+    own = SimpleNamespace(expectation=SimpleNamespace(of=lambda placed: stds))
+    return Linearised._gain_of_several(own, SimpleNamespace(effect=effect), columns, r)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_gain_by_several_parameters_is_the_integral_over_them(seed):
+    b, h, stds = drawn_normal(seed)
+    assert gain_of_two(seed) == pytest.approx(gained(b, h, stds), rel=1e-9)
+    # A bound at half a deviation leaves a prior that is as much higher.
+    bounded = gained(b, h, stds) - stats.norm.logcdf(0.5)
+    assert gain_of_two(seed, lower=1.0 - 0.5 * stds[0]) == pytest.approx(bounded, rel=1e-9)
+    # Student's t with four degrees of freedom, by quadrature.
+    x = np.linspace(-25.0, 25.0, 2001)
+    first, second = np.meshgrid(x * stds[0], x * stds[1], indexing="ij")
+    logs = b[0] * first + b[1] * second - 0.5 * (h[0, 0] * first**2 + h[1, 1] * second**2) - h[0, 1] * first * second
+    logs += stats.t.logpdf(x, 4)[:, None] + stats.t.logpdf(x, 4)
+    expected = logs.max() + np.log(np.exp(logs - logs.max()).sum() * (x[1] - x[0]) ** 2)
+    assert gain_of_two(seed, tail=4.0) == pytest.approx(expected, abs=0.1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("width", [0.5, 1.5])
+def test_a_common_size_is_integrated_out(seed, width):
+    b, h, stds = drawn_normal(seed)
+    expected, best = over_log_sizes(lambda t: gained(b, h, np.exp(width * t) * stds))
+    assert module._gain_of_common_size(b, h, stds, width) == pytest.approx(expected, abs=1e-3)
+    assert module._best_log_size(b, h, stds, width) == pytest.approx(width * best, abs=0.13 * width)
+
+
+@pytest.mark.parametrize("size", [0.3, 1.0, 6.0])
+@pytest.mark.parametrize("width", [0.5, 1.5])
+def test_an_accuracy_that_is_left_open_is_integrated_out_the_fit_following(size, width):
+    """Five residuals of twelve have e^2u times their variance, and e^u a normal logarithm beyond one."""
+    rng = np.random.default_rng(1)
+    Q = np.linalg.qr(rng.standard_normal((12, 3)))[0]
+    r = rng.standard_normal(12) * np.where(np.arange(12) < 5, size, 1.0)
+    r -= Q @ (Q.T @ r)
+
+    def log_gain(t):
+        u = 0.5 * np.log1p(np.exp(2 * width * t))
+        weight = np.where(np.arange(12) < 5, np.exp(-u), 1.0)
+        rows, sides = weight[:, None] * Q, weight * r
+        left = sides - rows @ np.linalg.lstsq(rows, sides, rcond=None)[0]
+        return 0.5 * (r @ r - left @ left) - 0.5 * np.linalg.slogdet(rows.T @ rows)[1] - 5 * u
+
+    expected, best = over_log_sizes(log_gain, 1001)
+    assert module._gain_of_noise(Q[:5], r[:5], width) == pytest.approx(expected, abs=1e-2)
+    found = module._best_log_noise(Q[:5], r[:5], width)
+    assert np.log(np.expm1(2 * found)) / 2 == pytest.approx(width * best, abs=0.13 * width)

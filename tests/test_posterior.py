@@ -132,3 +132,9 @@ def test_the_averaged_frame_is_a_mixture():
 def test_averaged_mixture_leaves_undetermined_what_no_set_determines():
     nan = model([], 1.0, mass=float("nan"), std=float("nan"))
     assert np.isnan(posterior(nan).averaged().floor_mass).all()
+
+
+@pytest.mark.parametrize("improbable", [True, False])
+def test_a_set_is_improbable_where_its_fit_is_and_not_where_it_has_none(improbable):
+    assert ModelClass(frozenset(), SimpleNamespace(improbable=improbable), -1.0, 0.0).improbable is improbable
+    assert ModelClass(frozenset(), None, -np.inf, 0.0, NoSolutionError("any", "it gave up")).improbable is False

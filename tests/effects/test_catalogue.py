@@ -11,7 +11,7 @@ from cvxshear.effects import registry as registry_module
 from cvxshear.effects.state import STAGES
 from cvxshear.measurement.experiment import Experiment, Frame
 from cvxshear.util.errors import InputError, NoModesError
-from tests.effects.common import ADDED, HEIGHTS, MASS, NAMES, STIFFNESS, composed, experiment, placed, theta
+from tests.effects.common import ADDED, HEIGHTS, MASS, NAMES, STIFFNESS, composed, experiment, modes_with, placed, theta
 from tests.effects.test_derivatives import CASES
 
 ACTING = [
@@ -123,6 +123,33 @@ def test_what_cannot_turn_the_sign_of_what_it_multiplies(name):
     assert one(name).parameters[0].lower > -1
 
 
+@pytest.mark.parametrize("name", sorted({*EITHER_SIGN, "total_mass"} - {"added_mass"}))
+def test_a_factor_may_be_as_small_as_it_may_be_large(name):
+    (parameter,) = one(name).parameters
+    assert (1 + parameter.lower) * (1 + parameter.upper) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("name", ["joint_release", "bracing"])
+def test_a_share_of_columns_stops_just_short_of_all_of_them(name):
+    assert 0.9 < one(name).parameters[-1].upper < 1
+
+
+def test_an_attached_mass_is_tuned_to_a_mode_within_a_factor():
+    _, frequency = one("attached_mass").parameters
+    assert frequency.lower * frequency.upper == pytest.approx(1.0)
+    assert (frequency.start, frequency.upper >= 10) == (1.0, True)
+
+
+@pytest.mark.parametrize("name", sorted({*ACTING, *BESIDE_OTHERS} - {"gravity"}))
+def test_a_frame_has_modes_at_the_ends_of_what_an_effect_may_be(name):
+    """Between them it is a model; the ends that a fit may come to are one, too."""
+    (there, _) = CASES[name]
+    for end in ("lower", "upper"):
+        values = tuple(getattr(item, end) for item in there.effect.parameters)
+        if np.all(np.isfinite(values)):
+            assert modes_with([there], values, number=1).eigenvalues[0] > 0
+
+
 @pytest.mark.parametrize("number", range(len(NAMES)))
 @pytest.mark.parametrize("name", [*ACTING, *BESIDE_OTHERS])
 def test_null_value_leaves_the_shear_frame(name, number):
@@ -158,10 +185,7 @@ def test_any_other_value_does_not(name):
         ("base_rocking", [Place()]),
         ("mass_coupling", [Place()]),
         ("ground_spring", [Place(floor=floor) for floor in FOUR[1:]]),
-        (
-            "sensor_gain",
-            [Place(floor=floor, state=name) for floor in FOUR for name in (None, *NAMES)],
-        ),
+        ("sensor_gain", [Place(floor=floor, state=name) for floor in FOUR for name in (None, *NAMES)]),
         ("added_mass", [Place(floor=floor, state=name) for floor in FOUR for name in NAMES]),
         ("story_change", [Place(story=story, state=name) for story in FOUR for name in NAMES]),
         ("spring", [Place(floor=1, to=3), Place(floor=1, to=4), Place(floor=2, to=4)]),
@@ -464,9 +488,7 @@ def test_an_effect_in_words(name, place, value, std, expected):
 
 def test_every_effect_is_said_in_words():
     assert {item[0] for item in SAID} == set(ALL) - {"wrong_prior", *WITH_A_MOTION}
-    said = one("attached_mass").phrase(
-        Place(floor=3), np.array([1.2, 2.1]), np.array([0.1, 0.02]), SCALE, ["kg", "Hz"]
-    )
+    said = one("attached_mass").phrase(Place(floor=3), np.array([1.2, 2.1]), np.array([0.1, 0.02]), SCALE, ["kg", "Hz"])
     assert said == "a mass of 1.20 ± 0.10 kg swings on floor 3 at 2.100 ± 0.020 Hz of its own"
 
 

@@ -1,0 +1,107 @@
+"""The discrete model of a frame and its noise, against the differential equations that it stands for."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import integrate, linalg
+
+from cvxshear.response.dynamics import Noise, Setting, dynamics, recursion, settled_covariance
+from tests.frames import chain
+
+MASS, STIFFNESS = np.array([4.0, 3.0, 2.0]), np.array([900.0, 700.0, 500.0])
+GAIN, STORY_FORCE, STEP = np.array([1.0, 1.1, 0.9]), np.array([5.0, 3.0, 2.0]), 0.03
+NOISE = Noise(np.array([0.1, 0.2]), 0.04, 0.7)
+CASES = {"base": (0, True), "force": (2, True), "unknown ground": (0, False)}
+
+
+def frame():
+    M, K = chain(MASS, STIFFNESS)
+    return SimpleNamespace(M=M, K=K, C=0.02 * M + 0.003 * K + np.diag([0.0, 0.4, 0.0]), gain=GAIN)
+
+
+def setting(case):
+    force_floor, measured = CASES[case]
+    return Setting(np.array([1, 3]), STEP, force_floor, measured, 6.0, 2.5, STORY_FORCE)
+
+
+def slope(case, x, p):
+    """x' of displacements, velocities, relative story forces and the ground, written out; total accelerations."""
+    model, (force_floor, measured) = frame(), CASES[case]
+    u, v, f = x[:3], x[3:6], x[6:9]
+    missed = STORY_FORCE * f
+    on_floors = missed - np.append(missed[1:], 0.0) - model.K @ u - model.C @ v
+    ground = p if measured else x[9]
+    if force_floor:
+        on_floors[force_floor - 1] += p
+        ground = 0.0
+    total = on_floors / MASS
+    rates = [v, total - ground, -6.0 * f] + ([] if measured else [np.array([-2.5 * x[9]])])
+    return np.concatenate(rates), total
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_step_is_the_solution_of_the_differential_equations(case):
+    """From each state by itself, and from rest under an excitation that is a straight line over the step."""
+    found = dynamics(frame(), NOISE, setting(case))
+    n = setting(case).states
+    assert found.A.shape == (n, n)
+
+    def stepped(x, begin, end):
+        solved = integrate.solve_ivp(
+            lambda t, x: slope(case, x, begin + (end - begin) * t / STEP)[0], (0, STEP), x, rtol=1e-10, atol=1e-12
+        )
+        return solved.y[:, -1]
+
+    np.testing.assert_allclose(found.A, np.array([stepped(unit, 0.0, 0.0) for unit in np.eye(n)]).T, atol=1e-8)
+    if case != "unknown ground":
+        np.testing.assert_allclose(found.before, stepped(np.zeros(n), 1.0, 0.0), atol=1e-9)
+        np.testing.assert_allclose(found.after, stepped(np.zeros(n), 0.0, 1.0), atol=1e-9)
+        p = np.array([0.3, -1.0, 2.0])
+        np.testing.assert_allclose(found.driven(p)[1], found.before * -1.0 + found.after * 2.0)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_sensors_and_outputs_show_what_the_equations_say(case):
+    found, (force_floor, _) = dynamics(frame(), NOISE, setting(case)), CASES[case]
+    x, p = np.random.default_rng(1).standard_normal(setting(case).states), 0.7
+    _, total = slope(case, x, p)
+    np.testing.assert_allclose(found.H @ x + found.direct * p, (GAIN * total)[[0, 2]])
+    np.testing.assert_allclose(found.R, [0.01, 0.04])
+    acting = p * (np.arange(1, 4) == force_floor)
+    story = [np.sum((acting - MASS * total)[i:]) for i in range(3)]
+    expected = [*total, *x[:3], *np.diff(x[:3], prepend=0.0), *story]
+    np.testing.assert_allclose(found.outputs.of(x[None], np.array([p]))[0], expected)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_noise_has_the_deviations_that_were_asked_for(case):
+    """Stationary: a twenty-fifth of the rms story force, 0.7 m/s2 of the ground; over a step, the integral of e^At."""
+    found = dynamics(frame(), NOISE, setting(case))
+    np.testing.assert_allclose(found.P0, linalg.solve_discrete_lyapunov(found.A, found.Q), rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.P0))[6:], [0.04] * 3 + [0.7] * (case == "unknown ground"))
+    n = len(found.A)
+    rates = np.array([slope(case, unit, 0.0)[0] for unit in np.eye(n)]).T
+    density = np.zeros(n)
+    density[6:9] = 2 * 6.0 * 0.04**2
+    density[9:] = 2 * 2.5 * 0.7**2
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    powers = [linalg.expm(rates * STEP * (1 + node) / 2) for node in nodes]
+    integral = sum(w * STEP / 2 * (e * density) @ e.T for w, e in zip(weights, powers, strict=True))
+    np.testing.assert_allclose(found.Q, integral, rtol=1e-7, atol=1e-15)
+    settled = linalg.solve_discrete_are(found.A.T, found.H.T, found.Q, np.diag(found.R))
+    np.testing.assert_allclose(settled_covariance(found), settled, rtol=1e-5, atol=1e-10)
+
+
+@pytest.mark.parametrize("samples", [1, 63, 64, 65, 200, 64 * 128 + 70])
+@pytest.mark.parametrize("rows", [None, np.array([[1.0, 0.0, 2.0]])])
+def test_a_recursion_by_blocks_is_the_one_sample_by_sample(samples, rows):
+    rng = np.random.default_rng(samples)
+    F = np.array([[0.9, 0.2, 0.0], [-0.2, 0.9, 0.1], [0.0, 0.0, 0.5]])
+    inputs, x = rng.standard_normal((samples, 3)), np.array([1.0, -2.0, 3.0])
+    found = recursion(F, inputs, x, rows)
+    expected = []
+    for each in inputs:
+        expected.append(x if rows is None else rows @ x)
+        x = F @ x + each
+    np.testing.assert_allclose(found, expected, atol=1e-10)

@@ -1,0 +1,73 @@
+"""What a record says of changed stories, where the likelihood is linear: against normal distributions written out."""
+
+import itertools
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from cvxshear.response.frame_fit import LEAST_WEIGHT, _Linear, possible_answers
+from cvxshear.response.innovations import Likelihood
+from cvxshear.response.varied_frame import FORM_STDS, SCATTER_STDS, Gaussian
+
+STORIES, CHANGE, PROBABILITY = 3, 0.5, 0.07
+
+
+def drawn(seed, inflation=1.7):
+    """A likelihood of five unknowns, three of them stories, and where it was linearised."""
+    rng = np.random.default_rng(seed)
+    return Likelihood(3.0 * rng.standard_normal((6, 5)), rng.standard_normal(6), inflation), rng.standard_normal(5)
+
+
+def gaussian(changed, form_std, scatter_std=0.003):
+    """A prior whose mean, covariance and evidence depend on how well its form is known."""
+    spread = np.diag([0.1, 0.2, 0.1, 0.5, 0.5]) ** 2 + 0.3 * form_std + (form_std + 20 * scatter_std) ** 2 * np.eye(5)
+    spread[list(changed), list(changed)] += CHANGE**2
+    return Gaussian(np.array([0.1, -0.1, 0.0, 0.2, form_std]), spread, -30.0 * form_std)
+
+
+def log_density(at, p, prior):
+    """log of the normal density of what was seen, U x + c of variance `inflation` about zero for the true x."""
+    seen = at.U @ (p - prior.mean) - at.c
+    spread = at.U @ prior.covariance @ at.U.T + at.inflation * np.eye(len(seen))
+    return stats.multivariate_normal.logpdf(seen, np.zeros(len(seen)), spread)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_evidence_and_posterior_are_those_of_a_normal_distribution(seed):
+    (at, p), prior = drawn(seed), gaussian((), 0.03)
+    linear, freed = _Linear(at, p, prior), gaussian((0, 2), 0.03)
+    alone, both = linear.evidences(CHANGE * np.eye(5, 3), [(), (0, 2)])
+    assert both - alone == pytest.approx(log_density(at, p, freed) - log_density(at, p, prior))
+    other = gaussian((), 0.1)
+    (found,) = _Linear(at, p, other).evidences(CHANGE * np.eye(5, 3), [()])
+    assert found - alone == pytest.approx(log_density(at, p, other) - log_density(at, p, prior) - 30.0 * (0.1 - 0.03))
+    mean, covariance = linear.posterior()
+    expected = np.linalg.inv(np.linalg.inv(prior.covariance) + at.U.T @ at.U / at.inflation)
+    np.testing.assert_allclose(covariance, expected, atol=1e-10)
+    seen = at.U @ (p - prior.mean) - at.c
+    np.testing.assert_allclose(mean, prior.mean + expected @ at.U.T @ seen / at.inflation, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_answers_have_the_probabilities_of_all_sets_of_stories_forms_and_scatters(seed):
+    """Odds of 0.07 a changed story; every size of the form's errors, and of the scatter, as probable as another."""
+    at, p = drawn(seed)
+    prior = SimpleNamespace(identified=np.eye(STORIES), change_std=CHANGE, probability=PROBABILITY, gaussian=gaussian)
+    found = possible_answers(at, prior, p)
+    logs = {
+        (stories, std, scatter): log_density(at, p, gaussian(stories, std, scatter)) - 30.0 * std
+        + size * np.log(PROBABILITY / (1 - PROBABILITY))
+        for size in range(STORIES + 1)
+        for stories in itertools.combinations(range(STORIES), size)
+        for std, scatter in itertools.product(FORM_STDS, SCATTER_STDS)
+    }  # fmt: skip
+    best = max(logs.values())
+    kept = {key: np.exp(value - best) for key, value in logs.items() if value > best + np.log(LEAST_WEIGHT)}
+    total = sum(kept.values())
+    assert len(found) == len(kept) > 4
+    assert sum(each.probability for each in found) == pytest.approx(1.0)
+    for each in found:
+        assert each.probability == pytest.approx(kept[each.stories, each.form_std, each.scatter_std] / total)
+    assert [each.probability for each in found] == sorted((each.probability for each in found), reverse=True)
