@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -122,33 +122,39 @@ class Recording:
         square: Floats = np.nanmean(np.concatenate([run.measured for run in self.runs]) ** 2, axis=0)
         return np.sqrt(square)
 
-    def detrended(self, shown: Callable[[Recording], Sequence[Floats]] | None = None) -> tuple[Recording, float]:
-        """Take a straight line off each acceleration, and return the largest line over its channel's rms as well.
+    def without_base_line(self) -> Recording:
+        """Take the straight line off a measured base acceleration."""
+        if self.input != "base":
+            return self
+        lines = [trend(run.driven, self._whole(run)) for run in self.runs]
+        runs = [
+            dataclasses.replace(run, excitation=run.driven - line) for run, line in zip(self.runs, lines, strict=True)
+        ]
+        return dataclasses.replace(self, runs=tuple(runs))
 
-        The line of a floor is that through what a model does not show. The vibration itself is not without one over a
-        finite time: a cycle that the end of the record cuts off would pass for the sensor's.
+    def lines(self, expected: Sequence[Floats]) -> list[Floats]:
+        """Find the straight line of each channel, one array (samples, m) a run.
+
+        It is that through what a model does not show. The vibration itself is not without one over a finite time: a
+        cycle that the end of the record cuts off would pass for the sensor's.
 
         Parameters
         ----------
-        shown : callable, optional
-            Accelerations of a model at the sensors, one array (samples, m) a run, driven as the recording says.
+        expected : sequence of ndarray, shape (samples, m)
+            Accelerations of a model at the sensors, for each run.
         """
-        whole = [self._whole(run) for run in self.runs]
-        runs = []
-        for run, there in zip(self.runs, whole, strict=True):
-            excitation = run.excitation
-            if excitation is not None and self.input == "base":
-                excitation = excitation - trend(excitation, there)
-            runs.append(dataclasses.replace(run, excitation=excitation))
-        driven = dataclasses.replace(self, runs=tuple(runs))
-        expected = [np.zeros_like(run.measured) for run in runs] if shown is None else shown(driven)
-        largest, found = 0.0, []
-        for run, there, own in zip(runs, whole, expected, strict=True):
-            left = run.measured - own
-            line = np.column_stack([trend(column, there & np.isfinite(column)) for column in left.T])
-            largest = max(largest, float(np.max(np.abs(line) / self.rms())))
-            found.append(dataclasses.replace(run, measured=run.measured - line))
-        return dataclasses.replace(self, runs=tuple(found)), largest
+        found = []
+        for run, own in zip(self.runs, expected, strict=True):
+            left, there = run.measured - own, self._whole(run)
+            found.append(np.column_stack([trend(column, there & np.isfinite(column)) for column in left.T]))
+        return found
+
+    def less(self, lines: Sequence[Floats]) -> Recording:
+        """Take straight lines off the measured accelerations, one array (samples, m) a run."""
+        runs = [
+            dataclasses.replace(run, measured=run.measured - line) for run, line in zip(self.runs, lines, strict=True)
+        ]
+        return dataclasses.replace(self, runs=tuple(runs))
 
     @staticmethod
     def _whole(run: RecordedRun) -> Bools:
