@@ -185,7 +185,12 @@ class FrameMotion:
             start = np.zeros(self.setting.states) if smoothed is None else smoothed[place].states[0]
             stretches.append(Stretch(run.driven, y, start))
         errors = PredictionErrors(self.varied, self.setting, stretches, self.noise)
-        return errors.shortened(FITTED_SAMPLES, np.zeros(errors.size) if p is None else p)
+        at = np.zeros(errors.size) if p is None else p
+        if self.moves_at_first:
+            model = errors.dynamics(at)
+            stretches = [dataclasses.replace(each, spread=errors.spread(model, each.y)) for each in stretches]
+            errors = PredictionErrors(self.varied, self.setting, stretches, self.noise)
+        return errors.shortened(FITTED_SAMPLES, at)
 
     def smoothed(self, errors: PredictionErrors, p: Floats, rows: Floats | None = None) -> list[Smoothed]:
         """Find the motion of each run, with deviations of all outputs or of those given by rows on the state.
