@@ -28,6 +28,13 @@ STILL = 0.05
 """Acceleration of the first period, relative to the whole record's, up to which a run counts as beginning at rest: what
 sensors of usual noise show of a frame that does not move."""
 
+MOST_ROUNDS = 4
+"""Fits at most after the first, each with gaps, spikes and the first state filled in by the one before. What is
+filled in wrongly falls to the missing share of the information each time: a tenth for a tenth of the strong motion."""
+
+SAME_FRAME = 0.1
+"""Change of an unknown in its standard deviations at which these rounds end."""
+
 PROBED_SAMPLES = 1000
 """Samples of the strongest motion on which the directions of the frame's uncertainty are compared."""
 
@@ -111,13 +118,13 @@ class FrameMotion:
         """Around an identified frame."""
         varied = VariedFrame.around(frame)
         model = varied.centre.model
-        known, rms = recording.input != "none", recording.rms()
+        known, level = recording.input != "none", recording.rms()
         frequencies = 2 * np.pi * model.modes.frequencies
         setting = Setting(
             recording.floors, recording.step, recording.force_floor, known, float(frequencies[0]),
             float(frequencies[-1]), frame.story_stiffness * _drift_rms(model, recording),
         )  # fmt: skip
-        noise = Noise(FIRST_SENSOR * rms, FIRST_FORCE, 0.0 if known else float(rms.min()))
+        noise = Noise(FIRST_SENSOR * level, FIRST_FORCE, 0.0 if known else float(level.min()))
         # Without the base motion a softer first story and another base motion are one and the same.
         return FrameMotion(frame, varied, recording, setting, noise, backend, free and known)
 
@@ -151,7 +158,7 @@ class FrameMotion:
         p = np.zeros(errors.size)
         if self.moves_at_first or any(np.isnan(run.measured).any() for run in self.recording.runs):
             errors = self.errors(self.smoothed(errors, p), p)
-        fitted = fit_frame(errors, prior, self.backend, p, free=self.free)
+        fitted = fit_frame(errors, prior, self.backend, free=self.free)
         work, smoothed = self, self.smoothed(errors, fitted.p)
         if detrend:
             model = errors.dynamics(fitted.p)
@@ -163,14 +170,20 @@ class FrameMotion:
             smoothed = work.smoothed(errors, fitted.p)
         if not self.moves_at_first and all(bool(np.all(each.weights == 1.0)) for each in smoothed):
             return work, fitted, smoothed
-        fitted = fit_frame(work.errors(smoothed, fitted.p), prior, self.backend, fitted.p, free=self.free)
-        return work, fitted, work.smoothed(fitted.errors, fitted.p)
+        for _ in range(MOST_ROUNDS):
+            errors = work.errors(smoothed, fitted.p)
+            before, fitted = fitted, fit_frame(errors, prior, self.backend, fitted.p, free=self.free)
+            smoothed = work.smoothed(errors, fitted.p)
+            std = np.sqrt(np.maximum(np.diag(fitted.covariance), 1e-300))
+            if np.max(np.abs(fitted.p - before.p) / std) <= SAME_FRAME:
+                break
+        return work, fitted, smoothed
 
     @cached_property
     def moves_at_first(self) -> bool:
         """Whether some run begins while the frame moves: its state at the beginning is then found with the motion."""
-        rms = self.recording.rms()
-        return any(_rms(run.measured[: self._first] / rms) > STILL for run in self.recording.runs)
+        level = self.recording.rms()
+        return any(rms(run.measured[: self._first] / level) > STILL for run in self.recording.runs)
 
     @property
     def _first(self) -> int:
@@ -208,8 +221,8 @@ class FrameMotion:
         found = []
         for run, envelope in zip(self.recording.runs, self.recording.envelopes(self.period), strict=True):
             begins = run.measured[: self._first]
-            moved = _rms(begins if np.isfinite(begins).any() else run.measured)
-            scale = max(float(envelope[0]), moved / _rms(stationary))
+            moved = rms(begins if np.isfinite(begins).any() else run.measured)
+            scale = max(float(envelope[0]), moved / rms(stationary))
             found.append(smooth(model, Observed(run.driven, run.measured, envelope, scale), asked))
         return found
 
@@ -323,8 +336,8 @@ class FrameMotion:
         return Directions(sides, np.sum(slopes**2, axis=(0, 1)) / np.maximum(along, 1e-300))
 
 
-def _rms(values: Floats) -> float:
-    """Root mean square of what was measured; 0 where nothing was."""
+def rms(values: Floats) -> float:
+    """Return the root mean square of what was measured; 0 where nothing was."""
     there = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(there**2))) if len(there) else 0.0
 

@@ -265,7 +265,7 @@ class PredictionErrors:
         m, at_rest = len(whitening), np.zeros(len(here.P))
         residuals: list[Floats] = []
         derivatives: list[Floats] = []
-        begun: list[tuple[Floats, Floats]] = []
+        begun: list[Floats] = []
         mean = np.zeros((m, m))
         for run in self.stretches:
             x, e = here.predicted(run.excitation, run.y, run.start)
@@ -281,10 +281,11 @@ class PredictionErrors:
                 # The state at the beginning goes along with every change of the frame: variable projection.
                 free = _free(here, run, whitening)
                 normal = np.eye(free.shape[1]) + free.T @ free
-                moved, turned = np.linalg.solve(normal, free.T @ white.ravel()), np.linalg.solve(normal, free.T @ J)
-                white = white - (free @ moved).reshape(white.shape)
+                both = np.linalg.solve(normal, free.T @ np.column_stack([J, white.ravel()]))
+                turned, moved = both[:, :-1], both[:, -1]
+                white -= (free @ moved).reshape(white.shape)
                 J -= (free @ turned).astype(SHORT)
-                begun.append((turned, moved))
+                begun.append(both)
             residuals.append(white.ravel())
             derivatives.append(J)
             mean += white.T @ white
@@ -292,8 +293,8 @@ class PredictionErrors:
         # J'r of these rows is half the gradient of T log det S + sum e' S^-1 e by S.
         residuals.append(root * (np.eye(m) - mean / self.samples).ravel())
         derivatives.append(np.array([slope.S.ravel() for slope in slopes]).T * root)
-        derivatives += [turned for turned, _ in begun]
-        residuals += [moved for _, moved in begun]
+        derivatives += [both[:, :-1] for both in begun]
+        residuals += [both[:, -1] for both in begun]
         return np.concatenate(derivatives), np.concatenate(residuals)
 
     def _inflation(self, R: Floats, r: Floats, along: Directions) -> float:

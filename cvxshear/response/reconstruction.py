@@ -28,7 +28,6 @@ from cvxshear.response.recording import Recording, RecordingSource, recording_of
 from cvxshear.response.sensor_checks import SensorCheck, Whiteness, checked, whiteness, widening
 from cvxshear.response.sources import ModelSource, models_of, state_of, state_remarks
 from cvxshear.response.uncertain import UncertainFrame
-from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import percent, ranged
 from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Floats, Json
@@ -211,9 +210,6 @@ def reconstruct(
     recording = recorded = recording_of(record)
     models = models_of(source, solver)
     experiment = models.after.experiment
-    highest = int(max(recording.floors.max(), recording.force_floor))
-    if highest > experiment.stories:
-        raise InputError(f"{recording.name} speaks of floor {highest}, the frame has {experiment.stories} stories")
     state = state_of(experiment, recording, configuration)
     frame = UncertainFrame.of(models.after, state, damping, solver)
     done, parts = itertools.count(1), 3 + (len(recording.floors) if leave_out else 0)

@@ -27,7 +27,7 @@ from cvxshear.records.motion import Motion, trend
 from cvxshear.records.record import INPUTS, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Floats, Ints
 
 RecordingSource = str | Path | TimeRecord | Motion
 
@@ -126,10 +126,7 @@ class Recording:
         """Take the straight line off a measured base acceleration."""
         if self.input != "base":
             return self
-        lines = [trend(run.driven, self._whole(run)) for run in self.runs]
-        runs = [
-            dataclasses.replace(run, excitation=run.driven - line) for run, line in zip(self.runs, lines, strict=True)
-        ]
+        runs = [dataclasses.replace(run, excitation=run.driven - trend(run.driven)) for run in self.runs]
         return dataclasses.replace(self, runs=tuple(runs))
 
     def lines(self, expected: Sequence[Floats]) -> list[Floats]:
@@ -143,11 +140,7 @@ class Recording:
         expected : sequence of ndarray, shape (samples, m)
             Accelerations of a model at the sensors, for each run.
         """
-        found = []
-        for run, own in zip(self.runs, expected, strict=True):
-            left, there = run.measured - own, self._whole(run)
-            found.append(np.column_stack([trend(column, there & np.isfinite(column)) for column in left.T]))
-        return found
+        return [trend(run.measured - own) for run, own in zip(self.runs, expected, strict=True)]
 
     def less(self, lines: Sequence[Floats]) -> Recording:
         """Take straight lines off the measured accelerations, one array (samples, m) a run."""
@@ -155,12 +148,6 @@ class Recording:
             dataclasses.replace(run, measured=run.measured - line) for run, line in zip(self.runs, lines, strict=True)
         ]
         return dataclasses.replace(self, runs=tuple(runs))
-
-    @staticmethod
-    def _whole(run: RecordedRun) -> Bools:
-        """Tell which samples all lines go through: through different parts of a motion they would contradict."""
-        there = np.asarray(np.isfinite(run.measured).all(axis=1))
-        return np.ones_like(there) if there.sum() <= len(there) // 2 else there
 
     def without(self, channel: int) -> Recording:
         """Return the recording with one channel fewer."""

@@ -158,8 +158,12 @@ def state_of(experiment: Experiment, record: Motion | Recording, name: str | Non
     Raises
     ------
     InputError
-        Where there is no such configuration or state, or the added mass is of another frame.
+        Where there is no such configuration or state, or floors or added mass are of another frame.
     """
+    driven = [record.force_floor] if isinstance(record, Recording) else [drive.floor for drive in record.drives]
+    highest = max([*record.floors.tolist(), *driven])
+    if highest > experiment.stories:
+        raise InputError(f"{record.name} speaks of floor {highest}, the frame has {experiment.stories} stories")
     configurations = experiment.configurations
     if name is not None:
         choice(name, [each.name for each in configurations], "configuration")
