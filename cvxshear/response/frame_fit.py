@@ -236,7 +236,8 @@ def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: f
     p : ndarray, shape (P,)
     least : float, optional
     """
-    short = errors.shortened(FIRST_SAMPLES, p)
+    # An unknown first state would hide from a short part what the whole record tells.
+    short = errors.shortened(FIRST_SAMPLES, p, free=False)
     widest = prior.gaussian(range(errors.stories), FORM_STDS[-1], SCATTER_STDS[-1])
     root = np.asarray(np.linalg.cholesky(widest.covariance), dtype=np.float64)
     return short.told(p, root, least * np.sqrt(short.samples / errors.samples))

@@ -156,7 +156,7 @@ class PredictionErrors:
         """Of all stretches together."""
         return sum(len(each.y) for each in self.stretches)
 
-    def shortened(self, most: int, p: Floats) -> PredictionErrors:
+    def shortened(self, most: int, p: Floats, *, free: bool = True) -> PredictionErrors:
         """Take the strongest part of each stretch, which starts from the state that the filter has there.
 
         Parameters
@@ -165,6 +165,8 @@ class PredictionErrors:
             Samples of each stretch.
         p : ndarray, shape (P,)
             Unknowns of the filter.
+        free : bool, optional
+            Whether the state at the beginning of a part is unknown; otherwise it is the filter's.
         """
         filtered = Steady.of(self.dynamics(p))
         parts = []
@@ -174,6 +176,7 @@ class PredictionErrors:
             if part.start:
                 start = filtered.predicted(run.excitation, run.y, run.start)[0][part.start]
                 spread = self.spread(filtered.model, run.y[part])
+            spread = spread if free else None
             parts.append(Stretch(run.excitation[part], run.y[part], start, spread))
         return PredictionErrors(self.varied, self.setting, parts, self.noise)
 
