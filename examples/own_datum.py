@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 import cvxshear
-from cvxshear.data import Datum, Residual, register
+from cvxshear.data import Datum, ErrorFigure, NoiseKind, Residual, register
 from cvxshear.measurement.experiment import Configuration
 
 
@@ -15,7 +15,15 @@ from cvxshear.measurement.experiment import Configuration
 class Drift(Datum):
     """r = (d' K^-1 f - reading) / std, d picking the drift of a story; dr = -d' K^-1 dK K^-1 f / std."""
 
-    noise: ClassVar[str] = "displacement"
+    noise: ClassVar[NoiseKind] = NoiseKind(
+        "drift",
+        "drifts",
+        default=2e-5,
+        largest=5e-4,
+        unit="m",
+        reason="half a division of a dial gauge; a gauge on a bracket that gives",
+        figures=(ErrorFigure("max_drift_error", "largest drift error", "drift_error", lambda e: np.max(np.abs(e))),),
+    )
     readings: ClassVar[list[tuple[str, int, float, float]]] = []
     """Each with the state, the story, the force at the top (N) and the drift (m)."""
 
@@ -23,8 +31,6 @@ class Drift(Datum):
     story: int
     force: float
     reading: float
-
-    std: ClassVar[float] = 2e-5  # m
 
     @classmethod
     def of(cls, experiment):
@@ -38,16 +44,23 @@ class Drift(Datum):
     declared = True
     count = 1
 
-    def residual(self, model):
-        system = model.wanted
-        floors = np.eye(len(system.K))
+    def deflected(self, K):
+        """Displacements u = K^-1 f, shape (N,), and d, which picks the drift of the story from them."""
+        floors = np.eye(len(K))
         drift = floors[self.story - 1] - (floors[self.story - 2] if self.story > 1 else 0.0)
-        u = np.linalg.solve(system.K, self.force * floors[-1])
-        r = np.array([(drift @ u - self.reading) / self.std])
+        return np.linalg.solve(K, self.force * floors[-1]), drift
+
+    def residual(self, model):
+        u, drift = self.deflected(model.wanted.K)
+        r = np.array([(drift @ u - self.reading) / self.noise.default])
         if not model.derivatives:
             return Residual(r, np.zeros((0, 0)))
-        adjoint = np.linalg.solve(system.K, drift)
-        return Residual(r, -(system.dK @ u @ adjoint)[None] / self.std)
+        adjoint = np.linalg.solve(model.wanted.K, drift)
+        return Residual(r, -(model.wanted.dK @ u @ adjoint)[None] / self.noise.default)
+
+    def errors(self, model):
+        u, drift = self.deflected(model.state.system.K)
+        return {"drift_error": np.array([drift @ u / self.reading - 1.0])}
 
 
 register(Drift)

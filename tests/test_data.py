@@ -1,5 +1,6 @@
 """Kinds of data: residuals and derivatives by differences, a static test as the only scale, a kind of one's own."""
 
+import re
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -7,10 +8,15 @@ import numpy as np
 import pytest
 
 from cvxshear import Experiment, close_loop, identify
-from cvxshear.data import Datum, Frequencies, Model, Residual, Shapes, Static, data_of, register
-from cvxshear.data import kinds as registry_module
+from cvxshear.cli import main
+from cvxshear.data import Datum, ErrorFigure, Frequencies, Model, NoiseKind, Residual, Shapes, Static, data_of, register
+from cvxshear.data import base as registry_module
+from cvxshear.data.base import largest
 from cvxshear.effects import compose
 from cvxshear.fit.misfit import Misfit
+from cvxshear.report import terminal
+from cvxshear.report.html import render
+from cvxshear.util.errors import InputError
 from tests.effects.common import ADDED, HEIGHTS, MASS, STIFFNESS, theta
 from tests.effects.test_derivatives import CASES, flat
 from tests.frames import chain, configuration, experiment, modes_of
@@ -189,7 +195,10 @@ def test_a_static_test_s_noise_is_in_the_standard_deviations():
 class Weighed(Datum):
     """The weight of the whole frame on load cells, N, in a state that carries no added mass."""
 
-    noise: ClassVar[str] = "displacement"
+    noise: ClassVar[NoiseKind] = NoiseKind(
+        "weight", "weights", 5.0, 50.0, "load cells of 10 kN", unit="N",
+        figures=(ErrorFigure("max_weight_error", "largest error of a weight", "weight_error", largest),),
+    )  # fmt: skip
     weight: ClassVar[float] = 0.0
     std: ClassVar[float] = 0.01
     tested: object
@@ -207,6 +216,9 @@ class Weighed(Datum):
         system = model.wanted
         r = np.array([unit * system.M.sum() - 1.0 / self.std])
         return Residual(r, unit * system.dM.sum(axis=(1, 2))[None] if model.derivatives else np.zeros((0, 0)))
+
+    def errors(self, model):
+        return {"weight_error": np.array([9.81 * model.state.system.M.sum() / self.weight - 1.0])}
 
 
 @pytest.fixture
@@ -233,6 +245,41 @@ def test_a_kind_of_datum_of_ones_own_takes_part_in_identify_and_close_loop():
     assert "weight on load cells" in [part.place for part in Weighed(of.configurations[0]).describe(model_of(of))]
     # Four frequencies, shapes of 12 free entries, the total, the weight; 4 masses and 4 stiffnesses.
     assert found.fit.dof == 4 + 12 + 1 + 1 - 8
+
+
+@pytest.mark.usefixtures("weighed")
+def test_a_kind_of_datum_of_ones_own_is_found_in_terminal_report_json_and_help(monkeypatch, capsys):
+    """With its noise, its figure and its error in percent: the frame weighs 10 % less than the cells show."""
+    monkeypatch.setattr(Weighed, "std", 100.0)
+    result = close_loop(Experiment.from_dict(experiment(MASS, STIFFNESS, configuration(MASS, STIFFNESS))), ["gravity"])
+    assert result.to_dict()["noise"]["weight"] is None
+    assert result.to_dict()["after"]["max_weight_error"] == pytest.approx(1 - 1 / 1.1, rel=1e-3)
+    page = render(result, "cvxshear")
+    for said in (terminal.text(result, width=120), page):
+        assert "noise of weights" in said
+        assert "largest error of a weight" in said
+        assert "9.09 %" in said
+        assert "weight on load cells" in said
+    monkeypatch.setattr(Weighed, "declared", False)
+    estimated = terminal.text(close_loop(result.experiment, ["gravity"]), width=120)
+    assert re.search(r"noise of weights +[\d.]+ ± [\d.]+ N \(estimated", estimated)
+    with pytest.raises(SystemExit):
+        main(["loop", "paper", "--effects", "list"])
+    assert re.search(r"weights +5 N +50 N +load cells of 10 kN", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(
+    ("noise", "said"),
+    [
+        ("displacement", "declare a NoiseKind"),
+        (NoiseKind("mode_shape", "shapes", 0.1, 0.2, "mine"), "'mode_shape' is that of the noise of Shapes"),
+    ],
+)
+def test_a_kind_whose_noise_cannot_take_part_is_refused(noise, said):
+    with pytest.raises(InputError, match=said):
+        register(type("Faulty", (Weighed,), {"noise": noise}))
+    with pytest.raises(InputError, match="must be positive"):
+        NoiseKind("wrong", "wrong", 0.2, 0.1, "")
 
 
 def model_of(of):

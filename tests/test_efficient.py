@@ -148,6 +148,20 @@ def test_gradient_vanishes_at_the_fit_within_the_known_total():
     assert np.max(np.abs(gradient)) < 1e-2
 
 
+@pytest.mark.parametrize("std", [1e-6, 1e-9, 1e-12, 1e-13])
+@pytest.mark.parametrize("quantity", ["floor_mass", "story_stiffness"])
+def test_a_ratio_known_ever_better_ends_where_the_exact_one_does(quantity, std):
+    """It must not hold back the common size of the two, of which it says nothing."""
+    tables = noisy6().to_dict()["configuration"]
+    true = MASS6 if quantity == "floor_mass" else STIFFNESS6
+    prior = {"kind": "ratio", "quantity": quantity, "of": 3, "to": 2, "value": 1.02 * true[2] / true[1]}
+    soft, exact = (identify(of6(*tables, prior=[{**prior, **each}])) for each in ({"std": std}, {}))
+    assert soft.converged
+    for key in ("floor_mass", "story_stiffness"):
+        off = getattr(soft.frame, key) - getattr(exact.frame, key)
+        assert np.all(np.abs(off) < 1e-3 * getattr(exact.frame, key + "_std"))
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_all_starts_lead_to_the_same_fit(seed):
     of = noisy6(seed)

@@ -494,6 +494,14 @@ def test_the_classes_check_like_from_dict(keys, message):
 
 
 @pytest.mark.parametrize(
+    ("key", "value"), [("mode_shape_std", 0.01), ("mode_shape_std", np.ones((3, 0))), ("measured_floors", [1])]
+)
+def test_what_concerns_shapes_needs_shapes(key, value):
+    with pytest.raises(InputError, match=f"{key} is given, but no mode_shapes: leave it out, or give the shapes"):
+        Configuration(FREQUENCIES, **{key: value})
+
+
+@pytest.mark.parametrize(
     ("parts", "message"),
     [
         ((None, ()), "frame must be a Frame, not None"),

@@ -4,6 +4,7 @@ import ast
 from pathlib import Path
 
 import cvxshear
+from tests.benchmarks.size import CAPABILITIES
 
 ROOT = Path(cvxshear.__file__).parent
 
@@ -113,3 +114,35 @@ def test_imports_inside_functions_and_circles_are_seen():
     assert list(imported(inside, known)) == [("cvxshear.b", 2), ("cvxshear.a", 3)]
     assert circles([("a", "b", 1), ("b", "c", 1), ("c", "b", 1)]) == {frozenset({"b", "c"})}
     assert circles([("a", "b", 1), ("b", "c", 1)]) == set()
+
+
+def test_every_room_counts_towards_a_capability():
+    rooms = [name for names in CAPABILITIES.values() for name in names]
+    folders = {name for name in LEVEL if (ROOT / name).is_dir()}
+    assert sorted(rooms) == sorted({*folders, ""})
+
+
+def repeated(found):
+    """What stands in several places, with these."""
+    return {name: places for name, places in found.items() if len(places) > 1}
+
+
+def test_a_name_means_one_thing():
+    """No two files of one name, no two constants of one name, no parameter that is called of."""
+    files, constants, parameters = {}, {}, []
+    for path in sorted(ROOT.rglob("*.py")):
+        where = str(path.relative_to(ROOT))
+        files.setdefault(path.name, []).append(where)
+        tree = ast.parse(path.read_text())
+        for node in tree.body:
+            targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+            for target in targets:
+                if isinstance(target, ast.Name) and target.id.isupper():
+                    constants.setdefault(target.id, []).append(where)
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef):
+                given = [*node.args.args, *node.args.kwonlyargs]
+                parameters += [f"{where}:{node.lineno}" for each in given if each.arg == "of"]
+    assert set(repeated(files)) <= {"__init__.py", "base.py", "results.py"}
+    assert repeated(constants) == {}
+    assert parameters == []

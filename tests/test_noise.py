@@ -15,6 +15,7 @@ from tests.frames import configuration, experiment
 MASS = np.array([21e3, 19e3, 19.5e3, 18e3, 17e3, 20e3])
 STIFFNESS = np.array([30e6, 36e6, 33e6, 27e6, 22e6, 25e6])
 ADDED = (None, [2e3, 6e3, 4e3, 7e3, 3e3, 5e3], [9e3, 0, 0, 4e3, 0, 0])
+STDS = ("frequency_std", "mode_shape_std")
 DEFAULTS = {"frequency": 0.002, "mode_shape": 0.01}
 
 
@@ -212,3 +213,14 @@ def test_the_gain_of_two_unknown_noises_is_their_integral_on_a_grid():
     integral = top + np.log(simpson(simpson(np.exp(density - top), grid[1]), grid[0]))
     expected = integral + np.sum(at.r**2) / 2 - 2 * np.log(0.7 * np.sqrt(2 * np.pi))
     assert found.gain == pytest.approx(expected, abs=0.01)
+
+
+@pytest.mark.parametrize("left_out", [STDS, (*STDS, "mode_shapes", "measured_floors")])
+def test_shapes_of_a_single_sensor_tell_nothing_whatever_their_noise(left_out):
+    """Each shape's scale is free: one entry of it is no datum, and frequencies fix the frame."""
+    tables = [configuration(MASS, STIFFNESS, added, measured_floors=[3], modes=[1, 2, 3]) for added in ADDED]
+    tables = [{key: value for key, value in table.items() if key not in left_out} for table in tables]
+    declared = experiment(MASS, STIFFNESS, *tables, frame={"floor_masses": MASS.tolist()})
+    found = efficient(Experiment.from_dict(declared), backends.get("auto"))
+    np.testing.assert_allclose(found.theta[6:], STIFFNESS, rtol=1e-4)
+    assert found.dof == 9 - 6

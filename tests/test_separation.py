@@ -8,8 +8,11 @@ import pytest
 import cvxshear
 from cvxshear import backends
 from cvxshear.effects import Gravity, Placed
-from cvxshear.fit.efficient import efficient
+from cvxshear.fit.efficient import efficient, fitted_with
+from cvxshear.fit.expectation import Expectation
+from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.separation import disagreement, imagined, separation
+from cvxshear.loop.hypotheses import chosen, hypotheses
 from tests.frames import configuration, experiment, modes_of
 
 MASS, STIFFNESS = [10.0, 10.0, 9.0, 8.0], [24e3, 20e3, 16e3, 10e3]
@@ -99,3 +102,39 @@ def test_an_entry_that_no_sensor_showed_is_not_counted_on():
     nothing = dataclasses.replace(first, mode_shapes=np.full_like(shapes, np.nan))
     frequencies_alone = disagreement(plain, heavy, imagined(plain, nothing, masses), nothing)
     assert frequencies_alone.at(np.arange(4)) == frequencies_alone.at(np.array([0]))
+
+
+def test_every_effect_says_something_of_a_test_with_more_sensors_and_no_priors():
+    """The effects are those of three instrumented floors and a soft prior; the imagined test has four floors and none.
+
+    What changes neither masses nor stiffnesses nor sensors says what the shear model says.
+    """
+    keys = {"measured_floors": [1, 3, 4], "frequency_std": 0.002, "mode_shape_std": 0.02}
+    tests = [
+        {**configuration(MASS, STIFFNESS, added, **keys), "name": name, "state": name}
+        for name, added in (("before", None), ("after", [0.0, 2.0, 0.0, 0.0]))
+    ]
+    declared = experiment(MASS, STIFFNESS, *tests, frame={"total_mass": 37.0, "story_heights": 0.4})
+    declared["prior"] = [{"kind": "nominal", "quantity": "story_stiffness", "values": STIFFNESS, "std": 0.05}]
+    of = cvxshear.Experiment.from_dict(declared)
+    start = efficient(of, backends.get("auto"))
+    expectation = Expectation(start.scale)
+    plain, *others = (
+        fitted_with(
+            Misfit(of, effects, expectation=expectation),
+            np.concatenate([start.theta, *(np.array(placed.start) for placed in effects)]),
+            backends.get("auto"),
+        )
+        for effects in [(), *((item.placed,) for item in hypotheses(of, chosen(None), ()))]
+    )
+    first = of.configurations[0]
+    test = imagined(plain, first, np.array([0.0, 6.0, 0.0, 0.0]))
+    apart = {}
+    for other in others:
+        (placed,) = other.effects
+        apart[placed.effect.name] = disagreement(plain, other, test, first).at(np.arange(4))
+    assert {"other_gains", "other_stiffness", "attached_mass"} <= set(apart)
+    assert np.all(np.isfinite(list(apart.values())))
+    assert apart["other_shapes"] == pytest.approx(0.0, abs=1e-6)
+    # Where the prior holds the fit may move by what the prior and exact data differ in rounding.
+    assert apart["wrong_prior"] == pytest.approx(0.0, abs=1e-3)

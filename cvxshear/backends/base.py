@@ -76,7 +76,7 @@ class Backend(ABC):
         return None
 
     def with_tolerance(self, tolerance: float) -> Backend:
-        """The same backend, asked for this accuracy; itself where it takes none."""
+        """Return the same backend asked for this accuracy, itself where it takes none."""
         return self
 
     @abstractmethod
@@ -120,7 +120,7 @@ class Backend(ABC):
             within |= missed
 
     def _with_all(self, problem: Canonical) -> Answer:
-        """The answer with every inequality, where only they determine some direction; far ones are moved in."""
+        """Solve with every inequality, where only they determine some direction; far ones are moved in."""
         limit = FAR_SLACK
         while True:
             answer = self._checked(dataclasses.replace(problem, f=np.minimum(problem.f, limit)))
@@ -131,7 +131,7 @@ class Backend(ABC):
             limit *= FAR_SLACK
 
     def _checked(self, problem: Canonical) -> Answer:
-        """The backend's answer, once it is one: of the right type, lengths and numbers, and within the time limit."""
+        """Ask the backend within the time limit, and refuse an answer of a wrong type, wrong lengths or no numbers."""
         answer = self.answer(problem) if self.time_limit is None else _limited(self, problem, self.time_limit)
         if not isinstance(answer, Answer):
             raise InputError(
@@ -216,7 +216,7 @@ class IllConditionedError(Exception):
 
 
 def accurate(program: Assembled, point: Point) -> tuple[Point, Certificate, Floats]:
-    """An answer with its certificate, or the exact minimizer beside it where it is not accurate enough.
+    """Certify an answer, or the exact minimizer beside it where the answer is not accurate enough.
 
     The minimizer takes an answer's place that is wrong in ways that the data do not see, not one that is plainly wrong:
     its gradient and its gap must be good, and where it violates a constraint the rows must hardly tell the two apart.
@@ -319,7 +319,7 @@ _given_up: weakref.WeakSet[Backend] = weakref.WeakSet()
 
 
 def _limited(backend: Backend, problem: Canonical, seconds: float) -> object:
-    """What a backend answers within the time, in a thread of its own; a thread that does not end is left behind.
+    """Ask a backend in a thread of its own, for so many seconds; a thread that does not end is left behind.
 
     Raises
     ------

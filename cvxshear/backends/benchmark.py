@@ -277,6 +277,6 @@ def _difference(values: Sequence[Floats], reference: Sequence[Floats]) -> float:
 
 
 def _largest(values: Sequence[float | None]) -> float | None:
-    """The largest; None where there is none, or one is None."""
+    """Return the largest; None where there is none, or one is None."""
     known = [float(value) for value in values if value is not None]
     return max(known) if known and len(known) == len(values) else None

@@ -98,7 +98,7 @@ class Canonical:
     start: Answer | None = None
 
     def nearest(self) -> tuple[Floats, Floats]:
-        """The nearest point to q under the equalities alone, where the program is not singular, and the multipliers.
+        """Find the point nearest to q under the equalities alone, of a regular program, and its multipliers.
 
         With E' = B T, q - z = B T'^-1 (E q - e) = E' y.
 
@@ -120,7 +120,7 @@ class Canonical:
         return excess
 
     def keeping(self, inequalities: Bools) -> Canonical:
-        """The program with some of its inequalities alone."""
+        """Leave out all but some of the inequalities."""
         start = self.start
         if start is not None:
             start = dataclasses.replace(start, w=start.w[inequalities])
@@ -141,7 +141,7 @@ class Canonical:
             )
 
     def starting_at(self, solution: Solution | None) -> Canonical:
-        """The program with a solution of a program of the same shape as its start, or with none."""
+        """Take a solution of a program of the same shape as the start, or none."""
         if solution is None:
             return self
         y, w = solution.equality_multipliers, solution.inequality_multipliers
@@ -155,18 +155,18 @@ class Canonical:
         return dataclasses.replace(self, start=scaled)
 
     def to_z(self, x: Floats) -> Floats:
-        """The scaled unknowns of x."""
+        """Scale the unknowns x."""
         # Rows of one length: they differ by as many orders as the units of the unknowns do.
         lengths = np.linalg.norm(self._inverse, axis=1)
         # The inverse of a triangle is one, and so is a diagonal.
         return np.asarray(lapack.dtrtrs(self._inverse / lengths[:, None], x / lengths)[0] / self._tau)
 
     def to_x(self, z: Floats) -> Floats:
-        """The unknowns in their own units."""
+        """Convert scaled unknowns to their own units."""
         return self._tau * (self._inverse @ z)
 
     def multipliers(self, y: Floats, w: Floats) -> tuple[Floats, Floats]:
-        """The multipliers in the units of the original program, zero for equalities that follow from others."""
+        """Convert multipliers to the units of the original program, zero for equalities that follow from others."""
         full = np.zeros(len(self._independent))
         full[self._independent] = self._tau**2 * self._equality_scale * y
         return full, self._tau**2 * self._inequality_scale * w
@@ -228,7 +228,7 @@ def _reciprocal_condition(U: Floats) -> float:
 
 
 def _inequalities(program: LeastSquares, inverse: Floats) -> tuple[Floats, Floats]:
-    """The rows and right sides of `program.inequalities` for z; a bound picks a row of the inverse."""
+    """Convert rows and right sides of `program.inequalities` to those for z; a bound picks a row of the inverse."""
     rows, sides = [np.zeros((0, program.unknowns))], [np.zeros(0)]
     if program.G is not None and program.h is not None and len(program.G):
         rows.append(program.G @ inverse)
@@ -242,7 +242,7 @@ def _inequalities(program: LeastSquares, inverse: Floats) -> tuple[Floats, Float
 
 
 def _unit_rows(rows: Floats, side: Floats) -> tuple[Floats, Floats, Floats]:
-    """The rows scaled to unit length, in place, the right side with them, and the scale of each."""
+    """Scale the rows to unit length, in place, and the right side with them; return the scale of each, too."""
     lengths = np.sqrt(np.einsum("ij,ij->i", rows, rows))
     scale = 1.0 / np.where(lengths > 0, lengths, 1.0)
     rows *= scale[:, None]

@@ -197,7 +197,7 @@ class Assembled:
         return np.asarray(np.where(largest > 0, largest, np.inf))
 
     def magnitude(self, x: Floats) -> float:
-        """The sizes of what is added up to R x - s: the columns times the unknowns, and s."""
+        """Add up the sizes of the terms of R x - s: the columns times the unknowns, and s."""
         return float(self.lengths @ np.abs(x)) + self.side_length
 
     def distance(self, x: Floats, other: Floats) -> float:
@@ -208,7 +208,7 @@ class Assembled:
 
 
 def certify(program: Assembled, point: Point) -> Certificate:
-    """The residuals of a program's optimality conditions at a point; no bound on its error yet.
+    """Evaluate a program's optimality conditions at a point; there is no bound on its error yet.
 
     Parameters
     ----------
@@ -240,7 +240,7 @@ def certify(program: Assembled, point: Point) -> Certificate:
 
 
 def largest_relative(difference: Floats, size: Floats) -> float:
-    """The largest difference relative to the size of its terms; nothing is no difference of nothing."""
+    """Find the largest difference relative to the size of its terms; zero of zero terms is no difference."""
     if not difference.size:
         return 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -248,5 +248,5 @@ def largest_relative(difference: Floats, size: Floats) -> float:
 
 
 def length(vector: Floats) -> float:
-    """The Euclidean length of a vector; numpy's `norm` takes several times as long on short ones."""
+    """Compute the Euclidean length of a vector; numpy's `norm` takes several times as long on short ones."""
     return math.sqrt(float(vector @ vector))

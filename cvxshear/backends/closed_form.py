@@ -68,14 +68,14 @@ class Auto(Backend):
         self._singular = tuple(singular)
 
     def answer(self, problem: Canonical) -> Answer:
-        """The closed form's answer; what asks the others is `certified`, since which one is right shows there."""
+        """Solve by the closed form; `certified` asks the other backends, since which answer is right shows there."""
         return self._closed_form.answer(problem)
 
     def certified(self, program: Assembled, problem: Canonical, start: Solution | None = None) -> Solution:
         return dataclasses.replace(self._first(program, problem, start), backend=self.name)
 
     def _first(self, program: Assembled, problem: Canonical, start: Solution | None) -> Solution:
-        """The first solution that is certified; where there is none, the first general solver's failure."""
+        """Return the first certified solution; where there is none, raise the first general solver's failure."""
         failure: NoSolutionError | None = None
         try:
             return self._closed_form.certified(program, problem, start)

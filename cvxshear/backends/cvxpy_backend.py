@@ -119,7 +119,7 @@ class Cvxpy(Backend):
 
 
 def _multipliers(constraint: cp.Constraint | None) -> Floats:
-    """The multipliers of a constraint, none where there is no constraint or the solver gives none."""
+    """Return the multipliers of a constraint, none where there is no constraint or the solver gives none."""
     value = None if constraint is None else constraint.dual_value
     return np.zeros(0) if value is None else np.atleast_1d(np.asarray(value, dtype=float))
 
@@ -132,7 +132,7 @@ def _padding(equalities: int, inequalities: int) -> int:
 
 
 def _parametrised(unknowns: int, equalities: int, inequalities: int, singular: bool) -> Parametrised:
-    """The problem of this shape; |C z - q|^2 / 2 where C is not the identity, else |z|^2 / 2 - q'z."""
+    """Build the problem of this shape; |C z - q|^2 / 2 where C is not the identity, else |z|^2 / 2 - q'z."""
     z = cp.Variable(unknowns)
     parameters = {"q": cp.Parameter(unknowns)}
     # cvxpy exports `sum_squares` in a way that type checkers do not see.

@@ -88,7 +88,7 @@ def export(programs: Sequence[BenchmarkProgram], folder: str | Path) -> list[Pat
 
 
 def _umask() -> int:
-    """The process's mask of permissions, which can only be read by setting it."""
+    """Read the process's mask of permissions, which is possible only by setting it."""
     mask = os.umask(0)
     os.umask(mask)
     return mask
@@ -115,14 +115,14 @@ def _written(programs: Sequence[BenchmarkProgram], folder: Path) -> list[Path]:
 
 
 def _own(item: BenchmarkProgram) -> bytes:
-    """The arrays by the names of `LeastSquares`."""
+    """Name the arrays as in `LeastSquares`."""
     out = BytesIO()
     np.savez(out, origin=item.origin, **_arrays(item.program))
     return out.getvalue()
 
 
 def _arrays(program: LeastSquares) -> dict[str, Any]:
-    """The arrays of a program that it has and that say something."""
+    """List the arrays of a program that it has and that say something."""
     found = {name: getattr(program, name) for name in ("R", "s", "W", "A", "b", "G", "h", "lower", "upper")}
     return {name: array for name, array in found.items() if array is not None and np.isfinite(array).any()}
 

@@ -27,7 +27,7 @@ def register(backend: Backend) -> None:
 
 @cache
 def _direct() -> dict[str, Backend]:
-    """The closed form, and what qpsolvers calls."""
+    """List the closed form, and what qpsolvers calls."""
     backends: list[Backend] = [Kkt(), *(Qpsolvers(solver.name) for solver in THROUGH_QPSOLVERS if solver.installed)]
     return {backend.name: backend for backend in backends}
 
@@ -42,7 +42,7 @@ def _through_cvxpy(name: str) -> Backend:
 
 @cache
 def _auto() -> Auto:
-    """The closed form, then `DEFINITE` or `SEMIDEFINITE` as far as they are installed."""
+    """List the closed form, then `DEFINITE` or `SEMIDEFINITE` as far as they are installed."""
     installed = _direct()
     orders = [[installed[name] for name in names if name in installed] for names in (DEFINITE, SEMIDEFINITE)]
     return Auto(installed["kkt"], *orders)
@@ -94,7 +94,7 @@ def listed() -> list[ListedBackend]:
 
 
 def get(backend: str | Backend) -> Backend:
-    """The backend of this name; "auto" is the closed form, and a general solver where an inequality is active.
+    """Return the backend of this name; "auto" is the closed form, and a general solver where a bound is active.
 
     Parameters
     ----------

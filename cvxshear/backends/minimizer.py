@@ -110,7 +110,7 @@ class UnsettledError(Exception):
 
 
 def minimizer(program: Assembled, near: Point) -> Minimizer:
-    """The minimizer of a program close to an answer.
+    """Find the minimizer of a program, close to an answer.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def _multiplier_errors(program: Assembled, local: _Local, active: Bools) -> Floa
 
 
 def _doubted(program: Assembled, found: Minimizer, local: _Local, active: Bools) -> Minimizer:
-    """The minimizer with larger bounds where rounding leaves open whether an inequality is active.
+    """Enlarge a minimizer's bounds where rounding leaves open whether an inequality is active.
 
     Were an inequality active that is taken not to be, the minimizer would move by Z (Z'R'RZ)^-1 Z'a v / (a'Z ... Z'a),
     with v the violation that cannot be excluded; were one not active that is taken to be, by P t / |R P|^2, with -t the
@@ -178,7 +178,7 @@ def _doubted(program: Assembled, found: Minimizer, local: _Local, active: Bools)
 
 
 def _guessed(program: Assembled, near: Point) -> Bools:
-    """The inequalities whose multiplier is greater than their slack, both made free of units."""
+    """Guess the active inequalities: the multiplier is greater than the slack, both made free of units."""
     lengths = program.inequality_lengths
     active: Bools = near.w * lengths > np.maximum(program.h - program.G @ near.x, 0.0) / lengths
     return active
@@ -193,7 +193,7 @@ def _satisfied(program: Assembled, found: Minimizer) -> Bools:
 
 
 def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> tuple[Minimizer, _Local]:
-    """The minimizer with the active inequalities as equalities, by the null-space method, as corrections of x.
+    """Minimize with the active inequalities as equalities, by the null-space method, as corrections of x.
 
     LAPACK's xGGLSE does the same and keeps the null-space basis to itself, which the bound is computed from.
     """
@@ -245,7 +245,7 @@ def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> tuple[Minimiz
 
 
 def _unit(terms: int) -> float:
-    """Rounding of a sum of so many terms, relative to the sum of their sizes."""
+    """Bound the rounding of a sum of so many terms, relative to the sum of their sizes."""
     return 4.0 * math.sqrt(max(terms, 1)) * EPSILON
 
 
@@ -285,7 +285,7 @@ class _Factor:
             raise UndeterminedError
 
     def solved(self, sides: Floats) -> Floats:
-        """The minimizers u of |rows u - side| for several right sides, shapes (r, q) and (k, q)."""
+        """Minimize |rows u - side| for several right sides, shape (r, q); the minimizers u have shape (k, q)."""
         u = np.zeros((self._k, sides.shape[1]))
         if u.size:
             work = max(1, 64 * len(sides))
@@ -333,7 +333,7 @@ class _Basis:
         return self._applied("L", "N", np.concatenate([np.zeros((self._p, coordinates.shape[1])), coordinates]))
 
     def onto(self, c: Floats) -> Floats:
-        """The shortest vectors with B v = c, for one right side of shape (p,) or several of shape (p, q)."""
+        """Find the shortest vectors with B v = c, for one right side of shape (p,) or several of shape (p, q)."""
         if not self._p:
             return np.zeros((self._n, *c.shape[1:]))
         several = c.reshape(self._p, -1)
@@ -342,7 +342,7 @@ class _Basis:
         return self._applied("L", "N", padded).reshape((self._n, *c.shape[1:]))
 
     def multipliers(self, pull: Floats) -> Floats:
-        """The coefficients of B's rows that come closest to a vector."""
+        """Combine B's rows to come closest to a vector, and return their coefficients."""
         if not self._p:
             return np.zeros(0)
         t = self._applied("L", "T", pull[:, None])[: self._p, 0]

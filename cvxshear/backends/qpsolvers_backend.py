@@ -75,7 +75,7 @@ class Qpsolvers(Backend):
         return Answer(np.asarray(found.x) / scale, y / scale, w / scale, status, _iterations(found.extras))
 
     def _stated(self, problem: Canonical) -> qpsolvers.Problem:
-        """The problem in the solver's preferred matrix format: z'C'C z / 2 - (C'q)'z."""
+        """Write the problem in the solver's preferred matrix format: z'C'C z / 2 - (C'q)'z."""
         import qpsolvers  # noqa: PLC0415 - as in `answer`
         from scipy import sparse  # noqa: PLC0415 - only some solvers take it
 
@@ -100,7 +100,7 @@ def _status(found: qpsolvers.Solution) -> str:
 
 
 def _iterations(extras: dict[str, Any]) -> int | None:
-    """The number of iterations, under whichever name the solver reports it."""
+    """Read the number of iterations, under whichever name the solver reports it."""
     info = extras.get("info")
     for value in (getattr(info, "iter", None), extras.get("iter"), extras.get("iterations")):
         if value is not None:

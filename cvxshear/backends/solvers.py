@@ -57,7 +57,7 @@ def _found(module: str) -> bool:
 
 
 def version(package: str) -> str | None:
-    """The version of an installed package, None where there is none."""
+    """Return the version of an installed package, None where there is none."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
@@ -137,13 +137,13 @@ def accurate(solver: str) -> dict[str, Any]:
 
 
 def loosest(solver: str, options: Mapping[str, Any]) -> float | None:
-    """The loosest accuracy among a solver's options; None where none is told."""
+    """Find the loosest accuracy among a solver's options; None where they have none."""
     told = [float(options[name]) for name in TOLERANCES.get(solver, {}) if name in options]
     return max(told, default=None)
 
 
 def with_tolerance(solver: str, options: Mapping[str, Any], tolerance: float) -> dict[str, Any]:
-    """The options with another accuracy."""
+    """Replace the accuracy in a solver's options."""
     return {**options, **dict.fromkeys(TOLERANCES.get(solver, {}), tolerance)}
 
 

@@ -188,7 +188,7 @@ def modes(
 def measured(
     names: Sequence[str], *, jobs: int = 1, progress: Progress | None = None, accept_swapped: bool = False
 ) -> tuple[Experiment, list[IdentifiedRecord]]:
-    """The experiment of a measurement file, or that of record files with the modes found in each.
+    """Read the experiment of a measurement file, or that of record files with the modes found in each.
 
     Raises
     ------
@@ -217,7 +217,7 @@ def measured(
 
 
 def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
-    """The modes of each record."""
+    """Identify the modes of each record."""
     from cvxshear.files.modes import UNKNOWN_SCALE, cables_of
     from cvxshear.report import terminal
 
@@ -238,14 +238,14 @@ def needs_mass(tests: Sequence[IdentifiedRecord]) -> bool:
 
 
 def records_in_json(tests: Sequence[IdentifiedRecord]) -> Json:
-    """What the modes of the records add to a result's JSON."""
+    """Return what the modes of the records add to a result's JSON."""
     if not tests:
         return {}
     return {"modes": tests[0].modes.to_dict()} if len(tests) == 1 else {"records": [_record(test) for test in tests]}
 
 
 def _files(names: Sequence[str], written: str | None = None) -> list[str]:
-    """The record files of names and patterns; what a pattern matches is not to be written over either."""
+    """Resolve names and patterns to record files; what a pattern matches is not to be written over either."""
     from cvxshear.files.modes import record_files
 
     files, left_out = record_files(names)

@@ -23,7 +23,7 @@ WRITTEN, READ = f"{__name__}.written", f"{__name__}.read"
 
 
 def output_file(*endings: str) -> Callable[[typer.Context, typer.CallbackParam, str | None], str | None]:
-    """The check of an option that names a file to write, made before the command runs.
+    """Make the check of an option that names a file to write; it runs before the command does.
 
     Parameters
     ----------

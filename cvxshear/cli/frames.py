@@ -28,9 +28,10 @@ from cvxshear.cli.output import (
     names,
     numbers,
     progress,
+    show,
     typed,
 )
-from cvxshear.cli.written import CsvOut, FiguresOut, Pictures, Spreadsheets, XlsxOut
+from cvxshear.cli.written import LIST, CsvOut, FiguresOut, Pictures, Spreadsheets, XlsxOut
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.text import shell_line
 
@@ -112,7 +113,11 @@ def identify(
 def loop(
     sources: Files,
     effects: Annotated[
-        str | None, typer.Option(help="Which effects to look for, commas between; all where not given.")
+        str | None,
+        typer.Option(
+            help="Which effects to look for, commas between; all where not given. 'list' prints them, with the kinds "
+            "of data and the verdicts."
+        ),
     ] = None,
     assume: Annotated[
         str | None, typer.Option(help="Effects that are in the model from the start, such as gravity.")
@@ -153,6 +158,9 @@ def loop(
     from cvxshear.screening import refuse_mistakes
     from cvxshear.util.quantities import Units
 
+    if effects == LIST:
+        show(terminal.catalogued())
+        raise typer.Exit
     pictures, tables, display = Pictures(figure, Closure), Spreadsheets(csv, xlsx), Units.parse(units)
     if report is not None:
         from cvxshear.report.html import photograph_of, write_report

@@ -53,7 +53,7 @@ Records = Annotated[
 
 
 def writes(*names: str, what: str, metavar: str = "OUT", endings: Iterable[str] = ()) -> Any:
-    """An option that names a file to write."""
+    """Declare an option that names a file to write."""
     return typer.Option(*names, help=what, metavar=metavar, callback=output_file(*endings))
 
 
@@ -171,7 +171,7 @@ def deliver(
 
 
 def about(files: Sequence[str], title: str | None) -> Json:
-    """What a result says of its origin: version, date, title of the test, and the files read with their SHA-256.
+    """Trace a result to its origin: version, date, title of the test, and the files read with their SHA-256.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def _digest(file: str) -> str | None:
 
 
 def heading_of(report: str | None, **parts: str | None) -> dict[str, str]:
-    """What the command line says for the head of a report.
+    """Collect what the command line says for the head of a report.
 
     Raises
     ------
@@ -222,7 +222,7 @@ def heading_of(report: str | None, **parts: str | None) -> dict[str, str]:
 
 
 def figures_for(*paths: str | None) -> ModuleType | None:
-    """The figures, where one is asked for; refuses a wrong ending or a missing package before anything runs."""
+    """Import the figures, where one is asked for; refuse a wrong ending or a missing package before anything runs."""
     asked = [path for path in paths if path is not None]
     if not asked:
         return None
@@ -246,7 +246,7 @@ def silence(asked: bool) -> None:
 
 @contextmanager
 def progress(title: str, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """A bar on standard error, only where that is a terminal and nobody asked for quiet."""
+    """Show a bar on standard error, only where that is a terminal and nobody asked for quiet."""
     if quiet or _silent[0] or not sys.stderr.isatty():
         yield None
         return
@@ -259,12 +259,12 @@ def progress(title: str, quiet: bool) -> Iterator[Callable[[int, int], None] | N
 
 
 def names(text: str | None) -> list[str] | None:
-    """The names of a comma-separated option."""
+    """Split the names of a comma-separated option."""
     return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
 
 
 def numbers(text: str | None, option: str) -> list[float] | None:
-    """The numbers of a comma-separated option."""
+    """Read the numbers of a comma-separated option."""
     if text is None:
         return None
     try:
@@ -289,7 +289,7 @@ def takes_unicode() -> bool:
 
 @contextmanager
 def sound_streams() -> Iterator[None]:
-    """Standard output and error as any terminal takes them: escapes for what it has no letter for.
+    """Make standard output and error such that any terminal takes them: escapes for what it has no letter for.
 
     In place of one that is closed stands the null device, lest a file opened later take its number: standard output
     as a device that cannot be written, since a result would be lost; standard error as one that takes all.
@@ -308,7 +308,7 @@ def sound_streams() -> Iterator[None]:
 
 @contextmanager
 def printing() -> Iterator[None]:
-    """What is printed inside, down to the last letter.
+    """Pass on what is printed inside, down to the last letter.
 
     Raises
     ------
@@ -323,7 +323,7 @@ def printing() -> Iterator[None]:
 
 
 def lost(error: OSError) -> OutputError:
-    """What to raise where standard output does not take what was printed; it takes all that comes after."""
+    """Make the error for a standard output that does not take what was printed; it takes all that comes after."""
     # Python flushes once more at its end, and would complain there.
     if isinstance(sys.stdout, io.TextIOWrapper):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -331,7 +331,7 @@ def lost(error: OSError) -> OutputError:
 
 
 def _spelled(error: UnicodeError) -> tuple[str, int]:
-    """What stands for a character that a terminal's encoding does not have."""
+    """Spell a character that a terminal's encoding does not have."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     missing = error.object[error.start : error.end]

@@ -112,7 +112,7 @@ def _noise(
     duration: float | None,
     record: tuple[str | None, float | None, float | None],
 ) -> TestNoise:
-    """The noise that the options stand for."""
+    """Make the noise that the options stand for."""
     from cvxshear.planning import Declared, Recorded
 
     stds = zip(("frequency_std", "mode_shape_std"), declared, strict=True)
@@ -142,7 +142,7 @@ def _modes(text: str | None) -> int | list[int] | None:
 
 
 def _masses(text: str | None) -> float | list[float] | None:
-    """What each floor can carry."""
+    """Say what each floor can carry."""
     if text is None:
         return None
     found = _numbers(text, "--added-mass", float, "kg, such as 40, or one a floor, such as 0,20,40")

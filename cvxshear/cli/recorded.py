@@ -145,7 +145,7 @@ def reconstruct(
 
 
 def _pages(report: str | None) -> list[Callable[..., None]]:
-    """What writes the report of a result, where one is asked for."""
+    """Make what writes the report of a result, where one is asked for."""
     if report is None:
         return []
     from cvxshear.report.html import write_response_report
@@ -154,7 +154,7 @@ def _pages(report: str | None) -> list[Callable[..., None]]:
 
 
 def screened(file: str, backend: str, assume: Sequence[str] = ()) -> tuple[ModelSource, Sequence[Finding] | None]:
-    """What the model is made of, without mistakes, and its warnings; None where `loop` looked for them before."""
+    """Load what the model is made of, without mistakes, and its warnings; None where `loop` looked for them before."""
     from cvxshear import backends, close_loop
     from cvxshear.measurement.declaration import NUMBERS
     from cvxshear.response import models_of_loop

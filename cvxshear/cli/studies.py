@@ -38,7 +38,7 @@ def reproduce(
 
 
 def _mass_iteration(drawing: ModuleType) -> Any:
-    """The paper's Fig. 4: errors of the masses in each iteration, from its two initial masses."""
+    """Recompute the paper's Fig. 4: errors of the masses in each iteration, from its two initial masses."""
     from cvxshear import identify as run
     from cvxshear.paper import tables
     from cvxshear.paper.three_story import ThreeStory

@@ -23,7 +23,7 @@ LIST = "list"
 
 
 def _among_figures(context: typer.Context, option: typer.CallbackParam, asked: list[str] | None) -> list[str] | None:
-    """A check of every figure that is to be written, made before the command runs."""
+    """Check every figure that is to be written, before the command runs."""
     for text in asked or ():
         if not context.resilient_parsing and text != LIST:
             claim(context, option.opts[0], _path(text), FIGURES)
@@ -79,7 +79,7 @@ class Pictures:
         self._wanted = [_split(text, figures_of(result)) for text in asked]
 
     def of(self, *results: Any) -> list[Callable[[], None]]:
-        """What draws and writes each of them."""
+        """Return what draws and writes each of them."""
         return [partial(self._drawn, entry.name, path, results) for entry, path in self._wanted]
 
     def _drawn(self, name: str, path: str, results: Sequence[Any]) -> None:
@@ -97,16 +97,13 @@ def _list(result: type) -> None:
     from cvxshear.report.figures import figures_of
     from cvxshear.report.terminal import plain_table
 
-    table = plain_table(
-        "Figures: --figure KIND:OUT.svg, .png or .pdf", "kind", "what it shows", "needs", words=(0, 1, 2)
-    )
-    for name, entry in figures_of(result).items():
-        table.add_row(name, entry.title, entry.needs)
-    show([table])
+    title, head = "Figures: --figure KIND:OUT.svg, .png or .pdf", ("kind", "what it shows", "needs")
+    rows = ((name, entry.title, entry.needs) for name, entry in figures_of(result).items())
+    show([plain_table(title, *head, words=(0, 1, 2), rows=rows)])
 
 
 def _path(text: str) -> str:
-    """The path of a figure; a colon after one letter belongs to a path of Windows."""
+    """Take the path of a figure; a colon after one letter belongs to a path of Windows."""
     kind, colon, path = text.partition(":")
     return path if colon and len(kind) > 1 else text
 
@@ -146,7 +143,7 @@ class Spreadsheets:
             load_openpyxl()
 
     def of(self, sheets: Callable[[], Sequence[Sheet]]) -> list[Callable[[], None]]:
-        """What makes the tables and writes each file."""
+        """Return what makes the tables and writes each file."""
         from cvxshear.files.spreadsheets import write_csv, write_xlsx
 
         asked = ((write_csv, self._csv), (write_xlsx, self._xlsx))
@@ -160,7 +157,7 @@ def _written(write: Callable[..., None], path: str, sheets: Callable[[], Sequenc
 def handed_over(
     context: typer.Context, option: str, paths: Iterable[str], kind_of: Callable[[str], str], write: Callable[..., None]
 ) -> list[Callable[..., None]]:
-    """What writes a result, to be called with it, into each of these files; what cannot be written is refused here.
+    """Prepare what writes a result, called with it, into each of these files; refuse here what cannot be written.
 
     Parameters
     ----------

@@ -1,21 +1,36 @@
-"""Kinds of measured data: one class a kind, each with its residual, derivative, count, label and errors."""
+"""Kinds of measured data: one class a kind, each with its noise, residual, derivative, count, label and errors."""
 
-from cvxshear.data.base import NOISES, Datum, Deviation, Model, Noise, Residual
+from cvxshear.data.base import (
+    Datum,
+    Deviation,
+    ErrorFigure,
+    Model,
+    Noise,
+    NoiseKind,
+    Residual,
+    data_of,
+    noise_kinds,
+    register,
+)
 from cvxshear.data.frequencies import Frequencies
-from cvxshear.data.kinds import data_of, register
 from cvxshear.data.shapes import Shapes
 from cvxshear.data.static import Static
 
 __all__ = [
-    "NOISES",
     "Datum",
     "Deviation",
+    "ErrorFigure",
     "Frequencies",
     "Model",
     "Noise",
+    "NoiseKind",
     "Residual",
     "Shapes",
     "Static",
     "data_of",
+    "noise_kinds",
     "register",
 ]
+
+for _kind in (Frequencies, Shapes, Static):
+    register(_kind)

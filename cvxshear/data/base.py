@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -14,11 +14,91 @@ from cvxshear.data.pairing import paired
 from cvxshear.effects.state import State
 from cvxshear.measurement.experiment import Configuration, Experiment, Tested
 from cvxshear.model.shear import Modes, System, mode_derivatives, modes
+from cvxshear.util.errors import InputError
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Bools, Floats, Ints
 
-NOISES = ("frequency", "mode_shape", "displacement")
-"""What is measured with a noise of its own."""
+
+@dataclass(frozen=True)
+class ErrorFigure:
+    """An error of a kind of data that an engineer reads.
+
+    Parameters
+    ----------
+    key : str
+        Its key in the JSON: "max_frequency_error".
+    label : str
+        Its name in tables and sentences: "largest frequency error".
+    errors : str
+        Key of the errors in `Datum.errors` that it summarizes.
+    statistic : callable
+        Takes these errors of all data, and returns one number.
+    relative : bool
+        Whether it is a share, written in percent.
+    """
+
+    key: str
+    label: str
+    errors: str
+    statistic: Callable[[Floats], Any]
+    relative: bool = True
+
+
+@dataclass(frozen=True)
+class NoiseKind:
+    """The noise of a kind of data: how large it is, and which errors it makes.
+
+    Parameters
+    ----------
+    name : str
+        Its key in the JSON, in the singular: "mode_shape".
+    plural : str
+        What the data are called: "mode shapes".
+    default : float
+        Standard deviation that stands for an undeclared one; the estimated factor multiplies it.
+    largest : float
+        Largest standard deviation that instruments have.
+    reason : str
+        Why these two.
+    figures : tuple of ErrorFigure
+        A headline names the first one that is relative.
+    negligible : float
+        Largest relative error that no engineer would look into.
+    unit : str
+        Unit of the standard deviations; empty where they are relative.
+    """
+
+    name: str
+    plural: str
+    default: float
+    largest: float
+    reason: str
+    figures: tuple[ErrorFigure, ...] = ()
+    negligible: float = 0.0
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse deviations that leave no room for an estimate."""
+        if not 0 < self.default <= self.largest:
+            raise InputError(
+                f"noise {self.name!r}: default {self.default:g} and largest {self.largest:g} must be positive, "
+                "the largest not below the default"
+            )
+
+    @property
+    def leading(self) -> ErrorFigure | None:
+        """The error that a headline names; None where no error is relative."""
+        return next((each for each in self.figures if each.relative), None)
+
+    def sized(self, *factors: float) -> tuple[tuple[float, ...], str]:
+        """Scale the default by each factor, with its unit: percent where it is relative."""
+        scale = self.default if self.unit else 100 * self.default
+        return tuple(scale * factor for factor in factors), self.unit or "%"
+
+
+def largest(errors: Floats) -> float:
+    """Find the largest size of an error."""
+    return float(np.max(np.abs(errors)))
 
 
 @dataclass(frozen=True)
@@ -28,13 +108,13 @@ class Noise:
     Parameters
     ----------
     factors : tuple of (str, float)
-        Each kind of `NOISES` whose standard deviation somebody left open, with its factor.
+        The name of each noise whose standard deviation somebody left open, with its factor.
     """
 
     factors: tuple[tuple[str, float], ...] = ()
 
     def of(self, kind: str) -> float:
-        """The factor of a kind; 1 where it is none of these."""
+        """Return the factor of a noise; 1 where it is none of these."""
         return dict(self.factors).get(kind, 1.0)
 
 
@@ -100,13 +180,13 @@ class Datum(ABC):
 
     Attributes
     ----------
-    noise : str
-        One of `NOISES`: what its standard deviation is that of.
+    noise : NoiseKind
+        How such data err; kinds of data may share a noise.
     tested : Tested
         The state of the frame that it was measured in.
     """
 
-    noise: ClassVar[str]
+    noise: ClassVar[NoiseKind]
     tested: Tested
 
     @classmethod
@@ -154,18 +234,20 @@ class Datum(ABC):
         return Residual(found.r / factor, found.J / factor[:, None] if model.derivatives else found.J)
 
     def errors(self, model: Model) -> Mapping[str, Floats]:
-        """Errors that an engineer reads, by the words of `Quality`; none by default."""
+        """Errors that an engineer reads, by the keys that its noise summarizes; none by default."""
         return {}
 
     def without(self, left_out: Bools) -> Datum:
-        """The datum without some of the modes of its configuration, where it speaks of modes."""
+        """Leave out some of the modes of its configuration, where it speaks of modes."""
         return self
 
     def describe(self, model: Model) -> list[Deviation]:
-        """Its parts, each with its error and deviation; by default one of the whole."""
+        """Its parts, each with its error and deviation; by default one of the whole, with its first, largest error."""
         r = self.residual(model).r
         deviation = float(np.sqrt(np.mean(r**2))) if r.size else 0.0
-        return [Deviation(self.noise, self.tested.name, self.label, None, deviation, max(len(r), 1))]
+        errors = next(iter(self.errors(model).values()), np.zeros(0))
+        error = float(errors[np.argmax(np.abs(errors))]) if errors.size else None
+        return [Deviation(self.noise.name, self.tested.name, self.label, error, deviation, max(len(r), 1))]
 
     def by_floor(self, model: Model) -> Mapping[int, Floats]:
         """Residuals in standard deviations by the floor they were measured at; none by default."""
@@ -179,7 +261,7 @@ class Deviation(InJson):
     Parameters
     ----------
     noise : str
-        One of `NOISES`, or "prior" for a declared statement.
+        Name of the noise, or "prior" for a declared statement.
     configuration : str
         Where it was measured; empty for a statement.
     place : str
@@ -204,3 +286,36 @@ class Deviation(InJson):
         if not self.configuration:
             return f'the statement "{self.place}"'
         return f'the {self.noise.replace("_", " ")} of {self.place} of "{self.configuration}"'
+
+
+_kinds: dict[str, type[Datum]] = {}
+"""Every kind of data by the name of its class, the built-in ones first."""
+
+
+def register(kind: type[Datum]) -> None:
+    """Add a kind of datum; one of the same name is replaced.
+
+    Raises
+    ------
+    InputError
+        Where it declares no noise, or another kind has a different noise of that name.
+    """
+    noise = getattr(kind, "noise", None)
+    if not isinstance(noise, NoiseKind):
+        raise InputError(f"{kind.__name__}.noise is {noise!r}: declare a NoiseKind")
+    for other in _kinds.values():
+        if other.__name__ != kind.__name__ and other.noise.name == noise.name and other.noise != noise:
+            raise InputError(f"{kind.__name__}.noise: the name {noise.name!r} is that of the noise of {other.__name__}")
+    _kinds[kind.__name__] = kind
+
+
+def noise_kinds() -> dict[str, NoiseKind]:
+    """List the noise of every kind of data, by its name."""
+    return {kind.noise.name: kind.noise for kind in _kinds.values()}
+
+
+def data_of(experiment: Experiment) -> list[Datum]:
+    """All data of an experiment, kind by kind within each tested state."""
+    found = [datum for kind in _kinds.values() for datum in kind.of(experiment)]
+    order = {id(tested): place for place, tested in enumerate(experiment.tested)}
+    return sorted(found, key=lambda datum: order[id(datum.tested)])

@@ -48,7 +48,7 @@ def scaled(measured: Floats, modelled: Floats, weights: Floats) -> tuple[Floats,
 
 
 def numbered(configuration: Configuration, found: Modes, M: Floats) -> Ints:
-    """The modes of the model that a configuration's mode numbers mean, zero-based, shape (m,).
+    """Find the modes of the model that a configuration's mode numbers mean, zero-based, shape (m,).
 
     Numbers count the modes of the frame, without the own mode of a mass that is attached to a floor. Where that mass
     shares its energy among several modes, as one that is tuned to a mode does, each of them may be the one that was

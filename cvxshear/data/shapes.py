@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.data.base import Datum, Deviation, Model, Residual
+from cvxshear.data.base import Datum, Deviation, ErrorFigure, Model, NoiseKind, Residual, largest
 from cvxshear.data.pairing import mac, scaled
+from cvxshear.measurement.configuration import DEFAULT_MODE_SHAPE_STD
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.util.typing import Bools, Floats, Ints
 
@@ -27,7 +28,15 @@ class Shapes(Datum):
         Which of its modes count.
     """
 
-    noise = "mode_shape"
+    noise = NoiseKind(
+        "mode_shape", "mode shapes", DEFAULT_MODE_SHAPE_STD, 0.15,
+        "calibrated sensors show entries to 1 % of the largest; 15 % is more than an uncalibrated one is off",
+        (
+            ErrorFigure("min_mac", "smallest modal assurance criterion (MAC)", "mac", np.min, relative=False),
+            ErrorFigure("max_shape_error", "largest mode-shape error", "shape_error", largest),
+        ),
+        negligible=1e-4,
+    )  # fmt: skip
     tested: Configuration
     kept: Bools
 
@@ -72,7 +81,7 @@ class Shapes(Datum):
         return weights, psi, scale, unit
 
     def seen(self, model: Model) -> Floats:
-        """The modelled shapes as the sensors would show them, on the measured ones' scale, shape (kept, n)."""
+        """Return the modelled shapes as sensors would show them, on the measured ones' scale, shape (kept, n)."""
         _, psi, scale, _ = self._laid_on(model)
         return scale[:, None] * psi
 
@@ -91,7 +100,7 @@ class Shapes(Datum):
         return self.widened_residual(model, np.ones(len(self.floors)))
 
     def widened_residual(self, model: Model, factor: Floats) -> Residual:
-        """The same, the scale of each shape following the entries that have become less certain."""
+        """Compute `residual`, the scale of each shape following the entries that have become less certain."""
         weights, psi, scale, unit = self._laid_on(model, factor)
         r = (weights * (scale[:, None] * psi - self.tested.known_shapes[self.kept])).ravel()
         if not model.derivatives:
@@ -120,7 +129,7 @@ class Shapes(Datum):
         return list(zip(self.tested.mode_shapes[self.kept], self.seen(model), known, strict=True))
 
     def without(self, left_out: Bools) -> Shapes:
-        """The other modes."""
+        """Leave out these modes."""
         return Shapes(self.tested, self.kept & ~left_out)
 
     def describe(self, model: Model) -> list[Deviation]:
@@ -128,7 +137,7 @@ class Shapes(Datum):
         z = self.residual(model).r.reshape(int(self.kept.sum()), -1)
         return [
             Deviation(
-                self.noise,
+                self.noise.name,
                 self.tested.name,
                 f"mode {mode}",
                 shape_error(measured[known], modelled[known]),
@@ -141,7 +150,7 @@ class Shapes(Datum):
         ]
 
     def by_floor(self, model: Model) -> Mapping[int, Floats]:
-        """The entries at each floor."""
+        """Collect the entries at each floor."""
         z = self.residual(model).r.reshape(int(self.kept.sum()), -1)
         known = self.tested.measured[self.kept]
         return {int(floor): z[known[:, at], at] for at, floor in enumerate(self.tested.measured_floors)}

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from cvxshear.data.base import Datum, Deviation, Model, Residual
+from cvxshear.data.base import Datum, Deviation, ErrorFigure, Model, NoiseKind, Residual, largest
 from cvxshear.measurement.experiment import Experiment, StaticTest
+from cvxshear.measurement.static_test import DEFAULT_DISPLACEMENT_STD
 from cvxshear.util.typing import Floats, Ints
 
 
@@ -22,7 +23,12 @@ class Static(Datum):
     tested : StaticTest
     """
 
-    noise = "displacement"
+    noise = NoiseKind(
+        "displacement", "displacements", DEFAULT_DISPLACEMENT_STD, 0.15,
+        "dial gauges and load cells are good to 1 % of the largest reading; 15 % is a wire's slack or a soft support",
+        (ErrorFigure("max_displacement_error", "largest displacement error", "displacement_error", largest),),
+        negligible=1e-4,
+    )  # fmt: skip
     tested: StaticTest
 
     @classmethod
@@ -74,12 +80,12 @@ class Static(Datum):
         floors = np.flatnonzero(self.tested.measured) + 1
         errors, r = self.errors(model)["displacement_error"], self.residual(model).r
         return [
-            Deviation(self.noise, self.tested.name, f"floor {floor}", float(error), float(z))
+            Deviation(self.noise.name, self.tested.name, f"floor {floor}", float(error), float(z))
             for floor, error, z in zip(floors, errors, r, strict=True)
         ]
 
     def by_floor(self, model: Model) -> Mapping[int, Floats]:
-        """The displacement at each floor."""
+        """Return the residual at each floor."""
         floors = np.flatnonzero(self.tested.measured) + 1
         return {int(floor): np.array([z]) for floor, z in zip(floors, self.residual(model).r, strict=True)}
 

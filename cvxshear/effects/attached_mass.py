@@ -62,7 +62,7 @@ class AttachedMass(Effect):
     probability = 0.02
 
     def bound(self, experiment: Experiment) -> Self:
-        """A copy whose frequency lies about those that were measured."""
+        """Make a copy whose frequency lies about those that were measured."""
         measured = np.concatenate([each.frequencies for each in experiment.configurations])
         lowest, highest = float(measured.min()), float(measured.max())
         total = experiment.frame.known_total

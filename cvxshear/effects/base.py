@@ -94,7 +94,7 @@ class Place(InJson):
         return "" if self.state is None else f' in "{self.state}"'
 
     def label(self, subject: str) -> str:
-        """What sits here with its place, such as "ground spring at floor 3" or "spring between floors 2 and 6"."""
+        """Name what sits here and its place, such as "ground spring at floor 3" or "spring between floors 2 and 6"."""
         where = self.describe()
         return f"{subject} {'at' if self.to is None else 'between'} {where}" if where else subject
 
@@ -175,7 +175,7 @@ class Effect(ABC):
 
     @abstractmethod
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        """The state with this effect in it.
+        """Put this effect into the state.
 
         Parameters
         ----------
@@ -193,11 +193,11 @@ class Effect(ABC):
         """
 
     def bound(self, experiment: Experiment) -> Effect:
-        """The effect as it is in this experiment: itself, or a copy whose `parameters` or `sits_at` depend on it."""
+        """Return the effect for this experiment: itself, or a copy whose `parameters` or `sits_at` depend on it."""
         return self
 
     def bound_at(self, experiment: Experiment, place: Place) -> Effect:
-        """The effect as it is at one place: itself, or a copy whose `parameters` depend on the place."""
+        """Return the effect for one place: itself, or a copy whose `parameters` depend on the place."""
         return self
 
     def rescaled(self, tested: Tested, noise: str, floors: Ints, place: Place) -> Bools:
@@ -234,7 +234,7 @@ class Effect(ABC):
         return None
 
     def sizes(self, scale: Scale) -> Floats:
-        """The size that practice meets, shape (p,): standard deviations of the parameters about their null values.
+        """Return the size that practice meets, shape (p,): standard deviations of the parameters about null.
 
         Infinite where a parameter is as probable anywhere between its bounds; so it is by default.
         """
@@ -253,14 +253,14 @@ class Effect(ABC):
         return np.full(len(usual), self.size) if self.common_size else np.concatenate([[self.size], usual[1:]])
 
     def limits(self, experiment: Experiment, place: Place) -> Constraints:
-        """What is physically possible beyond the parameters' own bounds, as rows on masses, stiffnesses, parameters.
+        """Return what is possible beyond the parameters' own bounds, as rows on masses, stiffnesses, parameters.
 
         The rows have 2N + p entries: floor masses, story stiffnesses, the effect's own parameters; none by default.
         """
         return Constraints()
 
     def lacks(self, experiment: Experiment) -> str:
-        """What the experiment would have to declare for this effect to be looked for; empty where it has all."""
+        """Return what the experiment would have to declare for this effect to be looked for; empty where it has all."""
         if "heights" in self.needs and experiment.frame.story_heights is None:
             return "story_heights"
         if "several states" in self.needs and len(experiment.states) < 2:
@@ -287,7 +287,7 @@ class Effect(ABC):
         return f"{place.label(self.label)} is there ({sizes})"
 
     def known_anyway(self, experiment: Experiment, floor_mass: Floats, story_stiffness: Floats) -> str:
-        """A sentence on what is known of the effect even where the data do not show it; empty by default."""
+        """Return a sentence on what is known of the effect even where the data do not show it; empty by default."""
         return ""
 
     @property
@@ -296,7 +296,7 @@ class Effect(ABC):
         return self.name.replace("_", " ")
 
     def expecting(self, *, size: float | None = None, probability: float | None = None) -> Self:
-        """The same effect with another size of its first parameter, in its unit, or another probability."""
+        """Return the same effect with another size of its first parameter, in its unit, or another probability."""
         changed = copy.copy(self)
         if probability is not None:
             if not 0.0 < probability < 1.0:
@@ -354,5 +354,5 @@ class Placed(InJson):
 
 
 def in_percent(value: float, std: float) -> str:
-    """The size of a ratio and its standard deviation, without the sign, such as "15.1 ± 0.4 %"."""
+    """Return the size of a ratio and its standard deviation, without the sign, such as "15.1 ± 0.4 %"."""
     return with_std(100 * abs(float(value)), 100 * float(std), "%")

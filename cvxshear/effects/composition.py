@@ -80,7 +80,7 @@ def compose(
 
 
 def _system(mass: Floats, stiffness: Floats, size: int, *, dense: bool) -> System:
-    """The shear frame with derivatives by all parameters; as whole matrices where effects are to act on them.
+    """Build the shear frame with derivatives by all parameters; whole matrices where effects are to act on them.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def _system(mass: Floats, stiffness: Floats, size: int, *, dense: bool) -> Syste
 
 
 def _assembled(state: State) -> State:
-    """The state with the stiffness matrix of its stories, braces and joints.
+    """Assemble the stiffness matrix of the stories, braces and joints of a state.
 
     A story whose columns have the stiffness k = 12 E I / h^3 and the height h, with sway u and joint rotation theta at
     either end, has the stiffness of the Bernoulli beam, k [1, h/2; h^2/3, h^2/6 coupling] (Przemieniecki, Theory of
@@ -132,7 +132,7 @@ def _assembled(state: State) -> State:
 
 @lru_cache(maxsize=16)
 def _stories(heights: tuple[float, ...]) -> tuple[Floats, Floats, Floats]:
-    """The blocks (u, u), (u, theta) and (theta, theta) of every story of unit stiffness, stacked over the stories.
+    """Build the blocks (u, u), (u, theta) and (theta, theta) of every story of unit stiffness, one after the other.
 
     theta > 0 turns the joint so that the column leans towards +u: the drift is resisted by
     u_i - u_(i-1) - h (theta_i + theta_(i-1)) / 2. The first joint is the base, which does not sway.

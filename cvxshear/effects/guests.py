@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
-from typing import TypeVar
 
 import numpy as np
 
@@ -15,9 +14,7 @@ from cvxshear.effects.state import STAGES, Scale, State, heights_of
 from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.priors import Constraints
 from cvxshear.util.errors import CvxshearError, InputError
-from cvxshear.util.typing import Floats
-
-T = TypeVar("T")
+from cvxshear.util.typing import Floats, T
 
 PLACE_PARTS = ("floor", "to", "story", "state", "prior")
 NEEDS = ("heights", "several states")
@@ -72,7 +69,7 @@ def refuse_faulty(effect: object, experiment: Experiment | None = None) -> None:
 
 @lru_cache(maxsize=1)
 def typical_experiment() -> Experiment:
-    """A frame of four unequal stories, tested in two states, one of them with added masses."""
+    """Build a frame of four unequal stories, tested in two states, one of them with added masses."""
     shapes = np.sin(np.outer([1, 3, 5, 7], np.arange(1, 5)) * np.pi / 9)
     tests = [
         {"name": name, "added_mass": added, "frequencies": [2.0, 6.0, 9.0, 11.0], "mode_shapes": shapes.tolist()}
@@ -120,10 +117,10 @@ class _Check:
         if not holds:
             raise InputError(f"effect {self.effect.name}: {otherwise}")
 
-    def _call(self, member: str, of: Callable[[], T], kind: type | tuple[type, ...]) -> T:
-        """What a member of the effect returns, which must be of a kind."""
+    def _call(self, member: str, member_call: Callable[[], T], kind: type | tuple[type, ...]) -> T:
+        """Call a member of the effect, whose result must be of a kind."""
         try:
-            found = of()
+            found = member_call()
         except CvxshearError:
             raise
         except Exception as error:
@@ -197,7 +194,7 @@ class _Check:
         self._that(said.strip(), "phrase() is empty")
 
     def _matrices(self, here: Effect, place: Place, sizes: Floats) -> None:
-        """What it makes of a frame, and the derivatives of that."""
+        """Check what the effect makes of a frame, and the derivatives of that."""
         placed = Placed(here, place)
         tested = next(each for each in self.experiment.tested if placed.acts_on(each))
         nulls = np.array([item.null for item in here.parameters])
@@ -236,7 +233,7 @@ class _Check:
         self._slopes(placed, tested, at, steps)
 
     def _slopes(self, placed: Placed, tested: Tested, at: Floats, steps: Floats) -> None:
-        """Derivatives in a random direction of the effect's own parameters, and in one of the frame's."""
+        """Check derivatives in a random direction of the effect's own parameters, and in one of the frame's."""
         rng = np.random.default_rng(20)
         n2 = len(self._frame)
         there = self._composed(tested, placed, at)
@@ -263,7 +260,7 @@ class _Check:
                 )
 
     def _untouched(self, here: Effect, place: Place, tested: Tested, at: Floats) -> None:
-        """That `apply` leaves the arrays alone that it is given, its own result among them."""
+        """Check that `apply` leaves the arrays alone that it is given, its own result among them."""
         state = self._composed(tested, Placed(_Idle(here.parameters)), at)
         own = slice(len(self._frame), len(at))
         values = at[own].copy()
@@ -299,7 +296,7 @@ def _values(state: State) -> Sequence[Floats]:
 
 
 def _slopes(state: State, direction: Floats) -> Sequence[Floats]:
-    """Derivatives of M, K and the observation matrix along a direction of the parameters."""
+    """Return the derivatives of M, K and the observation matrix along a direction of the parameters."""
     observed = np.zeros_like(state.observation.matrix)
     for parameter, slope in state.observation.slopes.items():
         observed = observed + direction[parameter] * slope

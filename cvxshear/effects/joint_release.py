@@ -51,7 +51,7 @@ class JointRelease(Effect):
     uses_heights = True
 
     def bound_at(self, experiment: Experiment, place: Place) -> Self:
-        """A copy that has the loss alone where it softens one story alone: nothing tells its two parts apart."""
+        """Make a copy that has the loss alone where it softens one story alone: nothing tells its two parts apart."""
         assert place.floor is not None
         if len(_adjoining(place.floor, experiment.stories)) > 1:
             return self
@@ -106,5 +106,5 @@ class JointRelease(Effect):
 
 
 def _adjoining(floor: int, stories: int) -> range:
-    """Indices of the stories below and above a floor."""
+    """Return the indices of the stories below and above a floor."""
     return range(max(floor - 1, 0), min(floor + 1, stories))

@@ -15,7 +15,7 @@ from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.quantities import with_std
 from cvxshear.util.typing import Floats
 
-MOST_STORIES = 40
+MOST_OPEN_STORIES = 40
 """Stories up to which a class of springs or masses between all floors is looked for: its N(N-1)/2 parameters make every
 fit of a taller frame take minutes."""
 
@@ -47,18 +47,18 @@ class OpenClass(Effect):
     """The statement of the shear model that does not hold, as a clause."""
 
     def bound(self, experiment: Experiment) -> Self:
-        """A copy with one parameter an entry."""
+        """Make a copy with one parameter an entry."""
         own = copy.copy(self)
         own.parameters = tuple(self.entries(experiment))
         return own
 
     @abstractmethod
     def entries(self, experiment: Experiment) -> Sequence[Parameter]:
-        """The parameters that it has in an experiment, each named by its place: "floors 2 and 6", "story 3"."""
+        """List the parameters that it has in an experiment, each named by its place: "floors 2 and 6", "story 3"."""
 
     @abstractmethod
     def usual_size(self, scale: Scale) -> float:
-        """The size that its parameters have in the middle of what is expected."""
+        """Return the size that its parameters have in the middle of what is expected."""
 
     def sizes(self, scale: Scale) -> Floats:
         return np.full(len(self.parameters), self.usual_size(scale))
@@ -79,11 +79,11 @@ class OpenClass(Effect):
     place_in_words: ClassVar[str] = "what stands out is"
 
     def cause_at(self, entry: int, place: Place, experiment: Experiment) -> tuple[str, Place] | None:
-        """The effect of the catalogue, by name and place, that one entry alone would be; None where there is none."""
+        """Name the effect of the catalogue, and its place, that one entry alone would be; None where there is none."""
         return None
 
     def conspicuous(self, values: Floats, std: Floats) -> list[int]:
-        """The entries that stand out of their deviations, the most significant first."""
+        """List the entries that stand out of their deviations, the most significant first."""
         with np.errstate(divide="ignore", invalid="ignore"):
             z = np.nan_to_num(np.abs(values) / std)
         order = [int(i) for i in np.argsort(-z, kind="stable") if z[i] >= STANDS_OUT]

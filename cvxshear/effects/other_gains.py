@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Self
 
 from cvxshear.effects.base import Parameter, Place
 from cvxshear.effects.open_class import OpenClass
@@ -27,6 +28,14 @@ class OtherGains(OpenClass):
     holds_in_words = "that the sensors show the motion"
     place_in_words = "what stands out is the sensor at"
 
+    floors: tuple[int, ...] = ()
+    """The floors at which any shape was measured, those of `parameters`."""
+
+    def bound(self, experiment: Experiment) -> Self:
+        own = super().bound(experiment)
+        own.floors = tuple(_floors(experiment))
+        return own
+
     def entries(self, experiment: Experiment) -> Sequence[Parameter]:
         return [Parameter(f"floor {floor}", "", lower=-0.9, upper=9.0) for floor in _floors(experiment)]
 
@@ -41,11 +50,11 @@ class OtherGains(OpenClass):
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         observation = state.observation
-        for parameter, (floor, gain) in enumerate(zip(_floors(state.experiment), values, strict=True), own.start):
+        for parameter, (floor, gain) in enumerate(zip(self.floors, values, strict=True), own.start):
             observation = observation.scaled(floor - 1, 1.0 + float(gain), parameter)
         return dataclasses.replace(state, observation=observation)
 
 
 def _floors(experiment: Experiment) -> list[int]:
-    """The floors at which any shape was measured."""
+    """List the floors at which any shape was measured."""
     return sorted({int(floor) for each in experiment.configurations for floor in each.measured_floors})

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from cvxshear.effects.base import Parameter, Place
-from cvxshear.effects.open_class import MOST_STORIES, OpenClass, named_pair, pairs
+from cvxshear.effects.open_class import MOST_OPEN_STORIES, OpenClass, named_pair, pairs
 from cvxshear.effects.state import Scale, State
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.typing import Floats
@@ -39,8 +39,8 @@ class OtherStiffness(OpenClass):
         return ("spring", Place(floor=i, to=j)) if i else ("ground_spring", Place(floor=j))
 
     def lacks(self, experiment: Experiment) -> str:
-        tall = experiment.stories > MOST_STORIES
-        return f"at most {MOST_STORIES} stories" if tall else super().lacks(experiment)
+        tall = experiment.stories > MOST_OPEN_STORIES
+        return f"at most {MOST_OPEN_STORIES} stories" if tall else super().lacks(experiment)
 
     def usual_size(self, scale: Scale) -> float:
         return 0.02 * scale.story_stiffness

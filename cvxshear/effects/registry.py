@@ -89,7 +89,7 @@ def register(effect: Effect) -> None:
 
 
 def named(names: Sequence[str]) -> tuple[Effect, ...]:
-    """The effects of these names.
+    """Look up the effects of these names.
 
     Raises
     ------

@@ -100,15 +100,15 @@ class State:
     observation: Observation
 
     def with_stiffness(self, K: Floats, dK: Floats) -> State:
-        """The same state with another stiffness matrix and its derivatives."""
+        """Return the same state with another stiffness matrix and its derivatives."""
         return dataclasses.replace(self, system=dataclasses.replace(self.system, K=K, dK=dK))
 
     def with_mass(self, M: Floats, dM: Floats) -> State:
-        """The same state with another mass matrix and its derivatives."""
+        """Return the same state with another mass matrix and its derivatives."""
         return dataclasses.replace(self, system=dataclasses.replace(self.system, M=M, dM=dM))
 
     def with_flexibility(self, p: float, D: Floats, own: slice) -> State:
-        """The same state with p D added to its flexibility.
+        """Return the same state with p D added to its flexibility.
 
         With A = (1 + p K D)^-1 the new stiffness is A K, without inverting K; and since the flexibility F = K^-1
         changes by -F dK F, the new stiffness changes by A dK A' - (A K) D (A K) dp.
@@ -138,7 +138,7 @@ class State:
         return self.with_stiffness(K, dK)
 
     def usual_flexibility(self) -> tuple[float, Floats]:
-        """Unit of joint flexibilities, 1 / mean(k h^2) of the columns, rad/(N m), and its derivatives, shape (P,)."""
+        """Return the unit of joint flexibilities, 1 / mean(k h^2) of the columns, and its derivatives, rad/(N m)."""
         unit = 1.0 / float(np.mean(self.column_stiffness * self.heights**2))
         return unit, -(unit**2) * np.mean(self.d_column_stiffness * self.heights**2, axis=1)
 

@@ -51,7 +51,7 @@ class StoryChange(Effect):
 
 
 def with_changed_story(state: State, at: int, change: float, parameter: int) -> State:
-    """The state with one story's stiffness times 1 + change, its braces changed first.
+    """Multiply the stiffness of one story by 1 + change, its braces changed first.
 
     Parameters
     ----------

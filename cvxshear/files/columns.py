@@ -78,13 +78,13 @@ class Columns:
             seen.add(name)
 
     def at(self, row: int) -> str:
-        """The place of a row as a person would name it."""
+        """Name the place of a row as a person would."""
         if self.lines is None:
             return f"{self.source}, sample {row + 1}"
         return f"{self.source}, line {int(self.lines[row])}"
 
     def rows(self, which: slice) -> Columns:
-        """The same columns in some of their rows."""
+        """Keep some of the rows."""
         lines = None if self.lines is None else self.lines[which]
         return Columns(self.source, self.names, self.values[which], lines, self.units)
 
@@ -95,7 +95,7 @@ class Columns:
             raise InputError(f'{asked}: {self.source} has no column "{name[:60]}"; it has {shown}')
 
     def column(self, name: str, asked: str) -> Floats:
-        """The values of a column, once they are known to be finite, shape (rows,).
+        """Return the values of a column, once they are known to be finite, shape (rows,).
 
         Parameters
         ----------
@@ -115,7 +115,7 @@ class Columns:
 
 
 def sampling_rate_of(time: Floats, columns: Columns, name: str, declared: float | None = None) -> float:
-    """The sampling rate that a time column shows, Hz.
+    """Find the sampling rate that a time column shows, Hz.
 
     Stamps that a logger has rounded, 0.004, 0.008, 0.012, ... s at 256 Hz, show the rate that all of them fit.
 
@@ -184,7 +184,7 @@ def _refuse_uneven(steps: Floats, step: float, odd: Ints, columns: Columns, name
 
 
 def rounding_of(time: Floats) -> float:
-    """The coarsest power of ten, s, that all stamps are whole multiples of; 0 where they are of none.
+    """Find the coarsest power of ten, s, that all stamps are whole multiples of; 0 where they are of none.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ def rounding_of(time: Floats) -> float:
 
 
 def rate_within_rounding(time: Floats, declared: float | None = None) -> float | None:
-    """The one sampling rate that the stamps fit within their rounding, Hz; None where they fit none.
+    """Find the one sampling rate that the stamps fit within their rounding, Hz; None where they fit none.
 
     Parameters
     ----------

@@ -99,7 +99,7 @@ def read_csv(path: str | Path, limit: float = LIMIT) -> Columns:
 
 
 def columns_of(text: Iterable[str], where: str, limit: float) -> Columns:
-    """The columns of a text, line by line, as `read_csv` reads them.
+    """Read the columns of a text, line by line, as `read_csv` does.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def columns_of(text: Iterable[str], where: str, limit: float) -> Columns:
 
 
 def preamble_of(path: str | Path, limit: float = LIMIT) -> str:
-    """What stands before the line of names, comments among it; as for `read_csv`."""
+    """Split off what stands before the line of names, comments among it; as for `read_csv`."""
     head = [(number, line) for number, line in enumerate(islice(_text(Path(path), limit), LONGEST_HEAD), 1)]
     layout = layout_of([each for each in head if each[1].strip()], str(path))
     return "".join(line for number, line in head if number < layout.line)
@@ -152,7 +152,7 @@ def layout_of(head: Sequence[Line], where: str) -> Layout:
 
 
 def _first_line(line: Line, where: str) -> Layout:
-    """The first line as the header, where none was found by the numbers below it: what follows will say what is wrong.
+    """Take the first line as the header, where the numbers below it show none; what follows will say what is wrong.
 
     Semicolons, tabs and commas inside quotation marks are part of a name.
     """
@@ -254,7 +254,7 @@ def _cell(cell: str, where: str, name: str, *, table: bool) -> float:
 
 
 def seconds(stamp: str, where: str) -> float:
-    """A stamp of date or time, in s since the start of 1970 or of the day."""
+    """Read a stamp of date or time, in s since the start of 1970 or of the day."""
     text = stamp.replace(",", ".")
     try:
         found = datetime.fromisoformat(text if "-" in text[:5] else MIDNIGHT + text)
@@ -272,7 +272,7 @@ def _cells(line: str, separator: str | None, where: str) -> list[str]:
 
 
 def _split(line: str, separator: str | None) -> list[str] | None:
-    """The cells of a line; None where its quotation marks do not close."""
+    """Split a line into its cells; None where its quotation marks do not close."""
     if separator is None:
         return line.split()
     if '"' not in line:
@@ -284,7 +284,7 @@ def _split(line: str, separator: str | None) -> list[str] | None:
 
 
 def read_rows(path: str | Path, limit: float, remedy: str) -> Iterator[tuple[int, list[str]]]:
-    """Number and cells of each line of a small table, header first; cells separated as in `read_csv`.
+    """Read number and cells of each line of a small table, header first; cells separated as in `read_csv`.
 
     Parameters
     ----------
@@ -307,7 +307,7 @@ def read_rows(path: str | Path, limit: float, remedy: str) -> Iterator[tuple[int
 
 
 def _text(path: Path, limit: float, remedy: str = TOO_LARGE) -> Iterable[str]:
-    """The lines of the file."""
+    """Yield the lines of the file."""
     content = read_bytes(path, limit, remedy)
     if content.startswith(b"\x1f\x8b"):
         content = _inflated(content, path, limit, remedy)

@@ -51,11 +51,11 @@ class Format:
     modes: ModeReader | str | None = None
 
     def read_columns(self, path: Path, limit: float) -> Columns:
-        """The columns of such a file."""
+        """Read the columns of such a file."""
         return cast("ColumnReader", _loaded(self.columns))(path, limit)
 
     def read_modes(self, path: str | Path) -> dict[str, Any]:
-        """The keys of a table [[configuration]] that such a file holds."""
+        """Read the keys of a table [[configuration]] that such a file holds."""
         return cast("ModeReader", _loaded(self.modes))(path)
 
 
@@ -97,13 +97,13 @@ def register(added: Format) -> None:
 
 
 def format_of(path: str | Path) -> Format | None:
-    """The format that a file's ending tells; None where it tells none."""
+    """Find the format that a file's ending tells; None where it tells none."""
     name = Path(path).name.lower()
     return next((each for each in FORMATS if any(name.endswith(ending) for ending in each.endings)), None)
 
 
 def endings_of(reader: str) -> str:
-    """The usual endings of the formats that have a reader, for messages and help: ".csv, .xlsx or .uff".
+    """List the usual endings of the formats that have a reader, for messages and help: ".csv, .xlsx or .uff".
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def endings_of(reader: str) -> str:
 
 
 def read_columns(path: Path, limit: float) -> Columns:
-    """The columns of a file of samples; one whose ending is none of the table's is read as delimited text.
+    """Read the columns of a file of samples; one whose ending is none of the table's is read as delimited text.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def read_columns(path: Path, limit: float) -> Columns:
 
 
 def read_modes_of(path: str | Path) -> tuple[str, dict[str, Any]]:
-    """The key that names a file of modes, and the keys of a table [[configuration]] that it holds.
+    """Read a file of modes: the key that names such a file, and the keys of a table [[configuration]] that it holds.
 
     Raises
     ------

@@ -31,7 +31,7 @@ def streams_read_once() -> Iterator[None]:
 
 
 def read_bytes(path: Path, largest: float, remedy: str, *, absent: str = "", named: bool = False) -> bytes:
-    """The content of a file.
+    """Read the content of a file.
 
     Parameters
     ----------
@@ -78,6 +78,6 @@ def read_bytes(path: Path, largest: float, remedy: str, *, absent: str = "", nam
 
 
 def named_after(path: str | Path) -> str:
-    """A name for what a file holds, from the file's own; bytes of it that are no text are marked so."""
+    """Name what a file holds after the file; bytes of its name that are no text are marked so."""
     stem = os.fsencode(Path(path).stem).decode("utf-8", "replace")
     return stem if stem.strip() else "unnamed"

@@ -62,7 +62,7 @@ def read_mat(path: str | Path, limit: float = LIMIT) -> Columns:
 
 
 def columns_of_arrays(read: Mapping[str, Any], where: str) -> Columns:
-    """The longest vectors, and matrices of as many rows or columns, of named arrays, as `read_mat` names them."""
+    """List the longest vectors, and matrices of as many rows or columns, of named arrays, as `read_mat` names them."""
     found: dict[str, Array] = {}
     for name, array in _arrays(read):
         for part, values in _real_parts(name, array):
@@ -112,7 +112,7 @@ MOST_INFLATION = 1032
 
 
 def _read_hdf5(path: Path, where: str, limit: float) -> Mapping[str, Any]:
-    """The numeric data sets of a file by name, those of groups in mappings of their own.
+    """Collect the numeric data sets of a file by name, those of groups in mappings of their own.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ class _Walk:
         return found
 
     def numbers(self, item: Any, name: str) -> Any:
-        """A data set as an array; version 7.3 stores matrices transposed."""
+        """Read a data set as an array; version 7.3 stores matrices transposed."""
         self.left -= 8 * item.size * (1 if item.dtype.names is None else 2)
         if self.left < 0:
             raise InputError(f" holds more than {self.limit / MEGABYTE:g} MB of numbers; {TOO_LARGE}")

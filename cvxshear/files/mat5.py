@@ -59,7 +59,7 @@ class _Budget:
 
 
 def read(content: bytes, where: str, limit: float) -> Mapping[str, Any]:
-    """The numeric arrays of a file by name, those of a structure in a dict of its own, what else it holds left out.
+    """Read the numeric arrays of a file by name, those of a structure in a dict of its own; the rest is left out.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def _cells(parts: list[Element], order: str, budget: _Budget, depth: int) -> Non
 def _structure(
     shape: tuple[int, ...], parts: list[Element], order: str, budget: _Budget, depth: int
 ) -> dict[str, Any] | None:
-    """The fields of a single structure; None for an array of them."""
+    """Read the fields of a single structure; None for an array of them."""
     if len(parts) < 2:
         raise _DamagedError("a matrix is smaller than its dimensions say")
     (_, length), (_, names), *fields = parts
@@ -183,7 +183,7 @@ def _structure(
 def _numbers(
     shape: tuple[int, ...], parts: list[Element], has_imaginary: bool, order: str, budget: _Budget
 ) -> np.ndarray[Any, Any]:
-    """A numeric array, columns first in the file."""
+    """Read a numeric array, columns first in the file."""
     count = prod(shape)
     budget.numbers -= 8 * count * len(parts)
     if budget.numbers < 0:

@@ -39,7 +39,7 @@ Rows = list[tuple[int, list[Cell]]]
 
 
 def read_mode_csv(path: str | Path) -> dict[str, Any]:
-    """The modes of a table in a CSV file.
+    """Read the modes of a table in a CSV file.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def read_mode_csv(path: str | Path) -> dict[str, Any]:
 
 
 def read_mode_xlsx(path: str | Path) -> dict[str, Any]:
-    """The modes of a table on the first sheet of a workbook.
+    """Read the modes of a table on the first sheet of a workbook.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def read_mode_xlsx(path: str | Path) -> dict[str, Any]:
 
 
 def read_mode_uff(path: str | Path) -> dict[str, Any]:
-    """The modes of a universal file, its nodes 1, 2, ... being the floors.
+    """Read the modes of a universal file, its nodes 1, 2, ... being the floors.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def read_mode_uff(path: str | Path) -> dict[str, Any]:
 
 
 def _modes_of(rows: Rows, source: str) -> dict[str, Any]:
-    """The keys of a configuration that a table's rows hold, the header first."""
+    """Return the keys of a configuration that a table's rows hold, the header first."""
     if len(rows) < 2:
         raise InputError(f"{source} holds no modes: a header that names the columns, and a row a mode, are needed")
     header = [str(cell or "") for cell in rows[0][1]]
@@ -189,7 +189,7 @@ def _padded(rows: Rows, width: int, source: str) -> Rows:
 
 
 def _number(cell: Cell, number: int, name: str, source: str) -> float:
-    """A cell's number; nan where it is empty."""
+    """Read a cell's number; nan where it is empty."""
     if cell is None or (isinstance(cell, str) and not cell.strip()):
         return math.nan
     try:

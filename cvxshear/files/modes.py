@@ -67,7 +67,7 @@ class IdentifiedRecord:
 
 
 def record_files(names: Iterable[str | Path]) -> tuple[list[Path], list[Path]]:
-    """The record files that names and patterns stand for.
+    """Find the record files that names and patterns stand for.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def write_modes(
 
 
 def merged(tests: Sequence[IdentifiedRecord]) -> Json:
-    """A dict of the measurement file's shape, for `Experiment.from_dict`.
+    """Make a dict of the measurement file's shape, for `Experiment.from_dict`.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ def write_merged(path: str | Path, tests: Sequence[IdentifiedRecord]) -> None:
 
 
 def cables_of(tests: Sequence[IdentifiedRecord]) -> list[Finding]:
-    """What changed between each record and the first that a cable explains, before any damage is looked for."""
+    """Warn of changes between each record and the first that a cable explains, before any damage is looked for."""
     return [finding for test in tests[1:] for finding in cables_changed(tests[0].modes, test.modes)]
 
 
@@ -286,7 +286,7 @@ def _refuse_shared_names(tests: Sequence[IdentifiedRecord]) -> None:
 
 
 def _frame(tests: Sequence[IdentifiedRecord]) -> dict[str, Any]:
-    """The table [frame], every key that any file gives."""
+    """Merge the tables [frame]: every key that any file gives."""
     frame: dict[str, Any] = {}
     said: dict[str, str] = {}
     for test in tests:
@@ -319,7 +319,7 @@ def _same(one: object, other: object) -> bool:
 
 
 def _priors(tests: Sequence[IdentifiedRecord]) -> list[dict[str, object]]:
-    """The tables [[prior]], each once."""
+    """Collect the tables [[prior]], each once."""
     kept: list[tuple[dict[str, object], str]] = []
     for test in tests:
         for prior in test.priors:
@@ -357,7 +357,7 @@ def _tested(file: str, *, options: Mapping[str, Any]) -> IdentifiedRecord | Cvxs
 
 
 def _of_file(error: CvxshearError, file: str) -> CvxshearError:
-    """The error with its file named."""
+    """Name the file of an error."""
     message = str(error)
     if isinstance(error, NoSolutionError):
         return NoSolutionError(error.backend, f"{file}: {error.reason}")

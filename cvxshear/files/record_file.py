@@ -190,7 +190,7 @@ def _floor(run: Mapping[str, Any], declared: Mapping[str, Any], otherwise: int |
 
 
 def columns_of(run: Mapping[str, Any], declared: Mapping[str, Any], path: Path) -> Columns:
-    """The columns of a run's file."""
+    """Read the columns of a run's file."""
     limit = MEGABYTE * checks.number(declared.get("size_limit", LIMIT / MEGABYTE), "record: size_limit (MB)", above=0.0)
     return read_columns(path.parent / run["file"], limit)
 
@@ -243,7 +243,7 @@ def pieces_of(
     run: Mapping[str, Any],
     path: Path,
 ) -> tuple[list[slice], float, str]:
-    """The longest stretches of a file in which nothing is missing, its sampling rate, and what was left out, in words.
+    """Find the longest stretches of a file without gaps, its sampling rate, and what was left out, in words.
 
     Parameters
     ----------
@@ -312,7 +312,7 @@ def pieces_of(
 
 
 def _asked(columns: Columns, name: str | None, declared: Mapping[str, Any], run: Mapping[str, Any]) -> tuple[int, int]:
-    """The rows from `start` to `end` of a run: the first, and the one after the last."""
+    """Return the rows from `start` to `end` of a run: the first, and the one after the last."""
     count = len(columns.values)
     if not {"start", "end"} & set(run):
         return 0, count
@@ -344,7 +344,7 @@ def _table(columns: Columns, responses: list[ChannelDeclaration], path: Path) ->
 
 
 def rate_of(declared: Mapping[str, Any], columns: Columns) -> float:
-    """The sampling rate, from the time column, from the declaration, or from both where they agree."""
+    """Find the sampling rate, from the time column, from the declaration, or from both where they agree."""
     name = time_column_of(declared, columns)
     said = declared.get("sampling_rate")
     if said is not None:
@@ -366,7 +366,7 @@ def rate_of(declared: Mapping[str, Any], columns: Columns) -> float:
 
 
 def time_column_of(declared: Mapping[str, Any], columns: Columns) -> str | None:
-    """The name of the time column: that which is declared, or one of the usual names; None where there is none."""
+    """Find the name of the time column: that declared, or one of the usual names; None where there is none."""
     name = declared.get("time") or next((item for item in TIME_NAMES if item in columns.names), None)
     if name is not None:
         columns.check(name, "record: time")
@@ -374,7 +374,7 @@ def time_column_of(declared: Mapping[str, Any], columns: Columns) -> str | None:
 
 
 def seconds_of(declared: Mapping[str, Any], time: Floats) -> Floats:
-    """A time column in s."""
+    """Return a time column in s."""
     unit = checks.choice(declared.get("time_unit", "s"), tuple(TIME_UNITS), "record: time_unit")
     return time * TIME_UNITS[unit]
 

@@ -58,7 +58,7 @@ class ChannelDeclaration:
 
 
 def tables_of(path: Path) -> tuple[Mapping[str, Any], list[int]]:
-    """The tables of a record file, and the lines that its channels stand on."""
+    """Read the tables of a record file, and the lines that its channels stand on."""
     refuse_data(path)
     text = read_text(path)
     declared = parse(text, path)
@@ -92,7 +92,7 @@ def added_mass_of(table: Mapping[str, Any], path: Path) -> list[float] | None:
 
 
 def channels_of(tables: object, declared: Mapping[str, Any], path: Path, lines: list[int]) -> list[ChannelDeclaration]:
-    """What the tables `[[channel]]` declare."""
+    """Read what the tables `[[channel]]` declare."""
     if not isinstance(tables, list) or not tables:
         raise InputError("channel must be a list of tables, one [[channel]] a column")
     found = []
@@ -131,7 +131,7 @@ def channels_of(tables: object, declared: Mapping[str, Any], path: Path, lines: 
 
 
 def _quantity(given: object, unit: str | None, usual: object, where: str) -> tuple[str, float]:
-    """What a channel measures, and its unit in SI units: what the unit says goes before what all channels have."""
+    """Find what a channel measures, and its unit in SI units: what the unit says goes before what all channels have."""
     measured, in_si = ("acceleration", 1.0) if unit is None else CHANNEL_UNITS[unit]
     if given is None:
         given = measured if unit is not None or usual is None else usual
@@ -149,7 +149,7 @@ def _refuse_twice(found: list[ChannelDeclaration]) -> None:
 
 
 def runs_of(table: Mapping[str, Any], declared: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """The tables `[[run]]`, or the one run that `[record]` names."""
+    """Return the tables `[[run]]`, or the one run that `[record]` names."""
     if "run" in table:
         if "file" in declared:
             raise InputError("give either record: file, or [[run]] tables, not both")
@@ -174,7 +174,7 @@ def _run(item: object, where: str) -> Mapping[str, Any]:
 
 
 def driver_of(channels: list[ChannelDeclaration], kind: str) -> ChannelDeclaration | None:
-    """The channel that measures the input."""
+    """Find the channel that measures the input."""
     ground = [item for item in channels if item.floor == 0 and item.quantity != "force"]
     forces = [item for item in channels if item.quantity == "force"]
     if kind == "base":
@@ -191,6 +191,6 @@ def driver_of(channels: list[ChannelDeclaration], kind: str) -> ChannelDeclarati
 
 
 def _lines_of(text: str, table: str) -> list[int]:
-    """The line of each `[[table]]` header."""
+    """Find the line of each `[[table]]` header."""
     pattern = re.compile(rf"^\s*\[\[\s*{table}\s*\]\]")
     return [number for number, line in enumerate(text.splitlines(), 1) if pattern.match(line)]

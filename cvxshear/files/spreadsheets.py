@@ -72,7 +72,7 @@ def write_csv(path: str | Path, sheets: Sequence[Sheet]) -> None:
 
 
 def csv_text(header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> str:
-    """A table as comma-separated text, numbers to their last digit."""
+    """Write a table as comma-separated text, numbers to their last digit."""
     return "".join(",".join(map(_csv_cell, row)) + "\n" for row in (header, *rows))
 
 
@@ -88,7 +88,7 @@ def write_xlsx(path: str | Path, sheets: Sequence[Sheet]) -> None:
 
 
 def workbook(sheets: Iterable[Sheet]) -> bytes:
-    """The content of a workbook, each table on a sheet of its own.
+    """Write the content of a workbook, each table on a sheet of its own.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def workbook(sheets: Iterable[Sheet]) -> bytes:
 
 
 def read_xlsx_rows(path: str | Path, limit: float, remedy: str) -> list[tuple[int, list[Any]]]:
-    """Number and cells of each row of a workbook's first sheet that is not empty.
+    """Yield number and cells of each row of a workbook's first sheet that is not empty.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def read_xlsx_rows(path: str | Path, limit: float, remedy: str) -> list[tuple[in
 
 
 def read_xlsx(path: str | Path, limit: float) -> Columns:
-    """The columns of a workbook's first sheet, with a preamble, units and stamps as in delimited text.
+    """Read the columns of a workbook's first sheet, with a preamble, units and stamps as in delimited text.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def _as_text(cell: object) -> str:
 
 
 def load_openpyxl() -> Any:
-    """The package that reads and writes workbooks.
+    """Import the package that reads and writes workbooks.
 
     Raises
     ------
@@ -182,7 +182,7 @@ def load_openpyxl() -> Any:
 
 
 def _title(name: str, taken: set[str]) -> str:
-    """The title of a sheet without the marks that none may have, no two the same but for capitals."""
+    """Clear the title of a sheet of the marks that none may have, no two the same but for capitals."""
     plain = re.sub(r"[\\/*?:\[\]]", " ", printable(name))[:LONGEST_TITLE].strip(" '") or "sheet"
     title, place = plain, 1
     while title.lower() in taken:

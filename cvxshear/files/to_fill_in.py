@@ -45,7 +45,7 @@ def _blank(name: str) -> str:
 
 
 def template(stories: int = 3) -> str:
-    """A measurement file of a frame of equal stories, with every key explained.
+    """Write a measurement file of a frame of equal stories, with every key explained.
 
     What is not needed stands as a comment.
 
@@ -69,7 +69,7 @@ def template(stories: int = 3) -> str:
 
 
 def template_from(modes: str | Path, folder: str | Path = ".") -> str:
-    """A measurement file whose modes are read from a table or a universal file.
+    """Write a measurement file whose modes are read from a table or a universal file.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def template_from(modes: str | Path, folder: str | Path = ".") -> str:
 
 
 def toml_line(key: str, name: str) -> str:
-    """A line of TOML that names a file, from the folder that the line stands in.
+    """Write a line of TOML that names a file, from the folder that the line stands in.
 
     Raises
     ------
@@ -195,7 +195,7 @@ class Guess:
 
 
 def record_template(data: str | Path, folder: str | Path = ".") -> str:
-    """A record file for the samples in a logger's file, every guess marked as one.
+    """Write a record file for the samples in a logger's file, every guess marked as one.
 
     Parameters
     ----------
@@ -246,7 +246,7 @@ def record_template(data: str | Path, folder: str | Path = ".") -> str:
 
 
 def _time_column(columns: Columns) -> str | None:
-    """The column that is called so and ascends; where none is called so, the first if it ascends in even steps."""
+    """Find the column that is called so and ascends; where none is called so, the first if it ascends in even steps."""
     called = [name for name in columns.names if TIME.match(name.strip())]
     for name in (*called, *columns.names[:1]):
         values = columns.values[:, columns.names.index(name)]
@@ -260,7 +260,7 @@ def _time_column(columns: Columns) -> str | None:
 
 
 def _rate(columns: Columns, time: str | None, preamble: str) -> str:
-    """The lines that say how the record was sampled."""
+    """Write the lines that say how the record was sampled."""
     if time is None:
         found = RATE.search(preamble)
         if found is None:
@@ -280,7 +280,7 @@ def _rate(columns: Columns, time: str | None, preamble: str) -> str:
 
 
 def _unit(columns: Columns, name: str) -> tuple[str, str]:
-    """The unit that a line of units or the header says, as it is called here and as it is spelled there."""
+    """Find the unit that a line of units or the header says, as it is called here and as it is spelled there."""
     said = columns.units[columns.names.index(name)] if columns.units else ""
     if not said and (found := BRACKETED.search(name)):
         said = found[1] or found[2] or ""
@@ -291,7 +291,7 @@ def _unit(columns: Columns, name: str) -> tuple[str, str]:
 
 
 def _guesses(columns: Columns, names: Sequence[str]) -> list[Guess]:
-    """What each column is, those that hold no number left out."""
+    """Tell what each column is, those that hold no number left out."""
     found: list[Guess] = []
     for name in names:
         if not np.isfinite(columns.values[:, columns.names.index(name)]).any():

@@ -95,12 +95,12 @@ def is_built_in(path: object) -> bool:
 
 
 def built_in_text(name: str) -> str:
-    """The text of an example that travels with the package."""
+    """Read the text of an example that travels with the package."""
     return resources.files("cvxshear").joinpath(*BUILT_IN[name]).read_text(encoding="utf-8")
 
 
 def read_text(path: Path) -> str:
-    """The text of a file that a user named."""
+    """Read the text of a file that a user named."""
     *most, last = BUILT_IN
     absent = f"the built-in examples are called {', '.join(most)} and {last}"
     content = read_bytes(path, LARGEST_FILE, "too many for a measurement file", absent=absent)
@@ -111,7 +111,7 @@ def read_text(path: Path) -> str:
 
 
 def parse(text: str, path: Path) -> dict[str, object]:
-    """The tables of a TOML text."""
+    """Parse the tables of a TOML text."""
     where = str(path)
     found = _LONG_KEY.search(text)
     if found is not None:
@@ -149,7 +149,7 @@ def is_record_file(path: str | Path) -> bool:
 
 
 def files_of(path: str | Path) -> tuple[Path, ...]:
-    """The files that a measurement or a record file is made of: itself, and those that its tables name.
+    """List the files that a measurement or a record file is made of: itself, and those that its tables name.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def files_of(path: str | Path) -> tuple[Path, ...]:
 
 
 def with_modes_read(declared: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The tables of a measurement file, the files that its configurations name read.
+    """Return the tables of a measurement file, the files that its configurations name read.
 
     Parameters
     ----------
@@ -252,7 +252,7 @@ def write_measurement(path: str | Path, declared: Mapping[str, Any], comments: I
 
 
 def _wrapped(comment: str) -> list[str]:
-    """The comment in lines of readable length; a line break in it must not end the comment."""
+    """Fold the comment into lines of readable length; a line break in it must not end the comment."""
     lines, current = [], ""
     for word in printable(" ".join(comment.split())).split(" "):
         if current and len(current) + len(word) + 1 > COMMENT_WIDTH:
@@ -264,7 +264,7 @@ def _wrapped(comment: str) -> list[str]:
 
 
 def _in_one_line(numbers: re.Match[str]) -> str:
-    """A row of a shape is a line of the file."""
+    """Write a row of a shape as a line of the file."""
     return "[" + ", ".join(numbers[1].replace(",", " ").split()) + "]"
 
 
@@ -276,18 +276,18 @@ class _Tables:
         self._texts: list[str] = []
 
     def mark(self, table: np.ndarray[Any, Any]) -> str:
-        """What stands for a table until the rest has been written."""
+        """Write what stands for a table until the rest has been written."""
         row = "    [" + ", ".join([f"%.{WRITTEN_DIGITS}g"] * table.shape[1]) + "],\n"
         self._texts.append("[\n" + "".join(row % tuple(numbers) for numbers in table.tolist()) + "]")
         return f"{self._mark}{len(self._texts) - 1}"
 
     def put_into(self, text: str) -> str:
-        """The text with the tables in their places."""
+        """Put the tables into their places in the text."""
         return re.sub(rf'"{self._mark}(\d+)"', lambda found: self._texts[int(found[1])], text)
 
 
 def _table_of(value: Any) -> np.ndarray[Any, Any] | None:
-    """The value as a table, where it is a large one of numbers."""
+    """Return the value as a table, where it is a large one of numbers."""
     rows = len(value)
     width = len(value[0]) if rows and isinstance(value[0], list | tuple | np.ndarray) else 0
     if rows * width < LARGE:
@@ -300,7 +300,7 @@ def _table_of(value: Any) -> np.ndarray[Any, Any] | None:
 
 
 def _plain(value: Any, tables: _Tables) -> Any:
-    """The value in Python's own types, numbers rounded; a mark for a large table."""
+    """Convert the value to Python's own types, numbers rounded; a mark for a large table."""
     if isinstance(value, Mapping):
         return {key: _plain(each, tables) for key, each in value.items()}
     if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim):

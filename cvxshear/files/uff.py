@@ -84,7 +84,7 @@ def read_uff(path: str | Path, limit: float = LIMIT) -> tuple[Columns, dict[str,
 
 
 def read_functions(path: str | Path, limit: float = LIMIT) -> Columns:
-    """The columns of `read_uff` without its notes."""
+    """Read the columns of `read_uff` without its notes."""
     return read_uff(path, limit)[0]
 
 
@@ -151,7 +151,7 @@ def _pyuff() -> Any:
 
 
 def _sets(path: Path, kind: int, limit: float) -> list[Json]:
-    """The data sets of one kind, `FUNCTION` or `MODE`."""
+    """Read the data sets of one kind, `FUNCTION` or `MODE`."""
     where = str(path)
     # pyuff opens the file by its name; that it can be read, and how large it is, is checked here.
     read_bytes(path, limit, TOO_LARGE, named=True)

@@ -75,7 +75,7 @@ def refuse_contradicting(experiment: Experiment) -> None:
 
 
 def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) -> Domain:
-    """The domain of the parameters of a fit with these effects."""
+    """Build the domain of the parameters of a fit with these effects."""
     n, size = experiment.stories, len(theta)
     known = experiment.frame.known_total
     mass = _least(theta[:n], float(np.median(theta[:n])) if known is None else known / n)
@@ -110,13 +110,13 @@ def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) 
 
 
 def _least(start: Floats, typical: float) -> float:
-    """The least mass, or the least stiffness, that counts as positive."""
+    """Return the least mass, or the least stiffness, that counts as positive."""
     least, smallest = SMALLEST_VALUE * typical, float(start.min())
     return PART_OF_START * smallest if smallest < 0.5 * least else least
 
 
 def _exact(frame: Frame, effects: Sequence[Placed]) -> Frame:
-    """The frame with a total mass only where it holds exactly."""
+    """Return the frame with a total mass only where it holds exactly."""
     released = any("total_mass" in placed.effect.releases for placed in effects)
     if frame.floor_masses is None and frame.total_mass is not None and (released or frame.total_mass_std is not None):
         return dataclasses.replace(frame, total_mass=None, total_mass_std=None, total_mass_placeholder=False)

@@ -17,9 +17,9 @@ from cvxshear.effects import Placed, Scale
 from cvxshear.effects.composition import slices
 from cvxshear.effects.state import heights_of
 from cvxshear.fit.domain import Domain, domain_of, refuse_contradicting
-from cvxshear.fit.gauss_newton import CONVERGED_STEP, FLAT, HOPELESS, Fit, gauss_newton
+from cvxshear.fit.gauss_newton import CONVERGED_STEP, FLAT, HOPELESS, MOST_STEPS, Fit, gauss_newton
 from cvxshear.fit.misfit import Evaluation, Misfit
-from cvxshear.fit.noise import LARGEST_NOISE, NoiseEstimate, estimated_noise
+from cvxshear.fit.noise import NoiseEstimate, estimated_noise
 from cvxshear.fit.quality import Quality, quality
 from cvxshear.fit.results import IdentifiedFrame, Prediction, SingleIdentification, predictions
 from cvxshear.fit.start import nearest_first
@@ -34,6 +34,10 @@ squares in the parameters some 25 times (measured from 100 to 600 stories)."""
 
 MOST_NOISES = 8
 """Times that a fit is made again with another estimate of the standard deviations that nobody declared."""
+
+STEPS_A_NOISE = 4
+"""Steps of Gauss-Newton at most before those deviations are estimated anew: a fit followed to the end of a flat valley
+under a noise that is still wrong is thrown away."""
 
 LONGEST_STEP = 1.5
 """Largest change of the logarithm of such a standard deviation between two fits: a factor of 4.5."""
@@ -133,16 +137,16 @@ class Estimate:
     def p_value(self) -> float | None:
         """Probability of a residual as large under the noise, declared or estimated; None without degrees of freedom.
 
-        An estimated noise counts up to the largest that instruments have (`noise.LARGEST_NOISE`).
+        An estimated noise counts up to the largest that instruments have (`NoiseKind.largest`).
         """
         if self.dof <= 0:
             return None
         at, noise = self.fit.at, self.misfit.noise
         squares = at.r[: at.measured] ** 2
         for place, item in enumerate(self.misfit.unknown):
-            if item.key in LARGEST_NOISE:
+            if (kind := self.misfit.noises.get(item.key)) is not None:
                 own = at.unknown[: at.measured] == place
-                squares[own] *= max(1.0, noise.of(item.key) / LARGEST_NOISE[item.key]) ** 2
+                squares[own] *= max(1.0, noise.of(item.key) * kind.default / kind.largest) ** 2
         return float(stats.chi2.sf(squares.sum(), self.dof))
 
     @cached_property
@@ -185,7 +189,7 @@ class Estimate:
         return IdentifiedFrame(self.theta[:n], self.theta[n : 2 * n], std[:n], std[n : 2 * n], held)
 
     def _held_by_bounds(self, std: Floats) -> tuple[str, ...]:
-        """The masses and stiffnesses that bounds leave no freedom.
+        """List the masses and stiffnesses that bounds leave no freedom.
 
         Not those of which a bound on several together, such as a ratio, is active: they have a deviation still.
         """
@@ -234,7 +238,7 @@ def fitted(
     tolerance: float = CONVERGED_STEP,
     start: Evaluation | None = None,
 ) -> Estimate:
-    """The estimate that Gauss-Newton reaches from a starting point, with the noise that it speaks for.
+    """Find the estimate that Gauss-Newton reaches from a starting point, with the noise that it speaks for.
 
     Parameters
     ----------
@@ -247,16 +251,18 @@ def fitted(
     start : Evaluation, optional
         At theta, where it was made already.
     """
-    estimate = fitted_with(misfit, theta, backend, tolerance, start)
     if not misfit.unknown:
-        return estimate
+        return fitted_with(misfit, theta, backend, tolerance, start)
+    estimate = fitted_with(misfit, theta, backend, tolerance, start, STEPS_A_NOISE)
     longest = LONGEST_STEP
     for _ in range(MOST_NOISES):
         noise = estimated_noise(estimate.misfit, estimate.fit.at, estimate.free_directions)
-        estimate = dataclasses.replace(estimate, noise=noise)
         before = {item.key: estimate.misfit.noise.of(item.key) for item in misfit.unknown}
         if _same(estimate.misfit, noise):
-            return estimate
+            if estimate.fit.converged:
+                return dataclasses.replace(estimate, noise=noise)
+            estimate = fitted_with(estimate.misfit, estimate.theta, backend, tolerance, estimate.fit.at)
+            continue
         changes = [np.log(factor / before[key]) for key, factor in noise.noise.factors]
         # A step beyond what the linearised model is good for leads to and fro: each is cut shorter than the last.
         cut = min(1.0, longest / max(map(abs, changes)))
@@ -265,7 +271,10 @@ def fitted(
             (key, float(before[key] * np.exp(cut * change)))
             for (key, _), change in zip(noise.noise.factors, changes, strict=True)
         )
-        estimate = fitted_with(estimate.misfit.replaced(noise=Noise(factors)), estimate.theta, backend, tolerance)
+        misfit = estimate.misfit.replaced(noise=Noise(factors))
+        estimate = fitted_with(misfit, estimate.theta, backend, tolerance, None, STEPS_A_NOISE)
+    if not estimate.fit.converged:
+        estimate = fitted_with(estimate.misfit, estimate.theta, backend, tolerance, estimate.fit.at)
     noise = estimated_noise(estimate.misfit, estimate.fit.at, estimate.free_directions)
     if not _same(estimate.misfit, noise):
         # Where the linearised model has its maximum the model is another one: what is near the fit counts alone.
@@ -284,8 +293,9 @@ def fitted_with(
     backend: Backend,
     tolerance: float = CONVERGED_STEP,
     start: Evaluation | None = None,
+    most_steps: int = MOST_STEPS,
 ) -> Estimate:
-    """The estimate that Gauss-Newton reaches from a starting point, the noise held as it is.
+    """Return the estimate that Gauss-Newton reaches from a starting point, the noise held as it is.
 
     Parameters
     ----------
@@ -296,10 +306,12 @@ def fitted_with(
         Of `gauss_newton`.
     start : Evaluation, optional
         At theta, where it was made already.
+    most_steps : int, optional
+        Step programs at most.
     """
     domain = domain_of(misfit.experiment, misfit.effects, theta)
     hopeless = HOPELESS if tolerance > CONVERGED_STEP else np.inf
-    fit = gauss_newton(misfit, theta, domain, backend, tolerance, start, hopeless=hopeless)
+    fit = gauss_newton(misfit, theta, domain, backend, tolerance, start, most_steps, hopeless)
     names = parameter_names(misfit.experiment, misfit.effects)
     return Estimate(misfit, domain, fit, uncertainty(fit.at.known_triangle, fit.theta, domain, names))
 

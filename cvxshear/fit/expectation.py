@@ -45,7 +45,7 @@ class Expectation:
     stds: dict[Placed, Floats] = field(default_factory=dict)
 
     def of(self, placed: Placed) -> Floats:
-        """Standard deviations of an effect's parameters about their null values, shape (p,); infinite where even."""
+        """Return the standard deviations of an effect's parameters about null, shape (p,); infinite where even."""
         assert self.scale is not None, "without a scale nothing is expected of an effect"
         return self.stds[placed] if placed in self.stds else placed.effect.expected_sizes(self.scale)
 
@@ -89,7 +89,7 @@ class Expectation:
         return (r[about], np.diag(slope)[about]), [keys[i] for i in about], self._frame(theta, n)
 
     def _frame(self, theta: Floats, n: int) -> Rows:
-        """The logarithms of masses and stiffnesses over their widths."""
+        """Compute the logarithms of masses and stiffnesses over their widths."""
         assert self.scale is not None
         typical = np.repeat([self.scale.floor_mass, self.scale.story_stiffness], n)
         width = np.repeat([MASS_WIDTH, STIFFNESS_WIDTH], n)

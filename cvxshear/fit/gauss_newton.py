@@ -17,7 +17,17 @@ import numpy as np
 
 from cvxshear.backends import Backend, Solution
 from cvxshear.fit.domain import Domain
-from cvxshear.fit.optimality import DERIVATIVE_ERROR, KEPT_TO, E, Optimality, Problem, Residuals, best_step, optimality
+from cvxshear.fit.optimality import (
+    DERIVATIVE_ERROR,
+    KEPT_TO,
+    E,
+    Optimality,
+    Problem,
+    Residuals,
+    best_step,
+    optimality,
+    sensitivities,
+)  # fmt: skip
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.statements import constrained
 from cvxshear.util.errors import NoModesError, NoSolutionError
@@ -26,6 +36,10 @@ from cvxshear.util.typing import Floats
 CONVERGED_STEP = 1e-6
 """Largest change of a residual, in standard deviations and relative to their root mean square where that is above
 one, of a step that counts as none."""
+
+RESIDUAL_ROUNDING = 4.0 * float(np.finfo(float).eps)
+"""Rounding of a residual, relative to the sizes of its terms, |J| |theta|: in 64 bits a ratio declared to 1e-12 is
+known to 1e-3 of its standard deviation, and a step that changes it by less is none."""
 
 MOST_STEPS = 100
 HALVINGS = 2
@@ -146,13 +160,12 @@ class _Damping:
 
 
 def step_program(at: Residuals, theta: Floats, domain: Domain, damping: float = LEAST_DAMPING) -> LeastSquares:
-    """The program of one step d: minimize |J d + r|^2 + |damping D d|^2, theta + d within its domain.
+    """Write the program of one step d: minimize |J d + r|^2 + |damping D d|^2, theta + d within its domain.
 
-    D is the diagonal of the lengths of J's columns.
+    D is the diagonal of the sensitivities (`fit.optimality.sensitivities`).
     """
     U, c = at.triangle
-    sensitivity = np.linalg.norm(U, axis=0)
-    held = damping * np.where(sensitivity > 0, sensitivity, 1.0)
+    held = damping * sensitivities(U, domain)
     program = LeastSquares(R=np.concatenate([U, np.diag(held)]), s=np.concatenate([-c, np.zeros(len(theta))]))
     return constrained(program, domain.statements, theta)
 
@@ -241,7 +254,8 @@ def _descended(
             refused = None
         d = solution.x
         rms = np.sqrt(float(at.r @ at.r) / max(len(at.r), 1))
-        if not damping.active and np.max(np.abs(at.J @ d), initial=0.0) < tolerance * max(1.0, rms):
+        least = tolerance * max(1.0, rms) + RESIDUAL_ROUNDING * (np.abs(at.J) @ np.abs(theta))
+        if not damping.active and np.all(np.abs(at.J @ d) < least):
             return Fit(theta, at, Ending.STATIONARY, step, evaluations), refused
         taken, trials = _halved(problem, theta, d, at, domain, 0 if damping.active else HALVINGS)
         evaluations += trials
@@ -263,7 +277,7 @@ def _descended(
 
 
 def _certified(problem: Problem[E], fit: Fit[E], domain: Domain, name: str) -> Optimality:
-    """The certificate of the final point.
+    """Certify the final point.
 
     Raises
     ------
@@ -310,7 +324,7 @@ def _halved(
 
 
 def _made_feasible(theta: Floats, domain: Domain, backend: Backend) -> Floats:
-    """The nearest point, in relative change, that keeps the exact statements."""
+    """Find the nearest point, in relative change, that keeps the exact statements."""
     nearest = LeastSquares(R=np.diag(1.0 / domain.scale), s=np.zeros(len(theta)))
     program = constrained(nearest, domain.statements, theta)
     return theta if _kept(program, domain.scale) else theta + backend.solve(program).x

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import expit
 
-from cvxshear.data import NOISES, Datum, Deviation, Model, Noise, data_of
+from cvxshear.data import Datum, Deviation, Model, Noise, NoiseKind, data_of, noise_kinds
 from cvxshear.effects import Placed, compose
 from cvxshear.effects.composition import slices
 from cvxshear.fit.expectation import Expectation
@@ -109,13 +109,13 @@ class UnknownSize:
     above_one: bool = False
 
     def log_factor(self, v: float) -> tuple[float, float]:
-        """The logarithm of the factor at a value v of what is normal beforehand, and its derivative by v."""
+        """Return the logarithm of the factor at a value v of what is normal beforehand, and its derivative by v."""
         if not self.above_one:
             return v, 1.0
         return 0.5 * float(np.logaddexp(0.0, 2.0 * v)), float(expit(2.0 * v))
 
     def coordinate(self, factor: float) -> float:
-        """The value v at which the factor is this one."""
+        """Return the value v at which the factor is this one."""
         if not self.above_one:
             return float(np.log(factor))
         return 0.5 * float(np.log(max(np.expm1(2.0 * np.log(factor)), LEAST_SQUARE)))
@@ -162,7 +162,7 @@ class Misfit:
     def replaced(
         self, effects: Sequence[Placed] | None = None, noise: Noise | None = None, widened: float | None = None
     ) -> Misfit:
-        """The same data under other effects, another noise, or the noise widened otherwise."""
+        """Return the same data under other effects, another noise, or the noise widened otherwise."""
         return Misfit(
             self.experiment,
             self.effects if effects is None else effects,
@@ -180,7 +180,7 @@ class Misfit:
     @cached_property
     def unknown(self) -> tuple[UnknownSize, ...]:
         """Every standard deviation that is estimated with the rest: of kinds of noise, then of effects."""
-        counts = dict.fromkeys(NOISES, 0.0)
+        counts = dict.fromkeys(noise_kinds(), 0.0)
         rescaled = {placed.label: 0.0 for placed in self.effects if placed.effect.rescales}
         for datum, keys in zip(self.data, self._keys, strict=True):
             # A scale that each mode leaves free takes as much from the rows of either noise.
@@ -202,26 +202,31 @@ class Misfit:
         return (*noises, *sizes)
 
     @property
+    def noises(self) -> dict[str, NoiseKind]:
+        """The noise of each kind of the data, by its name."""
+        return {datum.noise.name: datum.noise for datum in self.data}
+
+    @property
     def open_noises(self) -> dict[str, float]:
         """The kinds of noise that somebody left undeclared, each with its number of data."""
-        return {item.key: item.count for item in self.unknown if item.key in NOISES}
+        return {item.key: item.count for item in self.unknown if item.key in self.noises}
 
     def rescaled_rows(self, at: Evaluation, placed: Placed) -> Bools:
-        """The rows of an evaluation whose standard deviation an effect leaves open, shape (d,)."""
+        """Return the rows of an evaluation whose standard deviation an effect leaves open, shape (d,)."""
         found = np.zeros(len(at.r), dtype=bool)
         found[: sum(at.blocks)] = np.concatenate([self._rescaled(datum, placed) for datum in self.data])
         return found
 
     def _rescaled(self, datum: Datum, placed: Placed) -> Bools:
-        """The rows of a datum whose standard deviation an effect leaves open."""
-        return placed.effect.rescaled(datum.tested, datum.noise, datum.floors, placed.place)
+        """Return the rows of a datum whose standard deviation an effect leaves open."""
+        return placed.effect.rescaled(datum.tested, datum.noise.name, datum.floors, placed.place)
 
     @cached_property
     def _keys(self) -> list[list[str]]:
         """What the factor on the standard deviation of each row of each datum goes by; empty where it is declared."""
         found = []
         for datum in self.data:
-            keys = [("" if datum.declared else datum.noise)] * len(datum.floors)
+            keys = [("" if datum.declared else datum.noise.name)] * len(datum.floors)
             for placed in self.effects:
                 if placed.effect.rescales:
                     own = self._rescaled(datum, placed)
@@ -230,7 +235,7 @@ class Misfit:
         return found
 
     def count(self, theta: Floats) -> int:
-        """Number of data, soft priors included."""
+        """Count the data, soft priors included."""
         return sum(datum.count for datum in self.data) + len(self._soft(theta)[0])
 
     def evaluate(self, theta: Floats, *, derivatives: bool = True, by: slice = slice(None)) -> Evaluation:
@@ -253,17 +258,18 @@ class Misfit:
         if np.any(theta[: 2 * n] <= 0):
             raise NoModesError("floor masses and story stiffnesses must be positive")
         models = {id(each): self._model(each, theta, by, derivatives) for each in self.experiment.tested}
+        factors = {key: self.widened * self.noise.of(key) for keys in self._keys for key in set(keys)}
         parts, rows, keys = [np.zeros(0)], [], list[str]()
         for datum in self.data:
             own = self._keys[len(parts) - 1]
-            factor = self.widened * np.array([self.noise.of(key) for key in own])
-            found = datum.widened_residual(models[id(datum.tested)], factor)
+            found = datum.widened_residual(models[id(datum.tested)], np.array([factors[key] for key in own]))
             parts.append(found.r)
             rows.append(found.J)
             keys += own
         soft = self._soft(theta)
         expected, expected_keys, frame = self.expectation.residuals(theta, self.effects, dict(self.noise.factors))
-        places = {"": -1, **{item.key: place for place, item in enumerate(self.unknown)}}
+        # Shapes of a single sensor have no declared deviation and no information that would tell it.
+        places = {item.key: place for place, item in enumerate(self.unknown)}
         keys += [""] * len(soft[0]) + expected_keys + [""] * len(frame[0])
         r = np.concatenate([*parts, soft[0], expected[0], frame[0]])
         measured = len(r) - len(expected[0]) - len(frame[0])
@@ -275,7 +281,7 @@ class Misfit:
             measured,
             len(r) - len(frame[0]),
             tuple(len(part) for part in parts[1:]),
-            np.array([places[key] for key in keys], dtype=np.int64),
+            np.array([places.get(key, -1) for key in keys], dtype=np.int64),
         )
 
     def _model(self, tested: Tested, theta: Floats, by: slice, derivatives: bool) -> Model:
@@ -299,7 +305,7 @@ class Misfit:
         return found
 
     def _soft(self, theta: Floats) -> tuple[Floats, Floats]:
-        """The soft priors, and a total mass declared with a standard deviation, as data."""
+        """Write the soft priors, and a total mass declared with a standard deviation, as data."""
         n = self.experiment.stories
         residuals, rows = [np.zeros(0)], [np.zeros((0, len(theta)))]
         frame = self.experiment.frame
@@ -315,7 +321,8 @@ class Misfit:
             residuals.append(r)
             rows.append(row)
         for placed, own in slices(self.effects, 2 * n):
-            if placed.place.prior is not None:
+            # A test that is only imagined has no priors that could be wrong.
+            if placed.place.prior in self._statements:
                 at_prior = 1 + self._statements.index(placed.place.prior)
                 residuals[at_prior] = residuals[at_prior] - theta[own]
                 rows[at_prior][:, own] -= np.eye(own.stop - own.start)
@@ -325,8 +332,3 @@ class Misfit:
     def _statements(self) -> list[str]:
         """The soft total mass and the priors in words, in the order of their rows."""
         return [words for words, _ in self.experiment.soft_statements]
-
-
-def of_kind(data: Sequence[Datum], noise: str) -> list[Datum]:
-    """The data whose noise is of this kind."""
-    return [datum for datum in data if datum.noise == noise]

@@ -19,12 +19,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import linalg, optimize, special
 
-from cvxshear.data import NOISES, Noise
+from cvxshear.data import Noise, noise_kinds
 from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.util.typing import Floats, Json
-
-LARGEST_NOISE = {"frequency": 15.0, "mode_shape": 15.0, "displacement": 15.0}
-"""Factors beyond which no instrument is as bad: frequencies uncertain to 3 %, shapes and displacements to 15 %."""
 
 SHARPEST = 1e-12
 """Least ratio of the curvatures of two directions."""
@@ -47,7 +44,7 @@ class NoiseEstimate:
     Parameters
     ----------
     kinds : tuple of str
-        Of `NOISES`, then labels of effects whose common size is unknown.
+        Names of noises, then labels of effects whose common size is unknown.
     log_factors : ndarray, shape (g,)
     covariance : ndarray, shape (g, g)
         Of the logarithms.
@@ -70,7 +67,7 @@ class NoiseEstimate:
 
     def to_dict(self) -> Json:
         """For each kind its factor and the standard deviation of that; null where it was declared."""
-        return {kind: self.of(kind) for kind in NOISES}
+        return {kind: self.of(kind) for kind in noise_kinds()}
 
     def of(self, key: str) -> Json | None:
         """Factor and its standard deviation of a kind of noise, or of an effect's size; None where it was declared."""
@@ -82,7 +79,7 @@ class NoiseEstimate:
 
 
 def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats, *, here: bool = False) -> NoiseEstimate:
-    """The noise that a fit speaks for.
+    """Estimate the noise that a fit speaks for.
 
     Parameters
     ----------

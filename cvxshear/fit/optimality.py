@@ -4,9 +4,9 @@ At a minimum of the sum of squares |r|^2 over theta with A theta = b and G theta
 
     |J d + r|^2 + |w D d|^2,        A d = 0,  G_a d <= 0,
 
-G_a the inequalities that hold with equality, D the lengths of J's columns and w a small weight that decides along
-directions which no residual sees. With the triangular factor R'R = J'J + w^2 D^2 and the gradient R'c the best step
-has the length |R d| of the smallest
+G_a the inequalities that hold with equality, D the sensitivities to the parameters and w a small weight that decides
+along directions which no residual sees. With the triangular factor R'R = J'J + w^2 D^2 and the gradient R'c the best
+step has the length |R d| of the smallest
 
     |c + R'^-1 (A' y + G_a' v)|        over y and v >= 0,
 
@@ -41,6 +41,11 @@ CHANGES = (1e-5, 1e-6, 1e-4, 1e-3)
 """Relative changes of the parameters for central difference quotients where that comparison fails, tried in turn: which
 one suits depends on the curvature and on how many digits of the residuals the eigenvalue problem leaves; one that
 agrees is enough."""
+
+MOST_SENSITIVE = 1e7
+"""Standard deviations for a change of a parameter by its own size, beyond which a sensitivity does not hold it back
+more. A soft statement about a ratio, sure to 1e-12, says nothing of the common size of the two: held back by the
+statement's weight, that would stay where it is while the measurement says otherwise."""
 
 AWAY = 0.1
 """Change of the residuals, in standard deviations all together, over which their derivatives are compared first."""
@@ -141,6 +146,12 @@ class Optimality:
     derivative_error: float
 
 
+def sensitivities(U: Floats, domain: Domain) -> Floats:
+    """Find the sensitivity of the residuals to each parameter: the length of its column, at most `MOST_SENSITIVE`."""
+    lengths = np.linalg.norm(U, axis=0)
+    return np.asarray(np.minimum(np.where(lengths > 0, lengths, 1.0), MOST_SENSITIVE / domain.scale))
+
+
 def optimality(problem: Problem[Residuals], theta: Floats, at: Residuals, domain: Domain, weight: float) -> Optimality:
     """Compute the optimality certificate of a point.
 
@@ -180,10 +191,9 @@ def violation(theta: Floats, at: Residuals, domain: Domain) -> float:
 
 
 def best_step(theta: Floats, at: Residuals, domain: Domain, weight: float) -> tuple[Floats, Floats]:
-    """The best linearised step d that keeps the active constraints, and R d, each of shape (P,)."""
+    """Find the best linearised step d that keeps the active constraints, and R d, each of shape (P,)."""
     U, c = at.triangle
-    lengths = np.linalg.norm(U, axis=0)
-    damping = np.diag(weight * np.where(lengths > 0, lengths, 1.0))
+    damping = np.diag(weight * sensitivities(U, domain))
     # The right side as a further column: Q'[c; 0] is the last column of the triangle.
     stacked = np.column_stack([np.concatenate([U, damping]), np.concatenate([c, np.zeros(len(theta))])])
     whole = np.asarray(np.linalg.qr(stacked, mode="r"))
@@ -199,7 +209,7 @@ def best_step(theta: Floats, at: Residuals, domain: Domain, weight: float) -> tu
 
 
 def _unopposed(gradient: Floats, equalities: Floats, active: Floats) -> Floats:
-    """What is left of a gradient that multipliers cannot cancel, those of inequalities not negative."""
+    """Return what is left of a gradient that multipliers cannot cancel, those of inequalities not negative."""
     left = gradient
     if len(equalities):
         # Statements that follow from others leave the rank below the number of rows.
@@ -225,7 +235,7 @@ def _sizes(theta: Floats, domain: Domain) -> Floats:
 
 
 def _units(theta: Floats, at: Residuals, domain: Domain) -> Floats:
-    """The change of each parameter that changes the residuals by one, at most its size."""
+    """Return the change of each parameter that changes the residuals by one, at most its size."""
     lengths = np.linalg.norm(at.triangle[0], axis=0)
     return np.asarray(1.0 / np.maximum(lengths, 1.0 / _sizes(theta, domain)))
 

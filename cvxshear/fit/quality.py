@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy import stats
 
-from cvxshear.data import Datum, Model
+from cvxshear.data import Datum, Model, noise_kinds
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
@@ -19,37 +20,54 @@ class Quality(InJson):
 
     Parameters
     ----------
-    max_frequency_error : float
-        Largest |model / measured - 1|.
-    rms_frequency_error : float
-        Root mean square of model / measured - 1.
-    min_mac : float or None
-        Smallest modal assurance criterion; None where no shape was measured at two floors.
-    max_shape_error : float or None
-        Largest difference of a shape entry, the measured mode scaled to a largest entry of 1 and the model's
-        to it by least squares; None where no shape was measured.
+    errors : mapping of str to float or None
+        Every error figure that a kind of data declares, by its key; None where nothing of the kind was measured.
     chi2 : float
         Sum of squared standardized residuals, soft priors included.
     dof : int
         Number of data less number of free parameters.
     p_value : float or None
         Of chi2, where the noise is declared and a degree of freedom is left.
-    max_displacement_error : float or None
-        Largest difference of a displacement over the largest of its test; None where none was measured.
     """
 
-    max_frequency_error: float
-    rms_frequency_error: float
-    min_mac: float | None
-    max_shape_error: float | None
+    json_keys: ClassVar[str] = "*errors chi2 dof p_value"
+
+    errors: Mapping[str, float | None]
     chi2: float
     dof: int
     p_value: float | None
-    max_displacement_error: float | None = None
+
+    @property
+    def max_frequency_error(self) -> float:
+        """Largest |model / measured - 1| of a frequency."""
+        return self.errors["max_frequency_error"] or 0.0
+
+    @property
+    def rms_frequency_error(self) -> float:
+        """Root mean square of model / measured - 1 of the frequencies."""
+        return self.errors["rms_frequency_error"] or 0.0
+
+    @property
+    def min_mac(self) -> float | None:
+        """Smallest modal assurance criterion; None where no shape was measured at two floors."""
+        return self.errors["min_mac"]
+
+    @property
+    def max_shape_error(self) -> float | None:
+        """Largest difference of a shape entry; None where no shape was measured.
+
+        The measured mode is scaled to a largest entry of 1 and the model's to it by least squares.
+        """
+        return self.errors["max_shape_error"]
+
+    @property
+    def max_displacement_error(self) -> float | None:
+        """Largest difference of a displacement over the largest of its test; None where none was measured."""
+        return self.errors["max_displacement_error"]
 
 
 def quality(data: Sequence[Datum], models: Sequence[Model], chi2: float, dof: int, *, declared: bool) -> Quality:
-    """The errors of a model.
+    """Compute the errors of a model.
 
     Parameters
     ----------
@@ -62,24 +80,13 @@ def quality(data: Sequence[Datum], models: Sequence[Model], chi2: float, dof: in
         Whether chi2 is one, every standard deviation having been declared.
     """
     by_tested = {id(model.state.tested): model for model in models}
-    errors: dict[str, list[Floats]] = {}
+    found: dict[str, list[Floats]] = {}
     for datum in data:
         for name, values in datum.errors(by_tested[id(datum.tested)]).items():
-            errors.setdefault(name, []).append(values)
-    found = {name: np.concatenate(values) for name, values in errors.items()}
-    frequency = found.get("frequency_error", np.zeros(0))
-    return Quality(
-        max_frequency_error=float(np.max(np.abs(frequency), initial=0.0)),
-        rms_frequency_error=float(np.sqrt(np.mean(frequency**2))) if frequency.size else 0.0,
-        min_mac=_extreme(found, "mac", np.min),
-        max_shape_error=_extreme(found, "shape_error", np.max),
-        chi2=chi2,
-        dof=dof,
-        p_value=float(stats.chi2.sf(chi2, dof)) if declared and dof > 0 else None,
-        max_displacement_error=_extreme(found, "displacement_error", lambda values: np.max(np.abs(values))),
-    )
-
-
-def _extreme(found: dict[str, Floats], name: str, of: Callable[[Floats], float]) -> float | None:
-    values = found.get(name)
-    return None if values is None or not values.size else float(of(values))
+            found.setdefault(name, []).append(values)
+    errors: dict[str, float | None] = {}
+    for figure in (each for kind in noise_kinds().values() for each in kind.figures):
+        values = np.concatenate(found.get(figure.errors, [np.zeros(0)]))
+        errors[figure.key] = float(figure.statistic(values)) if values.size else None
+    p_value = float(stats.chi2.sf(chi2, dof)) if declared and dof > 0 else None
+    return Quality(errors, chi2, dof, p_value)

@@ -84,7 +84,7 @@ class Prediction(InJson):
 
     @staticmethod
     def of(model: Model) -> Prediction:
-        """The prediction of a model of a tested state."""
+        """Return the prediction of a model of a tested state."""
         # Sensors' gains are no part of the frame's motion; attached masses stand on no floor.
         shapes = model.modes.shapes[:, : len(model.state.story_stiffness)]
         largest = shapes[np.arange(len(shapes)), np.argmax(np.abs(shapes), axis=1)]
@@ -133,7 +133,7 @@ class SingleIdentification(InJson):
         return self.reason.converged
 
     def to_dict(self) -> Json:
-        """The documented JSON; the full mass matrix only where there is one."""
+        """Return the documented JSON; the full mass matrix only where there is one."""
         return super().to_dict() | ({} if self.mass_matrix is None else {"mass_matrix": as_json(self.mass_matrix)})
 
 
@@ -185,7 +185,7 @@ class Identification(Shown):
         return all(part.converged for part in self.parts)
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The identified masses and stiffnesses as a table of pandas.
+        """Return the identified masses and stiffnesses as a table of pandas.
 
         Returns
         -------
@@ -207,7 +207,7 @@ class Identification(Shown):
         return data_frame(named | {key: [value for each in frames for value in each[key]] for key in frames[0]})
 
     def to_dict(self) -> Json:
-        """The documented JSON."""
+        """Return the documented JSON."""
         single = None if self.single is None else self.single.to_dict()
         top = {
             key: None if single is None else single[key]

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_ndtr
 
+from cvxshear.data import Frequencies, Shapes
 from cvxshear.data.pairing import numbered
 from cvxshear.effects import compose
 from cvxshear.fit.efficient import Estimate
@@ -114,7 +115,7 @@ class Disagreement:
     free_scale: bool
 
     def at(self, floors: Ints) -> float:
-        """Standard deviations between the models with sensors at these floors, zero-based."""
+        """Count the standard deviations between the models with sensors at these floors, zero-based."""
         m, n = self.shapes.shape
         kept = np.zeros((m, n), dtype=bool)
         kept[:, floors] = self.seen[:, floors]
@@ -132,7 +133,7 @@ class Disagreement:
 
 
 def disagreement(accepted: Estimate, rival: Estimate, test: Configuration, first: Configuration) -> Disagreement:
-    """What two fits say of a test.
+    """Compare what two fits say of a test.
 
     Parameters
     ----------
@@ -166,7 +167,7 @@ def disagreement(accepted: Estimate, rival: Estimate, test: Configuration, first
 
 
 def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Configuration:
-    """A configuration with these masses, measured at every floor as a fit predicts.
+    """Make a configuration with these masses, measured at every floor as a fit predicts.
 
     Parameters
     ----------
@@ -190,8 +191,8 @@ def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Co
     measured = dataclasses.replace(
         blank, mode_shapes=np.where(first.measured, shapes[:, first.measured_floors - 1], np.nan)
     )
-    frequency = 1.0 if first.frequency_std is not None else noise.of("frequency")
-    shape = 1.0 if first.mode_shape_std is not None else noise.of("mode_shape")
+    frequency = 1.0 if first.frequency_std is not None else noise.of(Frequencies.noise.name)
+    shape = 1.0 if first.mode_shape_std is not None else noise.of(Shapes.noise.name)
     return dataclasses.replace(
         blank,
         frequencies=found.frequencies[which],
@@ -206,7 +207,7 @@ def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Co
 
 
 def _everywhere(measured: Configuration, shapes: Floats) -> Floats:
-    """Standard deviations of a mode's entries at every floor over its largest entry, shape (m, N)."""
+    """Return the standard deviations of a mode's entries at every floor over its largest entry, shape (m, N)."""
     std = np.full(shapes.shape, np.nan)
     std[:, measured.measured_floors - 1] = np.where(measured.measured, measured.entry_std, np.nan)
     relative = std / np.max(np.abs(shapes), axis=1, keepdims=True)
@@ -219,14 +220,14 @@ def _everywhere(measured: Configuration, shapes: Floats) -> Floats:
 
 
 def _carried(J: Floats, estimate: Estimate) -> Floats:
-    """Changes of predictions by what a fit leaves uncertain, a column a standard deviation."""
+    """Return the changes of predictions by what a fit leaves uncertain, a column a standard deviation."""
     values, axes = np.linalg.eigh(estimate.uncertainty.covariance())
     result: Floats = J @ (axes * np.sqrt(np.maximum(values, 0.0)))
     return result
 
 
 def _by_itself(accepted: Estimate, test: Configuration) -> Experiment:
-    """The test as an experiment of its own, of a frame as heavy as the fit has it."""
+    """Make the test as an experiment of its own, of a frame as heavy as the fit has it."""
     declared = accepted.experiment.frame
     total = declared.total_mass or float(accepted.theta[: accepted.experiment.stories].sum())
     frame = dataclasses.replace(

@@ -40,7 +40,7 @@ from cvxshear.programs.statements import NamedConstraints, constrained, statemen
 from cvxshear.util.errors import CvxshearError, InputError, NoModesError, NoSolutionError
 from cvxshear.util.typing import Floats
 
-PASSES = 6
+START_PASSES = 6
 """Times that the story equations are weighed, missing entries filled in, and solved: with stiffnesses that differ by
 1e6 the first pass has them wrong by a factor of thirty, the third to the noise."""
 
@@ -70,7 +70,7 @@ LARGEST_CHANGE = 3.0
 
 
 def starts(experiment: Experiment) -> list[Floats]:
-    """Starting points theta, each of shape (2N,), masses and stiffnesses positive.
+    """List the starting points theta, each of shape (2N,), masses and stiffnesses positive.
 
     Design values of both, those that priors suggest, where there are any; the story equations; and frames of equal
     masses, of uniform stiffness and of the stiffness that falls with height as the ratios of the frequencies say.
@@ -78,7 +78,7 @@ def starts(experiment: Experiment) -> list[Floats]:
     even = uniform(experiment)
     points = []
     theta = even
-    for number in range(PASSES):
+    for number in range(START_PASSES):
         try:
             theta = _from_story_equations(experiment, theta, weighed=number > 0)
         except CvxshearError:
@@ -88,7 +88,7 @@ def starts(experiment: Experiment) -> list[Floats]:
 
 
 def _tapered(experiment: Experiment) -> Floats:
-    """The frame of `uniform` whose taper suits the frequencies best."""
+    """Find the frame of `uniform` whose taper suits the frequencies best."""
     return min((uniform(experiment, taper) for taper in TAPERS), key=lambda theta: _frequency_misfit(experiment, theta))
 
 
@@ -108,7 +108,7 @@ def _log_eigenvalue_ratios(configuration: Configuration, mass: Floats, stiffness
 
 
 def _nominal(experiment: Experiment) -> list[Floats]:
-    """The design values of masses and stiffnesses, where both are declared, at the right mean frequency."""
+    """Return the design values of masses and stiffnesses, where both are declared, at the right mean frequency."""
     values = {}
     for prior in experiment.priors:
         suggested = prior.suggested(experiment.stories)
@@ -130,7 +130,7 @@ def _frequency_factor(experiment: Experiment, mass: Floats, stiffness: Floats) -
 
 
 def uniform(experiment: Experiment, taper: float = 0.0) -> Floats:
-    """A frame of equal masses and of stiffnesses that fall by `taper` to the top, at the right first frequency."""
+    """Build a frame of equal masses, stiffnesses falling by `taper` to the top, at the right first frequency."""
     n = experiment.stories
     frame = experiment.frame
     shape = 1.0 - taper * np.arange(n) / max(n - 1, 1)
@@ -146,7 +146,7 @@ def uniform(experiment: Experiment, taper: float = 0.0) -> Floats:
 
 
 def _guessed_total(experiment: Experiment) -> float:
-    """A total mass where none is declared: that of the scaled shapes, else the added mass itself."""
+    """Return a total mass where none is declared: that of the scaled shapes, else the added mass itself."""
     for each in experiment.configurations:
         if each.mass_normalized and each.measured.any():
             known = each.mode_shapes[each.measured.any(axis=1)]
@@ -289,7 +289,7 @@ class _SmoothFrames:
         return PlainResiduals(r, J if derivatives else np.zeros((0, len(c))))
 
     def best(self) -> Floats:
-        """The frame of the smallest misfit, shape (2N,)."""
+        """Return the frame of the smallest misfit, shape (2N,)."""
         profiles = block_diag(self.mass, self.stiffness)
         size = profiles.shape[1]
         within = Constraints(G=np.concatenate([profiles, -profiles]), h=np.full(2 * len(profiles), LARGEST_CHANGE))
@@ -303,7 +303,7 @@ class _SmoothFrames:
 
 
 def smooth_start(experiment: Experiment, base: Floats) -> Floats:
-    """The smooth frame that suits all modes, reached from the lowest.
+    """Find the smooth frame that suits all modes, reached from the lowest.
 
     Parameters
     ----------
@@ -334,7 +334,7 @@ def _smooth_frames(misfit: Misfit, base: Floats, degree: int) -> _SmoothFrames:
 
 
 def nearest_start(misfit: Misfit) -> Floats:
-    """The starting point nearest to the data, the effects' parameters where they start.
+    """Find the starting point nearest to the data, the effects' parameters where they start.
 
     Parameters
     ----------
@@ -356,7 +356,7 @@ def nearest_start(misfit: Misfit) -> Floats:
 
 
 def nearest_first(misfit: Misfit, own: Floats) -> list[Floats]:
-    """The starting points with modes, the nearest to the data first; before them a smooth frame where none is near.
+    """Sort the starting points with modes, the nearest to the data first; a smooth frame leads where none is near.
 
     Parameters
     ----------

@@ -104,7 +104,7 @@ class Uncertainty:
         return covariance
 
     def std(self) -> Floats:
-        """Standard deviations, shape (P,); nan where the data do not determine a parameter."""
+        """Return the standard deviations, shape (P,); nan where the data do not determine a parameter."""
         return np.where(self.determined, np.sqrt(np.maximum(np.diag(self.covariance()), 0.0)), np.nan)
 
     def correlation(self) -> Floats:
@@ -153,13 +153,13 @@ def uncertainty(J: Floats, theta: Floats, domain: Domain, names: Sequence[str]) 
 
 
 def _interval_rows(interval_std: Floats) -> Floats:
-    """What intervals of physical values say, as rows beside the data's."""
+    """Return what intervals of physical values say, as rows beside the data's."""
     rows: Floats = np.diag(1.0 / interval_std)[np.isfinite(interval_std)]
     return rows
 
 
 def _units(J: Floats, least: Floats) -> Floats:
-    """The change of each parameter that changes the data by one, or the least one given; one where none does."""
+    """Return the change of each parameter that moves the data by one, or the least one given; one where none does."""
     length = np.linalg.norm(J, axis=0)
     return np.where(length > 0, np.maximum(1.0 / np.where(length > 0, length, 1.0), least), 1.0)
 
@@ -174,7 +174,7 @@ def _null_space(rows: Floats) -> Floats:
 
 
 def _split(J: Floats, basis: Floats) -> tuple[tuple[Floats, Floats], Floats]:
-    """The basis turned into directions that the data determine, with their singular values, and those they do not."""
+    """Turn the basis into directions that the data determine, with their singular values, and others."""
     if not basis.shape[1]:
         return (basis, np.zeros(0)), basis
     # The triangular factor has the same singular values and right vectors, and no tall left ones.
@@ -185,7 +185,7 @@ def _split(J: Floats, basis: Floats) -> tuple[tuple[Floats, Floats], Floats]:
 
 
 def _words(direction: Floats, names: Sequence[str]) -> tuple[str, ...]:
-    """The parameters that take part in a null direction, largest share first."""
+    """List the parameters that take part in a null direction, largest share first."""
     size = np.abs(direction)
     order = np.argsort(-size, kind="stable")
     return tuple(names[i] for i in order if size[i] > TAKES_PART * size[order[0]])

@@ -105,7 +105,7 @@ def close_loop(
 
 
 def _sound(wanted: Sequence[Effect], experiment: Experiment) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
-    """The effects that can take part, and why others, of one's own, cannot.
+    """Find the effects that can take part, and why others, of one's own, cannot.
 
     Raises
     ------
@@ -129,7 +129,7 @@ def _sound(wanted: Sequence[Effect], experiment: Experiment) -> tuple[tuple[Effe
 
 
 def without_repeated(experiment: Experiment) -> tuple[Experiment, tuple[tuple[str, str], ...]]:
-    """The experiment with each test once, and the names of the copies, each with that of the test it repeats.
+    """Return the experiment with each test once, and the names of the copies with that of the test they repeat.
 
     Measured values that agree to the last digit are one measurement: counted twice they would seem twice as sure.
     """
@@ -164,7 +164,7 @@ class _Loop:
     widened: float = 1.0
 
     def begun(self, numbering: Numbering) -> Search:
-        """A search under one numbering of the modes, its shear model fitted."""
+        """Begin a search under one numbering of the modes, its shear model fitted."""
         theta = self.start.theta
         if numbering.changes:
             theta = nearest_start(Misfit(numbering.experiment, self.there))
@@ -182,7 +182,7 @@ class _Loop:
         return Search(fitter, found)
 
     def dual(self, search: Search) -> Search | None:
-        """The search that starts at the dual of another's shear model, and visits the duals of its best sets.
+        """Begin the search that starts at the dual of another's shear model, and visits the duals of its best sets.
 
         None where no frame has the same frequencies, or the dual start leads to the same frame; the duals are visited
         by the search itself then.
@@ -221,7 +221,7 @@ def _same_frame(a: ModelClass, b: ModelClass) -> bool:
 
 
 def _first(experiment: Experiment, backend: Backend, there: tuple[Placed, ...]) -> Estimate:
-    """The first fit, on the backend that was asked for: one that does not solve it is not fit for the others either.
+    """Make the first fit, on the backend that was asked for: one that does not solve it is not fit for the others.
 
     Only where the backend takes no such programs (active inequalities) another one stands in.
     """
@@ -234,7 +234,7 @@ def _first(experiment: Experiment, backend: Backend, there: tuple[Placed, ...]) 
 
 
 def _declared(experiment: Experiment, backend: Backend, there: tuple[Placed, ...]) -> tuple[Placed, ...]:
-    """The assumed effects; one that these data do not determine is held at its starting value."""
+    """Return the assumed effects; one that these data do not determine is held at its starting value."""
     if not there:
         return there
     found = _first(experiment, backend, there)
@@ -246,7 +246,7 @@ def _declared(experiment: Experiment, backend: Backend, there: tuple[Placed, ...
 
 
 def _expectation(experiment: Experiment, theta: Floats, looked_for: Sequence[Hypothesis]) -> Expectation:
-    """What is expected of the effects and, in units of a typical floor and story of a first fit, of the frame."""
+    """Gather what is expected of effects and frame, in units of a typical floor and story of a first fit."""
     n = experiment.stories
     mass, stiffness = np.median(theta[:n]), np.median(theta[n : 2 * n])
     scale = Scale(float(mass), float(stiffness), heights_of(experiment))

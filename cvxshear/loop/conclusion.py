@@ -34,10 +34,7 @@ NUMBERED = 1.0 - 2.0 * OVERLOOKED
 """Probability of the numbers of the modes as given from which on a shear model that does not ask for others is called
 adequate: data that tell nothing of them leave what there was beforehand."""
 
-NEGLIGIBLE_FREQUENCY, NEGLIGIBLE_SHAPE = 1e-5, 1e-4
-"""Largest relative errors of a frequency and of a shape entry that no engineer would look into."""
-
-SHOWN = 1e-3
+REPORTED = 1e-3
 """Probability of a set from which on it is reported."""
 
 TOLD = 1.1
@@ -55,7 +52,7 @@ def conclude(
     said: Sequence[str] = (),
     widened: Sequence[Search] = (),
 ) -> Closure:
-    """The verdict on the visited sets.
+    """Reach the verdict on the visited sets.
 
     Parameters
     ----------
@@ -99,7 +96,7 @@ def conclude(
         judged=judged,
         effects=added,
         assumed=fitter.assumed,
-        numberings=tuple(each for each in posterior.numberings if each.probability >= SHOWN),
+        numberings=tuple(each for each in posterior.numberings if each.probability >= REPORTED),
         models=tuple(_shown_sets(posterior)),
         averaged=posterior.averaged(),
         candidates=tuple(_candidates(posterior, judged, search.fitter)),
@@ -116,7 +113,7 @@ def conclude(
 
 
 def _fit_of_verdict(searches: Sequence[Search], posterior: Posterior) -> tuple[Search, ModelClass]:
-    """The set of the verdict with the search that fitted it best, to full accuracy."""
+    """Find the set of the verdict, and the search that fitted it best, to full accuracy."""
     own = [each for each in searches if each.fitter.numbering.changes == posterior.best.changes]
     wanted = posterior.verdict_set()
     for each in own:
@@ -159,14 +156,14 @@ def _verdict(
 
 
 def _negligible(final: Estimate) -> bool:
-    quality = final.quality
-    return (
-        quality.max_frequency_error < NEGLIGIBLE_FREQUENCY and (quality.max_shape_error or 0.0) < NEGLIGIBLE_SHAPE
-    )  # fmt: skip
+    """Whether no kind of data is off by more than an engineer would look into; a kind that cannot say counts as off."""
+    errors = final.quality.errors
+    kinds = final.misfit.noises.values()
+    return all(kind.leading is not None and (errors[kind.leading.key] or 0.0) < kind.negligible for kind in kinds)
 
 
 def _steps(final: Estimate, posterior: Posterior, fitter: Fitter, as_given: Fitter) -> tuple[Step, ...]:
-    """The shear model, then the modes numbered otherwise where they are, then one effect more at a time.
+    """List the fits: the shear model, the modes numbered otherwise where they are, then one effect more at a time.
 
     The most probable effect comes first; all are in the noise of the last.
     """
@@ -189,7 +186,7 @@ def _steps(final: Estimate, posterior: Posterior, fitter: Fitter, as_given: Fitt
 
 
 def _in_noise_of(final: Estimate, effects: Sequence[Placed], fitter: Fitter) -> Estimate:
-    """The fit with only some of the effects, in the final model's noise.
+    """Fit the model with only some of the effects, in the final model's noise.
 
     It starts where the final model is or, where that has no modes without the others, at the frame before any effect;
     there too where its modes are numbered otherwise.
@@ -249,7 +246,7 @@ def _remarks(final: Estimate, placed: Placed) -> Iterator[str]:
 
 
 def _rival_sets(posterior: Posterior, added: Sequence[AddedEffect]) -> list[frozenset[Placed]]:
-    """The sets that hold what may be there in place of an added effect, twins first."""
+    """List the sets that hold what may be there in place of an added effect, twins first."""
     effects = frozenset(item.placed for item in added)
     twins = [
         (effects - {item.placed}) | {rival.placed} for item in added for rival in item.rivals if rival.twin
@@ -268,7 +265,7 @@ def _rival_sets(posterior: Posterior, added: Sequence[AddedEffect]) -> list[froz
 
 def _shown_sets(posterior: Posterior) -> Iterator[EffectSet]:
     for model, probability in zip(posterior.models, posterior.probabilities, strict=True):
-        if probability >= SHOWN and model.estimate is not None:
+        if probability >= REPORTED and model.estimate is not None:
             order = tuple(placed for placed in model.estimate.effects if placed in model.effects)
             yield EffectSet(order, min(float(probability), 1.0), model.log_evidence, model.estimate.chi2, model.changes)
 
@@ -308,7 +305,7 @@ def _quoted(names: Sequence[str]) -> str:
 
 
 def _rests_on(final: Estimate) -> Iterator[str]:
-    """What speaks for the verdict: the noise that the residual is compared with."""
+    """Say what speaks for the verdict: the noise that the residual is compared with."""
     if final.dof <= 0:
         yield "nothing that could speak against it: the model has as many parameters as there are data"
         return
@@ -320,12 +317,12 @@ def _rests_on(final: Estimate) -> Iterator[str]:
     listed = ", ".join(
         f"{kind.replace('_', ' ')} {factors[kind]:.2g} times the default" for kind in final.misfit.open_noises
     )
-    partly = len(final.misfit.open_noises) < len({datum.noise for datum in final.misfit.data})
+    partly = len(final.misfit.open_noises) < len(final.misfit.noises)
     yield f"{'declared and ' if partly else ''}estimated noise ({listed})"
 
 
 def _granted(search: Search, found: ModelClass) -> Iterator[str]:
-    """What the verdict takes for granted because no datum tells: sentences of effects that are not in it."""
+    """Say what the verdict takes for granted because no datum tells: sentences of effects that are not in it."""
     candidates = [
         item.placed
         for item in search.fitter.hypotheses
@@ -343,7 +340,7 @@ def _granted(search: Search, found: ModelClass) -> Iterator[str]:
 
 
 def _information(search: Search, posterior: Posterior, final: Estimate, *, negligible: bool) -> Iterator[str]:
-    """What a reader should know besides."""
+    """Say what a reader should know besides."""
     experiment, fitter = search.fitter.experiment, search.fitter
     n = experiment.stories
     if negligible:
@@ -352,7 +349,7 @@ def _information(search: Search, posterior: Posterior, final: Estimate, *, negli
             f"{final.quality.max_frequency_error:.1g} at most, less than anybody needs"
         )
     named = [each.name for each in experiment.configurations if each.other_modes]
-    if named and all(not each.changes for each in posterior.numberings if each.probability >= SHOWN):
+    if named and all(not each.changes for each in posterior.numberings if each.probability >= REPORTED):
         yield f"the modes of {_quoted(named)} are those given: that they are the other ones named is hardly probable"
     if not final.noise.settled:
         yield "the estimate of the standard deviations that nobody declared did not settle; its last value is used"

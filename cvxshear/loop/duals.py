@@ -37,7 +37,7 @@ def dual_frame(floor_mass: Floats, story_stiffness: Floats) -> Floats:
 
 
 def dual_set(effects: frozenset[Placed], known: Sequence[Placed], stories: int) -> frozenset[Placed] | None:
-    """The effects of the dual frame that have the same frequencies; None where one of them has no dual.
+    """Find the effects of the dual frame that have the same frequencies; None where one of them has no dual.
 
     Parameters
     ----------

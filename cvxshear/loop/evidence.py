@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import integrate, optimize, special, stats
 
 from cvxshear.effects import Placed
@@ -108,7 +109,7 @@ def free_basis(estimate: Estimate, expectation: Expectation) -> Floats:
 
 
 def _program(estimate: Estimate) -> LeastSquares:
-    """The fit's constraints about its optimum."""
+    """Write the constraints of a fit about its optimum."""
     empty = LeastSquares(R=estimate.fit.at.triangle[0], s=np.zeros(len(estimate.fit.at.triangle[1])))
     return constrained(empty, estimate.domain.statements, estimate.theta)
 
@@ -160,19 +161,19 @@ def _log_kept(estimate: Estimate, B: Floats, H: Floats, gradient: Floats) -> flo
             between = -slack[p], slack[p + len(B)]
             tailed_prior = priors.get(p)
             value += (
-                log_interval(*between, slope, std[p])
+                float(log_interval(*between, slope, std[p]))
                 if tailed_prior is None
                 else log_tailed_interval(*between, slope, std[p], *tailed_prior)
             )
     for row in range(len(rows)):
         of_own = row < 2 * len(B) and row % len(B) in together
         if not of_own and std[row] > 0 and slack[row] < FAR * std[row]:
-            value += log_interval(-np.inf, max(slack[row], 0.0), -multipliers[row], std[row])
+            value += float(log_interval(-np.inf, max(slack[row], 0.0), -multipliers[row], std[row]))
     return value
 
 
 def _spread(rows: Floats, H: Floats) -> Floats:
-    """Standard deviations of these rows under a Gaussian of this precision."""
+    """Return the standard deviations of these rows under a Gaussian of this precision."""
     variance: Floats = np.einsum("ij,ji->i", rows, np.linalg.solve(H, rows.T))
     return np.sqrt(np.maximum(variance, 0.0))
 
@@ -188,10 +189,12 @@ def _multipliers(rows: Floats, active: np.ndarray[tuple[int], np.dtype[np.bool_]
     return result
 
 
-def log_interval(lower: float, upper: float, slope: float, std: float) -> float:
-    """log of the integral of exp(-slope t - t^2 / 2 std^2) / (sqrt(2 pi) std) from lower to upper."""
+def log_interval(lower: ArrayLike, upper: ArrayLike, slope: ArrayLike, std: ArrayLike) -> Floats:
+    """Return log of the integral of exp(-slope t - t^2 / 2 std^2) / (sqrt(2 pi) std) from lower to upper."""
+    slope, std = np.asarray(slope), np.asarray(std)
     shift = slope * std
-    return float(0.5 * shift**2 + log_normal_between(lower / std + shift, upper / std + shift))
+    found: Floats = 0.5 * shift**2 + log_normal_between(lower / std + shift, upper / std + shift)
+    return found
 
 
 def _tailed_priors(estimate: Estimate) -> Iterator[tuple[int, tuple[float, float, float]]]:
@@ -236,19 +239,16 @@ def log_tailed_interval(
     logs = -0.5 * (r**2 - here[0] ** 2) - (slope - here[0] * w) * t - 0.5 * curvature * t**2
     if float(np.max(logs)) > SECOND_MODE:
         # The fit is not where the posterior has its maximum along this line: nothing but Laplace's Gaussian is known.
-        return log_interval(lower, upper, slope, std)
+        return float(log_interval(lower, upper, slope, std))
     logs += np.log(np.cosh(y)) - 0.5 * np.log(2 * np.pi)
     highest = float(np.max(logs))
     return highest + float(np.log(integrate.trapezoid(np.exp(logs - highest), y)))
 
 
-def log_normal_between(a: float, b: float) -> float:
-    """log(Phi(b) - Phi(a)), without loss in either tail."""
-    if a > 0:
-        a, b = -b, -a
-    high, low = special.log_ndtr(b), special.log_ndtr(a)
-    if not high > low:
-        return -np.inf
-    return float(high + np.log(-np.expm1(low - high)))
-
-
+def log_normal_between(a: ArrayLike, b: ArrayLike) -> Floats:
+    """Return log(Phi(b) - Phi(a)), without loss in either tail; -inf where nothing lies between."""
+    a, b = np.asarray(a), np.asarray(b)
+    high, low = special.log_ndtr(np.where(a > 0, -a, b)), special.log_ndtr(np.where(a > 0, -b, a))
+    with np.errstate(divide="ignore"):
+        found: Floats = high + np.log(-np.expm1(np.minimum(low - high, 0.0)))
+    return found

@@ -97,23 +97,23 @@ class Fitter:
         """Sum of the logarithms of the prior odds."""
         return sum(self._log_odds[placed] for placed in effects)
 
-    def proposal(self, of: Estimate, effects: Sequence[Placed], more: Sequence[Floats] = ()) -> FitProposal:
-        """The set of these effects, started from a fit that shares some of them."""
+    def proposal(self, start: Estimate, effects: Sequence[Placed], more: Sequence[Floats] = ()) -> FitProposal:
+        """Propose a fit of these effects, started from a fit that shares some of them."""
         n2 = 2 * self.experiment.stories
-        values = {placed: of.theta[own] for placed, own in slices(of.effects, n2)}
+        values = {placed: start.theta[own] for placed, own in slices(start.effects, n2)}
         own = [values.get(placed, np.array(placed.start)) for placed in effects]
-        plain = np.concatenate([of.theta[:n2], *own])
-        return FitProposal(tuple(effects), (*more, plain), of.misfit.replaced(effects), of.fit.at.objective)
+        plain = np.concatenate([start.theta[:n2], *own])
+        return FitProposal(tuple(effects), (*more, plain), start.misfit.replaced(effects), start.fit.at.objective)
 
     def fit(self, misfit: Misfit, start: Floats, tolerance: float = CONVERGED_STEP) -> Estimate:
-        """The fit of a model from a starting point."""
+        """Fit a model from a starting point."""
         self.fits += 1
         found, stood_in = with_stand_in(self.backend, lambda by: fitted(misfit, start, by, tolerance))
         self.stand_ins += stood_in
         return found
 
     def models(self, proposals: Sequence[FitProposal], tolerance: float = ROUGH) -> list[ModelClass]:
-        """The fitted sets, over processes where there are several."""
+        """Fit sets, over processes where there are several."""
         if self.jobs == 1 or len(proposals) < 2:
             found = [_fitted(proposal, self.backend, tolerance) for proposal in proposals]
         else:
@@ -127,23 +127,27 @@ class Fitter:
         self.stand_ins += sum(stood_in for _, stood_in in found)
         return [self._model(proposal, item) for proposal, (item, _) in zip(proposals, found, strict=True)]
 
+    def set_of(self, proposal: FitProposal) -> frozenset[Placed]:
+        """Return the set that a proposal is of, without what is assumed in every set."""
+        return frozenset(proposal.effects) - frozenset(self.assumed)
+
     def _model(self, proposal: FitProposal, found: Estimate | CvxshearError) -> ModelClass:
         self.fits += 1
-        effects = frozenset(proposal.effects) - frozenset(self.assumed)
+        effects = self.set_of(proposal)
         if isinstance(found, CvxshearError):
             return ModelClass(effects, None, -np.inf, self.log_prior(effects), found, self.numbering.changes)
         self.programs += found.fit.steps
         return self.model_of(found)
 
     def model_of(self, estimate: Estimate) -> ModelClass:
-        """The set that an estimate is the fit of."""
+        """Score an estimate as the fit of its set."""
         effects = frozenset(estimate.effects) - frozenset(self.assumed)
         log_prior = self.numbering.log_odds + self.log_prior(effects)
         evidence = log_evidence(estimate, self.expectation)
         return ModelClass(effects, estimate, evidence, log_prior, changes=self.numbering.changes)
 
     def refined(self, model: ModelClass) -> ModelClass:
-        """The same set fitted to full accuracy; as it is where that fails."""
+        """Fit the same set to full accuracy; return it as it is where that fails."""
         if model.estimate is None:
             return model
         (found,) = self.models([self.proposal(model.estimate, model.estimate.effects)], CONVERGED_STEP)
@@ -162,7 +166,7 @@ class _Work:
 
 
 def _own(found: Estimate | CvxshearError, proposal: FitProposal) -> Estimate | CvxshearError:
-    """A fit from another process about this one's effects: there they were copies."""
+    """Bind a fit from another process to the effects of this one: there they were copies."""
     if isinstance(found, CvxshearError):
         return found
     theta = found.theta
@@ -172,7 +176,7 @@ def _own(found: Estimate | CvxshearError, proposal: FitProposal) -> Estimate | C
 
 
 def _fitted(proposal: FitProposal, backend: Backend, tolerance: float) -> tuple[Estimate | CvxshearError, bool]:
-    """The fit of a set, or why there is none; and whether another backend had to make it."""
+    """Fit a set, or return why there is no fit; and whether another backend had to make it."""
     try:
         start = _start(proposal)
         return with_stand_in(backend, lambda by: fitted(proposal.misfit, start[0], by, tolerance, start[1]))
@@ -181,7 +185,7 @@ def _fitted(proposal: FitProposal, backend: Backend, tolerance: float) -> tuple[
 
 
 def with_stand_in(backend: Backend, fit: Callable[[Backend], Estimate]) -> tuple[Estimate, bool]:
-    """A fit on one backend, or on `auto` where that one refuses or fails; and whether it did."""
+    """Make a fit on one backend, or on `auto` where that one refuses or fails; and whether it did."""
     try:
         return fit(backend), False
     except (UnsuitableError, NoSolutionError):
@@ -191,7 +195,7 @@ def with_stand_in(backend: Backend, fit: Callable[[Backend], Estimate]) -> tuple
 
 
 def _start(proposal: FitProposal) -> tuple[Floats, Evaluation | None]:
-    """The starting point, and the residuals there where they had to be looked at."""
+    """Choose the starting point, and the residuals there where they had to be looked at."""
     *guesses, plain = proposal.starts
     for guess in guesses:
         try:

@@ -20,7 +20,7 @@ DETERMINED = 1e-3
 USEFUL = 0.1
 """Largest relative standard deviation of a prediction, for it to count."""
 
-MOST = 24
+MOST_PREDICTIONS = 24
 """Predictions that are made: every one is a fit, and a tall frame has many modes."""
 
 Errors = dict[tuple[str, int], float]
@@ -51,18 +51,18 @@ def held_out_frequency_errors(before: Estimate, after: Estimate, fitter: Fitter)
 
 
 def _left_out(experiment: Experiment, concerned: set[str | None]) -> list[tuple[str, Bools]]:
-    """Configuration and the modes of it that are left out, one after the other."""
+    """List what is left out, one after the other: a configuration and modes of it."""
     configurations = experiment.configurations
     if len(configurations) > 1:
         alone = [each for each in configurations if each.state not in concerned]
-        return [(each.name, np.ones(len(each.frequencies), dtype=bool)) for each in alone][:MOST]
+        return [(each.name, np.ones(len(each.frequencies), dtype=bool)) for each in alone][:MOST_PREDICTIONS]
     (only,) = configurations
     rows = list(np.eye(len(only.frequencies), dtype=bool))
-    return [(only.name, row) for row in rows][:MOST] if len(only.frequencies) > 1 else []
+    return [(only.name, row) for row in rows][:MOST_PREDICTIONS] if len(only.frequencies) > 1 else []
 
 
 def _prediction_errors(estimate: Estimate, name: str, mask: Bools, fitter: Fitter) -> Errors:
-    """The errors of the left-out frequencies that the rest determines."""
+    """Predict the errors of the left-out frequencies that the rest determines."""
     misfit = Misfit(
         estimate.experiment, estimate.effects, {name: mask}, estimate.misfit.noise, estimate.misfit.expectation
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
@@ -13,8 +12,7 @@ from cvxshear.effects import Effect, Place, Placed, catalogue, open_classes
 from cvxshear.measurement.experiment import ExpectedEffect, Experiment
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-
-T = TypeVar("T")
+from cvxshear.util.typing import T
 
 OPEN = "open"
 """Kind of the open classes, and the name that stands for all of them."""
@@ -104,7 +102,7 @@ def _of(effect: Effect, experiment: Experiment) -> list[Hypothesis]:
 
 
 def _said(experiment: Experiment, effect: Effect, place: Place) -> list[ExpectedEffect]:
-    """What the experiment expects of an effect at a place, the most general first."""
+    """Say what the experiment expects of an effect at a place, the most general first."""
     at = dataclasses.asdict(place)
     names = (effect.name, OPEN) if effect.kind == OPEN else (effect.name,)
     said = [each for each in experiment.expected if any(each.concerns(name, at) for name in names)]
@@ -120,7 +118,7 @@ def _last(values: Sequence[T], default: T) -> T:
 
 
 def chosen(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...]:
-    """The effects to look for: names or objects, the whole catalogue and the open classes where none are given.
+    """List the effects to look for: names or objects, the whole catalogue and the open classes where none are given.
 
     The name "open" stands for all open classes.
 
@@ -141,7 +139,7 @@ def chosen(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...]:
 
 
 def assumed(experiment: Experiment, assume: Sequence[str | Placed]) -> tuple[Placed, ...]:
-    """The effects that are declared from the start; one named alone must have only one place to sit.
+    """List the effects that are declared from the start; one named alone must have only one place to sit.
 
     Raises
     ------

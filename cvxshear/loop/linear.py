@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from scipy import special
@@ -58,9 +59,10 @@ class Linearised:
         self._own = self._columns - self._reached @ (self._reached.T @ self._columns)
         self._slope = self._own.T @ base.fit.at.r
         self._at = dict(slices(self.lacking, 0))
+        self._singles = _Singles(self.lacking, expectation)
 
     def _sensitivities(self) -> Floats:
-        """Derivatives of the residuals by the parameters that are lacking, at their null values, shape (d, p)."""
+        """Compute the derivatives by the parameters that are lacking, at their null values, shape (d, p)."""
         base = self.base
         misfit = base.misfit
         nulls = np.array([item.null for placed in self.lacking for item in placed.effect.parameters])
@@ -75,7 +77,7 @@ class Linearised:
         return columns
 
     def _shift(self, placed: Placed) -> Floats:
-        """The least change of the frame, in typical units, that goes with the parameters of an effect's equalities."""
+        """Find the least change of the frame, in typical units, that an effect's equalities ask for."""
         scale = self.expectation.scale
         assert scale is not None
         n2 = 2 * self.base.experiment.stories
@@ -86,15 +88,30 @@ class Linearised:
         return shift
 
     def columns(self, placed: Placed) -> Floats:
-        """Derivatives of the residuals by an effect's parameters, the frame following its equalities, shape (d, p)."""
+        """Return the derivatives of the residuals by an effect's parameters, the frame following it, shape (d, p)."""
         return self._columns[:, self._at[placed]]
 
     def gain(self, placed: Placed) -> float:
         """By how much the logarithm of the evidence grows with an effect, as the linearised model has it."""
-        return self._gain(placed, self._own[:, self._at[placed]], self.base.fit.at.r)
+        return float(self.gains[self.lacking.index(placed)])
 
-    def _gain(self, placed: Placed, own: Floats, r: Floats) -> float:
-        """The gain by columns that nothing else in the model can make, on what is left of the residual."""
+    @cached_property
+    def gains(self) -> Floats:
+        """The same for each effect that is lacking, shape (n,)."""
+        return self._gains(self._own, self.base.fit.at.r)
+
+    def _gains(self, own: Floats, r: Floats) -> Floats:
+        """Find the gains by columns that nothing else in the model can make, on what is left of the residual."""
+        found = np.empty(len(self.lacking))
+        single = self._singles
+        columns = own[:, single.columns]
+        found[single.at] = single.gains(-(columns.T @ r), np.sum(columns**2, axis=0))
+        for at in single.others:
+            found[at] = self._gain_of_several(self.lacking[at], own[:, self._at[self.lacking[at]]], r)
+        return found
+
+    def _gain_of_several(self, placed: Placed, own: Floats, r: Floats) -> float:
+        """Find the gain of an effect of several parameters, or of one common size, or on the accuracy of data."""
         effect = placed.effect
         if effect.rescales:
             rows = self.base.misfit.rescaled_rows(self.base.fit.at, placed)
@@ -103,29 +120,17 @@ class Linearised:
         if effect.common_size:
             return _gain_of_common_size(b, h, stds, effect.size_width)
         # Each parameter has a prior of its own: one may lie in its tail while another does not.
-        parts = []
-        for each in itertools.product(_parts(placed), repeat=len(stds)):
-            factors, weights = np.array(each).T
-            parts.append(np.log(np.prod(weights)) + self._gain_of_normal(placed, b, h, factors * stds))
+        factors, weights = np.moveaxis(np.array(list(itertools.product(_parts(placed), repeat=len(stds)))), -1, 0)
+        each = factors * stds
+        h = h + np.eye(len(stds)) / each[:, None, :] ** 2
+        sign, log_det = np.linalg.slogdet(h)
+        quadratic = np.linalg.solve(h, np.broadcast_to(b[:, None], (len(h), len(b), 1)))[:, :, 0] @ b
+        constants = np.sum(_log_normal_constants(*_limits([placed]), each) + np.log(weights), axis=1)
+        parts = np.where(sign > 0, constants + 0.5 * (quadratic - log_det), -np.inf)
         return float(np.logaddexp.reduce(parts))
 
-    def _gain_of_normal(self, placed: Placed, b: Floats, h: Floats, stds: Floats) -> float:
-        """The gain of parameters whose prior is normal, or even between bounds."""
-        constants = _log_normal_constants(placed, stds)
-        h = h + np.diag(1.0 / stds**2)
-        (item, *more) = placed.effect.parameters
-        if more:
-            sign, log_det = np.linalg.slogdet(h)
-            return constants + 0.5 * float(b @ np.linalg.solve(h, b) - log_det) if sign > 0 else -np.inf
-        if h[0, 0] <= 0:
-            # Nothing depends on it; what is even between its bounds stays so.
-            return constants + float(np.log(item.upper - item.lower) - 0.5 * np.log(2 * np.pi))
-        std = float(1.0 / np.sqrt(h[0, 0]))
-        between = log_interval(item.lower - item.null, item.upper - item.null, -float(b[0]), std)
-        return constants + between + float(np.log(std))
-
     def _likely_sizes(self, placed: Placed) -> Floats:
-        """Standard deviations under which a first prediction of an effect's parameters is made, shape (p,).
+        """Choose the standard deviations for a first prediction of an effect's parameters, shape (p,).
 
         Those of Student's t are wide, so that a large effect is not held back; a common size is the best one.
         """
@@ -137,26 +142,25 @@ class Linearised:
         found: Floats = stds * np.exp(_best_log_size(b, h, stds, placed.effect.size_width))
         return found
 
-    def forward(self, log_priors: Sequence[float]) -> list[Placed]:
+    def forward(self, log_priors: Floats) -> list[Placed]:
         """Effects that the linearised model takes one after the other, the most promising first, while it gains.
 
         Parameters
         ----------
-        log_priors : sequence of float
+        log_priors : ndarray, shape (n,)
             Logarithm of the prior odds of each effect that is lacking.
         """
         taken: list[Placed] = []
+        open_to = np.array(log_priors)
         own, left, basis = self._own.copy(), self.base.fit.at.r.copy(), self._reached.copy()
         for _ in range(min(len(self.lacking), MOST_TAKEN)):
-            gains = {
-                placed: self._gain(placed, own[:, self._at[placed]], left) + log_prior
-                for placed, log_prior in zip(self.lacking, log_priors, strict=True)
-                if placed not in taken
-            }
-            best = max(gains, key=lambda each: gains[each])
-            if not gains[best] > 0.0:
+            gains = self._gains(own, left) + open_to
+            at = int(np.argmax(gains))
+            if not gains[at] > 0.0:
                 break
+            best = self.lacking[at]
             taken.append(best)
+            open_to[at] = -np.inf
             if best.effect.rescales:
                 # Residuals whose accuracy is left open weigh less in all that follows.
                 rows = self.base.misfit.rescaled_rows(self.base.fit.at, best)
@@ -171,19 +175,12 @@ class Linearised:
         return taken
 
     def pair_gains(self) -> Floats:
-        """The same for each pair of effects of one parameter, shape (n, n); -inf where a bound is not kept."""
-        single = [each for each in self.lacking if len(each.effect.parameters) == 1 and not each.effect.common_size]
-        at = [self._at[placed].start for placed in single]
-        n = len(self.lacking)
-        result = np.full((n, n), -np.inf)
-        if len(single) < 2:
-            return result
-        own, b = self._own[:, at], -self._slope[at]
+        """Find the gains of each pair of effects of one parameter, shape (n, n); -inf where a bound is not kept."""
+        single = self._singles
+        result = np.full((len(self.lacking), len(self.lacking)), -np.inf)
+        own, b = self._own[:, single.columns], -self._slope[single.columns]
         gram = own.T @ own
-        limits = [(p.effect.parameters[0].lower, p.effect.parameters[0].upper) for p in single]
-        nulls = np.array([p.effect.parameters[0].null for p in single])
-        lower, upper = np.array([low for low, _ in limits]) - nulls, np.array([high for _, high in limits]) - nulls
-        precision, constants = self._normal_parts(single)
+        lower, upper, precision, constants = single.lower, single.upper, single.precision, single.constants
         value = np.full(gram.shape, -np.inf)
         for i, j in itertools.product(range(len(precision)), repeat=2):
             a, c = (np.diag(gram) + precision[i])[:, None], (np.diag(gram) + precision[j])[None, :]
@@ -196,20 +193,8 @@ class Linearised:
             part = np.where(inside & (determinant > 1e-9 * a * c), part, -np.inf)
             value = np.logaddexp(value, part + constants[i][:, None] + constants[j])
         np.fill_diagonal(value, -np.inf)
-        places = [self.lacking.index(placed) for placed in single]
-        result[np.ix_(places, places)] = value
+        result[np.ix_(single.at, single.at)] = value
         return result
-
-    def _normal_parts(self, single: Sequence[Placed]) -> tuple[Floats, Floats]:
-        """Precisions and logarithms of the weights, constants included, of the normal parts of each prior, (k, n)."""
-        precision, constants = np.zeros((2, len(STUDENT), len(single)))
-        constants -= np.inf
-        for at, placed in enumerate(single):
-            stds = self.expectation.of(placed)
-            for part, (factor, weight) in enumerate(_parts(placed)):
-                precision[part, at] = 1.0 / (factor * stds[0]) ** 2
-                constants[part, at] = np.log(weight) + _log_normal_constants(placed, factor * stds)
-        return precision, constants
 
     def predicted(self, placed: Sequence[Placed]) -> Floats:
         """Where the linearised model has its minimum with these effects, each kept within its bounds.
@@ -250,7 +235,7 @@ class Linearised:
         return float(-(2.0 * slope @ change + change @ h @ change))
 
     def confounders(self, placed: Placed, names: Sequence[str], share: float = 0.1) -> tuple[str, ...]:
-        """The parameters of the fit whose change does what an effect does; largest part first."""
+        """List the parameters of the fit whose change does what an effect does; largest part first."""
         g = self._columns[:, self._at[placed]].sum(axis=1)
         part = np.abs(self._free @ (self._reached.T @ g)) * np.linalg.norm(self.base.fit.at.J, axis=0)
         order = np.argsort(-part, kind="stable")
@@ -268,21 +253,70 @@ class Linearised:
         return float(1.0 + (first @ first) * usual**2)
 
 
+class _Singles:
+    """The effects of one parameter with a prior of its own, whose gains are found together.
+
+    Attributes
+    ----------
+    at, others : ndarray of int
+        Places of these effects, and of the others, among those that are lacking.
+    columns : ndarray of int
+        Places of their parameters.
+    lower, upper : ndarray, shape (n,)
+        Their bounds, as distances from null.
+    precision, constants : ndarray, shape (k, n)
+        Of the normal parts of each prior, and the logarithms of their weights, constants of the priors included.
+    """
+
+    def __init__(self, lacking: Sequence[Placed], expectation: Expectation) -> None:
+        alone = np.array(
+            [len(p.effect.parameters) == 1 and not (p.effect.common_size or p.effect.rescales) for p in lacking],
+            dtype=bool,
+        )
+        self.at, self.others = np.flatnonzero(alone), np.flatnonzero(~alone)
+        self.columns = np.array([own.start for _, own in slices(lacking, 0)], dtype=np.int64)[alone]
+        single = [placed for placed, of_one in zip(lacking, alone, strict=True) if of_one]
+        self.lower, self.upper = _limits(single)
+        stds = np.array([expectation.of(placed)[0] for placed in single])
+        factors, weights = np.ones((2, len(STUDENT), len(single)))
+        weights[1:] = 0.0
+        tailed = [np.isfinite(placed.effect.tail) for placed in single]
+        factors[:, tailed], weights[:, tailed] = np.array(STUDENT).T[:, :, None]
+        self.precision = 1.0 / (factors * stds) ** 2
+        with np.errstate(divide="ignore"):
+            self.constants = np.log(weights) + _log_normal_constants(self.lower, self.upper, factors * stds)
+
+    def gains(self, b: Floats, h: Floats) -> Floats:
+        """Find the gain of each, shape (n,), from its slope b and its curvature h, by which its prior is narrowed."""
+        precision = h + self.precision
+        untouched = precision <= 0.0
+        std = 1.0 / np.sqrt(np.where(untouched, 1.0, precision))
+        parts = self.constants + log_interval(self.lower, self.upper, -b, std) + np.log(std)
+        # Nothing depends on it; what is even between its bounds stays so.
+        even = self.constants + np.log(np.where(untouched, self.upper - self.lower, 1.0)) - 0.5 * np.log(2 * np.pi)
+        found: Floats = np.logaddexp.reduce(np.where(untouched, even, parts), axis=0)
+        return found
+
+
 def _parts(placed: Placed) -> tuple[tuple[float, float], ...]:
-    """The normal distributions that stand for the prior of an effect."""
+    """Return the normal distributions that stand for the prior of an effect."""
     return NORMAL if np.isinf(placed.effect.tail) else STUDENT
 
 
-def _log_normal_constants(placed: Placed, stds: Floats) -> float:
-    """Logarithm of the constants of normal priors, truncated at bounds, times sqrt(2 pi) for each parameter."""
-    value = 0.0
-    for item, std in zip(placed.effect.parameters, stds, strict=True):
-        if np.isinf(std):
-            value += 0.5 * np.log(2 * np.pi) - np.log(item.upper - item.lower)
-        else:
-            below, above = (item.lower - item.null) / std, (item.upper - item.null) / std
-            value -= np.log(std) + np.log(special.ndtr(above) - special.ndtr(below))
-    return float(value)
+def _limits(effects: Sequence[Placed]) -> tuple[Floats, Floats]:
+    """Return the bounds of all their parameters, as distances from null, each shape (p,)."""
+    items = [item for placed in effects for item in placed.effect.parameters]
+    lower, upper = np.array([(item.lower - item.null, item.upper - item.null) for item in items]).reshape(-1, 2).T
+    return lower, upper
+
+
+def _log_normal_constants(lower: Floats, upper: Floats, stds: Floats) -> Floats:
+    """Return the log constants of normal priors truncated at bounds, times sqrt(2 pi); even where a std is infinite."""
+    flat = np.isinf(stds)
+    with np.errstate(invalid="ignore"):
+        even = 0.5 * np.log(2 * np.pi) - np.log(upper - lower)
+        normal = -np.log(stds) - np.log(special.ndtr(upper / stds) - special.ndtr(lower / stds))
+    return np.where(flat, even, normal)
 
 
 def _log_evidence_by_size(b: Floats, h: Floats, stds: Floats, width: float) -> tuple[Floats, Floats]:
@@ -301,13 +335,13 @@ def _log_evidence_by_size(b: Floats, h: Floats, stds: Floats, width: float) -> t
 
 
 def _gain_of_common_size(b: Floats, h: Floats, stds: Floats, width: float) -> float:
-    """The log evidence gained by parameters of one common size, that size integrated out."""
+    """Compute the log evidence gained by parameters of one common size, that size integrated out."""
     _, gained = _log_evidence_by_size(b, h, stds, width)
     return float(np.logaddexp.reduce(gained) - np.logaddexp.reduce(-0.5 * LOG_SIZES**2))
 
 
 def _best_log_size(b: Floats, h: Floats, stds: Floats, width: float) -> float:
-    """The logarithm of the common size that the linearised model finds most probable."""
+    """Find the logarithm of the common size that the linearised model finds most probable."""
     u, gained = _log_evidence_by_size(b, h, stds, width)
     return float(u[np.argmax(gained)])
 
@@ -329,12 +363,12 @@ def _log_evidence_by_noise(reached: Floats, r: Floats, width: float) -> tuple[Fl
 
 
 def _gain_of_noise(reached: Floats, r: Floats, width: float) -> float:
-    """The log evidence gained where the accuracy of some residuals is left open, its factor integrated out."""
+    """Compute the log evidence gained where the accuracy of some residuals is left open, its factor integrated out."""
     _, gained = _log_evidence_by_noise(reached, r, width)
     return float(np.logaddexp.reduce(gained) - np.logaddexp.reduce(-0.5 * LOG_SIZES**2))
 
 
 def _best_log_noise(reached: Floats, r: Floats, width: float) -> float:
-    """The logarithm of the factor on the deviation of some residuals that is most probable."""
+    """Find the logarithm of the factor on the deviation of some residuals that is most probable."""
     u, gained = _log_evidence_by_noise(reached, r, width)
     return float(u[np.argmax(gained)])

@@ -62,7 +62,7 @@ class NextTest(InJson):
 
 
 def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None:
-    """The added mass whose test would best tell an accepted model from its rivals, and the sensors that it needs.
+    """Find the added mass whose test would best tell an accepted model from its rivals, and the sensors that it needs.
 
     For each state, each floor and a few masses, the test is simulated by the accepted model with the sensors and noise
     of the state's first configuration, and compared with what each rival says of it (`fit/separation.py`).
@@ -100,7 +100,7 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
 
 
 def _first_of_states(accepted: Estimate, rivals: Sequence[Estimate]) -> list[Configuration]:
-    """The first configuration of each state that the models disagree on, and of the first state of all."""
+    """List the first configuration of each state that the models disagree on, and of the first state of all."""
     mine = set(accepted.effects)
     parted = {placed.place.state for rival in rivals for placed in mine.symmetric_difference(rival.effects)}
     firsts = {each.state: each for each in reversed(accepted.experiment.configurations)}
@@ -111,7 +111,7 @@ def _first_of_states(accepted: Estimate, rivals: Sequence[Estimate]) -> list[Con
 def _said(
     accepted: Estimate, rivals: Sequence[Estimate], first: Configuration, floor: int, mass: float
 ) -> list[Disagreement]:
-    """What the accepted model and each rival say of a configuration with this mass more."""
+    """Compare what the accepted model and each rival say of a configuration with this mass more."""
     added = first.added_mass.copy()
     added[floor - 1] += mass
     test = imagined(accepted, first, added)
@@ -119,12 +119,12 @@ def _said(
 
 
 def _apart(said: Sequence[Disagreement], floors: Ints) -> float:
-    """Standard deviations between the accepted model and the nearest rival with sensors at these floors."""
+    """Count the standard deviations between the accepted model and the nearest rival with sensors at these floors."""
     return min(each.at(floors) for each in said)
 
 
 def _with_sensors(accepted: Estimate, rivals: Sequence[Estimate], test: NextTest, first: Configuration) -> NextTest:
-    """The test with sensors at more floors, one after the other, while each is needed and worth it."""
+    """Add sensors to a test at more floors, one after the other, while each is needed and worth it."""
     if not first.measured.any():
         # Frequencies alone: there are no sensors to add one to.
         return test

@@ -61,17 +61,17 @@ class NumberingProbability:
     probability: float
 
     def to_dict(self) -> Json:
-        """Changes and probability."""
+        """Return the changes and their probability."""
         return {"changes": changes_to_dict(self.changes), "probability": self.probability}
 
 
 def changes_to_dict(changes: Changes) -> list[Json]:
-    """Configuration and modes of each change."""
+    """Return the configuration and the modes of each change."""
     return [{"configuration": name, "modes": list(modes)} for name, modes in changes]
 
 
 def named_numberings(experiment: Experiment) -> list[Numbering]:
-    """The numbers that configurations name besides their own, in all of those that name them or in one."""
+    """List the numbers that configurations name besides their own, in all of those that name them or in one."""
     named: dict[tuple[int, ...], dict[str, float]] = {}
     for each in experiment.configurations:
         rest = 1.0 - sum(other.probability for other in each.other_modes)
@@ -85,12 +85,12 @@ def named_numberings(experiment: Experiment) -> list[Numbering]:
 
 
 def overlooked_in_all(experiment: Experiment) -> list[Numbering]:
-    """The numbers that follow where all configurations that could have overlooked a mode have."""
+    """List the numbers that follow where all configurations that could have overlooked a mode have."""
     return [item[0] for item in _overlooked(experiment)]
 
 
 def overlooked_in_one(experiment: Experiment) -> list[Numbering]:
-    """The numbers that follow where one configuration of several overlooked a mode that the others have."""
+    """List the numbers that follow where one configuration of several overlooked a mode that the others have."""
     return [each for item in _overlooked(experiment) for each in item[1:]]
 
 
@@ -117,7 +117,7 @@ def _together_or_alone(
 
 
 def _without(experiment: Experiment, mode: int) -> list[tuple[str, tuple[int, ...]]]:
-    """The configurations that may have overlooked a mode, with their modes then, where they do not name these."""
+    """List the configurations that may have overlooked a mode, with their modes then, where they do not name these."""
     found = []
     for each in experiment.configurations:
         moved = tuple(_moved(each.modes, mode).tolist())

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
+from cvxshear.loop.neighbors import holds_open
 from cvxshear.loop.numbering import Numbering, named_numberings, overlooked_in_all, overlooked_in_one
-from cvxshear.loop.search import REACH, Search, holds_open
+from cvxshear.loop.search import REACH, Search
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.errors import CvxshearError
 
@@ -28,7 +29,7 @@ Begun = Callable[[Numbering], Search]
 
 
 def searches(experiment: Experiment, begun: Begun, dual: Callable[[Search], Search | None]) -> list[Search]:
-    """The searches that count, that with the modes numbered as given first, then one for each numbering near the best.
+    """Run the searches that count: with the modes numbered as given, then with each numbering near the best.
 
     Each is searched to its end, but the one with the modes as given where others leave it far behind.
 
@@ -75,7 +76,7 @@ def _begun(numberings: Iterable[Numbering], begun: Begun) -> Iterator[Search]:
 
 
 def _leader(given: Search, others: Sequence[Search]) -> Search:
-    """The most promising: the best of those that were probed."""
+    """Probe the most promising, and return the best of them."""
     if not others:
         return given
     promising = sorted(others, key=lambda search: -search.base.score)[: PROBED - 1]
@@ -85,7 +86,7 @@ def _leader(given: Search, others: Sequence[Search]) -> Search:
 
 
 def _kept(given: Search, others: Sequence[Search], leader: Search) -> list[Search]:
-    """What is near the best, searched to its end, and the numbers as given, so searched where they may still win."""
+    """Search what is near the best to its end, and the numbers as given where they may still win."""
     rest = sorted((each for each in (given, *others) if each is not leader), key=lambda search: -search.base.score)
     kept = {id(given), id(leader)}
     best = leader.best.score

@@ -100,11 +100,11 @@ class Posterior:
         return tuple(NumberingProbability(changes, min(sums[changes], 1.0)) for changes in order)
 
     def within(self, changes: Changes) -> Posterior:
-        """The probabilities where the modes are known to be numbered in one way."""
+        """Restrict the probabilities to where the modes are known to be numbered in one way."""
         return Posterior([model for model in self.models if model.changes == changes], self._hypotheses, self._twins)
 
     def with_twins(self, twins: Mapping[Placed, Sequence[Placed]]) -> Posterior:
-        """The same probabilities, with what no datum tells known."""
+        """Return the same probabilities, with what no datum tells known."""
         return Posterior(self.models, self._hypotheses, twins)
 
     def ranked(self, effects: Iterable[Placed], probability: Mapping[Placed, float] | None = None) -> list[Placed]:
@@ -120,7 +120,7 @@ class Posterior:
         return [placed for group in groups for placed in sorted(group, key=lambda each: position[each])]
 
     def verdict_set(self) -> frozenset[Placed]:
-        """What is added.
+        """Choose what is added.
 
         For each effect of the best set that is there, or a rival in its place, with probability enough, the most
         probable of these; and each effect beyond that set which is more probable than not.
@@ -147,13 +147,13 @@ class Posterior:
         return self._any(family) >= ADDED and self._raised(family) >= RAISED
 
     def _raised(self, family: Sequence[Placed]) -> float:
-        """The factor by which the data have raised the odds that one of these effects is there."""
+        """Return the factor by which the data have raised the odds that one of these effects is there."""
         probability = self._any(family)
         prior = 1.0 - float(np.prod([1.0 - self._prior[placed] for placed in family]))
         return probability / max(1.0 - probability, 1e-300) * (1.0 - prior) / prior
 
     def _any(self, family: Sequence[Placed]) -> float:
-        """The probability that one of these effects is there."""
+        """Return the probability that one of these effects is there."""
         held = [not model.effects.isdisjoint(family) for model in self.models]
         return float(self.probabilities[held].sum())
 
@@ -179,7 +179,7 @@ class Posterior:
         return self._kept_odds - missed
 
     def _log_odds(self, placed: Placed) -> float:
-        """The logarithm of an effect's prior odds."""
+        """Return the logarithm of an effect's prior odds."""
         return float(np.log(self._prior[placed]) - np.log1p(-self._prior[placed]))
 
     def untold(self) -> list[Placed]:
@@ -191,7 +191,7 @@ class Posterior:
         ]
 
     def rivals(self, placed: Placed) -> list[Rival]:
-        """What may stand in the place of an effect, most probable first.
+        """List what may stand in the place of an effect, most probable first.
 
         What replaces it in sets a twentieth as probable as the best, or more; and its twins, however improbable they
         were beforehand.
@@ -204,11 +204,11 @@ class Posterior:
         return [Rival(each, min(found[each], 1.0), each in twins) for each in order]
 
     def _holding(self, placed: Placed) -> ModelClass:
-        """The most probable set that holds an effect; the best of all where none does."""
+        """Find the most probable set that holds an effect; the best of all where none does."""
         return next((model for model in self.models if placed in model.effects), self.best)
 
     def _in_place_of(self, placed: Placed, best: ModelClass) -> dict[Placed, float]:
-        """What replaces an effect of a set in the others, with its probability there."""
+        """Find what replaces an effect of a set in the others, with its probability there."""
         found: dict[Placed, float] = {}
         for model, probability in zip(self.models, self.probabilities, strict=True):
             if probability < RIVAL * self.probabilities[0]:

@@ -18,13 +18,13 @@ def _compared(estimate: Estimate) -> list[tuple[Datum, Model, float]]:
     """Each datum with its model and the factor of its noise."""
     models = {id(model.state.tested): model for model in estimate.fit.at.models}
     return [
-        (datum, models[id(datum.tested)], 1.0 if datum.declared else estimate.misfit.noise.of(datum.noise))
+        (datum, models[id(datum.tested)], 1.0 if datum.declared else estimate.misfit.noise.of(datum.noise.name))
         for datum in estimate.misfit.data
     ]
 
 
 def by_part(estimate: Estimate) -> list[Deviation]:
-    """The residual of every part of every datum and of every soft prior, in standard deviations of the fit's noise."""
+    """List the residuals of each part of each datum and of each soft prior, in deviations of the fit's noise."""
     return [
         dataclasses.replace(part, deviations=part.deviations / factor)
         for datum, model, factor in _compared(estimate)
@@ -42,7 +42,7 @@ def by_floor(estimate: Estimate) -> dict[int, float]:
 
 
 def where_it_sits(estimate: Estimate) -> list[str]:
-    """The conspicuous parts of a residual in words, the largest first; empty where none stands out."""
+    """Name the conspicuous parts of a residual in words, the largest first; empty where none stands out."""
     parts, floors = by_part(estimate), by_floor(estimate)
     level = CONSPICUOUS / max(len(parts) + len(floors), 1)
     found = [
@@ -60,7 +60,7 @@ def where_it_sits(estimate: Estimate) -> list[str]:
 
 
 def _said(part: Deviation) -> str:
-    """A part with its size."""
+    """Put a part and its size into words."""
     if part.entries > 1:
         return f"{part.label} ({part.deviations:.1f} standard deviations a floor)"
     error = "" if part.error is None else f"{100 * part.error:+.2f} %, "

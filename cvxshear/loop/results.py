@@ -132,7 +132,7 @@ class EffectSet:
     changes: Changes = ()
 
     def to_dict(self) -> Json:
-        """The fields by name; the numbering only where it is other than given."""
+        """Return the fields by name; the numbering only where it is other than given."""
         return {
             "effects": [placed.to_dict() for placed in self.effects],
             **({"numbering": changes_to_dict(self.changes)} if self.changes else {}),
@@ -236,7 +236,7 @@ class Closure(Shown):
         return self.estimate.noise
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The masses and stiffnesses of the verdict's set, and those averaged over all sets, as a table of pandas.
+        """Return the masses and stiffnesses of the verdict's set, and the averaged ones, as a table of pandas.
 
         Returns
         -------
@@ -268,7 +268,7 @@ class Closure(Shown):
         }
 
     def to_dict(self) -> Json:
-        """The documented JSON."""
+        """Return the documented JSON."""
         steps = [
             {"action": step.action, "effects": _with_parameters(step.estimate, step.estimate.effects), **step.to_dict()}
             for step in self.steps
@@ -281,7 +281,7 @@ def _with_parameters(estimate: Estimate, effects: Sequence[Placed]) -> list[Json
 
 
 def parameters_of(estimate: Estimate, placed: Placed) -> dict[str, float]:
-    """The values of an effect's parameters by name."""
+    """Return the values of an effect's parameters by name."""
     values = estimate.theta[estimate.own(placed)]
     return {item.name: float(value) for item, value in zip(placed.effect.parameters, values, strict=True)}
 

@@ -11,29 +11,27 @@ the best sets.
 
 from __future__ import annotations
 
-import dataclasses
-from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from cvxshear.effects import Placed
-from cvxshear.effects.open_class import OpenClass
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.gauss_newton import CONVERGED_STEP, HOPELESS
-from cvxshear.loop.fitter import ROUGH, FitProposal, Fitter
+from cvxshear.fit.gauss_newton import CONVERGED_STEP
+from cvxshear.loop.fitter import ROUGH, Fitter
 from cvxshear.loop.hypotheses import OPEN
 from cvxshear.loop.linear import Linearised
 from cvxshear.loop.model_class import ModelClass
+from cvxshear.loop.neighbors import WITHIN, Set, groups, holds_open, named_entries, promising, with_motions
 from cvxshear.loop.twins import Invariances, invariances
-from cvxshear.util.errors import NoModesError
 
 BEAM = 6
 REACH = 20.0
 """Sets that are expanded: the best of those visited, so many at most and none further behind in log probability."""
 
-WITHIN = 7.0
-"""Logarithm of a probability ratio: what is a thousandth as probable as the best is not followed up."""
+TIE = 2.0
+"""The same between two sets that are as good as each other: what may stand beside the one is tried beside both, or the
+probabilities would count it for one of them alone."""
 
 A_PILE = 3
 """Effects from which on a set is no simple explanation: two causes at once are met now and then, three seldom."""
@@ -51,24 +49,11 @@ MOST_SETS = 300
 """Sets after which a search ends, but for what it is at and the neighbors of the best sets: twice what sound files of
 three states need (up to some 150), so that a file that no set explains ends too. What is left out then is said."""
 
-ALIKE = 0.1
+TWINS_DIFFER = 0.1
 """Difference of chi-square, relative where it is above one, that rounding and the priors of sizes leave of twins."""
 
 EXCHANGES = 4
 """Sets, the best ones, whose effects are exchanged when the budget is spent: two ties make four sets as probable."""
-
-MOTIONS = 12
-"""Fits of effects that bring a motion of their own."""
-
-MOST = 10
-LEAST = 1
-PAIRS = 2
-RESCALING = 3
-"""Most and least further effects, most pairs, and effects on the accuracy of data, that are fitted when a set is
-expanded."""
-
-Set = frozenset[Placed]
-
 
 class Search:
     """Sets of effects that were visited, and the way to more of them.
@@ -151,27 +136,14 @@ class Search:
                 self._with_one_of(self._lacking(self.visited[rest]), self.visited[rest], frozenset([placed]))
 
     def _add_motions(self) -> bool:
-        """Visit sets with an effect that brings a motion of its own, where the shear model does not explain the data.
-
-        Derivatives at a mass of none say nothing of it: one step from each of its starts tells which of them to follow.
-        """
+        """Visit sets with an effect that brings a motion of its own, where the shear model does not win."""
         self.moved = True
-        motions = [item.placed for item in self.fitter.hypotheses if item.placed.effect.adds_motion]
-        if not motions or self.best is self.base:
-            return False
         base = self.base.estimate
         assert base is not None, "the shear model was fitted"
-        proposals = [
-            dataclasses.replace(
-                self.fitter.proposal(base, (*base.effects, placed)), starts=(np.concatenate([base.theta, start]),)
-            )
-            for placed in motions
-            for start in placed.effect.starts
-        ]
-        promising = sorted(proposals, key=_after_a_step)[:MOTIONS]
+        found = [] if self.best is self.base else with_motions(base, self.fitter)
         # An effect may be fitted from several starts: the best of them is the set's fit.
-        self._record(sorted(self.fitter.models(promising), key=lambda model: model.score))
-        return True
+        self._record(sorted(self.fitter.models(found), key=lambda model: model.score))
+        return bool(found)
 
     def _unsatisfied(self) -> bool:
         """Whether nothing simple explains the data so far."""
@@ -197,7 +169,7 @@ class Search:
     def visit_twins(self) -> None:
         """Visit, beside each of the best sets, those in which an effect has given its place to a twin."""
         for model in [each for each in self.beam if each.score >= self.best.score - WITHIN]:
-            if model.estimate is None or not model.effects:
+            if not model.effects or not self._worth_following(model):
                 continue
             found = self.invariances(model)
             for placed in model.effects:
@@ -212,12 +184,12 @@ class Search:
                     self._visit(base.estimate, linear, new, CONVERGED_STEP)
 
     def invariances(self, model: ModelClass) -> Invariances:
-        """What no datum tells at the fit of a set."""
+        """Find what no datum tells at the fit of a set."""
         assert model.estimate is not None
         return invariances(model.estimate, self._lacking(model), self.fitter.expectation)
 
     def twins(self, model: ModelClass, placed: Placed) -> list[Placed]:
-        """The effects that no datum tells from one of a set, where the set with them fits as well."""
+        """List the effects that no datum tells from one of a set, where the set with them fits as well."""
         assert model.estimate is not None
         found = []
         for twin in self.invariances(model).twins(placed):
@@ -227,10 +199,11 @@ class Search:
 
     def refine(self) -> None:
         """Fit the sets that count most to full accuracy."""
-        self._record([self.fitter.refined(model) for model in self.beam])
+        floor = self.best.score - REACH
+        self._record([self.fitter.refined(model) for model in self.beam if model.score >= floor])
 
     def fit_of(self, effects: Set) -> Estimate:
-        """The fit of a set, made where it was not visited."""
+        """Find the fit of a set, made where it was not visited."""
         model = self.visited.get(effects)
         if model is not None and model.estimate is not None:
             return model.estimate
@@ -245,7 +218,7 @@ class Search:
         return found.estimate
 
     def _next(self, done: set[Set], within: float) -> ModelClass | None:
-        """The best set of the beam that was not dealt with yet."""
+        """Find the best set of the beam that was not dealt with yet."""
         floor = self.best.score - within
         return next(
             (
@@ -257,11 +230,15 @@ class Search:
         )
 
     def _worth_following(self, model: ModelClass) -> bool:
-        """Whether a set may lead to a better one; with an open class beside an explanation that is better, hardly."""
-        return self.best.improbable or model is self.best or not holds_open(model.effects)
+        """Whether a set may lead to a better one: what only adds to one that explains the data hardly does."""
+        if self.best.improbable or model is self.best:
+            return True
+        return not holds_open(model.effects) and not any(
+            better.effects < model.effects and better.score > model.score + TIE for better in self.beam
+        )
 
     def _lacking(self, model: ModelClass) -> list[Placed]:
-        """What the linearised model at the fit of a set can judge of what the set lacks."""
+        """List the effects that a set lacks and the linearised model at its fit can judge."""
         return [
             item.placed
             for item in self.fitter.hypotheses
@@ -275,61 +252,11 @@ class Search:
         if not lacking or model.estimate is None:
             return
         linear = Linearised(model.estimate, lacking, self.fitter.expectation)
-        self._visit(model.estimate, linear, self._promising(model, linear))
-        self._name_entries(model)
-
-    def _name_entries(self, model: ModelClass) -> None:
-        """Visit the sets in which the entries of an open class that stand out are causes of the catalogue, it gone.
-
-        Several large changes at once are hardly seen by derivatives at none of them; the class has found their sizes.
-        """
-        estimate, experiment = model.estimate, self.fitter.experiment
-        assert estimate is not None, "only sets with a fit are expanded"
-        known = {(item.placed.effect.name, item.placed.place): item.placed for item in self.fitter.hypotheses}
-        proposals = []
-        for placed in model.effects:
-            if not isinstance(placed.effect, OpenClass):
-                continue
-            own = estimate.own(placed)
-            values = estimate.theta[own]
-            standing = placed.effect.conspicuous(values, estimate.std[own])
-            causes = {
-                known[at]: float(values[i])
-                for i in standing
-                if (at := placed.effect.cause_at(i, placed.place, experiment)) in known
-            }
-            named = (model.effects - {placed}).union(causes)
-            if not causes or named in self.visited:
-                continue
-            rest = [each for each in estimate.effects if each is not placed]
-            new = [cause for cause in causes if cause not in rest]
-            proposal = self.fitter.proposal(estimate, (*rest, *new))
-            bounds = [(item.lower, item.upper) for each in new for item in each.effect.parameters]
-            sizes = np.clip([causes[each] for each in new], *np.reshape(bounds, (-1, 2)).T)
-            start = np.concatenate([proposal.starts[-1][: len(proposal.starts[-1]) - len(new)], sizes])
-            proposals.append(dataclasses.replace(proposal, starts=(start,)))
-        self._record(self.fitter.models(proposals))
-
-    def _promising(self, model: ModelClass, linear: Linearised) -> list[Set]:
-        """Sets with one more effect, or two, by what the linearised model promises."""
-        single = {
-            model.effects | {placed}: linear.gain(placed) + self.fitter.log_prior([placed]) for placed in linear.lacking
-        }
-        order = sorted(single, key=lambda each: -single[each])
-        # A set with an effect taken out is far behind: what is put in must catch up with the best.
-        floor = max(single[order[0]], 0.0, self.best.score - model.score) - WITHIN
-        # Far from the data the model is not linear: the order of the gains still says something, their sizes do not.
-        least = MOST if _far_off(model) else LEAST
-        new = [each for at, each in enumerate(order[:MOST]) if at < least or single[each] > floor]
-        if model.improbable:
-            # What leaves the accuracy of some data open shows all that it is worth only once they weigh less.
-            rescaling = sorted(
-                (placed for placed in linear.lacking if placed.effect.rescales), key=lambda placed: -linear.gain(placed)
-            )
-            new += [model.effects | {placed} for placed in rescaling[:RESCALING]]
-        several = model.effects.union(linear.forward([self.fitter.log_prior([placed]) for placed in linear.lacking]))
-        found = (*new, *self._pairs(model, linear, single), several)
-        return [each for each in found if each not in self.visited and not self._hopeless(each)]
+        further = promising(model, linear, self.fitter, self.best.score - model.score)
+        new = [each for each in further if each not in self.visited and not self._hopeless(each)]
+        self._visit(model.estimate, linear, new)
+        named = [each for each in named_entries(model, self.fitter) if self.fitter.set_of(each) not in self.visited]
+        self._record(self.fitter.models(named))
 
     def _hopeless(self, effects: Set) -> bool:
         """Whether a set holds an open class that was tried and fell far behind what explains the data without it."""
@@ -341,18 +268,6 @@ class Search:
                 if tried and max(tried) < self.best.score - WITHIN:
                     return True
         return False
-
-    def _pairs(self, model: ModelClass, linear: Linearised, single: dict[Set, float]) -> Iterable[Set]:
-        """Pairs that promise more together than either does by itself, and than nothing."""
-        odds = np.array([self.fitter.log_prior([placed]) for placed in linear.lacking])
-        alone = np.array([single[model.effects | {placed}] for placed in linear.lacking])
-        together = np.triu(linear.pair_gains() + odds[:, None] + odds[None, :], 1)
-        threshold = max(float(alone.max()), 0.0)
-        better = together - np.maximum(np.maximum(alone[:, None], alone[None, :]), 0.0)
-        above = np.triu(np.ones_like(together), 1) > 0
-        candidates = np.argwhere(above & (better > 0) & (together > threshold - WITHIN))
-        ranked = sorted(candidates.tolist(), key=lambda pair: -together[pair[0], pair[1]])
-        return [model.effects | {linear.lacking[i], linear.lacking[j]} for i, j in ranked[:PAIRS]]
 
     def _visit(self, base: Estimate, linear: Linearised, sets: Iterable[Set], tolerance: float = ROUGH) -> None:
         """Fit these sets, each with the effects of a fit and some that it lacks."""
@@ -377,7 +292,7 @@ class Search:
         the work of both neither is seen.
         """
         self.regrouped.add(model.effects)
-        for group in self._groups(model.effects):
+        for group in groups(model.effects, open_too=self._unsatisfied()):
             if self.spent:
                 break
             rest = model.effects - group
@@ -396,27 +311,19 @@ class Search:
                     best = max((at, *self._with_one_of(others, at, barred)), key=lambda each: each.score)
 
     def _with_one_of(self, effects: Sequence[Placed], model: ModelClass, barred: Set) -> list[ModelClass]:
-        """The most promising sets with one of these effects more, none that is barred, visited."""
+        """Visit the most promising sets with one of these effects more, none that is barred."""
         effects = [placed for placed in effects if placed not in barred]
         if model.estimate is None or not effects:
             return []
         linear = Linearised(model.estimate, effects, self.fitter.expectation)
-        gains = {placed: linear.gain(placed) + self.fitter.log_prior([placed]) for placed in effects}
+        gains = {
+            placed: gain + self.fitter.log_prior([placed])
+            for placed, gain in zip(effects, linear.gains.tolist(), strict=True)
+        }
         best = sorted(gains, key=lambda placed: -gains[placed])[:STAND_FOR_A_GROUP]
         sets = [model.effects | {placed} for placed in best]
         self._visit(model.estimate, linear, [each for each in sets if each not in self.visited])
         return [self.visited[each] for each in sets]
-
-    def _groups(self, effects: Set) -> list[Set]:
-        """The groups of two effects or more, and each open class, each once."""
-        by_state, by_name = defaultdict[str | None, set[Placed]](set), defaultdict[str, set[Placed]](set)
-        for placed in effects:
-            by_name[placed.effect.name].add(placed)
-            if placed.place.state is not None:
-                by_state[placed.place.state].add(placed)
-        groups = [frozenset(group) for group in (*by_state.values(), *by_name.values(), set(effects))]
-        classes = [frozenset([placed]) for placed in effects if placed.effect.kind == OPEN and self._unsatisfied()]
-        return [group for group in dict.fromkeys((*groups, *classes)) if len(group) > 1 or group in classes]
 
     def _prune(self, model: ModelClass) -> None:
         """Visit sets with ever fewer effects, the weakest taken out first: what came early may be superfluous."""
@@ -454,21 +361,6 @@ class Search:
         self._record(self.fitter.models([self.fitter.proposal(model.estimate, effects) for effects in held]))
 
 
-def holds_open(effects: Set) -> bool:
-    """Whether an open class is among these effects."""
-    return any(placed.effect.kind == OPEN for placed in effects)
-
-
-def _after_a_step(proposal: FitProposal) -> float:
-    """The objective that the linearised model has after one step from a start."""
-    try:
-        at = proposal.misfit.evaluate(proposal.starts[0])
-    except NoModesError:
-        return np.inf
-    _, c = at.triangle
-    return at.objective - float(c @ c)
-
-
 def _strength(estimate: Estimate, placed: Placed) -> float:
     """Largest distance of an effect's parameters from null, in standard deviations; zero where it has none."""
     own = estimate.own(placed)
@@ -478,15 +370,8 @@ def _strength(estimate: Estimate, placed: Placed) -> float:
     return float(np.max(np.nan_to_num(z), initial=0.0))
 
 
-def _far_off(model: ModelClass) -> bool:
-    """Whether the residuals of a set are too large for its linearised model to tell how much an effect brings."""
-    assert model.estimate is not None
-    at = model.estimate.fit.at
-    return at.objective > HOPELESS * len(at.r)
-
-
 def fits_alike(a: ModelClass, b: ModelClass) -> bool:
     """Whether two sets fit the same data equally well."""
     if a.estimate is None or b.estimate is None:
         return False
-    return abs(a.estimate.chi2 - b.estimate.chi2) <= ALIKE * max(1.0, b.estimate.chi2)
+    return abs(a.estimate.chi2 - b.estimate.chi2) <= TWINS_DIFFER * max(1.0, b.estimate.chi2)

@@ -24,7 +24,7 @@ from cvxshear.util.typing import Floats
 EXACT = 1e-5
 """Share of an effect's derivatives that nothing else can make, below which that is rounding."""
 
-SEEN = 1e-3
+BEYOND_FRAME = 1e-3
 """Share that must be left without the twin: what the frame alone can make has no need of a twin."""
 
 
@@ -49,13 +49,14 @@ class Invariances:
     lacking: dict[Placed, Floats]
 
     def twins(self, placed: Placed) -> list[Placed]:
-        """The effects that can take the place of one in the model, whatever was measured."""
+        """List the effects that can take the place of one in the model, whatever was measured."""
         own = np.array([owner is placed for owner in self.owner])
         if not own.any():
             return []
         basis = _basis(self.free[:, ~own])
         wanted = _without(basis, self.free[:, own])
-        if np.max(np.linalg.norm(wanted, axis=0) / np.linalg.norm(self.free[:, own], axis=0)) <= SEEN:
+        size = np.linalg.norm(self.free[:, own], axis=0)
+        if np.max(np.linalg.norm(wanted, axis=0) / np.where(size > 0, size, 1.0)) <= BEYOND_FRAME:
             return []
         return [
             other
@@ -73,7 +74,7 @@ class Invariances:
 
 
 def invariances(estimate: Estimate, lacking: Sequence[Placed], expectation: Expectation) -> Invariances:
-    """The derivatives of all data, soft priors among them, at a fit.
+    """Compute the derivatives of all data, soft priors among them, at a fit.
 
     Parameters
     ----------
@@ -107,14 +108,14 @@ def _basis(columns: Floats) -> Floats:
 
 
 def _without(basis: Floats, columns: Floats) -> Floats:
-    """What a basis cannot make of some columns; zero where that is rounding."""
+    """Return what a basis cannot make of some columns; zero where that is rounding."""
     left: Floats = columns - basis @ (basis.T @ columns)
     rounding = np.linalg.norm(left, axis=0) <= EXACT * np.linalg.norm(columns, axis=0)
     return np.where(rounding, 0.0, left)
 
 
 def _beyond(columns: Floats, wanted: Floats) -> float:
-    """The largest share of a wanted column that a combination of others cannot make."""
+    """Return the largest share of a wanted column that a combination of others cannot make."""
     size = np.linalg.norm(wanted, axis=0)
     if columns.shape[1] == 1 and np.any(columns):
         unit = columns / np.linalg.norm(columns)

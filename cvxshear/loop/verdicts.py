@@ -61,7 +61,7 @@ class Verdict:
                 raise ValueError(f"verdict {self.name!r}: {text!r} may name {', '.join(FIELDS)} in braces") from error
 
     def says(self, *, added: bool, **fields: str) -> str:
-        """The headline of a result, without the full stop.
+        """Write the headline of a result, without the full stop.
 
         Parameters
         ----------

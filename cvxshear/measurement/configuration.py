@@ -204,6 +204,8 @@ class Configuration:
     def _checked_shape_std(self, value: object, count: int, width: int) -> Floats:
         """One number, one a mode, or one an entry, as one an entry."""
         where = self._at("mode_shape_std")
+        if not width:
+            raise InputError(f"{where} is given, but no mode_shapes: leave it out, or give the shapes")
         if isinstance(value, np.ndarray):
             value = value.tolist()
         if isinstance(value, list | tuple) and any(isinstance(item, list | tuple) for item in value):
@@ -218,7 +220,7 @@ class Configuration:
     def from_dict(
         declared: object, *, name: str = "configuration 1", elsewhere: Mapping[str, str] | None = None
     ) -> Configuration:
-        """The configuration that a table `[[configuration]]` of a measurement file declares.
+        """Read the configuration that a table `[[configuration]]` of a measurement file declares.
 
         Parameters
         ----------
@@ -240,11 +242,11 @@ class Configuration:
         return Configuration(**{"name": name, **given})
 
     def to_dict(self) -> Json:
-        """The table that declares this configuration in a measurement file, every default written out."""
+        """Return the table that declares this configuration in a measurement file, every default written out."""
         return fields_as_table(self, state=self.name)
 
     def in_frame(self, stories: int) -> Configuration:
-        """The same configuration in a frame of so many stories: added mass filled in, floors and modes within it.
+        """Fit the configuration to a frame of so many stories: added mass filled in, floors and modes within it.
 
         Raises
         ------

@@ -142,7 +142,7 @@ class Frame:
 
     @staticmethod
     def from_dict(declared: object, *, elsewhere: Mapping[str, str] | None = None) -> Frame:
-        """The frame that the table `[frame]` of a measurement file declares.
+        """Read the frame that the table `[frame]` of a measurement file declares.
 
         Parameters
         ----------
@@ -160,7 +160,7 @@ class Frame:
         return Frame(**given)
 
     def to_dict(self) -> Json:
-        """The table that declares this frame in a measurement file."""
+        """Return the table that declares this frame in a measurement file."""
         return fields_as_table(self, stories=0, total_mass_placeholder=False)
 
     @property
@@ -174,7 +174,7 @@ class Frame:
         return float(self.floor_masses.sum()) if self.floor_masses is not None else self.total_mass
 
     def _completed(self, stories: int) -> Frame:
-        """The same frame with its number of stories, and one height a story."""
+        """Fill in the number of stories, and one height a story."""
         return dataclasses.replace(self, stories=stories)
 
 
@@ -199,7 +199,7 @@ class Damping:
 
     @staticmethod
     def from_dict(declared: object) -> Damping:
-        """The damping that the table `[damping]` of a measurement file declares."""
+        """Read the damping that the table `[damping]` of a measurement file declares."""
         return Damping(**checks.keys(declared, ["kind"], [], "damping"))
 
 
@@ -224,7 +224,7 @@ class Heading:
 
     @staticmethod
     def from_dict(declared: object) -> Heading:
-        """The heading that the table `[report]` of a measurement file declares.
+        """Read the heading that the table `[report]` of a measurement file declares.
 
         Raises
         ------
@@ -238,7 +238,7 @@ class Heading:
         return Heading(**{key: checks.text(value, f"report: {key}") for key, value in table.items()})
 
     def to_dict(self) -> Json:
-        """The table that declares it in a measurement file."""
+        """Return the table that declares it in a measurement file."""
         return fields_as_table(self)
 
     @property
@@ -283,9 +283,9 @@ class Limits:
 
     @staticmethod
     def from_dict(declared: object) -> Limits:
-        """The limits that the table `[limits]` of a measurement file declares."""
+        """Read the limits that the table `[limits]` of a measurement file declares."""
         return Limits(**checks.keys(declared, ["story_drift", "names"], ["story_drift"], "limits"))
 
     def to_dict(self) -> Json:
-        """The table that declares these limits."""
+        """Return the table that declares these limits."""
         return fields_as_table(self)

@@ -66,13 +66,13 @@ class ExpectedEffect:
 
     @staticmethod
     def from_dict(declared: object, where: str) -> ExpectedEffect:
-        """What a table `[[effect]]` declares."""
+        """Read what a table `[[effect]]` declares."""
         fields = [item.name for item in dataclasses.fields(ExpectedEffect)]
         table = checks.keys(declared, fields, ["name"], where)
         return ExpectedEffect(**{key: value for key, value in table.items() if value is not None})
 
     def to_dict(self) -> Json:
-        """The table that declares it."""
+        """Return the table that declares it."""
         return fields_as_table(self, exclude=False)
 
     def check(self, stories: int, states: Sequence[str]) -> None:

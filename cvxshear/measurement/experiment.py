@@ -9,7 +9,6 @@ import dataclasses
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TypeVar
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError, NoScaleError
 from cvxshear.util.results import Shown, as_table
-from cvxshear.util.typing import Json
+from cvxshear.util.typing import Json, T
 
 __all__ = [
     "DAMPING_KINDS", "MOST_STORIES", "Configuration", "Damping", "ExpectedEffect", "Experiment", "Frame", "Limits",
@@ -31,9 +30,6 @@ __all__ = [
 
 Tested = Configuration | StaticTest
 """What was measured on one state of the frame; either has a `name`, a `state` and an `added_mass`."""
-
-T = TypeVar("T")
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Experiment(Shown):
@@ -123,7 +119,7 @@ class Experiment(Shown):
             each.check(self.stories, states)
 
     def _count_stories(self) -> int:
-        """The number of stories, which every part must agree on."""
+        """Find the number of stories, which every part must agree on."""
         said: dict[str, int] = {}
         frame = self.frame
         if frame.stories:
@@ -173,7 +169,7 @@ class Experiment(Shown):
 
     @staticmethod
     def from_dict(declared: object, *, name: str = "experiment") -> Experiment:
-        """The experiment that a dict of the measurement file's shape declares.
+        """Read the experiment that a dict of the measurement file's shape declares.
 
         Parameters
         ----------
@@ -219,7 +215,7 @@ class Experiment(Shown):
         return Experiment(frame, configurations, tuple(priors), name, static, expected, damping, report, limits)
 
     def to_dict(self) -> Json:
-        """The dict of the measurement file's shape that declares this experiment."""
+        """Return the dict of the measurement file's shape that declares this experiment."""
         tables = {
             "frame": self.frame,
             "damping": {} if self.damping.kind == Damping().kind else {"kind": self.damping.kind},
@@ -274,12 +270,12 @@ class Experiment(Shown):
         )
 
     def with_priors(self, priors: Sequence[Prior]) -> Experiment:
-        """The same experiment with these priors besides its own."""
+        """Add these priors to those declared."""
         return dataclasses.replace(self, priors=(*self.priors, *priors)) if priors else self
 
 
 def _all_of(kind: type[T], items: object, where: str) -> tuple[T, ...]:
-    """The items as a tuple, once each is of the kind that is needed."""
+    """Return the items as a tuple, once each is of the kind that is needed."""
     if not isinstance(items, Iterable) or isinstance(items, str):
         raise InputError(f"{where} must be a sequence of {kind.__name__}, not {checks.shown(items)}")
     result = tuple(items)
@@ -304,7 +300,7 @@ def _quoted(names: Iterable[str]) -> str:
 
 
 def _tables(value: object, key: str) -> list[object]:
-    """What stands below the headers `[[key]]`."""
+    """Return what stands below the headers `[[key]]`."""
     if value is None:
         return []
     if isinstance(value, Mapping):

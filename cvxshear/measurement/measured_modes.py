@@ -59,12 +59,12 @@ class OtherModes:
         return OtherModes(modes, probability)
 
     def to_dict(self) -> Json:
-        """The table that declares it."""
+        """Return the table that declares it."""
         return fields_as_table(self)
 
 
 def other_modes(declared: object, own: Ints, where: str) -> tuple[OtherModes, ...]:
-    """The entries of `other_modes`, whose probabilities leave room for the configuration's own modes.
+    """Read the entries of `other_modes`, whose probabilities leave room for the configuration's own modes.
 
     Raises
     ------
@@ -90,7 +90,7 @@ ENTRIES_OF_A_COPY = 3
 
 
 def copied_rows(shapes: Floats) -> tuple[int, int] | None:
-    """The first two rows with the same numbers in the same places, of which there are several.
+    """Find the first two rows with the same numbers in the same places, of which there are several.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def copied_rows(shapes: Floats) -> tuple[int, int] | None:
 
 
 def proportional_rows(shapes: Floats) -> tuple[int, int] | None:
-    """The first two rows that were measured everywhere and are proportional to each other.
+    """Find the first two rows that were measured everywhere and are proportional to each other.
 
     Parameters
     ----------

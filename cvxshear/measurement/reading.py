@@ -55,7 +55,7 @@ class Reading:
 
     @staticmethod
     def of(configuration: Configuration) -> Reading:
-        """The reading of a configuration that is part of an experiment."""
+        """Read a configuration that is part of an experiment."""
         return Reading(
             stories=len(configuration.added_mass),
             modes=configuration.modes - 1,
@@ -79,7 +79,7 @@ class Reading:
     @property
     def largest(self) -> Floats:
         """The size of each row's largest entry, shape (m, 1); 1 where nothing was measured."""
-        size = np.max(np.abs(np.where(self.known, self.shapes, 0.0)), axis=1, keepdims=True)
+        size = np.max(np.abs(np.where(self.known, self.shapes, 0.0)), axis=1, keepdims=True, initial=0.0)
         return np.where(size > 0, size, 1.0)
 
     @property
@@ -111,7 +111,7 @@ class Reading:
 
 
 def repeated_configurations(experiment: Experiment) -> tuple[tuple[str, ...], ...]:
-    """Configurations that repeat each other to the last digit: one test, however often it is listed.
+    """Group configurations that repeat each other to the last digit: one test, however often it is listed.
 
     Parameters
     ----------

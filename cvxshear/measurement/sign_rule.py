@@ -16,19 +16,19 @@ CERTAIN = 5.0
 
 
 def certain_signs(reading: Reading) -> Floats:
-    """The sign of each entry, shape (m, n): 1, -1, or 0 where it cannot be told or was not measured."""
+    """Find the sign of each entry, shape (m, n): 1, -1, or 0 where it cannot be told or was not measured."""
     scaled = reading.scaled
     return np.where(np.abs(scaled) * reading.weights > CERTAIN, np.sign(scaled), 0.0)
 
 
 def fewest_changes(signs: Floats) -> int:
-    """Changes of sign among the entries whose sign is certain."""
+    """Count changes of sign among the entries whose sign is certain."""
     sure = signs[signs != 0]
     return int(np.sum(sure[1:] != sure[:-1]))
 
 
 def most_changes(signs: Floats) -> int:
-    """Changes of sign where the uncertain entries (0) have the signs that make the most of them.
+    """Count changes of sign where the uncertain entries (0) have the signs that make the most of them.
 
     Over a distance of d floors there are d changes at most, and an odd number of them just where the signs differ.
     """
@@ -41,7 +41,7 @@ def most_changes(signs: Floats) -> int:
 
 
 def violations(reading: Reading) -> list[str]:
-    """The modes whose signs no shear frame's mode of that number has, a part of a sentence for each."""
+    """Name the modes whose signs no shear frame's mode of that number has, a part of a sentence for each."""
     signs = certain_signs(reading)
     whole = len(reading.floors) == reading.stories
     return [
@@ -52,7 +52,7 @@ def violations(reading: Reading) -> list[str]:
 
 
 def _violation(number: int, signs: Floats, *, whole: bool) -> str:
-    """What is wrong with one mode; empty where nothing is. Entries not measured can have had any sign."""
+    """Say what is wrong with one mode; empty where nothing is. Entries not measured can have had any sign."""
     right = number - 1
     least = fewest_changes(signs)
     if least > right:

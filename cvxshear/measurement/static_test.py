@@ -75,7 +75,7 @@ class StaticTest:
 
     @staticmethod
     def from_dict(declared: object, *, name: str = "static test 1") -> StaticTest:
-        """The test that a table `[[static]]` of a measurement file declares."""
+        """Read the test that a table `[[static]]` of a measurement file declares."""
         where = name
         if isinstance(declared, Mapping) and declared.get("name") is not None:
             where = f'static test "{checks.text(declared["name"], f"{name}: name")}"'
@@ -85,11 +85,11 @@ class StaticTest:
         return StaticTest(**{"name": name, **given})
 
     def to_dict(self) -> Json:
-        """The table that declares this test in a measurement file."""
+        """Return the table that declares this test in a measurement file."""
         return fields_as_table(self)
 
     def in_frame(self, stories: int) -> StaticTest:
-        """The same test in a frame of so many stories, added mass filled in."""
+        """Fit the test to a frame of so many stories, added mass filled in."""
         return self if len(self.added_mass) else dataclasses.replace(self, added_mass=np.zeros(stories))
 
     @property

@@ -108,7 +108,7 @@ def correction(
 def iterated(
     test: CompleteTest, start: Floats, backend: Backend, tolerance: float, *, accelerate: bool
 ) -> tuple[list[Floats], bool]:
-    """The masses with added mass at the start and after each step, and whether Eq. 15 was met.
+    """Return the masses with added mass at the start and after each step, and whether Eq. 15 was met.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def one_shot(test: CompleteTest, backend: Backend) -> SingleIdentification:
 
 
 def _shift(R: Floats, own_rows: int, added: Floats) -> Floats:
-    """What the added mass contributes to the soft rows, zero for the program's own."""
+    """Compute what the added mass contributes to the soft rows, zero for the program's own."""
     shift: Floats = R @ added
     shift[:own_rows] = 0.0
     return shift
@@ -215,7 +215,7 @@ def qi(test: CompleteTest, backend: Backend, initial_mass: Floats | None = None)
 
 
 def berman(test: CompleteTest, backend: Backend, initial_mass: Floats | None = None) -> SingleIdentification:
-    """The smallest change of the mass matrix that makes the modes orthonormal (Berman, 1979).
+    """Find the smallest change of the mass matrix that makes the modes orthonormal (Berman, 1979).
 
     M = M0 + M0 P a^-1 (1 - a) a^-1 P' M0 with a = P' M0 P, the modes P normalized by M0. The result is a full
     matrix; its diagonal is reported as floor masses, and the stiffnesses follow from Eq. 24 on the modes

@@ -60,7 +60,7 @@ def compare_backends(
 
 
 def programs_of(experiment: Experiment) -> tuple[list[BenchmarkProgram], str]:
-    """The programs of an experiment, of each configuration by itself and of all together.
+    """List the programs of an experiment, of each configuration by itself and of all together.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def programs_of(experiment: Experiment) -> tuple[list[BenchmarkProgram], str]:
 
 
 def _separate_programs(experiment: Experiment) -> tuple[list[BenchmarkProgram], str]:
-    """The programs of the methods that identify each configuration by itself, or why there are none."""
+    """List the programs of the methods that identify each configuration by itself, or say why there are none."""
     programs: list[BenchmarkProgram] = []
     try:
         for each in experiment.configurations:
@@ -110,7 +110,7 @@ def _programs_of_one(test: CompleteTest) -> Iterator[BenchmarkProgram]:
 
 
 def _tightened(program: LeastSquares, origin: Floats) -> LeastSquares:
-    """The program with its largest answer bounded below what it would be."""
+    """Bound the program's largest answer below what it would be."""
     answer = origin + backends.get("auto").solve(program).x
     upper = np.full(len(origin), np.inf) if program.upper is None else program.upper.copy()
     largest = int(np.argmax(answer))
@@ -119,7 +119,7 @@ def _tightened(program: LeastSquares, origin: Floats) -> LeastSquares:
 
 
 def _of_first_mode(shape: Floats, eigenvalue: float) -> LeastSquares:
-    """The stiffness program of one mode alone, the stiffnesses bounded below the uniform one that it asks for.
+    """Make the stiffness program of one mode alone, the stiffnesses bounded below the uniform one that it asks for.
 
     Its one row has no negative entry and asks for more than the bounds allow, so that they are the answer.
     """
@@ -129,7 +129,7 @@ def _of_first_mode(shape: Floats, eigenvalue: float) -> LeastSquares:
 
 
 def _step_programs(experiment: Experiment) -> list[BenchmarkProgram]:
-    """The step program of the efficient estimator at a frame of uniform stiffness, where there is a way to go."""
+    """Make the step program of the efficient estimator at a frame of uniform stiffness, where there is a way to go."""
     theta = uniform(experiment)
     at = Misfit(experiment).evaluate(theta)
     return [BenchmarkProgram("step", step_program(at, theta, domain_of(experiment, (), theta)), theta)]

@@ -125,7 +125,7 @@ def _listed(what: str, numbers: list[int]) -> str:
 
 
 def start_mass(test: CompleteTest, initial: Floats | None) -> Floats:
-    """The first guess of the floor masses with added mass: the one handed in, else the total spread evenly."""
+    """Choose the first guess of the floor masses with added mass: the one handed in, else the total spread evenly."""
     n = test.experiment.stories
     net = test.total - test.configuration.added_mass.sum()
     return (np.full(n, net / n) if initial is None else initial) + test.configuration.added_mass
@@ -167,7 +167,7 @@ def identified_stiffness(test: CompleteTest, mass: Floats, backend: Backend) -> 
 
 
 def finished(test: CompleteTest, mass: Floats, stiffness: Floats, **more: object) -> SingleIdentification:
-    """The part for a configuration: the frame without its added mass, its errors and predictions.
+    """Make the part for a configuration: the frame without its added mass, its errors and predictions.
 
     Parameters
     ----------

@@ -213,5 +213,5 @@ def _spread(value: ArrayLike | None, default: float, shape: tuple[int, ...], whe
 
 
 def _real(shape: Complexes) -> Floats:
-    """A real shape as it stands, sign and all; a complex one by magnitude."""
+    """Return a real shape as it stands, sign and all, and the moduli and signs of a complex one."""
     return shape.real.copy() if not np.any(shape.imag) else real_shape(shape)

@@ -14,9 +14,9 @@ from cvxshear.util.typing import Bools, Floats
 
 FDD = "fdd"
 """The name of the frequency domain decomposition among methods."""
-NEAR = 0.05
+SAME_FREQUENCY = 0.05
 """Relative distance of frequencies within which two methods may have found the same mode."""
-ALIKE = 0.9
+SAME_MODE_MAC = 0.9
 """MAC from which on two shapes within that distance are taken for those of one mode; usual in correlating tests."""
 
 
@@ -67,7 +67,7 @@ def frequency_domain_decomposition(functions: Functions, count: int, stories: in
 
 
 def _saddle(height: Floats, place: int) -> float:
-    """The higher of the two lowest points between a peak and what is higher than it on either side."""
+    """Find the higher of the two lowest points between a peak and what is higher than it on either side."""
     lowest = []
     for side in (height[:place][::-1], height[place + 1 :]):
         higher = np.flatnonzero(side > height[place])
@@ -76,7 +76,7 @@ def _saddle(height: Floats, place: int) -> float:
 
 
 def second_opinion(result: ModalResult, other: ModalResult) -> list[Finding]:
-    """What another identification of the same test says of each mode.
+    """Report what another identification of the same test says of each mode.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def second_opinion(result: ModalResult, other: ModalResult) -> list[Finding]:
     for row, (mode, frequency) in enumerate(zip(result.modes.tolist(), result.frequencies.tolist(), strict=True)):
         changes = other.frequencies / frequency - 1.0
         alike = np.array([mac(own[row], shape) for shape in its])
-        near = np.flatnonzero((np.abs(changes) < NEAR) & (alike > ALIKE))
+        near = np.flatnonzero((np.abs(changes) < SAME_FREQUENCY) & (alike > SAME_MODE_MAC))
         numbers = {"mode": mode, "method": other.name}
         if not near.size:
             closest = int(np.argmin(np.abs(changes)))
@@ -141,7 +141,7 @@ def second_opinion(result: ModalResult, other: ModalResult) -> list[Finding]:
 
 
 def synthesized(result: ModalResult) -> Complexes:
-    """What the identified modes make of the measured functions, shape (lines, outputs, inputs).
+    """Rebuild the measured functions from the identified modes, shape (lines, outputs, inputs).
 
     H_ij = sum_r (psi_ir L_rj / (i w - l_r) + its conjugate) + C_ij + D_ij / w^2 over the band of the modes, the poles
     l_r and shapes psi_r as identified, participations L and real residual terms C, D by least squares (least-squares
@@ -181,7 +181,7 @@ def synthesized(result: ModalResult) -> Complexes:
 
 
 def band_of(lines: Floats, frequencies: Floats) -> Bools:
-    """The lines from half the lowest to 1.3 times the highest natural frequency, shape (lines,)."""
+    """Select the lines from half the lowest to 1.3 times the highest natural frequency, shape (lines,)."""
     return np.asarray((lines > 0.5 * frequencies[0]) & (lines < 1.3 * frequencies[-1]))
 
 
@@ -202,7 +202,7 @@ def _basis(omega: Floats, poles: Complexes, shapes: Complexes) -> Complexes:
 
 
 def _poles_and_shapes(functions: Functions, result: ModalResult) -> tuple[Complexes, Complexes]:
-    """The poles as the functions show them, windows and all, and the shapes as recorded where they are known."""
+    """Return the poles as the functions show them, windows and all, and the shapes as recorded where they are known."""
     omega = 2 * np.pi * result.frequencies
     decay = result.damping_ratios * omega
     poles = -decay - functions.decay + 1j * np.sqrt(np.maximum(omega**2 - decay**2, 0.0))

@@ -66,7 +66,7 @@ def _log_frequencies(setting: Replication, keep: Bools) -> Floats | None:
 
 
 def _early_against_late(setting: Replication, result: ModalResult) -> list[Finding]:
-    """The impulse response from its start against the same once it has decayed to a third."""
+    """Compare the impulse response from its start with the same once it has decayed to a third."""
     later = _later(setting, None)
     if later is None:
         return []

@@ -17,7 +17,7 @@ from cvxshear.util.typing import Floats, Ints
 def assembled(
     record: Record, setting: Replication, full: Details, covariance: Floats, *, method: str, uncertainty: str
 ) -> ModalResult:
-    """The result without findings.
+    """Assemble the result, without findings.
 
     Parameters
     ----------

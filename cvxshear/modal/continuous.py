@@ -50,7 +50,7 @@ OKID_COLUMNS = 600
 
 
 def lags_for(stories: int, outputs: int, samples: int) -> int:
-    """The lags of an observer of a frame's responses.
+    """Choose the number of lags of an observer of a frame's responses.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def lags_for(stories: int, outputs: int, samples: int) -> int:
 
 
 def rows_for(stories: int, outputs: int) -> int:
-    """The block rows of past and future that hold three samples a state of a frame of so many stories."""
+    """Choose as many block rows of past and future as hold three samples a state of a frame of so many stories."""
     return max(SUBSPACE_ROWS, int(np.ceil(SAMPLES_A_STATE * 2 * stories / outputs)))
 
 
@@ -109,7 +109,7 @@ class OkidSource(Source):
         return self._latest[1]
 
     def rougher(self) -> OkidSource:
-        """The same data with half the lags: what changes is of the size of what noise bends, or larger."""
+        """Use half the lags on the same data: what changes is of the size of what noise bends, or larger."""
         other = copy.copy(self)
         other.lags, other._latest = self.lags // 2, None
         width = self.inputs + other.lags * (self.inputs + self.outputs)
@@ -131,7 +131,7 @@ class OkidSource(Source):
         return left_factor(block_hankel(self.markov(keep), OKID_ROWS, OKID_COLUMNS))
 
     def impulse(self, keep: Bools | None = None) -> Impulse:
-        """The Markov parameters, from the first that the direct term is not part of."""
+        """Return the Markov parameters, from the first that the direct term is not part of."""
         return Impulse(self.markov(keep), 1, np.full(self.inputs, self.floor, dtype=np.int64))
 
 
@@ -163,7 +163,7 @@ def _system_markov(direct: Floats, inputs: Floats, outputs: Floats, count: int) 
 
 
 def _in_vectors(vectors: Complexes, drive: Complexes) -> Complexes:
-    """The drive in the eigenvectors of F; where these fall together the powers of F are no sum over eigenvalues."""
+    """Expand the drive in F's eigenvectors; where these fall together F's powers are no sum over eigenvalues."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", linalg.LinAlgWarning)
         try:
@@ -218,7 +218,7 @@ class SubspaceSource(Source):
         self._triangles = [_triangle(_data(u, y, rows)) for u, y in pieces]
 
     def rougher(self) -> SubspaceSource | None:
-        """The same poles with residues of half the observer's lags; None under base motion, which scales no mode."""
+        """Use half the observer's lags for the residues; None under base motion, which scales no mode."""
         if not self._observer.floor:
             return None
         other = copy.copy(self)
@@ -234,7 +234,7 @@ class SubspaceSource(Source):
         return left_factor(triangle[past:, future_inputs:past])
 
     def impulse(self, keep: Bools | None = None) -> Impulse:
-        """The observer's Markov parameters, from the first that the direct term is not part of."""
+        """Return the observer's Markov parameters, from the first that the direct term is not part of."""
         return self._observer.impulse(keep)
 
 

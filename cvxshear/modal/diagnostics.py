@@ -24,7 +24,7 @@ direction, of twisting, of a floor or of noise it is as often."""
 def overlooked_modes(
     frequencies: Floats, modes: Ints, left_out: Sequence[PoleCandidate], *, floors: int, stories: int
 ) -> list[Finding]:
-    """The resonances that put the numbers of modes in doubt.
+    """Name the resonances that put the numbers of modes in doubt.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def overlooked_modes(
 
 
 def left_out(candidates: Sequence[PoleCandidate], chosen: Sequence[PoleCandidate]) -> list[PoleCandidate]:
-    """The candidates that are resonances of something, and not among those chosen."""
+    """List the candidates that are resonances of something, and not among those chosen."""
     taken = {item.members for item in chosen}
     return [item for item in candidates if (item.physical or item.shaky) and item.members not in taken]
 
@@ -135,7 +135,7 @@ def modal_findings(
 
 
 def found_twice(item: PoleCandidate) -> Finding:
-    """A second stable pole with the shape of another, which comes back in every piece of the record."""
+    """Report a second stable pole with the shape of another, which comes back in every piece of the record."""
     return Finding(
         "split mode",
         f"{item.frequency:.4f} Hz is {item.reason}; the frame has one mode there: its frequency changed during the "
@@ -180,7 +180,7 @@ def clock_findings(result: ModalResult, full: Details) -> list[Finding]:
 
 
 def resolution_findings(record: Record, result: ModalResult) -> list[Finding]:
-    """Records too short for the damping, or the ambient statistics, that are claimed of them."""
+    """Report a record too short for the damping, or the ambient statistics, that are claimed of it."""
     found = []
     if isinstance(record, FrfRecord):
         resolution = record.step
@@ -303,7 +303,7 @@ def _modes(numbers: list[int]) -> str:
 
 
 def cables_changed(before: ModalResult, after: ModalResult) -> list[Finding]:
-    """What changed between two records of one frame that a cable explains: one channel reversed, or with another gain.
+    """Find what changed between two records of a frame that a cable explains: a channel reversed, or with another gain.
 
     The entries of a channel change by one and the same factor in every mode; damage changes them by another in each.
     """

@@ -29,19 +29,27 @@ from cvxshear.util.typing import Bools, Floats, Ints
 Estimate = Callable[[Bools], Floats | None]
 
 
-def jackknife(estimate: Estimate, groups: Ints) -> tuple[Floats, int]:
-    """Covariance by leaving out one piece at a time.
+def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats, Floats, int]:
+    """Find the covariance by leaving out one piece at a time.
+
+    Pieces may tell more or less: with h = W / w_j and the pseudo-value h theta - (h - 1) theta_(-j) of each piece, its
+    squared distance from the weighted mean over h - 1 estimates the variance (Busing, Meijer and van der Leeden 1999,
+    "Delete-m jackknife for unequal m", Statistics and Computing 9). For equal weights it is the usual jackknife.
 
     Parameters
     ----------
     estimate : callable
-        From a mask of kept pieces to the parameters, shape (k,), or None where they are not found.
+        From a mask of pieces to the parameters, shape (k,), or None where they are not found.
     groups : array of int, shape (pieces,)
         Stratum of each piece.
+    weights : array, shape (pieces,)
+        How much each piece tells.
 
     Returns
     -------
     covariance : array, shape (k, k)
+    freedom : array, shape (k,)
+        Degrees of freedom of each variance: those of its strata together (Satterthwaite 1946).
     lost : int
         Pieces without which the parameters were not found; the others stand in for them.
 
@@ -50,10 +58,10 @@ def jackknife(estimate: Estimate, groups: Ints) -> tuple[Floats, int]:
     InputError
         Where fewer than two pieces of some stratum can be left out.
     """
-    total: Floats | None = None
-    lost = 0
+    parts, freedoms, lost = [], [], 0
+    full = estimate(np.ones(len(groups), dtype=bool))
     for group in np.unique(groups):
-        replicates = []
+        replicates, times = [], []
         for piece in np.flatnonzero(groups == group):
             keep = np.ones(len(groups), dtype=bool)
             keep[piece] = False
@@ -62,17 +70,21 @@ def jackknife(estimate: Estimate, groups: Ints) -> tuple[Floats, int]:
                 lost += 1
             else:
                 replicates.append(values)
-        if len(replicates) < 2:
+                times.append(weights[groups == group].sum() / weights[piece])
+        if len(replicates) < 2 or full is None:
             raise InputError(
                 "the modes rest on single pieces of the record: left out one at a time, they are not found again in "
                 "the rest; record longer, or more hits"
             )
-        spread = np.array(replicates) - np.mean(replicates, axis=0)
-        part = (len(replicates) - 1) / len(replicates) * spread.T @ spread
-        total = part if total is None else total + part
-    if total is None:
-        raise InputError("there are no pieces to leave out")
-    return total, lost
+        each = np.array(times)[:, None]
+        pseudo = full - (each - 1) * (np.array(replicates) - full)
+        spread = (pseudo - np.sum(pseudo / each, axis=0) / np.sum(1 / each)) / np.sqrt(each - 1)
+        parts.append(spread.T @ spread / len(replicates))
+        freedoms.append(len(replicates) - 1)
+    variances, total = np.array([np.diag(part) for part in parts]), np.sum(parts, axis=0)
+    squares = np.sum(variances**2 / np.array(freedoms)[:, None], axis=0)
+    freedom = np.divide(np.diag(total) ** 2, squares, out=np.full(len(total), float(sum(freedoms))), where=squares > 0)
+    return total, freedom, lost
 
 
 LARGEST_SHAPE_STD = 0.3
@@ -101,7 +113,7 @@ def scattering(parts: Parts, chosen: Sequence[PoleCandidate]) -> Doubts:
 
         pieces = len(parts.source.groups)
         try:
-            spread, lost = jackknife(replicate, parts.source.groups)
+            spread, _, lost = jackknife(replicate, parts.source.groups, parts.source.weights)
         except InputError:
             lost = pieces
         if 2 * lost > pieces:
@@ -114,7 +126,7 @@ def scattering(parts: Parts, chosen: Sequence[PoleCandidate]) -> Doubts:
 
 
 def doubted(item: PoleCandidate, of_shape: float, of_frequency: float) -> Doubts:
-    """The mode, where these standard deviations, over its largest entry and relative, say that it is none."""
+    """Doubt a mode whose standard deviations, over its largest entry and relative, say that it is none."""
     if of_shape <= LARGEST_SHAPE_STD and of_frequency <= LARGEST_FREQUENCY_STD:
         return {}
     return {
@@ -184,7 +196,7 @@ class Replication:
         return np.asarray(energy > FAINT * energy.max())
 
     def values(self, keep: Bools | None) -> Values | None:
-        """The chosen modes on a part of the data; None where one of them is not found there."""
+        """Find the chosen modes on a part of the data; None where one of them is not found there."""
         return self.parts.values(self.sweep.chosen, keep)
 
 
@@ -224,7 +236,7 @@ class Details(DampedModes):
 
 
 def details(setting: Replication, values: Values, keep: Bools | None, reference: Details | None = None) -> Details:
-    """What the poles and shapes say, with the residues of the data kept."""
+    """Find all parameters of the modes from poles, shapes and the residues of the data kept."""
     products, driven = _products(setting, values, keep)
     turned = None if products is None else participations(products, values.shapes)
     clocks = offsets(
@@ -272,6 +284,7 @@ def _products(setting: Replication, values: Values, keep: Bools | None) -> tuple
     amplitudes = residues(sequence, values.eigenvalues, rate, impulse.start)
     if impulse.wrapped:
         amplitudes = unwrapped(amplitudes, values.eigenvalues, len(impulse.sequence) / rate)
+    amplitudes = amplitudes / impulse.excited(values.eigenvalues, rate)[:, None, :]
     return modal_products(amplitudes, values.eigenvalues, rate, setting.quantity, base=setting.base), impulse.driven
 
 
@@ -289,14 +302,14 @@ def covariance(setting: Replication, full: Details, seed: int) -> tuple[Floats, 
         return part.vector()
 
     if len(groups):
-        result, lost = jackknife(replicate, groups)
+        result, freedom, lost = jackknife(replicate, groups, setting.source.weights)
         how = f"jackknife over {len(groups)} {setting.source.unit}s"
         if len(groups) < FEW_PIECES and setting.source.impulse() is not None:
             result, how = _widened(result, disturbed(setting, full, seed)), f"{how}, at least {SURROGATES} surrogates'"
         else:
             # 95 % of the errors are to lie within 1.96 of deviations that are themselves estimates from so many pieces.
-            freedom = len(groups) - len(np.unique(groups))
-            result = result * (stats.t.isf(0.025, freedom) / stats.norm.isf(0.025)) ** 2
+            factor = stats.t.isf(0.025, freedom) / stats.norm.isf(0.025)
+            result = result * np.outer(factor, factor)
         bias = _bias(setting, full)
         if bias is not None:
             result, how = result + np.outer(bias, bias), f"{how}, and what half the observer's lags change"
@@ -305,7 +318,7 @@ def covariance(setting: Replication, full: Details, seed: int) -> tuple[Floats, 
 
 
 def _bias(setting: Replication, full: Details) -> Floats | None:
-    """What a rougher approximation of the same data changes in `full.vector()`; None where there is none."""
+    """Find what a rougher approximation of the same data changes in `full.vector()`; None where there is none."""
     rougher = setting.source.rougher()
     if rougher is None:
         return None
@@ -318,7 +331,7 @@ def _bias(setting: Replication, full: Details) -> Floats | None:
 
 
 def _widened(spread: Floats, other: Floats) -> Floats:
-    """The covariance with every standard deviation raised to the other's where that is larger.
+    """Raise every standard deviation to the other covariance's where that is larger.
 
     The scatter of three pieces is small by chance often enough that it must not stand alone.
     """
@@ -356,7 +369,7 @@ def disturbed(setting: Replication, full: Details, seed: int) -> Floats:
 
 
 def _fit(impulse: Impulse, eigenvalues: Complexes, rate: float) -> Floats:
-    """The chosen modes' part of the impulse responses, from their start on."""
+    """Return the chosen modes' part of the impulse responses, from their start on."""
     amplitudes = residues(impulse.sequence, eigenvalues, rate, impulse.start)
     powers = np.exp(np.outer(np.arange(impulse.start, len(impulse.sequence)), eigenvalues) / rate)
     return np.asarray(2 * np.real(np.einsum("kr,roi->koi", powers, amplitudes)))

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 
 from cvxshear.modal.realization import Impulse, Source, block_hankel, left_factor
 from cvxshear.records.record import Complexes, FrfRecord, Run, TimeRecord
-from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats, Ints
 
@@ -48,7 +48,7 @@ def residues(sequence: Floats, eigenvalues: Complexes, sampling_rate: float, sta
 def modal_products(
     amplitudes: Complexes, eigenvalues: Complexes, sampling_rate: float, quantity: str, *, base: bool
 ) -> Complexes:
-    """What the amplitudes say of shape times participation, shape (modes, outputs, inputs); real for real modes.
+    """Turn amplitudes into shape times participation, shape (modes, outputs, inputs); real for real modes.
 
     The receptance residue of a mass-normalized real mode is phi_i phi_d / (2i w_d); a derivative multiplies
     it by the eigenvalue, a base acceleration's participation stands for -phi_d. The sampled sequence is 1/fs
@@ -65,14 +65,14 @@ def unwrapped(amplitudes: Complexes, eigenvalues: Complexes, length: float) -> C
 
 
 def participations(products: Complexes, shapes: Complexes) -> Complexes:
-    """The complex number for each mode that turns its shape into its products, strongest input, shape (modes,)."""
+    """Find the complex number that turns each mode's shape into its products, strongest input, shape (modes,)."""
     columns = np.einsum("ri,rij->rj", np.conj(shapes), products) / np.sum(np.abs(shapes) ** 2, axis=1)[:, None]
     strongest = np.argmax(np.abs(columns), axis=1)
     return np.asarray(columns[np.arange(len(columns)), strongest])
 
 
 def modal_scale(products: Complexes, shape: Floats, floors: Ints, driven: Ints) -> float | None:
-    """The factor that mass-normalizes a real shape, 1/sqrt(kg).
+    """Find the factor that mass-normalizes a real shape, 1/sqrt(kg).
 
     With phi = q psi, products = q^2 psi_i psi_d; q^2 by least squares over all responses and driving points.
     None where no driving point carries a sensor, or where the driving points say that q^2 is not positive.
@@ -94,7 +94,6 @@ def modal_scale(products: Complexes, shape: Floats, floors: Ints, driven: Ints) 
     return float(np.sqrt(square)) if square > 0 else None
 
 
-ESTIMATORS = ("h1", "h2")
 ERA_ROWS = 60
 ERA_COLUMNS = 600
 SKIPPED = 3
@@ -103,6 +102,13 @@ RINGING = 12
 """Samples that a blow, sampled behind a steep filter, rings before and after."""
 WEAKEST_FORCE = 0.01
 """Of the largest force power: lines beyond the first weaker one say nothing of the frame."""
+LEAST_FORCE = 0.1
+"""Of the largest force power, added to it where responses are divided by the amplitude of the blow: the noise stays
+nearly white, and the pulse that the frame then answers to is over soon."""
+FEWEST_CROSSED = 3
+"""Hits at a floor: with one of them left out there must be two to compare."""
+PULSE_OVER = 1e-3
+"""Of a pulse's largest sample: below it the frame moves freely."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +132,17 @@ class Spectra:
 
 
 class FrfSource(Source):
-    """Impulse responses to forces at one or several floors, for the eigensystem realization algorithm.
+    """Responses to forces at one or several floors, for the eigensystem realization algorithm.
+
+    The cross-spectra of response and force, summed over the hits at a floor, are divided by the root of the force's
+    power, not by the power itself. They then belong to the responses to a symmetric pulse of the blows' own amplitude
+    spectrum: white noise stays white in them, and once the pulse is over they are sums of decaying exponentials. An
+    impulse response that ends where the hammer's spectrum or the record does is no such sum, which bends the highest
+    modes. The same division makes a table of functions the responses to a unit pulse.
+
+    Where a floor was hit three times or more, only the products of different hits at it make the matrix whose
+    eigenvectors the poles come from: H_a H_b' of two Hankel matrices, whose noise has nothing in common. The product of
+    a hit with itself has the noise's power in it, which bends weak modes by more than they scatter.
 
     Parameters
     ----------
@@ -135,9 +151,9 @@ class FrfSource(Source):
     sampling_rate : float
         Hz.
     samples : int
-        Length of the impulse responses.
-    estimator : str, optional
-        "h1" or "h2".
+        Length of the transforms.
+    recorded : int, optional
+        Samples that were recorded of each response, where zeros make up the rest; all of them where not given.
     wrapped : bool, optional
         Whether the lines sample the response to all time: their inverse transform then folds what comes after
         its end back onto its start, which multiplies each residue by 1 / (1 - exp(eigenvalue * length)).
@@ -153,11 +169,10 @@ class FrfSource(Source):
         spectra: Sequence[Spectra],
         sampling_rate: float,
         samples: int,
-        estimator: str = "h1",
+        recorded: int | None = None,
         *,
         wrapped: bool = False,
     ) -> None:
-        self.estimator = checks.choice(estimator, ESTIMATORS, "estimator")
         self.sampling_rate = sampling_rate
         self.samples = samples
         self.wrapped = wrapped
@@ -175,32 +190,60 @@ class FrfSource(Source):
             self.unit = "none"
             self.groups = np.zeros(0, dtype=np.int64)
         self.energies = np.array([float(item.response_response.sum()) for item in spectra])
+        power = {floor: sum(item.force_force for item in spectra if item.floor == floor) for floor in self.floors}
+        self._roots = {floor: np.sqrt(each + LEAST_FORCE * each.max()) for floor, each in power.items()}
+        self._stop = samples
+        pulse = np.abs(self._answered(None)[1][: samples // 2 + 1])
+        over = int(np.flatnonzero(pulse > PULSE_OVER * pulse.max(axis=0)[None, :])[-1]) // pulse.shape[1] + 1
+        self._start = max(SKIPPED, over)
+        # The end of a record is as near to what was not recorded as its start is to the blow.
+        if recorded is not None:
+            self._stop = recorded - self._start - RINGING
+        if self._stop - self._start < ERA_ROWS:
+            raise InputError("too few samples are left once the blow is over; record longer, or hit with a harder tip")
+        self._own = None
+        if min(counts) >= FEWEST_CROSSED:
+            each = (self._response([item]) for item in spectra)
+            self._own = np.array([_product(markov_hankel(sequence[:, :, None], self._start)) for sequence in each])
 
-    def response(self, keep: Bools | None = None) -> tuple[Complexes, Ints]:
-        """Frequency responses, shape (lines, channels, inputs), and their driving floors, shape (inputs,)."""
-        used = self.spectra if keep is None else [s for s, k in zip(self.spectra, keep, strict=True) if k]
-        floors = np.unique([item.floor for item in used])
-        columns = [self._column([item for item in used if item.floor == floor]) for floor in floors]
-        return np.stack(columns, axis=2), floors
-
-    def _column(self, hits: list[Spectra]) -> Complexes:
-        cross = np.sum([hit.response_force for hit in hits], axis=0)
-        if self.estimator == "h1":
-            return np.asarray(cross / np.sum([hit.force_force for hit in hits], axis=0)[:, None])
-        power = np.sum([hit.response_response for hit in hits], axis=0)
-        return np.asarray(power / np.where(cross == 0, np.inf, np.conj(cross)))
-
-    def markov(self, keep: Bools | None = None) -> Floats:
-        """Impulse responses, shape (samples, channels, inputs)."""
-        return np.fft.irfft(self.response(keep)[0], n=self.samples, axis=0)
+    @property
+    def weights(self) -> Floats:
+        """Energy of each hit's force, shape (hits,), beside which its sensors' noise is always the same."""
+        return np.array([item.force_force.sum() for item in self.spectra])
 
     def factor(self, keep: Bools | None = None) -> Floats:
-        """Left factor of the block Hankel matrix of the impulse responses."""
-        return markov_factor(self.markov(keep), SKIPPED)
+        """Left factor of the block Hankel matrix of the responses; of products of different hits where there are any."""
+        sequence = self.impulse(keep).sequence
+        if self._own is None:
+            return left_factor(markov_hankel(sequence, self._start))
+        together = [_product(markov_hankel(each[:, :, None], self._start)) for each in np.moveaxis(sequence, 2, 0)]
+        own = self._own if keep is None else self._own[keep]
+        values, vectors = linalg.eigh(np.sum(together, axis=0) - own.sum(axis=0))
+        positive = values > 0
+        return np.asarray((vectors[:, positive] * np.sqrt(values[positive]))[:, ::-1])
 
     def impulse(self, keep: Bools | None = None) -> Impulse:
-        """The impulse responses."""
-        return Impulse(self.markov(keep), SKIPPED, self.response(keep)[1], self.wrapped)
+        """Find the responses to pulses, of all hits or of some."""
+        responses, pulses, floors = self._answered(keep)
+        return Impulse(responses, self._start, floors, self.wrapped, pulses[: self._start])
+
+    def _answered(self, keep: Bools | None) -> tuple[Floats, Floats, Ints]:
+        """Return the responses, the pulses that they answer to, and the floors where these act."""
+        used = self.spectra if keep is None else [s for s, k in zip(self.spectra, keep, strict=True) if k]
+        floors = np.unique([item.floor for item in used])
+        hits = [[item for item in used if item.floor == floor] for floor in floors]
+        powers = [np.sum([hit.force_force for hit in each], axis=0) / self._roots[each[0].floor] for each in hits]
+        pulses = [np.fft.irfft(power, n=self.samples) for power in powers]
+        return np.stack([self._response(each) for each in hits], axis=2), np.column_stack(pulses), floors
+
+    def _response(self, hits: Sequence[Spectra]) -> Floats:
+        """Return the response to the pulse that hits at one floor make together, shape (samples, outputs)."""
+        cross = np.sum([hit.response_force for hit in hits], axis=0) / self._roots[hits[0].floor][:, None]
+        return np.fft.irfft(cross, n=self.samples, axis=0)[: self._stop]
+
+
+def _product(hankel: Floats) -> Floats:
+    return np.asarray(hankel @ hankel.T)
 
 
 class ImpulseSource(Source):
@@ -227,69 +270,68 @@ class ImpulseSource(Source):
     def factor(self, keep: Bools | None = None) -> Floats:
         """Left factor of the block Hankel matrix."""
         impulse = self.impulse(keep)
-        return markov_factor(impulse.sequence, impulse.start)
+        return left_factor(markov_hankel(impulse.sequence, impulse.start))
 
     def impulse(self, keep: Bools | None = None) -> Impulse:
-        """The impulse responses, or the decays kept."""
+        """Return the impulse responses, or the decays kept."""
         whole = self._impulse
         if keep is None:
             return whole
         return dataclasses.replace(whole, sequence=whole.sequence[:, :, keep], driven=whole.driven[keep])
 
 
-def markov_factor(sequence: Floats, start: int) -> Floats:
-    """Left factor of the block Hankel matrix of an impulse response or a decay that starts at sample `start`."""
+def markov_hankel(sequence: Floats, start: int) -> Floats:
+    """Arrange an impulse response or a decay that starts at sample `start` as a block Hankel matrix."""
     rows = min(ERA_ROWS, (len(sequence) - start) // 3)
     columns = min(ERA_COLUMNS, len(sequence) - start - rows)
-    return left_factor(block_hankel(sequence, rows, columns, start))
+    return block_hankel(sequence, rows, columns, start)
 
 
-def table_spectra(record: FrfRecord) -> tuple[list[Spectra], int]:
-    """The frequency responses of a table as spectra under a unit force, from 0 Hz on, and the samples they make."""
+def table_spectra(record: FrfRecord, highest: float = np.inf) -> tuple[list[Spectra], int]:
+    """Read a table of functions, up to so many Hz, as spectra under a unit force from 0 Hz on.
+
+    The number of samples that their inverse transforms have comes second.
+    """
     missing = round(float(record.frequencies[0]) / record.step)
     result = []
     for run in record.runs:
         # What lies below the first line was not measured; rigid-body motion of a fixed frame is nil there.
         padding = np.zeros((missing, run.responses.shape[1]))
         response = np.vstack([padding, run.responses])
+        response = response[: int(np.ceil(min(highest / record.step, len(response) - 1))) + 1]
         result.append(Spectra(response, np.ones(len(response)), np.abs(response) ** 2, run.floor))
     return result, 2 * (len(result[0].force_force) - 1)
 
 
 def hit_spectra(record: TimeRecord) -> tuple[list[Spectra], int]:
-    """The spectra of every hit, from just before the hammer meets the frame, and the samples of each."""
+    """Transform every hit from just before the hammer meets the frame, as many zeros behind it as it has samples.
+
+    Products of such spectra are correlations that do not fold their end onto their start. The length of the transforms,
+    twice that of the shortest hit, comes second.
+    """
     starts = [hit_start(run) for run in record.runs]
     samples = min(run.samples - start for run, start in zip(record.runs, starts, strict=True))
-    samples -= samples % 2
     if samples < ERA_ROWS:
         raise InputError(f"a hit leaves only {samples} samples after the blow; record longer or trigger earlier")
     result = []
     for run, start in zip(record.runs, starts, strict=True):
-        force = np.fft.rfft(_quiet_after_blow(_excitation(run))[start : start + samples])
-        response = np.fft.rfft(run.responses[start : start + samples], axis=0)
+        force = np.fft.rfft(_quiet_after_blow(_excitation(run))[start : start + samples], 2 * samples)
+        response = np.fft.rfft(run.responses[start : start + samples], 2 * samples, axis=0)
         result.append(Spectra(np.conj(force)[:, None] * response, np.abs(force) ** 2, np.abs(response) ** 2, run.floor))
-    return result, samples
+    return result, 2 * samples
 
 
-def reached_lines(spectra: Sequence[Spectra]) -> int:
-    """How many lines from 0 Hz on the force excites; a whole blow's spectrum falls to nothing further up."""
+def reach(record: TimeRecord) -> float:
+    """Find the frequency, Hz, at which the blows' spectrum first falls to nothing, or half the sampling rate."""
+    spectra, samples = hit_spectra(record)
     power = np.sum([item.force_force for item in spectra], axis=0)
     weak = np.flatnonzero(power < WEAKEST_FORCE * power.max())
     weak = weak[weak > np.argmax(power)]
-    return int(weak[0]) if weak.size else len(power)
-
-
-def cut(spectra: Sequence[Spectra], lines: int) -> tuple[list[Spectra], int]:
-    """The spectra up to so many lines, and the samples of the impulse responses that they make."""
-    kept = [
-        Spectra(item.response_force[:lines], item.force_force[:lines], item.response_response[:lines], item.floor)
-        for item in spectra
-    ]
-    return kept, 2 * (lines - 1)
+    return float(weak[0] if weak.size else len(power) - 1) * record.sampling_rate / samples
 
 
 def hit_start(run: Run) -> int:
-    """The sample from which the blow is seen, with the ringing of the sampler's filter ahead of it."""
+    """Find the sample from which the blow is seen, with the ringing of the sampler's filter ahead of it."""
     force = np.abs(_excitation(run))
     loud = np.flatnonzero(force > 0.02 * force.max())
     blow = int(np.argmax(force))
@@ -302,7 +344,7 @@ def hit_start(run: Run) -> int:
 
 
 def _quiet_after_blow(force: Floats) -> Floats:
-    """The force with its sensor's noise set to zero once the hammer has left the frame.
+    """Set the noise of the force's sensor to zero once the hammer has left the frame.
 
     The usual force window: outside the blow the force is nought, and what the sensor shows is noise.
     """

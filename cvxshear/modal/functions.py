@@ -61,7 +61,7 @@ class Functions:
     decay: float = 0.0
 
     def up_to(self, highest: float) -> Functions:
-        """The same functions without the lines above a frequency, Hz."""
+        """Leave out the lines above a frequency, Hz."""
         kept = self.frequencies <= highest
         coherence = None if self.coherence is None else self.coherence[kept]
         return dataclasses.replace(
@@ -79,7 +79,7 @@ class Functions:
 
 
 def measured_functions(record: Record, highest: float) -> Functions:
-    """The functions that a record shows.
+    """Estimate the functions of frequency that a record shows.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def _lines(samples: int, rate: float) -> Floats:
 
 
 def _segment(record: TimeRecord, highest: float) -> int:
-    """Samples of a segment: an even number, of which the runs hold enough."""
+    """Choose the samples of a segment: an even number, of which the runs hold enough."""
     samples = min(run.samples for run in record.runs)
     wanted = LINES * record.sampling_rate / min(highest, record.sampling_rate / 2)
     return max(64, int(min(wanted, 2 * samples / FEWEST_SEGMENTS))) // 2 * 2

@@ -15,8 +15,8 @@ from cvxshear.modal.assemble import assembled
 from cvxshear.modal.diagnostics import left_out, overlooked_modes
 from cvxshear.modal.estimate import Replication, covariance, details, doubted, scattering, settle_truncation
 from cvxshear.modal.functions import measured_functions
-from cvxshear.modal.picking import REACH, Choice, Parts, Sweep, Values, strongest, sweep_orders
-from cvxshear.modal.prepare import BLOCKS, METHODS, Attempt, default_method, settled, source_of
+from cvxshear.modal.picking import PICKABLE, Choice, Parts, Sweep, Values, strongest, sweep_orders
+from cvxshear.modal.prepare import BLOCKS, MODAL_METHODS, Attempt, default_method, settled, source_of
 from cvxshear.modal.realization import Source
 from cvxshear.modal.result import ModalResult
 from cvxshear.modal.stabilization import Criteria
@@ -28,7 +28,7 @@ from cvxshear.records.signals import in_step, scaled
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError
 
-SHOWN = 1.5
+FUNCTION_RANGE = 1.5
 """Times the highest natural frequency: as far the functions of a record are kept."""
 
 
@@ -37,7 +37,6 @@ class Options:
     """How to identify; the parameters of `identify_modes`."""
 
     method: str | None = None
-    estimator: str = "h1"
     blocks: int = BLOCKS
     criteria: Criteria = field(default_factory=Criteria)
     count: int | None = None
@@ -49,7 +48,7 @@ class Options:
     def __post_init__(self) -> None:
         checks.choice(self.rule, RULES, "rule")
         if self.method is not None:
-            checks.choice(self.method, METHODS, "method")
+            checks.choice(self.method, MODAL_METHODS, "method")
         if self.pick and self.count is not None:
             raise InputError("give either count or pick: the modes picked by hand are as many as they are")
 
@@ -58,7 +57,6 @@ def identify_modes(
     record: Record,
     *,
     method: str | None = None,
-    estimator: str = "h1",
     blocks: int = BLOCKS,
     criteria: Criteria | None = None,
     count: int | None = None,
@@ -80,8 +78,6 @@ def identify_modes(
         decays. "okid": the same on the Markov parameters of an observer, for measured continuous input.
         "subspace": PO-MOESP for the same. "ssi": covariance-driven, for ambient records. What suits the
         input where None.
-    estimator : str, optional
-        "h1" or "h2", for hits.
     blocks : int, optional
         Pieces of a continuous record for the jackknife.
     criteria : Criteria, optional
@@ -117,9 +113,9 @@ def identify_modes(
         Where no mode of the frame was found.
     """
     if second is not None:
-        checks.choice(second, (*METHODS, FDD), "second")
+        checks.choice(second, (*MODAL_METHODS, FDD), "second")
     picked = () if pick is None else tuple(checks.vector(pick, "pick", above=0.0).tolist())
-    options = Options(method, estimator, blocks, criteria or Criteria(), count, rule, accept_swapped, seed, picked)
+    options = Options(method, blocks, criteria or Criteria(), count, rule, accept_swapped, seed, picked)
     try:
         # The matrices are small: with all cores, threads wait for each other longer than they compute.
         with threadpool_limits(1):
@@ -133,7 +129,7 @@ def identify_modes(
             result = _with_what_was_seen(looked, result)
             if functions or second == FDD:
                 result = dataclasses.replace(
-                    result, functions=measured_functions(record, SHOWN * result.frequencies[-1])
+                    result, functions=measured_functions(record, FUNCTION_RANGE * result.frequencies[-1])
                 )
             if second is not None:
                 other = _second(record, result, dataclasses.replace(options, pick=()), second)
@@ -147,7 +143,7 @@ def identify_modes(
 
 
 def _second(record: Record, result: ModalResult, options: Options, method: str) -> ModalResult:
-    """The modes by another method."""
+    """Identify the modes by another method."""
     if method == FDD and result.functions is not None:
         return frequency_domain_decomposition(result.functions, len(result.frequencies), record.stories)
     other = _identified(record, dataclasses.replace(options, method=method))
@@ -155,7 +151,7 @@ def _second(record: Record, result: ModalResult, options: Options, method: str) 
 
 
 def _with_clocks(looked: Examined, options: Options, *, correct_clocks: bool) -> tuple[ModalResult, Record]:
-    """The result, and the record it is of: with its clocks set right where that was asked for and needed."""
+    """Identify the modes, with clocks set right where that was asked for and needed; the record used comes second."""
     record = looked.record
     result = _identified(record, options, looked.turning)
     if not correct_clocks or not any(finding.kind == "clock offset" for finding in result.findings):
@@ -170,7 +166,7 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
     wanted = _wanted(record, options)
 
     def attempt(record: Record, order: Sequence[int] | None = None) -> tuple[Source, Sweep]:
-        source = source_of(record, method, estimator=options.estimator, blocks=options.blocks)
+        source = source_of(record, method, blocks=options.blocks)
         by_signs = len(record.channels) == record.stories > 1
         return source, sweep_orders(
             source,
@@ -226,7 +222,7 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
 def _repaired(
     record: Record, wanted: int, attempt: Attempt, options: Options
 ) -> tuple[Record, tuple[Source, Sweep], list[Finding]]:
-    """The record with signs and units that its lowest modes show to be wrong set right, and its source and sweep.
+    """Set signs and units right that the lowest modes show to be wrong; source and sweep of the record come second.
 
     Raises
     ------
@@ -267,10 +263,10 @@ def _wanted(record: Record, options: Options) -> int:
 
 def _out_of_reach(sweep: Sweep, picked: tuple[float, ...]) -> str:
     near = [item.frequency for item in sweep.chosen]
-    missing = [f for f in picked if not any(abs(f - other) <= REACH * f for other in near)]
+    missing = [f for f in picked if not any(abs(f - other) <= PICKABLE * f for other in near)]
     named = ", ".join(f"{f:g}" for f in missing or picked)
     there = ", ".join(f"{item.frequency:.4g}" for item in sweep.candidates)
-    return f"pick: no stable pole of its own within {100 * REACH:g} % of {named} Hz; there are {there or 'none'} Hz"
+    return f"pick: no stable pole of its own within {100 * PICKABLE:g} % of {named} Hz; there are {there or 'none'} Hz"
 
 
 def _chosen(sweep: Sweep) -> Values:
@@ -285,7 +281,7 @@ def _nothing(sweep: Sweep) -> str:
 
 
 def _with_first_findings(first: ModalResult, again: ModalResult) -> ModalResult:
-    """The second result, with what the record showed before its clocks were set right."""
+    """Put what the record showed before its clocks were set right into the second result."""
     mended = [
         dataclasses.replace(finding, message=finding.message + "; corrected")
         for finding in first.findings
@@ -295,13 +291,13 @@ def _with_first_findings(first: ModalResult, again: ModalResult) -> ModalResult:
 
 
 def _besides(looked: Examined) -> str:
-    """What the record gets wrong, for the message of a record without modes."""
+    """Say what the record gets wrong, for the message of a record without modes."""
     said = [f"{finding.kind}: {finding.message}" for finding in looked.findings]
     return f". What the record gets wrong: {'; '.join(said)}" if said else ""
 
 
 def _with_what_was_seen(looked: Examined, result: ModalResult) -> ModalResult:
-    """The result with what was found before, clocks that were set right counted together with what was left."""
+    """Add what was found before; clocks that were set right count together with what was left."""
     seen, offsets = [], dict(result.clock_offsets)
     for finding in looked.findings:
         name = finding.numbers.get("channel")

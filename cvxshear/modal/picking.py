@@ -41,7 +41,7 @@ high again as the second."""
 UNSURE = 0.05
 """Of a shape's largest entry: smaller ones can have either sign, by noise or by a sensor that stands askew."""
 
-REACH = 0.03
+PICKABLE = 0.03
 """Relative; a pole picked by hand is looked for so far around the frequency given."""
 
 
@@ -118,7 +118,7 @@ class Sweep:
     choose: Choice
 
     def without(self, doubts: Doubts) -> Sweep:
-        """The sweep without candidates whose values scatter, and modes chosen and numbered anew among the others."""
+        """Leave out candidates whose values scatter; modes are chosen and numbered anew among the others."""
         reasons = [doubts.get(item.members) for item in self.candidates]
         candidates = [
             item if why is None else dataclasses.replace(item, physical=False, reason=why[0], shaky=why[1])
@@ -154,7 +154,7 @@ class Choice:
     order: Sequence[int] | None = None
 
     def __call__(self, poles: list[Poles], stable: list[list[int]], found: list[PoleCandidate]) -> Sweep:
-        """The sweep with its modes chosen among the candidates, which are ascending in frequency."""
+        """Choose the modes among the candidates, which are ascending in frequency."""
         if self.picked:
             return Sweep(poles, stable, tuple(found), tuple(_by_hand(found, self.picked)), self)
         usable = [dataclasses.replace(item, number=0) for item in found if item.physical]
@@ -298,13 +298,13 @@ def _swaying(found: list[PoleCandidate], turning: Callable[[float], float] | Non
 
 
 def _by_hand(found: list[PoleCandidate], picked: Sequence[float]) -> list[PoleCandidate]:
-    """The candidate nearest to each frequency; none where none is within reach, or it is taken."""
+    """Find the candidate nearest to each frequency; none where none is within reach, or it is taken."""
     chosen: list[PoleCandidate] = []
     for frequency in sorted(picked):
         near = [
             item
             for item in found
-            if abs(item.frequency - frequency) <= REACH * frequency and not any(item is other for other in chosen)
+            if abs(item.frequency - frequency) <= PICKABLE * frequency and not any(item is other for other in chosen)
         ]
         if near:
             chosen.append(min(near, key=lambda item: abs(item.frequency - frequency)))
@@ -317,7 +317,7 @@ def _by_energy(usable: list[PoleCandidate], count: int) -> list[PoleCandidate]:
 
 
 def _by_signs(usable: list[PoleCandidate], count: int, order: Sequence[int] | None = None) -> list[PoleCandidate]:
-    """The candidates, one for each number of sign changes at most, ascending, with their numbers.
+    """Choose candidates, one for each number of sign changes at most, ascending, and number them.
 
     A mode that the record does not hold is left out rather than replaced by one of the wrong shape. Entries near zero
     can have either sign: the most modes come first, then those whose signs fit as they stand, then the largest product
@@ -344,7 +344,7 @@ def _by_signs(usable: list[PoleCandidate], count: int, order: Sequence[int] | No
 
 
 def _as_low(chosen: list[PoleCandidate], stories: int, order: Sequence[int] | None = None) -> list[PoleCandidate]:
-    """The candidates with the lowest numbers that they can have where some floors are not measured.
+    """Give the candidates the lowest numbers that they can have where some floors are not measured.
 
     At some of the floors mode r changes sign r - 1 times at most. Where that asks for more modes than the frame has,
     the weakest candidates are left out, being none of it.
@@ -436,7 +436,7 @@ class Parts:
         return None if 2 * len(values) < len(item.members) else center(np.array(values), np.array(shapes))
 
     def values(self, chosen: Sequence[PoleCandidate], keep: Bools | None) -> Values | None:
-        """The chosen modes on a part of the data; None where one of them is not found there."""
+        """Find the chosen modes on a part of the data; None where one of them is not found there."""
         found = [self.found_again(item, keep) for item in chosen]
         known = [each for each in found if each is not None]
         if len(known) < len(found):

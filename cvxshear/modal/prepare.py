@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from cvxshear.modal import continuous
-from cvxshear.modal.frf import FrfSource, ImpulseSource, cut, hit_spectra, reached_lines, table_spectra
+from cvxshear.modal.frf import FrfSource, ImpulseSource, hit_spectra, reach, table_spectra
 from cvxshear.modal.picking import Sweep
 from cvxshear.modal.realization import Impulse, Source
 from cvxshear.records.record import FrfRecord, Record, Run, TimeRecord
@@ -18,25 +18,23 @@ from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError, UnsuitableError
 from cvxshear.util.typing import Floats
 
-METHODS = ("era", "okid", "subspace", "ssi")
+MODAL_METHODS = ("era", "okid", "subspace", "ssi")
 BLOCKS = 20
 
 
 def default_method(record: Record) -> str:
-    """The method that suits the record's input."""
+    """Return the method that suits the record's input."""
     return _suited(record)[0]
 
 
-def source_of(record: Record, method: str, *, estimator: str = "h1", blocks: int = BLOCKS) -> Source:
-    """The record's data in the form the method needs.
+def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> Source:
+    """Bring the record's data into the form the method needs.
 
     Parameters
     ----------
     record : TimeRecord or FrfRecord
     method : str
         "era", "okid", "subspace" or "ssi".
-    estimator : str, optional
-        Frequency response of hits, "h1" or "h2".
     blocks : int, optional
         Pieces that a long record is cut into.
 
@@ -49,21 +47,18 @@ def source_of(record: Record, method: str, *, estimator: str = "h1", blocks: int
     UnsuitableError
         Where the method cannot use the record's input; names one that can.
     """
-    checks.choice(method, METHODS, "method")
+    checks.choice(method, MODAL_METHODS, "method")
     checks.whole(blocks, "blocks", least=4, most=200)
     suited = _suited(record)
     if method not in suited:
         kind = "frequency response functions" if isinstance(record, FrfRecord) else f'input = "{record.input}"'
         raise UnsuitableError(f'method "{method}" cannot use {kind}; use "{suited[0]}"')
     if isinstance(record, FrfRecord):
-        spectra, _ = table_spectra(record)
-        lines = len(spectra[0].force_force)
-        if record.band is not None:
-            lines = min(lines, int(np.ceil(1.25 * record.band[1] / record.step)) + 1)
-        spectra, samples = cut(spectra, lines)
-        return FrfSource(spectra, 2 * (lines - 1) * record.step, samples, estimator, wrapped=not record.truncated)
+        highest = np.inf if record.band is None else 1.25 * record.band[1]
+        spectra, samples = table_spectra(record, highest)
+        return FrfSource(spectra, samples * record.step, samples, wrapped=not record.truncated)
     if method == "era":
-        return _decays(record) if record.input == "free_decay" else _hits(record, estimator)
+        return _decays(record) if record.input == "free_decay" else _hits(record)
     record = decimated(detrended(record))
     if method == "ssi":
         return _ambient(record, blocks)
@@ -71,7 +66,7 @@ def source_of(record: Record, method: str, *, estimator: str = "h1", blocks: int
 
 
 def _suited(record: Record) -> tuple[str, ...]:
-    """The methods that can use the record's input, the one that suits it best first."""
+    """List the methods that can use the record's input, the one that suits it best first."""
     if isinstance(record, FrfRecord):
         return ("era",)
     if record.input == "force":
@@ -79,16 +74,12 @@ def _suited(record: Record) -> tuple[str, ...]:
     return {"none": ("ssi",), "free_decay": ("era", "ssi"), "base": ("subspace", "okid")}[record.input]
 
 
-def _hits(record: TimeRecord, estimator: str) -> FrfSource:
+def _hits(record: TimeRecord) -> FrfSource:
     record = without_offset(record)
+    lowest, highest = (0.0, np.inf) if record.band is None else record.band
+    record = decimated(dataclasses.replace(record, band=(lowest, min(highest, reach(record)))))
     spectra, samples = hit_spectra(record)
-    lines = reached_lines(spectra)
-    if record.band is not None:
-        wanted = int(np.ceil(1.25 * record.band[1] * samples / record.sampling_rate)) + 1
-        lines = min(lines, wanted)
-    step = record.sampling_rate / samples
-    spectra, samples = cut(spectra, lines)
-    return FrfSource(spectra, 2 * (lines - 1) * step, samples, estimator)
+    return FrfSource(spectra, record.sampling_rate, samples, samples // 2)
 
 
 def _decays(record: TimeRecord) -> ImpulseSource:
@@ -102,7 +93,7 @@ def _decays(record: TimeRecord) -> ImpulseSource:
 
 
 def _release(responses: Floats) -> int:
-    """The sample at which the decay is under way: the last within a tenth of the largest response."""
+    """Find the sample at which the decay is under way: the last within a tenth of the largest response."""
     size = np.linalg.norm(responses / np.maximum(responses.std(axis=0), 1e-300), axis=1)
     return int(np.flatnonzero(size > 0.9 * size.max())[-1])
 
@@ -123,7 +114,7 @@ def _driven(record: TimeRecord, method: str, blocks: int) -> Source:
 
 
 def _one_floor(record: TimeRecord) -> int:
-    """The floor that all runs are driven at; a regression takes one input."""
+    """Return the floor that all runs are driven at; a regression takes one input."""
     floors = sorted({run.floor for run in record.runs})
     if len(floors) > 1:
         raise UnsuitableError(
@@ -165,7 +156,7 @@ Attempt = Callable[..., tuple[Source, Sweep]]
 
 
 def settled(record: Record, wanted: int, attempt: Attempt, highest: float = 0.0) -> tuple[Source, Sweep]:
-    """The source and sweep at the rate that suits the modes.
+    """Find the sampling rate that suits the modes, and source and sweep at it.
 
     Parameters
     ----------

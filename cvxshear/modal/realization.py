@@ -42,20 +42,25 @@ class Source(ABC):
     unit: str
     energies: Floats
 
+    @property
+    def weights(self) -> Floats:
+        """How much each piece tells, shape (pieces,)."""
+        return np.ones(len(self.groups))
+
     @abstractmethod
     def factor(self, keep: Bools | None = None) -> Floats:
         """Left factor of the data, shape (rows * outputs, m), columns by descending singular value."""
 
     def data(self) -> Floats:
-        """The same of all the data, in no other weight than their own size."""
+        """Return the same of all the data, in no other weight than their own size."""
         return self.factor()
 
     def rougher(self) -> Source | None:
-        """The same data by a rougher approximation, whose difference covers a bias; None where there is no bias."""
+        """Approximate the same data more roughly: the difference covers a bias; None where there is no bias."""
         return None
 
     def impulse(self, keep: Bools | None = None) -> Impulse | None:
-        """The impulse responses behind the factor; None where no input was measured, and none can be known."""
+        """Return the impulse responses behind the factor; None where no input was measured, and none can be known."""
         return None
 
 
@@ -72,12 +77,22 @@ class Impulse:
         The floor of each input; 0 the ground, or no input at all.
     wrapped : bool, optional
         Whether what comes after the end is folded back onto the start.
+    pulse : array, shape (lags, inputs), optional
+        The symmetric pulses that the sequence answers to, from lag 0 on; unit pulses where not given.
     """
 
     sequence: Floats
     start: int
     driven: Ints
     wrapped: bool = False
+    pulse: Floats | None = None
+
+    def excited(self, eigenvalues: Complexes, sampling_rate: float) -> Complexes:
+        """Return the pulses' transforms at eigenvalues in 1/s, shape (modes, inputs): what multiplies residues."""
+        if self.pulse is None:
+            return np.ones((len(eigenvalues), len(self.driven)), dtype=np.complex128)
+        steps = np.outer(eigenvalues, np.arange(1, len(self.pulse))) / sampling_rate
+        return np.asarray(self.pulse[0] + 2 * np.cosh(steps) @ self.pulse[1:])
 
 
 class DampedModes:

@@ -50,7 +50,7 @@ def frequency_std(scatter: Floats, modes: Ints, findings: Sequence[Finding]) -> 
 
 
 def entry_std(scatter: Floats, shapes: Floats, floors: Ints, findings: Sequence[Finding]) -> Floats:
-    """Standard deviations of the shape entries, over each mode's largest, with what sensors get wrong unseen.
+    """Add what sensors get wrong unseen to the standard deviations of the entries, over each mode's largest.
 
     Where the response at floor i to a force at j differs from that at j to a force at i by the share d, one of four
     calibrations is off, those of two sensors and of the force at two driving points. With s the standard deviation of
@@ -234,7 +234,7 @@ class ModalResult(Shown):
         return shown("picked", self, record_file)
 
     def configuration(self, *, added_mass: Sequence[float] | None = None, state: str | None = None) -> Json:
-        """The table `[[configuration]]` of a measurement file that these modes make."""
+        """Write the table `[[configuration]]` of a measurement file that these modes make."""
         result: Json = {"name": self.name}
         if state is not None:
             result["state"] = state
@@ -264,7 +264,7 @@ class ModalResult(Shown):
         added_mass: Sequence[float] | None = None,
         state: str | None = None,
     ) -> Json:
-        """A dict of the measurement file's shape, for `Experiment.from_dict`.
+        """Return a dict of the measurement file's shape, for `Experiment.from_dict`.
 
         Parameters
         ----------
@@ -306,7 +306,7 @@ class ModalResult(Shown):
 
 
 def frame_in(frame: Mapping[str, Any], states: Set[str]) -> dict[str, Any]:
-    """The table `[frame]` of records of these states: without its `reference` where they are all of one other state.
+    """Return the table `[frame]` for records of these states: no `reference` where all are of one other state.
 
     Nothing differs from the reference then, and the frame itself is the one that was tested.
     """

@@ -63,7 +63,7 @@ class Criteria:
             checks.number(getattr(self, name), name, above=0.0)
 
     def orders(self, count: int) -> range:
-        """The orders of a sweep for so many modes."""
+        """Return the orders of a sweep for so many modes."""
         highest = max(LEAST_ORDERS, STATES * count) if self.highest_order is None else self.highest_order
         return range(2, highest + 1, 2)
 
@@ -73,7 +73,7 @@ Cluster = list[tuple[int, int]]
 
 
 def plausible(poles: Poles, sampling_rate: float, highest_damping: float, shift: float = 0.0) -> list[int]:
-    """Indices of poles that decay, not too fast, below half the sampling rate.
+    """List the poles that decay, not too fast, below half the sampling rate, by their indices.
 
     `shift` (1/s) is the decay that an exponential window added.
     """
@@ -146,7 +146,7 @@ def persistence(cluster: Cluster, sweep: Sequence[Poles]) -> float:
 def undivided(
     cluster: Cluster, sweep: Sequence[Poles], criteria: Criteria, shift: float = 0.0
 ) -> list[tuple[int, int]]:
-    """The members whose order holds no second pole of the same shape nearby.
+    """Select the members whose order holds no second pole of the same shape nearby.
 
     A model of too high an order splits a mode whose frequency is not quite constant into two, neither of
     which is it. All members where every order does.
@@ -178,7 +178,7 @@ def nearest(poles: Poles, eigenvalue: complex, shape: Complexes, reach: float = 
 
 
 def center(eigenvalues: Complexes, shapes: Complexes) -> tuple[complex, Complexes]:
-    """The middle of a cluster: the median of eigenvalues and of shapes turned to one phase, part by part."""
+    """Find the middle of a cluster: the median of eigenvalues and of shapes turned to one phase, part by part."""
     turns = np.array([np.vdot(shape, shapes[0]) for shape in shapes])
     aligned = shapes * (turns / np.abs(turns))[:, None]
     value = complex(float(np.median(eigenvalues.real)), float(np.median(eigenvalues.imag)))

@@ -31,14 +31,14 @@ class Observation:
     slopes: Mapping[int, Floats] = field(default_factory=dict)
 
     def shown(self, motion: Floats, floors: slice | Ints = ALL) -> Floats:
-        """Readings on some of the floors, shape (..., f), of motions of shape (..., n)."""
+        """Return readings on some of the floors, shape (..., f), of motions of shape (..., n)."""
         if self._plain:
             return motion[..., floors]
         readings: Floats = motion @ self.matrix[floors].T
         return readings
 
     def shown_slopes(self, motion: Floats, slopes: Floats, which: slice, floors: slice | Ints = ALL) -> Floats:
-        """Derivatives of the readings by some of the parameters, shape (p, m, f).
+        """Return derivatives of the readings by some of the parameters, shape (p, m, f).
 
         Parameters
         ----------
@@ -68,7 +68,7 @@ class Observation:
         return False
 
     def scaled(self, floor: int, factor: float, own: int) -> Observation:
-        """The readings of one floor, counted from 0, times a factor that grows by one with the parameter `own`."""
+        """Multiply the readings of one floor, counted from 0, by a factor that grows by one with parameter `own`."""
         matrix = self.matrix.copy()
         slopes = {parameter: slope.copy() for parameter, slope in self.slopes.items()}
         slopes.setdefault(own, np.zeros_like(matrix))
@@ -79,7 +79,7 @@ class Observation:
         return Observation(matrix, slopes)
 
     def extended(self) -> Observation:
-        """The same sensors on a frame of one motion more, which none of them shows."""
+        """Put the same sensors on a frame of one motion more, which none of them shows."""
         none = np.zeros((len(self.matrix), 1))
         return Observation(
             np.hstack([self.matrix, none]),

@@ -49,7 +49,7 @@ class System:
     dK: Floats
 
     def by(self, which: slice) -> System:
-        """The same with the derivatives by some of the parameters."""
+        """Keep the derivatives by some of the parameters."""
         return System(self.M, self.K, self.dM[which], self.dK[which])
 
     def modal_products(self, phi: Floats, phi_j: Floats) -> tuple[Floats, Floats]:
@@ -118,7 +118,7 @@ class ShearSystem(System):
         return self._padded(np.concatenate([np.zeros(T.shape), (T * (T.T @ u)).T]))
 
     def _padded(self, rows: Floats) -> Floats:
-        """The rows of masses and stiffnesses with zeros for the other parameters, those that are wanted."""
+        """Spread the rows of masses and stiffnesses to all parameters that are wanted, zero for the others."""
         extra = self._size - len(rows)
         if extra:
             rows = np.concatenate([rows, np.zeros((extra, *rows.shape[1:]))])
@@ -126,14 +126,14 @@ class ShearSystem(System):
 
 
 def shear_system(floor_mass: Floats, story_stiffness: Floats) -> System:
-    """The shear frame, with derivatives by every floor mass and then every story stiffness (P = 2N)."""
+    """Assemble the shear frame, with derivatives by every floor mass and then every story stiffness (P = 2N)."""
     dM, dK = _unit_derivatives(len(floor_mass))
     return System(M=mass_matrix(floor_mass), K=stiffness_matrix(story_stiffness), dM=dM, dK=dK)
 
 
 @lru_cache(maxsize=8)
 def _unit_derivatives(n: int) -> tuple[Floats, Floats]:
-    """Derivatives of M and K of a shear frame of n stories, which depend on nothing but n; read-only."""
+    """Assemble dM and dK of a shear frame of n stories, which depend on nothing but n; read-only."""
     T = transformation(n)
     dM, dK = np.zeros((2 * n, n, n)), np.zeros((2 * n, n, n))
     dM[np.arange(n), np.arange(n), np.arange(n)] = 1.0
@@ -205,7 +205,7 @@ def attached_share(found: Modes, M: Floats, floors: int) -> Floats:
 
 
 def frame_modes(found: Modes, M: Floats, floors: int) -> Ints:
-    """The modes that are the frame's, zero-based, ascending, shape (N,): all but the attached masses' own."""
+    """Find the modes that are the frame's, zero-based, ascending, shape (N,): all but the attached masses' own."""
     if len(M) == floors:
         return np.arange(floors)
     order = np.argsort(attached_share(found, M, floors), kind="stable")
@@ -231,8 +231,8 @@ def _chain_modes(M: Floats, K: Floats) -> tuple[Floats, Floats]:
     return np.asarray(values, dtype=np.float64), vectors / root[:, None]
 
 
-def mode_derivatives(of: Modes, system: System, which: slice | Ints | list[int]) -> tuple[Floats, Floats]:
-    """Derivatives of eigenvalues and mass-normalized shapes, by modal superposition (Fox and Kapoor, 1968).
+def mode_derivatives(found: Modes, system: System, which: slice | Ints | list[int]) -> tuple[Floats, Floats]:
+    """Compute derivatives of eigenvalues and mass-normalized shapes, by modal superposition (Fox and Kapoor, 1968).
 
     With S = dK - lambda_j dM,
 
@@ -243,7 +243,7 @@ def mode_derivatives(of: Modes, system: System, which: slice | Ints | list[int])
 
     Parameters
     ----------
-    of : Modes
+    found : Modes
     system : System
         With derivatives by P parameters.
     which : index
@@ -254,7 +254,7 @@ def mode_derivatives(of: Modes, system: System, which: slice | Ints | list[int])
     dlam : ndarray, shape (P, m)
     dphi : ndarray, shape (P, m, N)
     """
-    lam, phi = of.eigenvalues, of.shapes.T
+    lam, phi = found.eigenvalues, found.shapes.T
     lam_j, phi_j = lam[which], phi[:, which]
     by_stiffness, by_mass = system.modal_products(phi, phi_j)
     S = by_stiffness - lam_j * by_mass

@@ -39,7 +39,7 @@ class Batch:
 def two_stage_batch(
     mode_shapes: Floats, frequencies: Floats, total_mass: float, initial_mass: Floats | None = None
 ) -> Batch:
-    """The paper's method (Eqs. 3-15 and 20-24) on S complete measurements of one configuration.
+    """Apply the paper's method (Eqs. 3-15 and 20-24) to S complete measurements of one configuration.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def _corrections(shapes: Floats, mass: Floats, total: float) -> Floats:
 
 
 def _held_to_sum(normal: Floats, side: Floats, total: float | Floats) -> Floats:
-    """The minimum of x' normal x / 2 - side' x with sum x = total: the system of Eq. 14, shape (S, N)."""
+    """Minimize x' normal x / 2 - side' x with sum x = total: the system of Eq. 14, shape (S, N)."""
     samples, n, _ = normal.shape
     # The row of ones in the matrix' own units, lest it decide the pivots.
     scale = np.trace(normal, axis1=1, axis2=2) / n

@@ -52,7 +52,7 @@ class Reproduction(InJson):
         )
 
     def section(self, title: str) -> Section:
-        """The first section whose title begins so."""
+        """Find the first section whose title begins so."""
         return next(each for each in self.sections if each.title.startswith(title))
 
 

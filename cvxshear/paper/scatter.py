@@ -20,6 +20,7 @@ from cvxshear.paper.setups import Setup, bound, six_story, three_story
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError
 from cvxshear.util.parallel import Progress, each
+from cvxshear.util.quantities import NORMAL_95
 from cvxshear.util.results import InJson, Shown
 from cvxshear.util.typing import Bools, Floats
 
@@ -31,9 +32,6 @@ SEED = 2023
 MOST_SAMPLES = 1_000_000
 LARGEST_SEED = 2**63
 COMPARED = ("two-stage", "one-shot", "efficient")
-
-NORMAL_95 = 1.959964
-"""Half width of a 95 % interval in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +148,7 @@ class NoiseStudy(Shown):
     json_keys = "samples seed backend scatters"
 
     def of(self, method: str, mode_shape_std: float | None = None) -> Scatter:
-        """The first scatter of a method, at one noise level if given."""
+        """Find the first scatter of a method, at one noise level if given."""
         for scatter in self.scatters:
             if scatter.method == method and mode_shape_std in (None, scatter.setup.mode_shape_std):
                 return scatter
@@ -215,14 +213,14 @@ def noise_study(
 
 
 def paper_setups(sigmas: Sequence[float] = SIGMAS) -> tuple[Setup, ...]:
-    """The paper's three-story frame at several noise levels."""
+    """Study the paper's three-story frame at several noise levels."""
     return tuple(three_story(sigma) for sigma in sigmas)
 
 
 def six_story_study(
     samples: int = SAMPLES, seed: int = SEED, *, backend: str = "auto", jobs: int = 1, progress: Progress | None = None
 ) -> NoiseStudy:
-    """The efficient method on incomplete data: six stories, four modes at five floors, noise on everything.
+    """Study the efficient method on incomplete data: six stories, four modes at five floors, noise on everything.
 
     Parameters
     ----------

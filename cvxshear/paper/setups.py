@@ -103,7 +103,7 @@ class Setup(InJson):
         return len(self.modes) == len(self.measured_floors) == self.stories
 
     def exact(self) -> tuple[Floats, Floats]:
-        """What would be measured without noise.
+        """Return what would be measured without noise.
 
         Returns
         -------
@@ -164,7 +164,7 @@ class Setup(InJson):
 
 
 def three_story(mode_shape_std: float) -> Setup:
-    """The paper's three-story frame (its Section 5.2): every mode at every floor, the frequencies exact."""
+    """Set up the paper's three-story frame (its Section 5.2): every mode at every floor, the frequencies exact."""
     return Setup(
         floor_mass=np.array([10.0, 7.5, 5.0]),
         story_stiffness=np.array([1800.0, 1200.0, 600.0]),
@@ -174,7 +174,7 @@ def three_story(mode_shape_std: float) -> Setup:
 
 
 def six_story(mode_shape_std: float = 0.01) -> Setup:
-    """A six-story frame as tests meet it: the four lowest modes, floor 3 without a sensor, frequencies to 0.1 %."""
+    """Set up a six-story frame as tests meet it: four lowest modes, floor 3 without a sensor, frequencies to 0.1 %."""
     return Setup(
         floor_mass=np.array([10.0, 10.0, 9.0, 9.0, 8.0, 6.0]),
         story_stiffness=np.array([24e3, 22e3, 19e3, 16e3, 12e3, 8e3]),

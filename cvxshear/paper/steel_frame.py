@@ -39,7 +39,7 @@ class RecoveredShapes:
 
 
 def recovered_shapes(floor_mass: Floats, story_stiffness: Floats, frequencies: Floats) -> RecoveredShapes:
-    """The mode shapes from which the paper's method finds these masses and stiffnesses.
+    """Find the mode shapes from which the paper's method finds these masses and stiffnesses.
 
     The method ends at masses on which two measured modes are orthogonal, so the second shape follows from the
     first one's ratio r: m1 r r2 + m2 = 0. That r for which Eq. 24 returns the stiffnesses is found by least
@@ -92,7 +92,7 @@ class SteelFrame:
         return {name: net + self.tested[name].added_mass for name, net in self.net_mass.items()}
 
     def recovered(self, name: str) -> RecoveredShapes:
-        """The shapes of Fig. 8 from the printed figures of one structure."""
+        """Read the shapes of Fig. 8 from the printed figures of one structure."""
         return recovered_shapes(
             np.array(tables.values(tables.TABLE_6_MASS[name])),
             KILO * np.array(tables.values(tables.TABLE_6_STIFFNESS[name])),

@@ -118,7 +118,7 @@ LARGEST_FREQUENCY_ERROR = "1.72"
 
 
 def value(printed: str) -> float:
-    """A printed figure as a number."""
+    """Read a printed figure as a number."""
     return float(printed.removeprefix("about "))
 
 
@@ -128,7 +128,7 @@ def decimals(printed: str) -> int:
 
 
 def values(printed: tuple[str, ...]) -> tuple[float, ...]:
-    """Printed figures as numbers."""
+    """Read printed figures as numbers."""
     return tuple(value(each) for each in printed)
 
 

@@ -51,7 +51,7 @@ class ThreeStory:
         }
 
     def mass_matrix(self, method: str, case: int) -> Floats:
-        """The corrected mass matrix, shape (3, 3), kg."""
+        """Compute the corrected mass matrix, shape (3, 3), kg."""
         part = self.parts[method, case]
         return np.diag(part.frame.floor_mass) if part.mass_matrix is None else part.mass_matrix
 
@@ -191,7 +191,7 @@ def _chance(rows: Sequence[Row]) -> str:
 
 
 def _systematic(study: NoiseStudy) -> Iterator[str]:
-    """The bias that is left when chance is averaged out, where the samples suffice to see one."""
+    """Find the bias that is left when chance is averaged out, where the samples suffice to see one."""
     scatter = study.scatters[-1]
     seen = np.flatnonzero(np.abs(scatter.bias) > 3 * scatter.bias_error)
     if seen.size:

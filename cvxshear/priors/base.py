@@ -110,7 +110,7 @@ class Prior(ABC):
 
     @staticmethod
     def from_dict(declared: object) -> Prior:
-        """The prior that a table of a measurement file declares.
+        """Read the prior that a table of a measurement file declares.
 
         Parameters
         ----------
@@ -141,7 +141,7 @@ class Prior(ABC):
         return cls(**{key: value for key, value in given.items() if value is not None or key in required})
 
     def to_dict(self) -> Json:
-        """The table that declares this prior in a measurement file."""
+        """Return the table that declares this prior in a measurement file."""
         table = fields_as_table(self, empty=True) if dataclasses.is_dataclass(self) else {"quantity": self.quantity}
         return {"kind": self.kind or type(self).__name__, **table}
 
@@ -158,18 +158,18 @@ class Prior(ABC):
         return None
 
     def redrawn(self, rng: np.random.Generator) -> Prior:
-        """The statement as somebody else would make it who is as sure of it; for studies. Itself by default."""
+        """State it as somebody else would who is as sure of it; for studies. Itself by default."""
         return self
 
     def check(self, stories: int) -> None:  # noqa: B027  (a prior need not override it)
         """Raise `InputError` where the prior does not fit a frame of so many stories."""
 
     def constraints(self, stories: int) -> Constraints:
-        """The exact statements, for a frame of so many stories; none by default."""
+        """Return the exact statements, for a frame of so many stories; none by default."""
         return Constraints()
 
     def residual(self, x: Floats) -> tuple[Floats, Floats]:
-        """The soft statements at `x`: their errors in standard deviations, and the derivative.
+        """Return the soft statements at `x`: their errors in standard deviations, and the derivative.
 
         Parameters
         ----------
@@ -186,7 +186,7 @@ class Prior(ABC):
         return np.zeros(0), np.zeros((0, len(x)))
 
     def describe(self) -> str:
-        """The statement in words, for messages and reports."""
+        """Say the statement in words, for messages and reports."""
         return f"{self.kind or type(self).__name__} on {self.quantity}"
 
 
@@ -254,7 +254,7 @@ def _check_residual(prior: Prior, stories: int, name: str) -> None:
 
 
 def _evaluated(prior: Prior, x: Floats, name: str) -> tuple[Floats, Floats]:
-    """The residual and its derivative as real arrays of fitting shapes, or `InputError`."""
+    """Return the residual and its derivative as real arrays of fitting shapes, or raise `InputError`."""
     given = x.copy()
     try:
         with np.errstate(all="ignore"):
@@ -274,7 +274,7 @@ def _evaluated(prior: Prior, x: Floats, name: str) -> tuple[Floats, Floats]:
 
 
 def _real(value: object, where: str) -> Floats:
-    """An array of real numbers."""
+    """Check an array of real numbers."""
     try:
         array = np.asarray(value)
     except ValueError:
@@ -306,7 +306,7 @@ def check_place(prior: Prior, name: str, stories: int = checks.MOST_STORIES) -> 
 
 
 def listed(value: float | Floats, quantity: str) -> str:
-    """A number or a list of numbers on one line, in the unit of the quantity that fits their size."""
+    """Write a number or a list of numbers on one line, in the unit of the quantity that fits their size."""
     values = np.ravel(np.asarray(value, dtype=float))
     factor, unit = fitting(values.tolist(), QUANTITY_UNITS[quantity])
     shown = ", ".join(f"{entry / factor:g}" for entry in values)

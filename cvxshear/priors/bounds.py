@@ -66,12 +66,12 @@ class Bounds(Prior):
         return lower.astype(float), upper.astype(float)
 
     def constraints(self, stories: int) -> Constraints:
-        """The bounds, infinite where there is none."""
+        """Return the bounds, infinite where there is none."""
         lower, upper = self._limits(stories)
         return Constraints(lower=lower, upper=upper)
 
     def describe(self) -> str:
-        """The statement in words."""
+        """Say the statement in words."""
         limits = [
             f"{word} {listed(value, self.quantity)}"
             for word, value in (("at least", self.lower), ("at most", self.upper))

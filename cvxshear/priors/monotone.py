@@ -34,10 +34,10 @@ class Monotone(Prior):
         checks.choice(self.direction, DIRECTIONS, "direction of the monotone prior")
 
     def constraints(self, stories: int) -> Constraints:
-        """The differences of neighbours, one row a pair."""
+        """Return the differences of neighbours, one row a pair."""
         climb = np.eye(stories)[1:] - np.eye(stories)[:-1]
         return Constraints(G=climb if self.direction == "decreasing" else -climb, h=np.zeros(stories - 1))
 
     def describe(self) -> str:
-        """The statement in words."""
+        """Say the statement in words."""
         return f"{self.quantity} only {self.direction} with height"

@@ -53,11 +53,11 @@ class Nominal(Prior):
         return not self.free_scale
 
     def suggested(self, stories: int) -> Floats:
-        """The values."""
+        """Return the values."""
         return self.values
 
     def redrawn(self, rng: np.random.Generator) -> Nominal:
-        """The values as another engineer would have them, who is as sure of them; itself where they are exact."""
+        """Draw the values as another engineer would have them, who is as sure of them; itself where they are exact."""
         if self.std is None:
             return self
         return dataclasses.replace(self, values=self.values * (1 + self.std * rng.standard_normal(len(self.values))))
@@ -71,7 +71,7 @@ class Nominal(Prior):
             )
 
     def constraints(self, stories: int) -> Constraints:
-        """The exact statement; none where it is soft."""
+        """Return the exact statement; none where it is soft."""
         if self.std is not None:
             return Constraints()
         if not self.free_scale:
@@ -80,7 +80,7 @@ class Nominal(Prior):
         return Constraints(A=scaled[1:] - scaled[:-1], b=np.zeros(stories - 1))
 
     def residual(self, x: Floats) -> tuple[Floats, Floats]:
-        """The soft statement and its derivative; none where it is exact."""
+        """Return the soft statement and its derivative; none where it is exact."""
         if self.std is None:
             return super().residual(x)
         if not self.free_scale:
@@ -89,6 +89,6 @@ class Nominal(Prior):
         return basis @ np.log(x / self.values), basis / x
 
     def describe(self) -> str:
-        """The statement in words."""
+        """Say the statement in words."""
         scale = " up to a common factor" if self.free_scale else ""
         return f"{self.quantity} is {listed(self.values, self.quantity)}{scale}{certainty(self.std)}"

@@ -55,7 +55,7 @@ class Ratio(Prior):
         check_place(self, "to", stories)
 
     def constraints(self, stories: int) -> Constraints:
-        """The exact statement; none where it is soft."""
+        """Return the exact statement; none where it is soft."""
         if self.std is not None:
             return Constraints()
         row = np.zeros((1, stories))
@@ -63,7 +63,7 @@ class Ratio(Prior):
         return Constraints(A=row, b=np.zeros(1))
 
     def residual(self, x: Floats) -> tuple[Floats, Floats]:
-        """The soft statement and its derivative; none where it is exact."""
+        """Return the soft statement and its derivative; none where it is exact."""
         if self.std is None:
             return super().residual(x)
         of, to = self.of - 1, self.to - 1
@@ -72,6 +72,6 @@ class Ratio(Prior):
         return np.array([np.log(x[of] / (self.value * x[to])) / self.std]), row
 
     def describe(self) -> str:
-        """The statement in words."""
+        """Say the statement in words."""
         share = "equal to" if self.value == 1 else f"{self.value:g} times"
         return f"{self.quantity} {self.of} is {share} {self.quantity} {self.to}{certainty(self.std)}"

@@ -56,11 +56,11 @@ class Value(Prior):
         return True
 
     def suggested(self, stories: int) -> Floats:
-        """The value at its floor or story, nan elsewhere."""
+        """Return the value at its floor or story, nan elsewhere."""
         return np.where(np.arange(1, stories + 1) == self.at, self.value, np.nan)
 
     def redrawn(self, rng: np.random.Generator) -> Value:
-        """The value as somebody else would state it, who is as sure of it; itself where it is exact."""
+        """Draw the value as somebody else would state it, who is as sure of it; itself where it is exact."""
         if self.std is None:
             return self
         return dataclasses.replace(self, value=self.value * (1 + self.std * rng.standard_normal()))
@@ -75,18 +75,18 @@ class Value(Prior):
         return row
 
     def constraints(self, stories: int) -> Constraints:
-        """The exact statement; none where it is soft."""
+        """Return the exact statement; none where it is soft."""
         if self.std is not None:
             return Constraints()
         return Constraints(A=self._row(stories), b=np.array([self.value]))
 
     def residual(self, x: Floats) -> tuple[Floats, Floats]:
-        """The soft statement and its derivative; none where it is exact."""
+        """Return the soft statement and its derivative; none where it is exact."""
         if self.std is None:
             return super().residual(x)
         row = self._row(len(x)) / (self.value * self.std)
         return row @ x - 1.0 / self.std, row
 
     def describe(self) -> str:
-        """The statement in words."""
+        """Say the statement in words."""
         return f"{self.quantity} {self.at} is {listed(self.value, self.quantity)}{certainty(self.std)}"

@@ -88,7 +88,7 @@ class LeastSquares:
         return float(error @ error)
 
     def replace(self, **changes: object) -> LeastSquares:
-        """A copy with some parts replaced."""
+        """Return a copy with some parts replaced."""
         return dataclasses.replace(self, **changes)  # type: ignore[arg-type]  # fields of this class, of the types that it says
 
 

@@ -81,7 +81,7 @@ def pair_adjoint(columns: Floats, E: Floats, *, diagonal: bool = True) -> Floats
 
 
 def factored(normal: Floats, side: Floats) -> tuple[Floats, Floats]:
-    """A square root: R and s with R'R = normal and R's = side.
+    """Factor normal equations: R'R = normal and R's = side.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ def pair_products(columns: Floats, *, diagonal: bool = True) -> Floats:
 
 
 def normalized(shapes: Floats, M: Floats) -> Floats:
-    """The columns scaled to phi_j' M phi_j = 1 (Eq. 3); M is a vector of masses or a full matrix."""
+    """Scale the columns to phi_j' M phi_j = 1 (Eq. 3); M is a vector of masses or a full matrix."""
     weighted = M[:, None] * shapes if M.ndim == 1 else M @ shapes
     scaled: Floats = shapes / np.sqrt(np.sum(shapes * weighted, axis=0))
     return scaled
@@ -72,7 +72,7 @@ def mass_correction(
 
 
 def _with_total(normal: Floats, side: Floats, missing: float) -> tuple[Floats, Floats]:
-    """The normal equations with one more row, the total's.
+    """Add the total's row to the normal equations.
 
     Exact modes leave the direction of the masses themselves open where only pairs i < j are looked at; the total
     closes it, and changes nothing since it holds exactly.
@@ -82,7 +82,7 @@ def _with_total(normal: Floats, side: Floats, missing: float) -> tuple[Floats, F
 
 
 def _total(at: Floats, total: float) -> dict[str, Any]:
-    """The equation that the masses add up to the total, for their change from `at`; and their names."""
+    """State that the masses add up to the total, for their change from `at`; and name them."""
     everywhere = np.ones((1, len(at)))
     return {
         "A": everywhere,

@@ -26,7 +26,7 @@ class NamedConstraints:
 def statements(
     priors: Sequence[Prior], quantity: str, stories: int, frame: Frame | None = None, least: float = 0.0
 ) -> list[NamedConstraints]:
-    """The exact statements about one quantity: its positivity, what the frame declares, and the priors.
+    """Collect the exact statements about one quantity: positivity, what the frame declares, and the priors.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def statements(
 
 
 def constrained(program: LeastSquares, parts: Sequence[NamedConstraints], origin: Floats) -> LeastSquares:
-    """The program, its unknown x being a change of a quantity from `origin`, kept within the statements.
+    """Constrain a program, whose unknown x is a change of a quantity from `origin`, by the statements.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def _shared(program: LeastSquares) -> tuple[list[Floats], list[Floats], list[Flo
 def softened(
     program: LeastSquares, priors: Sequence[Prior], quantity: str, at: Floats, row_std: float, *, step: bool
 ) -> LeastSquares:
-    """The program with the soft priors as further rows, linearised at the values `at`.
+    """Add the soft priors as further rows, linearised at the values `at`.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def softened(
 
 
 def _scaled(rows: Floats, sides: Floats) -> tuple[Floats, Floats]:
-    """The rows with a largest coefficient of 1 each: HiGHS judges by absolute tolerances and drops tiny ones."""
+    """Scale each row to a largest coefficient of 1: HiGHS judges by absolute tolerances and drops tiny ones."""
     largest = np.max(np.abs(rows), axis=1, initial=0.0)
     largest[largest == 0] = 1.0
     return rows / largest[:, None], sides / largest

@@ -102,7 +102,7 @@ class Segments:
 
     @staticmethod
     def of(record: TimeRecord) -> Segments:
-        """The segments of a record."""
+        """Cut a record into segments and transform them."""
         rate = record.sampling_rate
         length = min(int(SEGMENT * rate), *(run.samples for run in record.runs)) // 2 * 2
         window = _window(length, decaying=record.input == "free_decay" or all(map(impulsive, record.runs)))
@@ -125,7 +125,7 @@ class Segments:
         return Segments(found, weights, np.array(times), length, rate)
 
     def agreement(self, first: int, second: int) -> tuple[Complexes, Floats, Floats, float]:
-        """What two clocks agree in: squared phasors and their weights by groups, mean times, and the chance level.
+        """Find what two clocks agree in: squared phasors and their weights by groups, mean times, and the chance level.
 
         Squared, the phasors of nought and half a turn are the same.
         """
@@ -152,7 +152,7 @@ def _window(length: int, *, decaying: bool) -> Floats:
 
 
 def mains_lines(length: int, rate: float) -> Ints:
-    """The lines of a spectrum of so many samples at mains frequencies, folded where they lie beyond its end."""
+    """List the lines of a spectrum of so many samples at mains frequencies, folded where they lie beyond its end."""
     places = {
         round(abs((multiple * mains + rate / 2) % rate - rate / 2) * length / rate) + near
         for mains in MAINS
@@ -220,7 +220,7 @@ def _best_line(table: Floats, around: Floats, step: float, grid: Floats) -> tupl
 
 
 def _climbed(squares: Complexes, line: Floats, segments: Segments, step: float) -> tuple[Floats, Floats]:
-    """The top of the agreement near a line, for each part of the record, and its height."""
+    """Climb to the top of the agreement near a line, for each part of the record; its height comes second."""
     omega = 2 * np.pi * np.arange(squares.shape[1]) * segments.rate / segments.length
     tops, heights = [], []
     for square, start in zip(squares, line, strict=True):
@@ -331,13 +331,13 @@ def offsets(
 
 
 def undone(eigenvalues: Complexes, shapes: Complexes, seconds: Floats) -> Complexes:
-    """The shapes with the offsets' turns taken back, shape (modes, channels)."""
+    """Take the offsets' turns back, shape (modes, channels)."""
     turn = np.exp(1j * np.abs(eigenvalues.imag)[:, None] * seconds[None, : shapes.shape[1]])
     return np.asarray(shapes * turn)
 
 
 def _slope(omega: Floats, phasors: Complexes) -> tuple[float, float]:
-    """The offset that makes the phasors most nearly real, the smallest where several do equally, and what is left."""
+    """Find the offset that makes the phasors most nearly real, the smallest of several that do, and what is left."""
     longest = min(LONGEST, 0.5 * np.pi / float(omega.min()))
     grid = np.linspace(-longest, longest, STEPS)
     turned = phasors[None, :] * np.exp(1j * grid[:, None] * omega[None, :])

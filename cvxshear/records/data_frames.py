@@ -33,7 +33,7 @@ class TableColumns:
     times: Floats | None
 
     def samples(self, name: str) -> Floats:
-        """The samples of one column, shape (samples,)."""
+        """Return the samples of one column, shape (samples,)."""
         if name not in self.names:
             raise InputError(f'there is no channel "{name}" in the table; there are {", ".join(self.names)}')
         return np.asarray(self.values[:, self.names.index(name)])
@@ -60,7 +60,7 @@ class TableColumns:
 
 
 def table_columns(table: Any) -> TableColumns:
-    """The columns of a table; their names and times as a data frame or a data array has them.
+    """Read the columns of a table; their names and times as a data frame or a data array has them.
 
     Of a data array the first dimension is time, the second one named coordinate a channel. Times of any numeric or
     date type but whole numbers count, which are taken for a count of rows.
@@ -86,7 +86,7 @@ def table_columns(table: Any) -> TableColumns:
 
 
 def matrix_of(value: Any, where: str, dtype: type) -> Any:
-    """A read-only table of numbers, samples by channels.
+    """Check a table of numbers, samples by channels, and return it read-only.
 
     Raises
     ------

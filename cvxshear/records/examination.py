@@ -29,7 +29,7 @@ LATE = 0.5
 """Samples; a delay of less is left to the phases of the modes, which tell it finer."""
 CERTAIN_DELAY = 4.0
 """Standard deviations of a delay that is taken out."""
-SEEN = 5.0
+SIGNIFICANT_DRIFT = 5.0
 """Standard deviations of a drift that another clock must show it by, or contradict it."""
 QUIET = 0.5
 """Of the frequency at which the motion of some floor is twice the base's: below it the floors move with the base."""
@@ -141,7 +141,7 @@ def _in_step(record: TimeRecord) -> tuple[TimeRecord, list[Finding], dict[str, t
 
 
 def _in_common(segments: Segments, first: int, second: int) -> float:
-    """The largest agreement of two clocks over all delays, over what chance makes; 0 of a clock with itself."""
+    """Find the largest agreement of two clocks over all delays, over what chance makes; 0 of a clock with itself."""
     if first == second:
         return 0.0
     squares, weights, _, _ = segments.agreement(first, second)
@@ -166,7 +166,7 @@ def _drifts(segments: Segments, late: int, right: int, slope: float, clocks: lis
         for k in range(len(clocks))
         if k not in (late, right)
     ]
-    sharp = [drift for drift, std in against if SEEN * std < abs(slope)]
+    sharp = [drift for drift, std in against if SIGNIFICANT_DRIFT * std < abs(slope)]
     return sum(abs(drift - slope) > abs(slope) / 2 for drift in sharp) <= len(sharp) / 2
 
 
@@ -204,7 +204,7 @@ def _late(
 
 
 def clock_offset(name: str, reference: str, seconds: float, std: float) -> Finding:
-    """A clock that was late, or early, by the phases of the whole band, and has been set right."""
+    """Report a clock that was late, or early, by the phases of the whole band, and has been set right."""
     return Finding(
         "clock offset",
         f'the clock of "{name}" is {1e3 * abs(seconds):.2f} ms {"late" if seconds > 0 else "early"} '
@@ -262,13 +262,13 @@ def _with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
 
 
 def unit_of(gain: float) -> str | None:
-    """The unit of a channel that shows so many times what one in m/s2 would; None where it is m/s2 or no unit."""
+    """Name the unit of a channel that shows so many times what one in m/s2 would; None where it is m/s2 or no unit."""
     fits = [name for name, size in ACCELERATION_UNITS.items() if abs(np.log(gain * size)) < SAME_RATIO]
     return fits[0] if fits and abs(np.log(gain)) > 3 * SAME_RATIO else None
 
 
 def in_unit(channel: str, name: str, floor: int, unit: str, why: str) -> Finding:
-    """A channel recorded in another unit than the others."""
+    """Report a channel recorded in another unit than the others."""
     return Finding(
         "unit",
         f"floor {floor} looks like {unit}, the others like m/s2: {channel}, {why}; multiplied by "
@@ -278,7 +278,7 @@ def in_unit(channel: str, name: str, floor: int, unit: str, why: str) -> Finding
 
 
 def floor_over_base(record: TimeRecord) -> tuple[Floats, Floats] | None:
-    """The motion of each floor over that of the base towards 0 Hz, and its standard deviation; None if not recorded.
+    """Find each floor's motion over the base's towards 0 Hz, and its standard deviation; None if not recorded.
 
     Below the first resonance the transmissibility is T(f) = T(0) (1 + c f^2 + ...), with T(0) = 1 for a sensor that is
     right; T(0) is fitted to the real parts of H1 below half the frequency at which some |T| reaches 2.

@@ -34,7 +34,7 @@ both counted as far as they move with the other floors, where there are any: a r
 
 
 def one_a_floor(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
-    """The record with one channel a floor, the motion of the floor's center in the direction of test.
+    """Bring the record to one channel a floor, the motion of the floor's center in the direction of test.
 
     A sensor at `direction` degrees from that of test shows the floor's motion times the cosine; one more than
     30 degrees off is left out. Of several sensors the center's motion follows from their positions across the
@@ -66,7 +66,7 @@ def one_a_floor(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
 
 
 def center_weights(record: Record, group: Ints) -> tuple[Floats, bool]:
-    """The weights by which a floor's sensors make its motion, shape (sensors,), and whether by their positions."""
+    """Find the weights by which a floor's sensors make its motion, shape (sensors,), and whether by their positions."""
     places = [record.channels[int(column)].position for column in group]
     across = np.array([0.0 if place is None else place[1] for place in places])
     if None not in places and np.ptp(across) > 1e-3 * np.abs(across).max():
@@ -165,7 +165,7 @@ def _mean_square(values: Any) -> float:
 
 
 def _moving_with(others: Floats | None, values: Any) -> Any:
-    """The part of each column that is a combination of the other floors' motions; all of it where there are none."""
+    """Project each column on the other floors' motions; all of it is returned where there are none."""
     if others is None:
         return values
     return others @ np.linalg.lstsq(others, values, rcond=None)[0]

@@ -33,14 +33,14 @@ def collinearity(shape: Complexes) -> float:
 
 
 def main_axis(shape: Complexes) -> Complexes:
-    """The shape turned so that the sum of its squared imaginary parts is least; its largest entry is positive."""
+    """Turn a shape so that the sum of its squared imaginary parts is least; its largest entry is positive."""
     turned = shape * np.exp(-0.5j * np.angle(np.sum(shape**2)))
     largest = turned[np.argmax(np.abs(turned))]
     return np.asarray(turned if largest.real > 0 else -turned)
 
 
 def real_shape(shape: Complexes) -> Floats:
-    """The real normal mode of a complex shape: moduli, with the sign of the real part on the main axis.
+    """Find the real normal mode of a complex shape: moduli, with the sign of the real part on the main axis.
 
     A phase that a clock offset or damping put there costs a modulus nothing.
 
@@ -57,7 +57,7 @@ def real_shape(shape: Complexes) -> Floats:
 
 
 def signed_projection(shape: Complexes, straight: Complexes) -> Floats:
-    """The least-squares real shape: the part on the main axis, with the signs that true clocks would show.
+    """Find the least-squares real shape: the part on the main axis, with the signs that true clocks would show.
 
     Parameters
     ----------
@@ -103,5 +103,5 @@ def possible_changes(shape: Floats, tolerance: float) -> tuple[int, int]:
 
 
 def scaled_to_one(shape: Floats) -> Floats:
-    """The shape with a largest entry of 1."""
+    """Scale a shape to a largest entry of 1."""
     return np.asarray(shape / shape[np.argmax(np.abs(shape))])

@@ -129,7 +129,7 @@ class Motion:
 
     @staticmethod
     def of(record: Record, added_mass: Sequence[float] | None = None, state: str | None = None) -> Motion:
-        """The motion that a record holds.
+        """Read the motion that a record holds.
 
         Parameters
         ----------

@@ -72,7 +72,7 @@ class Hypothesis:
     missed: float = 0.0
 
     def undone(self, shapes: Floats) -> Floats:
-        """The shapes as they are where the hypothesis is true, shape (m, n)."""
+        """Return the shapes as they are where the hypothesis is true, shape (m, n)."""
         result = np.array(shapes, dtype=np.float64)
         if self.kind == "swapped channels":
             result[:, list(self.places)] = result[:, list(self.places[::-1])]
@@ -84,7 +84,7 @@ class Hypothesis:
 
 
 def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> list[Hypothesis]:
-    """The hypotheses with their probabilities, the most probable first.
+    """Weigh the hypotheses against each other, and sort them by probability, the most probable first.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def _changes(shape: Floats) -> int:
 
 
 def findings_of(hypotheses: Sequence[Hypothesis], channels: Sequence[Channel], first: Floats) -> list[Finding]:
-    """What the hypotheses say of the channels: nothing, one thing that is sure, or several that may be.
+    """Report what the hypotheses say of the channels: nothing, one thing that is sure, or several that may be.
 
     Parameters
     ----------

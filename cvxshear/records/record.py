@@ -296,7 +296,7 @@ class TimeRecord(_Recorded):
         sampling_rate: float | None = None,
         **options: Any,
     ) -> TimeRecord:
-        """The record of one run in a table: an array, a pandas DataFrame or an xarray DataArray.
+        """Make a record of one run in a table: an array, a pandas DataFrame or an xarray DataArray.
 
         Parameters
         ----------

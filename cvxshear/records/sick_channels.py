@@ -33,7 +33,7 @@ MANY_SPIKES = 0.02
 """Share of the samples; more is no accident."""
 AR_ORDER = 24
 """Coefficients of the model that spikes stand out of: two for each mode of a dozen stories."""
-PASSES = 8
+SPIKE_PASSES = 8
 """Times that spikes are looked for; so many may stand within reach of each other."""
 WINSORIZED = 4.0
 """Local deviations that samples are cut to where the model is fitted, lest spikes make it."""
@@ -70,7 +70,7 @@ def channel_findings(record: Record) -> list[Finding]:
 
 
 def without_sick(record: AnyRecord, findings: list[Finding]) -> AnyRecord:
-    """The record without the channels that measure nothing.
+    """Leave out the channels that measure nothing.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def without_sick(record: AnyRecord, findings: list[Finding]) -> AnyRecord:
 
 
 def without_spikes(record: TimeRecord, findings: list[Finding]) -> TimeRecord:
-    """The record with each spike replaced by what the samples on both sides of it say."""
+    """Replace each spike by what the samples on both sides of it say."""
     hit = {finding.numbers["channel"] for finding in findings if finding.kind == "spikes"}
     columns = [column for column, channel in enumerate(record.channels) if channel.name in hit]
     if not columns:
@@ -102,14 +102,14 @@ def without_spikes(record: TimeRecord, findings: list[Finding]) -> TimeRecord:
 
 
 def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
-    """Samples that stand out of their own channel's neighbours and of no other's, and the responses without them.
+    """Find samples that stand out of their own channel's neighbours and of no other's, and the responses without them.
 
     With the coefficients a of an autoregressive model, the difference of a sample from what all others make of it is
     (a * reversed a * x) / (a'a): white where the model holds, and largest at the sample itself.
     """
     cleaned, found = np.array(responses), np.zeros(responses.shape, dtype=bool)
     # One spike throws the errors around it off: the largest in reach is taken first, and those beside it after.
-    for _ in range(PASSES):
+    for _ in range(SPIKE_PASSES):
         off, scale = np.zeros(responses.shape), np.full(responses.shape, np.inf)
         for column, values in enumerate(cleaned.T):
             if values.std() > 0:
@@ -158,7 +158,7 @@ def _interpolation_errors(values: Floats) -> Floats:
 
 
 def _local_scale(errors: Floats) -> Floats:
-    """Standard deviation of errors around each sample, from the medians of their sizes in blocks."""
+    """Estimate the standard deviation of errors around each sample, from the medians of their sizes in blocks."""
     blocks = np.array_split(np.abs(errors), max(1, len(errors) // 200))
     medians = np.array([np.median(block) for block in blocks]) / 0.6745
     # The louder of a block and its neighbours: an onset is no spike.
@@ -184,7 +184,7 @@ def _spiked(spikes: Bools, where: str, name: str) -> list[Finding]:
 
 
 def _stuck(responses: Floats, column: int, where: str, name: str, rate: float) -> list[Finding]:
-    """A value repeated for long while the other channels move as they do elsewhere."""
+    """Find a value repeated for long while the other channels move as they do elsewhere."""
     values = responses[:, column]
     edges = np.flatnonzero(np.diff(np.concatenate([[False], np.diff(values) == 0, [False]]).astype(np.int8)))
     starts, stops = edges[::2], edges[1::2] + 1
@@ -256,7 +256,7 @@ def _clipped(values: Floats, where: str, name: str) -> Finding | None:
 
 
 def _held(values: Floats, where: str, name: str) -> Finding | None:
-    """Samples repeated at a fixed pace: a channel of a lower rate, filled up."""
+    """Find samples repeated at a fixed pace: a channel of a lower rate, filled up."""
     same = np.diff(values) == 0
     for pace in (2, 3, 4, 5):
         repeats = [np.mean(same[phase::pace]) for phase in range(pace)]

@@ -28,12 +28,12 @@ def impulsive(run: Run) -> bool:
 
 
 def detrended(record: TimeRecord) -> TimeRecord:
-    """The record without mean and straight-line drift."""
+    """Remove mean and straight-line drift."""
     return _mapped(record, lambda values: signal.detrend(values, axis=0), record.sampling_rate)
 
 
 def decimated(record: TimeRecord) -> TimeRecord:
-    """The record at the lowest whole fraction of its sampling rate that keeps its band clear of the filter's edge."""
+    """Decimate to the lowest whole fraction of the sampling rate that keeps the band clear of the filter's edge."""
     if record.band is None:
         return record
     factor = int(record.sampling_rate / (2.5 * record.band[1]))
@@ -47,12 +47,12 @@ def decimated(record: TimeRecord) -> TimeRecord:
 
 
 def without_offset(record: TimeRecord) -> TimeRecord:
-    """A decay must not lose its slow part to a fitted line: only the median goes, which a blow does not move."""
+    """Remove the median, which a blow does not move; a decay must not lose its slow part to a fitted line."""
     return _mapped(record, lambda values: values - np.median(values, axis=0), record.sampling_rate)
 
 
 def scaled(record: AnyRecord, factors: Mapping[str, float]) -> AnyRecord:
-    """The record with channels, and "input", multiplied by factors; a channel that is not named stays."""
+    """Multiply channels, and "input", by factors; a channel that is not named stays."""
     factor = np.array([factors.get(channel.name, 1.0) for channel in record.channels])
     changed = with_responses(record, [run.responses * factor for run in record.runs])
     if "input" not in factors or not isinstance(changed, TimeRecord):
@@ -65,7 +65,7 @@ def scaled(record: AnyRecord, factors: Mapping[str, float]) -> AnyRecord:
 
 
 def only(record: AnyRecord, columns: Sequence[int]) -> AnyRecord:
-    """The record with these of its channels."""
+    """Select some of a record's channels."""
     kept = list(columns)
     channels = tuple(record.channels[column] for column in kept)
     return with_responses(record, [run.responses[:, kept] for run in record.runs], channels)
@@ -74,7 +74,7 @@ def only(record: AnyRecord, columns: Sequence[int]) -> AnyRecord:
 def with_responses(
     record: AnyRecord, responses: Sequence[Any], channels: tuple[Channel, ...] | None = None
 ) -> AnyRecord:
-    """The record with other responses in its runs, and other channels."""
+    """Put other responses into the record's runs, and other channels."""
     changes: dict[str, Any] = {"channels": record.channels if channels is None else channels}
     each: Any = zip(record.runs, responses, strict=True)
     changes["runs"] = tuple(dataclasses.replace(run, responses=values) for run, values in each)
@@ -98,7 +98,7 @@ SINC_TERMS = 48
 
 
 def in_step(record: AnyRecord, late: Mapping[str, tuple[float, float]]) -> AnyRecord:
-    """The record with clocks that are late, and run slow, set right.
+    """Set clocks right that are late, and run slow.
 
     Parameters
     ----------

@@ -129,7 +129,7 @@ def shaker_record(
     sampling_rate: float = 20.0,
     name: str = "shaker",
 ) -> TimeRecord:
-    """A shaker's white force of 10 N at one floor, measured, and the accelerations of all; noise on every sensor."""
+    """Simulate a shaker's white force of 10 N at one floor and the accelerations of all; noise on every sensor."""
     random = np.random.default_rng(seed)
     step = 1 / (sampling_rate * OVERSAMPLING)
     force = 10.0 * _white(int(duration * sampling_rate) * OVERSAMPLING, random)
@@ -161,7 +161,7 @@ def _white(count: int, random: np.random.Generator) -> Floats:
 def _sensed(
     values: Floats, noise: float, random: np.random.Generator, floor: int, name: str, *, driven: bool = True
 ) -> Run:
-    """Filtered against aliasing, sampled, disturbed; the first column is the input where there is one."""
+    """Filter against aliasing, sample and disturb; the first column is the input where there is one."""
     sampled = signal.decimate(values, OVERSAMPLING, ftype="fir", axis=0)
     disturbed = sampled + noise * sampled.std(axis=0) * random.standard_normal(sampled.shape)
     if not driven:

@@ -45,7 +45,7 @@ def write_model(path: str | Path, result: RecordPrediction) -> None:
 
 
 def model_kind(path: str | Path) -> str:
-    """The kind of file that a name asks for.
+    """Tell the kind of file that a name asks for.
 
     Raises
     ------
@@ -65,19 +65,6 @@ def _mat(result: RecordPrediction) -> bytes:
     return out.getvalue()
 
 
-def _json(result: RecordPrediction) -> str:
-    return json_text(as_json(matrices(result.after.damped)), indent=1)
-
-
-def _py(result: RecordPrediction) -> str:
-    title = f"{result.after.fitted.experiment.name}, {result.configuration.name}"
-    return opensees_script(result.after.damped, title)
-
-
-def _xlsx(result: RecordPrediction) -> bytes:
-    return workbook(_sheets(result))
-
-
 def _sheets(result: RecordPrediction) -> Iterator[Sheet]:
     fitted = result.after.fitted
     n = fitted.experiment.stories
@@ -95,7 +82,7 @@ def _sheets(result: RecordPrediction) -> Iterator[Sheet]:
 
 
 def _std(fitted: Fitted) -> Floats:
-    """Standard deviations of all parameters; nan where unknown or open."""
+    """Return the standard deviations of all parameters; nan where unknown or open."""
     if fitted.covariance is None:
         return np.full(len(fitted.theta), np.nan)
     return np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
@@ -120,7 +107,7 @@ def _modes(result: RecordPrediction) -> Sheet:
 
 
 def _residuals(result: RecordPrediction) -> Sheet:
-    """The error of each part of the measurement, relative and in standard deviations, before and after."""
+    """Tabulate the error of each part of the measurement, relative and in standard deviations, before and after."""
     sides = [side.fitted for side in (result.before, result.after) if side is not None]
     words = ["before", "after"][-len(sides) :]
     measures = ["relative error", "standard deviations off"]
@@ -134,7 +121,7 @@ def _residuals(result: RecordPrediction) -> Sheet:
 
 
 def _parts(fitted: Fitted) -> list[Deviation]:
-    """What a fit leaves of each part of every datum."""
+    """Describe what a fit leaves of each part of every datum."""
     misfit = Misfit(fitted.experiment, fitted.effects)
     models = {id(model.state.tested): model for model in misfit.evaluate(fitted.theta, derivatives=False).models}
     return [part for datum in misfit.data for part in datum.describe(models[id(datum.tested)])]
@@ -143,9 +130,11 @@ def _parts(fitted: Fitted) -> list[Deviation]:
 MODEL_WRITERS: dict[str, Callable[[RecordPrediction], str | bytes]] = {
     "npz": _npz,
     "mat": _mat,
-    "json": _json,
-    "py": _py,
-    "xlsx": _xlsx,
+    "json": lambda result: json_text(as_json(matrices(result.after.damped)), indent=1),
+    "py": lambda result: opensees_script(
+        result.after.damped, f"{result.after.fitted.experiment.name}, {result.configuration.name}"
+    ),
+    "xlsx": lambda result: workbook(_sheets(result)),
 }
 """By the ending of the file."""
 
@@ -178,7 +167,7 @@ def matrices(damped: Damped) -> dict[str, Floats]:
 
 
 def state_space(model: DampedModel) -> dict[str, Floats]:
-    """The state-space form of `matrices`."""
+    """Write the state-space form of `matrices`."""
     n = len(model.M)
     inverse = np.linalg.inv(model.M)
     rows = -inverse @ np.hstack([model.K, model.C])
@@ -192,7 +181,7 @@ def state_space(model: DampedModel) -> dict[str, Floats]:
 
 
 def opensees_script(damped: Damped, title: str) -> str:
-    """A script that makes the frame in OpenSeesPy, with its damping.
+    """Write a script that makes the frame in OpenSeesPy, with its damping.
 
     Any symmetric stiffness matrix is that of springs -K_ij between floors i and j and of sum_j K_ij to the ground.
 

@@ -91,7 +91,7 @@ def render(
     prediction: RecordPrediction | None = None,
     heading: Heading | None = None,
 ) -> str:
-    """The report of a closed loop as HTML.
+    """Write the report of a closed loop as HTML.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def render(
 
 
 def photograph_of(heading: Heading) -> str:
-    """The photograph as an address that holds it; empty where there is none.
+    """Encode the photograph as an address that holds it; empty where there is none.
 
     Raises
     ------
@@ -175,7 +175,7 @@ def write_response_report(result: RecordPrediction | Reconstruction, path: str |
 
 
 def render_response(result: RecordPrediction | Reconstruction, command: str) -> str:
-    """The report of a prediction or of a reconstruction as HTML."""
+    """Write the report of a prediction or of a reconstruction as HTML."""
     word = "Reconstructed" if isinstance(result, Reconstruction) else "Predicted"
     return (
         environment()
@@ -185,7 +185,7 @@ def render_response(result: RecordPrediction | Reconstruction, command: str) -> 
 
 
 def _response_contents(result: RecordPrediction | Reconstruction) -> Json:
-    """What the templates put on a page of a response, or into the section that the report of a loop has of it."""
+    """Collect what the templates put on a page of a response, or into the section that a loop's report has of it."""
     drawn = {
         name: dataclasses.replace(each, section=f"predicted-{each.section}") for name, each in drawings(result).items()
     }
@@ -288,7 +288,7 @@ class MovingShape:
 
 
 def moving_shapes(result: Closure) -> list[tuple[str, list[MovingShape]]]:
-    """The lowest modes of the final model, by configuration."""
+    """List the lowest modes of the final model, by configuration."""
     return [
         (each.configuration, [_moving(result.experiment, each, mode) for mode in range(_count(result.experiment))])
         for each in result.estimate.predictions

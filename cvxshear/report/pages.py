@@ -48,7 +48,7 @@ class Drawing:
 
 @cache
 def environment() -> Environment:
-    """The templates of the reports."""
+    """Load the templates of the reports."""
     # Escapes every text, whatever the template is called: names and priors come from files.
     found = Environment(
         loader=PackageLoader("cvxshear.report", "templates"),

@@ -98,7 +98,7 @@ def write_series(path: str | Path, result: Moved) -> None:
 
 
 def series_kind(path: str | Path) -> str:
-    """The kind of file that a name asks for.
+    """Tell the kind of file that a name asks for.
 
     Raises
     ------

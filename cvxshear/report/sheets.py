@@ -12,7 +12,7 @@ from cvxshear.loop import Closure
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.methods import Identification
 from cvxshear.modal import ModalResult
-from cvxshear.report.describe.before_after import ERRORS
+from cvxshear.report.describe.before_after import compared_errors
 from cvxshear.util.typing import Json
 
 FRAME = ("floor / story", "floor mass, kg", "floor mass std, kg", "story stiffness, N/m", "story stiffness std, N/m")
@@ -24,7 +24,7 @@ def sheets_of_modes(results: Sequence[ModalResult]) -> list[Sheet]:
 
 
 def sheets_of_identification(result: Identification) -> list[Sheet]:
-    """The identified frame, or frames, and the modes that it has beside those measured."""
+    """Tabulate the identified frame, or frames, and the modes that it has beside those measured."""
     said = result.to_dict()
     parts = [("", said)] if result.joint else [(part["name"], part) for part in said["configurations"]]
     several = len(parts) > 1
@@ -35,9 +35,9 @@ def sheets_of_identification(result: Identification) -> list[Sheet]:
 
 
 def sheets_of_closure(result: Closure) -> list[Sheet]:
-    """The identified frame, the effects added, the errors before and after, and the modes."""
+    """Tabulate the identified frame, the effects added, the errors before and after, and the modes."""
     said = result.to_dict()
-    words = {key: label.format(held_out="predicted from the rest") for key, label, _ in ERRORS}
+    words = {key: label for key, label, _ in compared_errors("predicted from the rest")}
     errors: list[tuple[Cell, ...]] = [
         (words.get(key, _words(key)), said["before"][key], said["after"][key]) for key in said["before"]
     ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from rich.cells import cell_len
@@ -15,6 +15,9 @@ from rich.table import Table as Grid
 from rich.text import Text
 
 from cvxshear.backends import ListedBackend
+from cvxshear.data import noise_kinds
+from cvxshear.effects import catalogue
+from cvxshear.loop import VERDICTS
 from cvxshear.methods import Identification
 from cvxshear.modal import ModalResult
 from cvxshear.report.describe import Document, Facts, Points, Section, Sentence, Table, describe, line
@@ -50,7 +53,7 @@ class HouseTable(Grid):
         self.words = tuple(words)
 
     def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
-        """A row; a str is data and no markup."""
+        """Add a row; a str is data and no markup."""
         super().add_row(*(Text(printable(each)) if isinstance(each, str) else each for each in cells), **options)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
@@ -62,7 +65,7 @@ class HouseTable(Grid):
             yield from super(HouseTable, block).__rich_console__(console, options)
 
     def _blocks(self, width: int) -> Iterator[HouseTable]:
-        """The table, or several of its columns each with its leading words before them."""
+        """Yield the table, or several of its columns each with its leading words before them."""
         least = [_least(column, self._wraps(at)) for at, column in enumerate(self.columns)]
         if sum(least) + COLUMN_GAP * len(least) <= width:
             yield self._of(range(len(self.columns)), least, width)
@@ -82,7 +85,7 @@ class HouseTable(Grid):
         return at in self.words
 
     def _of(self, columns: Sequence[int], least: Sequence[int], width: int) -> HouseTable:
-        """Some of the columns, the numbers never narrower than they are."""
+        """Cut out some of the columns, the numbers never narrower than they are."""
         block = HouseTable("", [place for place, at in enumerate(columns) if at in self.words])
         # Where the headers have to be wrapped, rich makes all columns alike, whatever their least width, and cuts what
         # then is too wide: so the columns of numbers are given theirs, and the words have the rest.
@@ -100,22 +103,26 @@ class HouseTable(Grid):
 
 
 def _natural(column: Column) -> int:
-    """The width at which nothing of a column is wrapped."""
+    """Measure the width at which nothing of a column is wrapped."""
     return max(cell_len(str(cell)) for cell in (column.header, *column.cells))
 
 
 def _least(column: Column, wraps: bool) -> int:
-    """The width that a column needs: its longest cell, and the longest word of its header."""
+    """Measure the width that a column needs: its longest cell, and the longest word of its header."""
     cells = max((cell_len(str(cell)) for cell in column.cells), default=0)
     header = max((cell_len(word) for word in str(column.header).split()), default=0)
     return max(min(cells, NARROWEST), header) if wraps else max(cells, header)
 
 
-def plain_table(title: str, *columns: str, words: Sequence[int] = (0,)) -> HouseTable:
-    """A table in the house style: words to the left, numbers to the right, no box around."""
+def plain_table(
+    title: str, *columns: str, words: Sequence[int] = (0,), rows: Iterable[Sequence[str]] = ()
+) -> HouseTable:
+    """Lay out a table in the house style: words to the left, numbers to the right, no box around."""
     table = HouseTable(title, words)
     for place, column in enumerate(columns):
         table.add_column(Text(printable(column)), justify="left" if place in words else "right")
+    for row in rows:
+        table.add_row(*row)
     return table
 
 
@@ -126,7 +133,7 @@ PAGE = 80
 
 
 def shown(result: object, units: Units = AUTOMATIC) -> Iterator[RenderableType]:
-    """A result for a terminal.
+    """Render a result for a terminal.
 
     Parameters
     ----------
@@ -139,7 +146,7 @@ def shown(result: object, units: Units = AUTOMATIC) -> Iterator[RenderableType]:
 
 
 def rendered(document: Document) -> Iterator[RenderableType]:
-    """A description for a terminal: its headline, and every section but those of a full report."""
+    """Render a description for a terminal: its headline, and every section but those of a full report."""
     yield Text(printable(document.headline), style="bold")
     for section in document.brief:
         yield from _section(section)
@@ -148,7 +155,7 @@ def rendered(document: Document) -> Iterator[RenderableType]:
 def identification(
     result: Identification, beside: Identification | None = None, units: Units = AUTOMATIC
 ) -> Iterator[RenderableType]:
-    """An identification, and the frames of another one for comparison."""
+    """Render an identification, and the frames of another one for comparison."""
     yield from shown(result, units)
     if beside is not None:
         yield Text(f"\nFor comparison: method {beside.method}, each configuration by itself", style="bold")
@@ -163,12 +170,12 @@ def doubts(found: Sequence[Finding]) -> Iterator[RenderableType]:
 
 
 def poles(results: Sequence[ModalResult]) -> Iterator[RenderableType]:
-    """The numbered poles of each record, to choose modes from by hand."""
+    """Tabulate the numbered poles of each record, to choose modes from by hand."""
     return (_table(poles_table(result)) for result in results)
 
 
 def damping(found: IdentifiedDamping) -> Iterator[RenderableType]:
-    """The damping of a frame below the frame itself."""
+    """Render the damping of a frame below the frame itself."""
     yield from _section(damping_section(found))
 
 
@@ -187,8 +194,23 @@ def listed_backends(listed: Sequence[ListedBackend]) -> Iterator[RenderableType]
         yield missing
 
 
+def catalogued() -> Iterator[RenderableType]:
+    """Tabulate the effects that are looked for, the kinds of data with their noise, and the verdicts."""
+    yield plain_table("Effects", "name", "what it is", words=(0, 1), rows=((x.name, x.summary) for x in catalogue()))
+    kinds = []
+    for kind in noise_kinds().values():
+        (usual, most), unit = kind.sized(1.0, kind.largest / kind.default)
+        kinds.append((kind.plural, f"{usual:g} {unit}", f"{most:g} {unit}", kind.reason))
+    yield Text("")
+    head = ("kind", "std where none is declared", "largest std", "why")
+    yield plain_table("Kinds of data", *head, words=(0, 3), rows=kinds)
+    yield Text("")
+    verdicts = ((x.name, x.sentence) for x in VERDICTS.values())
+    yield plain_table("Verdicts", "name", "what it means", words=(0, 1), rows=verdicts)
+
+
 def text(result: object, width: int = PAGE) -> str:
-    """A result as plain text, folded to a width."""
+    """Write a result as plain text, folded to a width."""
     # A console that finds itself in a notebook would show an empty block of its own there.
     console = Console(
         file=io.StringIO(), width=width, color_system=None, highlight=False, markup=False, emoji=False,
@@ -231,17 +253,15 @@ def _grid(pairs: Iterator[tuple[str, str]] | list[tuple[str, str]] | tuple[tuple
 
 
 def _table(found: Table) -> RenderableType:
-    table = plain_table(found.title, *found.head, words=found.words)
     brief = len(found.rows) if found.brief is None or len(found.rows) <= found.brief + 1 else found.brief
-    for row in found.rows[:brief]:
-        table.add_row(*row.cells)
+    table = plain_table(found.title, *found.head, words=found.words, rows=(row.cells for row in found.rows[:brief]))
     if brief < len(found.rows):
         table.add_row(f"and {len(found.rows) - brief} more", *([""] * (len(found.head) - 1)))
     return table
 
 
 def line_of(result: object) -> str:
-    """A result in one short line."""
+    """Write a result in one short line."""
     return printable(line(result))
 
 
@@ -250,7 +270,7 @@ FIRST_SECTION = "verdict"
 
 
 def notebook_html(result: object) -> str:
-    """A result as a piece of HTML: its tables, and above them the picture of its verdict where it has one."""
+    """Write a result as a piece of HTML: its tables, and above them the picture of its verdict where it has one."""
     try:
         from cvxshear.report.pages import environment  # noqa: PLC0415 - jinja2 is optional
     except ImportError:
@@ -259,7 +279,7 @@ def notebook_html(result: object) -> str:
 
 
 def _pictures(result: object) -> list[tuple[str, str]]:
-    """What a figure shows and its address; as a PNG, since the ids of several SVGs in a notebook would clash."""
+    """Draw a result's pictures, each with what it shows, as PNG: ids of several SVGs in a notebook would clash."""
     try:
         from cvxshear.report.figures.figure_table import applicable  # noqa: PLC0415 - matplotlib is optional
         from cvxshear.report.figures.style import encoded  # noqa: PLC0415
@@ -273,7 +293,7 @@ def _pictures(result: object) -> list[tuple[str, str]]:
 
 
 def drawn(result: Any, name: str) -> Any:
-    """A figure of a result by its name, the first one where it is empty."""
+    """Draw a figure of a result by its name, the first one where it is empty."""
     try:
         from cvxshear.report import figures  # noqa: PLC0415 - matplotlib is optional
     except ImportError as error:
@@ -283,7 +303,7 @@ def drawn(result: Any, name: str) -> Any:
 
 
 def picked(result: Any, record_file: Any) -> Any:
-    """The diagram of modes in which poles are chosen by clicking."""
+    """Open the diagram of modes in which poles are chosen by clicking."""
     try:
         from cvxshear.report.figures.picked_poles import opened  # noqa: PLC0415 - matplotlib is optional
     except ImportError as error:

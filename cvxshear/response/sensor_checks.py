@@ -14,6 +14,7 @@ from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, refitted
 from cvxshear.response.frame_motion import FrameMotion, rms
 from cvxshear.response.innovations import PredictionErrors, Stretch
 from cvxshear.response.smoother import SPIKE, Smoothed
+from cvxshear.util.quantities import NORMAL_95
 
 CHECK_STEPS = 1
 """Gauss-Newton steps of the frame without one sensor: it starts from the fit to all, and what it needs is the
@@ -24,8 +25,6 @@ CHECKED_DIRECTIONS = 4
 
 LAGS = 20
 """Lags of the test of whiteness (Ljung and Box 1978)."""
-
-NORMAL_95 = float(stats.norm.ppf(0.975))
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ HIGHEST_TIMES_FREQUENCY = 200.0
 """m Hz. A building's first frequency is 46 Hz m over its height (Ellis 1980), within a factor of two or so;
 rad/s would make that 290."""
 
-NEAR = 0.15
+UNIT_FACTOR_WITHIN = 0.15
 """Of the logarithm: so near must a ratio be to a factor between units."""
 
 STEEP = 0.15
@@ -187,7 +187,7 @@ def slow(experiment: Experiment) -> Iterator[Finding]:
 
 
 def deviations(experiment: Experiment) -> Iterator[Finding]:
-    """Standard deviations that no instrument has, of measurements and of soft statements."""
+    """Doubt standard deviations that no instrument has, of measurements and of soft statements."""
     for each in experiment.configurations:
         for key, largest in LARGEST_STD.items():
             value = getattr(each, key)
@@ -247,7 +247,7 @@ def frequency_units(experiment: Experiment) -> Iterator[Finding]:
 
 
 def _off_by(configuration: Configuration, others: Sequence[Configuration]) -> tuple[float, str] | None:
-    """The factor on a configuration's frequencies, where all modes that others have say the same, and its words."""
+    """Find the factor on a configuration's frequencies, where all modes that others have say the same; its words."""
     known: dict[int, list[float]] = {}
     for other in others:
         for mode, frequency in zip(other.modes.tolist(), np.log(other.frequencies).tolist(), strict=True):
@@ -269,7 +269,7 @@ def _off_by(configuration: Configuration, others: Sequence[Configuration]) -> tu
 
 
 def _over_nominal(experiment: Experiment) -> float | None:
-    """The frequencies measured over those of the design values; None where these do not give any."""
+    """Divide the measured frequencies by those of the design values; None where these do not give any."""
     values: dict[str, Floats] = {}
     for prior in experiment.priors:
         suggested = prior.suggested(experiment.stories)
@@ -294,11 +294,11 @@ def _frequencies(mass: Floats, stiffness: Floats) -> Floats:
 
 
 def _near(value: float, size: float) -> bool:
-    return bool(abs(np.log(value / size)) < NEAR)
+    return bool(abs(np.log(value / size)) < UNIT_FACTOR_WITHIN)
 
 
 def total_mass(experiment: Experiment) -> Iterator[Finding]:
-    """The declared total against that of the configurations."""
+    """Compare the declared total with that of the configurations."""
     if experiment.frame.total_mass_placeholder:
         said = f"total_mass = {experiment.frame.total_mass:g} stands for one that nobody gave: masses and stiffnesses "
         change = "write total_mass in kg, and take total_mass_placeholder out"
@@ -326,7 +326,7 @@ def total_mass(experiment: Experiment) -> Iterator[Finding]:
 
 
 def implied_total(experiment: Experiment) -> tuple[float, float]:
-    """The total mass without added mass, kg, that the configurations imply, and the std of its logarithm.
+    """Estimate the total mass without added mass, kg, from the configurations, and the std of its logarithm.
 
     The std is infinite where no shear frame is near all configurations.
 
@@ -344,7 +344,7 @@ def implied_total(experiment: Experiment) -> tuple[float, float]:
     heaviest = max(float(mass.sum()) for mass in added) / N
 
     def tuned(start: Floats) -> Floats:
-        """The frame with floors of the added mass, its stiffnesses scaled to the first reading's mean frequency."""
+        """Give the floors the added mass, and scale the stiffnesses to the first reading's mean frequency."""
         start = start + np.repeat([np.log(heaviest), 0.0], N)
         mass, stiffness = np.split(np.exp(start), 2)
         off = readings[0].log_frequencies - np.log(_frequencies(mass + added[0], stiffness)[readings[0].modes])
@@ -367,5 +367,5 @@ def implied_total(experiment: Experiment) -> tuple[float, float]:
     return float(share.sum()), float(np.sqrt(scatter * by_masses @ covariance[:N, :N] @ by_masses))
 
 
-DOUBTS = (angular_frequency, heights, added_up, masses, gravity, slow, deviations, repeats)
+DOUBT_CHECKS = (angular_frequency, heights, added_up, masses, gravity, slow, deviations, repeats)
 """What is looked for in the declaration, whatever the shapes are like."""

@@ -77,7 +77,7 @@ def exchanged_sensors(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
 
 
 def floors_from_top(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
-    """The floors in the opposite order."""
+    """List the floors in the opposite order."""
     if len(reading.floors) > 1:
         yield Repair(
             "floors_from_top",
@@ -195,7 +195,7 @@ def _exchanged(count: int, i: int, j: int) -> Ints:
 
 
 def _assigned(reading: Reading, frame: Modes) -> Ints:
-    """The order of rows with the largest sum of modal assurance criteria with the frame's modes."""
+    """Find the order of rows with the largest sum of modal assurance criteria with the frame's modes."""
     psi = frame.shapes[np.ix_(reading.modes, reading.floors)]
     read = reading.scaled
     weight = reading.known.astype(float)
@@ -208,7 +208,7 @@ def _assigned(reading: Reading, frame: Modes) -> Ints:
 
 
 def other_numbers(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
-    """The modes numbered otherwise: other sets where they are 1, 2, 3, ...; else with one number changed."""
+    """Renumber the modes: other sets where they are 1, 2, 3, ...; else with one number changed."""
     count, N = len(reading.modes), reading.stories
     running = bool(np.all(reading.modes == np.arange(count)))
     numberings = list(_gaps(count, N) if running else _one_changed(reading.modes.tolist(), N))
@@ -239,7 +239,7 @@ def _gaps(count: int, N: int) -> Iterator[tuple[int, ...]]:
 
 
 def _one_changed(numbers: list[int], N: int) -> Iterator[tuple[int, ...]]:
-    """The numbers with one of them another, still ascending."""
+    """Change one of the numbers, so that they still ascend."""
     for place in range(len(numbers)):
         low = numbers[place - 1] + 1 if place else 0
         high = numbers[place + 1] if place + 1 < len(numbers) else N

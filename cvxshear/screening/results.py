@@ -47,5 +47,5 @@ class Finding(InJson):
 
 
 def in_json(found: Iterable[Finding] | None) -> Json:
-    """What the findings add to a result's JSON; nothing where nobody looked for any."""
+    """List what the findings add to a result's JSON; nothing where nobody looked for any."""
     return {} if found is None else {"warnings": [item.to_dict() for item in found]}

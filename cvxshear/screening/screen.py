@@ -23,7 +23,7 @@ from cvxshear.measurement.declaration import NUMBERS
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import Reading
 from cvxshear.measurement.sign_rule import violations
-from cvxshear.screening.doubts import DOUBTS, frequency_units, total_mass
+from cvxshear.screening.doubts import DOUBT_CHECKS, frequency_units, total_mass
 from cvxshear.screening.repairs import KINDS, Repair
 from cvxshear.screening.results import Finding
 from cvxshear.screening.shear_fit import (
@@ -55,7 +55,7 @@ costs more than a mistake that is only suspected."""
 SUSPICIOUS = 25.0
 """Cost of a reading as given below which no repair can be that much more probable: it needs 2 log of 1e5."""
 
-ALIKE = 9.0
+RIVAL_COST = 9.0
 """Repairs whose cost is so near to the best one's are named with it: at least a hundredth as probable."""
 
 PLAUSIBLE = 4.0
@@ -92,7 +92,7 @@ class Remark(Protocol):
         """What is wrong, with the numbers."""
 
     def to_dict(self) -> Json:
-        """The remark as plain values."""
+        """Convert the remark to plain values."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -120,7 +120,7 @@ class Screening(Shown):
 
     @staticmethod
     def of(experiment: Experiment, record: Iterable[Remark] = ()) -> Screening:
-        """What looks wrong in an experiment, and what was said of the records that it comes from."""
+        """Find what looks wrong in an experiment, and what was said of the records that it comes from."""
         return Screening(experiment.name, tuple(experiment.frame.accept), screen(experiment), tuple(record))
 
     @property
@@ -130,7 +130,7 @@ class Screening(Shown):
 
 
 def screen(experiment: Experiment) -> tuple[Finding, ...]:
-    """What looks wrong in an experiment.
+    """Find what looks wrong in an experiment.
 
     Parameters
     ----------
@@ -143,14 +143,14 @@ def screen(experiment: Experiment) -> tuple[Finding, ...]:
     """
     found = [*frequency_units(experiment), *(item for each in experiment.configurations for item in mistakes(each))]
     # Frequencies and shapes that are wrong tell no mass.
-    for doubt in DOUBTS if found else (total_mass, *DOUBTS):
+    for doubt in DOUBT_CHECKS if found else (total_mass, *DOUBT_CHECKS):
         said = {item.name for item in found}
         found += [item for item in doubt(experiment) if item.name not in said]
     return tuple(item for item in found if not item.accepted(experiment.frame.accept))
 
 
 def refuse_mistakes(experiment: Experiment, weighed: Collection[str] = ()) -> tuple[Finding, ...]:
-    """The warnings of `screen`, where nothing refuses.
+    """Return the warnings of `screen`, where nothing refuses.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ class Verdict:
         left = max(PLAUSIBLE * best.repair.reading.count, UNEXPLAINED * self.given.cost)
         if best.cost - best.prior_cost > left or best.cost - self.given.cost > 2 * np.log(LEFT_TO_GIVEN):
             return ()
-        return tuple(item for item in self.judged if item.cost - best.cost < ALIKE)
+        return tuple(item for item in self.judged if item.cost - best.cost < RIVAL_COST)
 
 
 def judge(reading: Reading) -> Verdict:
@@ -261,7 +261,7 @@ def _judged(repair: Repair, at: Floats) -> Judged:
 
 
 def mistakes(configuration: Configuration) -> list[Finding]:
-    """The mistake in one configuration's modes, if there is one."""
+    """Find the mistake in one configuration's modes, if there is one."""
     if not configuration.measured.any():
         return []
     reading = Reading.of(configuration)
@@ -277,7 +277,7 @@ def mistakes(configuration: Configuration) -> list[Finding]:
 
 
 def _told(name: str, verdict: Verdict, broken: list[str]) -> Finding:
-    """The finding of a mistake that one change mends, or one of several."""
+    """Describe a mistake that one change mends, or one of several."""
     told = verdict.told
     names = list(dict.fromkeys(item.repair.name for item in told))
     evidence = broken[0] if broken else "no shear frame has these modes"

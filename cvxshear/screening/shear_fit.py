@@ -28,7 +28,7 @@ from cvxshear.fit.domain import Domain
 from cvxshear.fit.expectation import MASS_WIDTH, STIFFNESS_WIDTH
 from cvxshear.fit.gauss_newton import gauss_newton
 from cvxshear.fit.optimality import PlainResiduals
-from cvxshear.fit.start import PASSES, solved_story_equations
+from cvxshear.fit.start import START_PASSES, solved_story_equations
 from cvxshear.measurement.reading import CLOSER, FARTHER, Reading
 from cvxshear.model.shear import Modes, mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
 from cvxshear.priors import Constraints
@@ -45,7 +45,7 @@ STARTING_LOG = 3.0
 ODD = 1e-3
 """Stiffness of the one story, and inverse mass of the one floor, of the odd frames that a fit starts from."""
 
-MOST_FIT_STEPS = 60
+MOST_NEAREST_STEPS = 60
 """Step programs at most, in one fit."""
 
 ENOUGH = 3e-2
@@ -104,7 +104,7 @@ def odd_starts(stories: int) -> list[Floats]:
 
 
 def story_starts(reading: Reading, at: Iterable[Floats]) -> list[Floats]:
-    """The frames that the story equations of whole shapes lead to from these; none where some floor was not measured.
+    """Solve the story equations of whole shapes from these frames; no result where some floor was not measured.
 
     Stories and floors whose sizes differ by thousands are in no valley that even frames lead into.
     """
@@ -118,7 +118,7 @@ def story_starts(reading: Reading, at: Iterable[Floats]) -> list[Floats]:
     for start in at:
         theta = np.exp(_tuned(reading, start))
         with suppress(CvxshearError):
-            for _ in range(PASSES):
+            for _ in range(START_PASSES):
                 theta = solved_story_equations(
                     reading.scaled, eigenvalues, np.zeros(reading.scaled.shape), theta, unit, weighed=True
                 )
@@ -127,22 +127,22 @@ def story_starts(reading: Reading, at: Iterable[Floats]) -> list[Floats]:
 
 
 def _clipped(theta: Floats) -> Floats:
-    """The frame with nothing far from the mean."""
+    """Move every mass and stiffness that is far from the mean nearer to it."""
     by_quantity = theta.reshape(2, -1)
     mean = by_quantity.mean(axis=1, keepdims=True)
     return np.asarray((mean + np.clip(by_quantity - mean, -STARTING_LOG, STARTING_LOG)).ravel())
 
 
 def _tuned(reading: Reading, theta: Floats) -> Floats:
-    """The frame with its stiffnesses scaled to the right mean frequency."""
+    """Scale the frame's stiffnesses to the right mean frequency."""
     off = np.mean(reading.log_frequencies - np.log(modes_at(theta).frequencies[reading.modes]))
     return np.asarray(theta + np.repeat([0.0, 2.0 * float(off)], reading.stories))
 
 
 def fit(
-    reading: Reading, at: Iterable[Floats], *, weights: Floats | None = None, most_steps: int = MOST_FIT_STEPS
+    reading: Reading, at: Iterable[Floats], *, weights: Floats | None = None, most_steps: int = MOST_NEAREST_STEPS
 ) -> NearestFrame:
-    """The best of the fits that begin at these frames.
+    """Return the best of the fits that begin at these frames.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def fit(
 
 
 def _start(problem: ShearFrames, reading: Reading, theta: Floats) -> Floats:
-    """The frame as it is or with nothing far from the mean, whichever is nearer to the reading."""
+    """Choose the frame as it is or with nothing far from the mean, whichever is nearer to the reading."""
     near: list[tuple[float, Floats]] = []
     for each in (_clipped(theta), theta):
         try:
@@ -171,7 +171,7 @@ def _start(problem: ShearFrames, reading: Reading, theta: Floats) -> Floats:
 
 
 def distance(reading: Reading, at: Iterable[Floats]) -> NearestFrame:
-    """The best fit with each tolerance, its cost that of the likelihood: a wide tolerance must pay for itself.
+    """Fit with each tolerance, and return the best by the likelihood: a wide tolerance must pay for itself.
 
     Minus twice the logarithm of the likelihood, but for a constant that is the same for every change of the reading.
     """
@@ -185,7 +185,7 @@ def distance(reading: Reading, at: Iterable[Floats]) -> NearestFrame:
 
 
 def robust_fit(reading: Reading, at: Floats) -> NearestFrame:
-    """A fit that heeds an entry the less the farther it is off (Cauchy's weights, refitted a few times)."""
+    """Fit with Cauchy's weights, refitted a few times: an entry counts the less the farther it is off."""
     weights = reading.weights
     found = fit(reading, [at], weights=weights)
     for _ in range(REWEIGHTINGS):
@@ -194,32 +194,32 @@ def robust_fit(reading: Reading, at: Floats) -> NearestFrame:
     return found
 
 
-def shape_residual(reading: Reading, of: Modes, weights: Floats) -> Floats:
+def shape_residual(reading: Reading, found: Modes, weights: Floats) -> Floats:
     """Shapes of a frame less those read, each scaled to it by least squares, in standard deviations, shape (m, n)."""
-    psi = weights * of.shapes[np.ix_(reading.modes, reading.floors)]
+    psi = weights * found.shapes[np.ix_(reading.modes, reading.floors)]
     read = weights * reading.scaled
     residual: Floats = _share(psi, read) * psi - read
     return residual
 
 
 def _share(psi: Floats, read: Floats) -> Floats:
-    """The factor on each row of psi that brings it nearest to the row read, shape (m, 1)."""
+    """Find the factor on each row of psi that brings it nearest to the row read, shape (m, 1)."""
     length = np.sum(psi**2, axis=1, keepdims=True)
     share: Floats = np.sum(psi * read, axis=1, keepdims=True) / np.where(length > 0, length, 1.0)
     return share
 
 
-def misfit(reading: Reading, of: Modes) -> float:
-    """The first two sums above for a frame that is only of about the right proportions, its scale free."""
-    off = np.log(of.frequencies[reading.modes]) - reading.log_frequencies
-    shapes = shape_residual(reading, of, reading.weights)
+def misfit(reading: Reading, found: Modes) -> float:
+    """Add up the first two sums above for a frame of only about the right proportions, its scale free."""
+    off = np.log(found.frequencies[reading.modes]) - reading.log_frequencies
+    shapes = shape_residual(reading, found, reading.weights)
     return float(np.sum(((off - off.mean()) / ABOUT) ** 2) + np.sum(shapes**2))
 
 
-def farthest(reading: Reading, of: Modes) -> float:
-    """The largest difference of a frequency or an entry from a frame with these modes, in standard deviations."""
-    frequency = (np.log(of.frequencies[reading.modes]) - reading.log_frequencies) / reading.frequency_std
-    shapes = shape_residual(reading, of, reading.weights)
+def farthest(reading: Reading, found: Modes) -> float:
+    """Find the largest difference of a frequency or an entry from those of a frame, in standard deviations."""
+    frequency = (np.log(found.frequencies[reading.modes]) - reading.log_frequencies) / reading.frequency_std
+    shapes = shape_residual(reading, found, reading.weights)
     return float(max(np.max(np.abs(frequency)), np.max(np.abs(shapes))))
 
 
@@ -242,8 +242,8 @@ class ShearFrames:
         self.prior[:N, :N] = (about_mean if centred else np.eye(N)) / MASS_WIDTH
         self.prior[N:, N:] = about_mean / STIFFNESS_WIDTH
 
-    def nearest(self, start: Floats, most_steps: int = MOST_FIT_STEPS) -> NearestFrame:
-        """The frame that Gauss-Newton reaches from these logarithms, shape (2N,)."""
+    def nearest(self, start: Floats, most_steps: int = MOST_NEAREST_STEPS) -> NearestFrame:
+        """Fit a frame by Gauss-Newton from these logarithms, shape (2N,)."""
         size = len(start)
         within = NamedConstraints("reach", Constraints(lower=start - FARTHEST_LOG, upper=start + FARTHEST_LOG))
         domain = Domain((within,), np.ones(size), np.full(size, np.inf))

@@ -54,7 +54,7 @@ def keys(
     *,
     elsewhere: Mapping[str, str] | None = None,
 ) -> Mapping[str, Any]:
-    """The table itself, once no key is unknown and none is missing.
+    """Return the table itself, once no key is unknown and none is missing.
 
     `elsewhere` names, for keys that another table has, that table: a key below the wrong header is the most
     common slip in TOML.
@@ -71,7 +71,7 @@ def keys(
 
 
 def _hint(key: object, known: Collection[str], elsewhere: Mapping[str, str]) -> str:
-    """What to do about a key that nothing knows."""
+    """Say what to do about a key that nothing knows."""
     if isinstance(key, str) and key in elsewhere:
         return f"it belongs in {elsewhere[key]}"
     near = difflib.get_close_matches(str(key)[:60].lower(), list(known), n=1, cutoff=0.5)
@@ -79,7 +79,7 @@ def _hint(key: object, known: Collection[str], elsewhere: Mapping[str, str]) -> 
 
 
 def number(value: object, where: str, *, above: float = -math.inf, least: float = -math.inf) -> float:
-    """A finite number, greater than `above` and not less than `least`."""
+    """Check a finite number, greater than `above` and not less than `least`."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
@@ -101,7 +101,7 @@ def number(value: object, where: str, *, above: float = -math.inf, least: float 
 
 
 def whole(value: object, where: str, *, least: int, most: int) -> int:
-    """A whole number from `least` to `most`."""
+    """Check a whole number from `least` to `most`."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
         raise InputError(f"{where} must be a whole number, not {shown(value)}")
     if not least <= value <= most:
@@ -110,14 +110,14 @@ def whole(value: object, where: str, *, least: int, most: int) -> int:
 
 
 def flag(value: object, where: str) -> bool:
-    """True or false."""
+    """Check for true or false."""
     if not isinstance(value, bool | np.bool_):
         raise InputError(f"{where} must be true or false, not {shown(value)}")
     return bool(value)
 
 
 def text(value: object, where: str) -> str:
-    """A text that is not empty."""
+    """Check a text that is not empty."""
     if not isinstance(value, str) or not value.strip():
         raise InputError(f"{where} must be a text that is not empty, not {shown(value)}")
     return value
@@ -161,7 +161,7 @@ def vector(
     least: float = -math.inf,
     nan: bool = False,
 ) -> Floats:
-    """A list of numbers as a read-only array; entries may be nan only where `nan` says so.
+    """Check a list of numbers and return it as a read-only array; entries may be nan only where `nan` says so.
 
     `each` says what the entries stand for, for the message about a wrong `length`: ", one a mode".
     """
@@ -186,7 +186,7 @@ def vector(
 
 
 def entries(count: int) -> str:
-    """A count as a message says it: 1 entry, 2 entries."""
+    """Write a count as a message says it: 1 entry, 2 entries."""
     return f"{count} {'entry' if count == 1 else 'entries'}"
 
 
@@ -206,7 +206,7 @@ def one_or_many(
 
 
 def ascending_whole(value: object, where: str, *, most: int) -> Ints:
-    """A list of whole numbers from 1 to `most`, ascending, none twice."""
+    """Check a list of whole numbers from 1 to `most`, ascending, none twice."""
     items = _items(value, where, "whole numbers")
     if not items:
         raise InputError(f"{where} must not be empty")
@@ -218,7 +218,7 @@ def ascending_whole(value: object, where: str, *, most: int) -> Ints:
 
 
 def table(value: object, where: str, *, rows: int, nan: bool = False, above: float = -math.inf) -> Floats:
-    """A list of `rows` lists of numbers, all of one length, as a read-only array of shape (rows, columns)."""
+    """Check a list of `rows` lists of numbers, all of one length; return a read-only array of shape (rows, columns)."""
     if isinstance(value, np.ndarray) and _clean(value, 2, above=above, least=-math.inf, nan=nan) and len(value) == rows:
         return frozen(value.copy(order="C"))
     items = _items(value, where, "lists of numbers, one a mode")
@@ -237,6 +237,6 @@ def table(value: object, where: str, *, rows: int, nan: bool = False, above: flo
 
 
 def frozen(array: np.ndarray[Any, np.dtype[Scalar]]) -> np.ndarray[Any, np.dtype[Scalar]]:
-    """The array, no longer writable."""
+    """Make an array read-only."""
     array.setflags(write=False)
     return array

@@ -35,6 +35,9 @@ LONG_ROW = 4
 NEGLIGIBLE_STD = 1e-9
 """Relative standard deviation of which nobody needs to know."""
 
+NORMAL_95 = 1.959963984540054
+"""Half width of the interval that holds 95 % of a normal distribution, in standard deviations."""
+
 UNKNOWN = "not determined"
 
 
@@ -58,7 +61,7 @@ class Units:
 
     @staticmethod
     def parse(text: str | None) -> Units:
-        """The units of a text such as "t,kN,mm", in any order.
+        """Read the units of a text such as "t,kN,mm", in any order.
 
         Raises
         ------
@@ -100,12 +103,12 @@ AUTOMATIC = Units()
 
 
 def exponential(value: float, digits: int = 2) -> str:
-    """A number as a power of ten, with so many significant digits; nothing at all is 0."""
+    """Write a number as a power of ten, with so many significant digits; nothing at all is 0."""
     return "0" if value == 0 else f"{value:.{digits - 1}e}"
 
 
 def significant(value: float | None, digits: int = 4) -> str:
-    """A number with so many significant digits; a dash for none."""
+    """Write a number with so many significant digits; a dash for none."""
     if value is None or math.isnan(value):
         return "–"
     if value == 0:
@@ -128,7 +131,7 @@ def significants(values: Sequence[float | None], digits: int = 4) -> list[str]:
 
 
 def percent(value: float | None, digits: int = 2) -> str:
-    """A ratio as percent; what is smaller than the digits can tell, but not nothing, is said to be so."""
+    """Write a ratio as percent; what is smaller than the digits can tell, but not nothing, is said to be so."""
     if value is None or math.isnan(value):
         return "–"
     least = 10.0**-digits
@@ -138,7 +141,7 @@ def percent(value: float | None, digits: int = 2) -> str:
 
 
 def signed(value: float, decimals: int) -> str:
-    """A number with its sign, and without one where it is written as nothing."""
+    """Write a number with its sign, and without one where it is written as nothing."""
     shown = f"{value:+.{decimals}f}"
     return shown[1:] if not shown.strip("+-0.") else shown
 
@@ -154,14 +157,14 @@ def percents(values: Sequence[float | None], *, sign: bool = False) -> list[str]
 
 
 def probability(value: float | None) -> str:
-    """A p-value, short where it is tiny."""
+    """Write a p-value, short where it is tiny."""
     if value is None:
         return "–"
     return "< 1e-9" if value < 1e-9 else f"{value:.2g}"
 
 
 def equals(value: float) -> str:
-    """A p-value as it stands in a sentence: "p = 0.012", "p < 1e-9"."""
+    """Write a p-value as it stands in a sentence: "p = 0.012", "p < 1e-9"."""
     shown = probability(value)
     return f"p {shown}" if shown.startswith("<") else f"p = {shown}"
 
@@ -200,13 +203,13 @@ def with_std(value: float | None, std: float | None, unit: str = "", factor: flo
 
 
 def quantity(value: float, unit: str, digits: int = 4) -> str:
-    """A value with so many significant digits, in the size of its unit that fits it."""
+    """Write a value with so many significant digits, in the size of its unit that fits it."""
     factor, unit = fitting([value], unit)
     return f"{significant(value / factor, digits)} {unit}"
 
 
 def per_force(value: float, std: float | None, unit: str) -> str:
-    """A flexibility ± its standard deviation, by as many newtons as make the number easy to read: "1.4 rad/(MN m)".
+    """Write a flexibility ± its standard deviation, by as many newtons as make it easy to read: "1.4 rad/(MN m)".
 
     Parameters
     ----------
@@ -246,7 +249,7 @@ def with_stds(values: Sequence[float], stds: Sequence[float]) -> list[str]:
 
 
 def fitting(values: Iterable[float], unit: str) -> tuple[float, str]:
-    """The size of the unit that fits these values, and its name: tonnes for kg, prefixes for N and N/m."""
+    """Choose the size of the unit that fits these values, and its name: tonnes for kg, prefixes for N and N/m."""
     if unit == "kg":
         heavy = max((abs(value) for value in values if not math.isnan(value)), default=0.0) >= TONNES
         return (1e3, "t") if heavy else (1.0, "kg")
@@ -254,7 +257,7 @@ def fitting(values: Iterable[float], unit: str) -> tuple[float, str]:
 
 
 def scaled(values: Iterable[float], unit: str) -> tuple[float, str]:
-    """A factor and a prefixed unit in which the values are easy to read."""
+    """Choose a factor and a prefixed unit in which the values are easy to read."""
     largest = max((abs(value) for value in values if not math.isnan(value)), default=1.0)
     for factor, prefix in PREFIXES:
         if largest >= 10 * factor or factor == 1.0:
@@ -263,7 +266,7 @@ def scaled(values: Iterable[float], unit: str) -> tuple[float, str]:
 
 
 def counted(number: int, noun: str) -> str:
-    """A number of things, in the plural where they are not one."""
+    """Write a number of things, in the plural where they are not one."""
     if number == 1:
         return f"1 {noun}"
     return f"{number} {noun.removesuffix('y')}ies" if noun.endswith("y") else f"{number} {noun}s"
@@ -281,7 +284,7 @@ def ranged(numbers: Sequence[int]) -> str:
 
 
 def capital(text: str) -> str:
-    """A text as a sentence begins."""
+    """Write a text as a sentence begins."""
     return text[:1].upper() + text[1:]
 
 

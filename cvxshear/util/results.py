@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def as_json(value: Any) -> Any:  # noqa: PLR0911 - a line a kind of value
-    """A value of a result as JSON has it.
+    """Convert a value of a result to what JSON has.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def as_json(value: Any) -> Any:  # noqa: PLR0911 - a line a kind of value
 
 
 def _array_as_json(values: Any) -> Any:
-    """An array, or a number of NumPy, as lists or a number; None in place of nan and infinity."""
+    """Convert an array, or a number of NumPy, to lists or a number; None in place of nan and infinity."""
     import numpy as np  # noqa: PLC0415 - help and completion need none of it
 
     if np.ndim(values) == 0:
@@ -78,12 +78,12 @@ class InJson:
     json_keys: ClassVar[str] = ""
 
     def to_dict(self) -> Json:
-        """The documented JSON, each value by `as_json`."""
+        """Return the documented JSON, each value by `as_json`."""
         return fields_as_json(self)
 
 
 def fields_as_json(value: Any) -> Json:
-    """What `json_keys` lists of a dataclass, or all of its fields where it lists none, each by `as_json`."""
+    """Collect what `json_keys` lists of a dataclass, or all of its fields where it lists none, each by `as_json`."""
     listed = getattr(value, "json_keys", "").split()
     found: Json = {}
     for each in listed or [field.name for field in dataclasses.fields(value)]:
@@ -97,7 +97,7 @@ def fields_as_json(value: Any) -> Json:
 
 
 def fields_as_table(value: Any, *, empty: bool = False, **unsaid: object) -> Json:
-    """The fields of a dataclass as the table of a measurement file that declares it.
+    """Write the fields of a dataclass as the table of a measurement file that declares it.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def fields_as_table(value: Any, *, empty: bool = False, **unsaid: object) -> Jso
 
 
 def as_table(value: Any) -> Any:
-    """A value as TOML has it, where an entry that was not measured is nan."""
+    """Convert a value to what TOML has, where an entry that was not measured is nan."""
     if hasattr(value, "tolist"):
         return value.tolist()
     if isinstance(value, tuple):
@@ -127,7 +127,7 @@ def as_table(value: Any) -> Any:
 
 
 def data_frame(columns: Mapping[str, Sequence[object]]) -> pd.DataFrame:
-    """A table with these columns.
+    """Make a table with these columns.
 
     Raises
     ------
@@ -167,7 +167,7 @@ class Shown(InJson):
         return str(shown("text", self)) if _home else object.__repr__(self)
 
     def _repr_html_(self) -> str | None:
-        """What a notebook shows."""
+        """Show a result in a notebook."""
         found: str | None = shown("notebook_html", self) if _home else None
         return found
 
@@ -193,7 +193,7 @@ class Shown(InJson):
 
 
 def shown(name: str, *given: Any) -> Any:
-    """What the module that shows results makes of one.
+    """Ask the module that shows results for one of its functions, and return what that makes.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ STEERING = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2
 
 
 def printable(text: str) -> str:
-    """A text in one line that a terminal takes for text: what would steer it stands as its escape.
+    """Write a text in one line that a terminal takes for text: what would steer it stands as its escape.
 
     Control characters, line breaks, marks that turn the direction of writing, and halves of surrogate pairs.
     """
@@ -32,7 +32,7 @@ def printable(text: str) -> str:
 
 
 def cell_text(text: str) -> str:
-    """A text as a cell of a spreadsheet: printable, and led by an apostrophe where it would be taken for a formula."""
+    """Write a text as a cell of a spreadsheet: printable, led by an apostrophe where it would pass for a formula."""
     shown = printable(text)
     return f"'{shown}" if shown.lstrip(" '").startswith(FORMULA) else shown
 
@@ -57,7 +57,7 @@ def escaped(text: str, *, surrogates: bool = False) -> str:
 
 
 def shell_line(arguments: Iterable[str]) -> str:
-    r"""A command as it is typed in a shell; what would steer a terminal stands as \xNN inside $'...' (bash, zsh)."""
+    r"""Write a command as it is typed in a shell; what would steer a terminal is \xNN inside $'...' (bash, zsh)."""
     return " ".join(shlex.quote(each) if each.isprintable() else f"$'{_shell_escaped(each)}'" for each in arguments)
 
 
@@ -69,7 +69,7 @@ def _shell_escaped(text: str) -> str:
 
 
 def json_text(value: object, *, indent: int = 2, ascii_only: bool = False) -> str:
-    """A value as JSON, each row of numbers in a line; nan cannot stand in JSON and has no place in a result."""
+    """Write a value as JSON, each row of numbers in a line; nan cannot stand in JSON and has no place in a result."""
     rows: list[str] = []
     mark = secrets.token_hex(8)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,3 +12,6 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Json = dict[str, Any]
 """A result as plain Python values, ready for `json.dumps`."""
+
+T = TypeVar("T")
+"""Any type, the same wherever a signature has it."""

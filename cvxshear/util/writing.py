@@ -95,7 +95,7 @@ def check_output(path: PathLike, *, endings: Iterable[str] = (), keep: Iterable[
 
 
 def ending_of(path: str | Path, endings: Iterable[str], what: str, *, device: str | None = None) -> str:
-    """The ending of a file's name, without its dot, once it is one that something is written as.
+    """Return the ending of a file's name, without its dot, once it is one that something is written as.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def _is_stream(path: PathLike) -> bool:
 
 
 def _descriptor(path: PathLike) -> int | None:
-    """The number of the process' own open file that a name like /dev/stdout leads to."""
+    """Find the number of the process' own open file that a name like /dev/stdout leads to."""
     place = os.fspath(path)
     own = os.path.realpath(OWN_DESCRIPTORS)
     with suppress(OSError, ValueError):
@@ -191,6 +191,6 @@ def _replace(path: Path, data: bytes) -> None:
 
 
 def _new_file(path: Path) -> tuple[int, Path]:
-    """A file beside `path` that did not exist, open for writing, with the rights that the user's new files have."""
+    """Open a file beside `path` that did not exist, for writing, with the rights that the user's new files have."""
     beside = path.with_name(f".{secrets.token_hex(8)}.part")
     return os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666), beside

@@ -171,7 +171,7 @@ def once(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        from cvxshear.data.kinds import _kinds  # noqa: PLC0415
+        from cvxshear.data.base import _kinds  # noqa: PLC0415
         from cvxshear.effects import catalogue  # noqa: PLC0415
 
         given = signature.bind(*args, **kwargs)

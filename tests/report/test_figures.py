@@ -1,5 +1,6 @@
 """Figures: nothing overlaps or is cut off at two or at twenty stories, and what is drawn is what was found."""
 
+import contextlib
 import dataclasses
 import itertools
 import subprocess
@@ -21,6 +22,7 @@ from cvxshear.report.figures.drawn_shapes import mac_tables, mode_shapes
 from cvxshear.report.figures.modal_figures import written
 from cvxshear.report.figures.style import for_narrow_page, inline_svg, letters, power_of_ten, spread
 from cvxshear.util.errors import InputError
+from tests import frames
 
 ODDS = [1.0] + [0.0] * 13
 OF_A_LOOP = [figures.findings, figures.frame, figures.shapes, figures.residual, figures.ranking, figures.mac]
@@ -153,6 +155,30 @@ def test_the_residual_is_drawn_in_the_noise_of_the_final_model(paper):
     )
     assert ratio == pytest.approx(ratio[0])
     assert drawn["with effects"] == pytest.approx(np.log(modelled / measured) * ratio[0])
+
+
+@pytest.mark.parametrize("narrow", [False, True])
+def test_every_residual_lies_within_its_panel_and_its_label_beside_it(narrow):
+    """Also those of soft priors, of which one has two rows and one a single, negative one, and long names."""
+    frame = {"total_mass": 20.0, "story_heights": 0.4}
+    prior = [
+        {"kind": "nominal", "quantity": "story_stiffness", "values": [24e3, 20e3], "std": 0.1},
+        {"kind": "ratio", "quantity": "floor_mass", "of": 2, "to": 1, "value": 1.3, "std": 0.03},
+    ]
+    tested = frames.configuration([10.0, 10.0], [24e3, 20e3])
+    declared = frames.experiment([10.0, 10.0], [24e3, 20e3], tested, frame=frame)
+    result = cvxshear.close_loop(cvxshear.Experiment.from_dict({**declared, "prior": prior}), effects=["gravity"])
+    with for_narrow_page() if narrow else contextlib.nullcontext():
+        figure = figures.residual(result)
+    figure.draw_without_rendering()
+    width = figure.get_window_extent().width
+    for axes in figure.axes:
+        low, high = axes.get_xlim()
+        for line in axes.lines:
+            if line.get_label() in ("shear model", "with effects"):
+                assert np.all((line.get_xdata() >= low) & (line.get_xdata() <= high))
+        assert axes.get_window_extent().width > 0.15 * width
+        assert all(label.get_window_extent().x0 >= 0 for label in axes.get_yticklabels())
 
 
 def test_probabilities_are_drawn_as_log_odds_and_none_is_lost_at_the_edges(paper):

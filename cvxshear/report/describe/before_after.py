@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
-from cvxshear.data import Deviation
+from cvxshear.data import Deviation, Frequencies, noise_kinds
 from cvxshear.loop import Closure
 from cvxshear.loop.residual import by_part
 from cvxshear.report.describe.headline import noise_facts
@@ -21,22 +21,26 @@ def _each(written: Callable[[float | None], str]) -> Writer:
 MODELS = ("shear model", "with effects")
 """The model that the loop began with and the one that it ended with; states may be named "before" and "after"."""
 
-ERRORS: tuple[tuple[str, str, Writer], ...] = (
-    ("max_frequency_error", "largest frequency error", percents),
-    ("rms_frequency_error", "frequency error, root mean square", percents),
-    ("held_out_frequency_error", "largest frequency error, {held_out}", percents),
-    ("min_mac", "smallest modal assurance criterion (MAC)", _each(lambda value: significant(value, 6))),
-    ("max_shape_error", "largest mode-shape error", percents),
-    ("max_displacement_error", "largest displacement error", percents),
-    ("chi2", "chi-square of the residual", significants),
-    ("dof", "its degrees of freedom", _each(lambda value: f"{value:.0f}" if value is not None else "–")),
-    ("p_value", "p: such a residual by chance", _each(probability)),
-)
-"""Key in the JSON, label, and how the two values are written, of each error that is compared."""
+def compared_errors(held_out: str) -> Iterator[tuple[str, str, Writer]]:
+    """Key in the JSON, label, and how the two values are written, of each error that is compared.
+
+    Parameters
+    ----------
+    held_out : str
+        How the held-out frequencies were predicted.
+    """
+    for kind in noise_kinds().values():
+        for figure in kind.figures:
+            yield figure.key, figure.label, percents if figure.relative else _each(lambda value: significant(value, 6))
+        if kind is Frequencies.noise:
+            yield "held_out_frequency_error", f"largest frequency error, {held_out}", percents
+    yield "chi2", "chi-square of the residual", significants
+    yield "dof", "its degrees of freedom", _each(lambda value: f"{value:.0f}" if value is not None else "–")
+    yield "p_value", "p: such a residual by chance", _each(probability)
 
 
 def before_after(result: Closure) -> Section:
-    """The model that the loop began with beside the one that it ended with."""
+    """Set the model that the loop began with beside the one that it ended with."""
     first = capital(result.before.action)
     same = "" if len(result.steps) > 1 else " Nothing was added, so that both are the same."
     which = f"{first} beside the final model, in the same noise.{same}"
@@ -52,16 +56,15 @@ def errors_table(result: Closure) -> Table:
     several = len(result.experiment.configurations) > 1
     held_out = "each test predicted from the others" if several else "each mode predicted from the others"
     rows = []
-    for key, label, written in ERRORS:
+    for key, label, written in compared_errors(held_out):
         values: tuple[Exact, ...] = (before[key], after[key])
         if any(value is not None for value in values):
-            row = (label.format(held_out=held_out), *written([before[key], after[key]]))
-            rows.append(Row(row, key, values))
+            rows.append(Row((label, *written([before[key], after[key]])), key, values))
     return Table("errors", "Errors of the model against the measurement", ("error", *MODELS), tuple(rows))
 
 
 def not_converged(result: Closure) -> Iterator[Sentence]:
-    """A warning for each fit whose numbers are shown though it did not converge."""
+    """Warn of each fit whose numbers are shown though it did not converge."""
     for step in result.steps:
         fit = step.estimate.fit
         if not fit.converged:
@@ -71,7 +74,7 @@ def not_converged(result: Closure) -> Iterator[Sentence]:
 
 
 def residual_section(result: Closure) -> Section:
-    """The residual of every part of the measurement; a table for each kind of data."""
+    """Tabulate the residual of every part of the measurement; a table for each kind of data."""
     before, after = by_part(result.before.estimate), by_part(result.estimate)
     pairs = list(zip(before, after, strict=True))
     kinds = dict.fromkeys(item.noise for item in after)

@@ -67,7 +67,7 @@ UNMOVED = 2.0
 
 
 def effects_section(result: Closure) -> Section:
-    """What was added, most probable first, each with what may be there in its place."""
+    """List what was added, most probable first, each with what may be there in its place."""
     if not result.effects:
         return Section("effects", "Effects added", (Sentence("None was added to the model."),))
     rows = tuple(row for item in result.effects for row in _with_rivals(item))
@@ -120,7 +120,7 @@ def _parameters(result: Closure, item: AddedEffect) -> Iterator[tuple[str, str]]
 
 
 def sets_section(result: Closure) -> Section:
-    """The sets of effects with their probabilities."""
+    """Tabulate the sets of effects with their probabilities."""
     chi2 = significants([item.chi2 for item in result.models])
     rows = tuple(
         Row((_label(item, result), chance(item.probability), shown), exact=(item.probability, item.chi2))
@@ -239,7 +239,7 @@ def _line(result: Closure) -> str:
 
 
 def verdict_section(result: Closure) -> Section:
-    """What the verdict means, what it rests on, and which data carried it."""
+    """Say what the verdict means, what it rests on, and which data carried it."""
     verdict = verdict_of(result)
     meaning = verdict.sentence if result.effects or not verdict.plain else verdict.plain
     noise, *granted = result.rests_on
@@ -252,7 +252,7 @@ def verdict_section(result: Closure) -> Section:
 
 
 def frame_section(result: Closure, units: Units) -> Section:
-    """The frame of the verdict's set, and the one averaged over all sets."""
+    """Tabulate the frame of the verdict's set, and the one averaged over all sets."""
     title = "Masses without added mass; averaged: over all sets of effects, each as probable as it is"
     parts: tuple[Block, ...] = (frame_table(result.frame, title, units, averaged=result.averaged),)
     if not result.estimate.fit.converged:
@@ -281,7 +281,7 @@ def _limits(result: Closure) -> Iterator[str]:
 
 
 def open_questions(result: Closure) -> tuple[str, ...]:
-    """What a reader must know that the data cannot decide, the most important first, at most `MOST_QUESTIONS`.
+    """List what a reader must know that the data cannot decide, the most important first, at most `MOST_QUESTIONS`.
 
     Parameters
     ----------
@@ -302,7 +302,7 @@ def open_questions(result: Closure) -> tuple[str, ...]:
 
 
 def next_section(result: Closure, units: Units) -> Section:
-    """The test that would distinguish the rivals."""
+    """Describe the test that would distinguish the rivals."""
     return Section("next", "What to test next", (Sentence(_next(result, units)),))
 
 

@@ -50,7 +50,7 @@ class Change:
 
 
 def changes(estimate: Estimate, placed: Placed) -> list[Change]:
-    """What an effect of a fit does in each configuration, everything else staying as it is.
+    """Say what an effect of a fit does in each configuration, everything else staying as it is.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def _frame_frequencies(state: State) -> Floats:
 
 
 def _sway_stiffness(state: State) -> Floats:
-    """A force at the top over the drift of each story under it, shape (N,), N/m: k_i of a shear frame."""
+    """Divide a force at the top by the drift of each story under it, shape (N,), N/m: k_i of a shear frame."""
     K, n = state.system.K, len(state.story_stiffness)
     force = np.zeros(len(K))
     force[n - 1] = 1.0

@@ -42,7 +42,7 @@ def scale_in_words(result: ModalResult) -> str:
 
 
 def shape_deviations(result: ModalResult) -> Floats:
-    """Standard deviations of the shapes' entries, in the unit of the shapes, shape (m, n)."""
+    """Find the standard deviations of the shapes' entries, in the unit of the shapes, shape (m, n)."""
     largest = np.abs(result.mode_shapes).max(axis=1, keepdims=True)
     return np.asarray(result.written_entry_std * largest)
 
@@ -92,7 +92,7 @@ def _table(result: ModalResult) -> Table:
 
 
 def poles_table(result: ModalResult) -> Table:
-    """The clusters of stable poles of a record by number, which of them are the modes, and why the others are not.
+    """Tabulate the clusters of stable poles of a record by number, which of them are modes, and why the others are not.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def poles_table(result: ModalResult) -> Table:
 
 
 def _shapes(result: ModalResult) -> Table:
-    """The shapes side by side, the top of the frame first."""
+    """Set the shapes side by side, the top of the frame first."""
     shapes, stds = result.mode_shapes.tolist(), shape_deviations(result).tolist()
     rows = columns(
         [str(floor) for floor in result.floors],
@@ -147,7 +147,7 @@ def _screening_headline(result: Screening) -> str:
 
 
 def _finding(item: Finding) -> Iterator[Block]:
-    """A finding with what to change."""
+    """Say a finding and what to change."""
     word, tone = ("MISTAKE", "mistake") if item.refuses else ("WARNING", "warning")
     where = f' in configuration "{item.configuration}"' if item.configuration else ""
     yield Sentence(f"{word}: {' or '.join((item.name, *item.rivals))}{where}", tone)
@@ -161,7 +161,7 @@ def _finding(item: Finding) -> Iterator[Block]:
 
 
 def _record(result: Screening) -> Iterator[Block]:
-    """What a record's own diagnostics say."""
+    """List what a record's own diagnostics say."""
     for item in result.record:
         yield Sentence(f"RECORD: {item.kind}", "warning")
         yield Facts((("  found", item.message),))

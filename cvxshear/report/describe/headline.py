@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from cvxshear.data import Frequencies, noise_kinds
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import Closure
 from cvxshear.loop.numbering import Changes
 from cvxshear.loop.residual import by_part
 from cvxshear.loop.results import AddedEffect
 from cvxshear.loop.verdicts import VERDICTS, Verdict
-from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD, DEFAULT_MODE_SHAPE_STD
-from cvxshear.measurement.static_test import DEFAULT_DISPLACEMENT_STD
 from cvxshear.report.describe.vocabulary import Facts, Row, Section, Table
 from cvxshear.util.quantities import chance, listed, percent, percents, significant, with_std
 
@@ -39,13 +38,13 @@ def in_doubt(result: Closure) -> bool:
 
 
 def other_numbers(result: Closure) -> str:
-    """The second most probable numbering in words."""
+    """Say the second most probable numbering."""
     other = result.numberings[1]
     return numbers_in_words(other.changes) if other.changes else "the modes are those given"
 
 
 def numbering_sections(result: Closure) -> Iterator[Section]:
-    """A table of the numberings that were weighed; nothing where the numbers were not in question."""
+    """Tabulate the numberings that were weighed; nothing where the numbers were not in question."""
     if len(result.numberings) == 1 and not result.numberings[0].changes:
         return
     rows = tuple(
@@ -59,49 +58,38 @@ def numbering_sections(result: Closure) -> Iterator[Section]:
     yield Section("numbering", "Which modes these are", (table,))
 
 
-DEFAULTS = {
-    "frequency": DEFAULT_FREQUENCY_STD,
-    "mode_shape": DEFAULT_MODE_SHAPE_STD,
-    "displacement": DEFAULT_DISPLACEMENT_STD,
-}
-"""Standard deviation that stands for an undeclared one, by kind of data; the estimated factor multiplies it."""
-
-
 def noise_facts(result: Closure) -> Facts:
     """For each kind of data the noise that counts."""
     return Facts(tuple(_facts(result)))
 
 
 def _facts(result: Closure) -> Iterator[tuple[str, str]]:
-    estimated = {kind: item for kind, item in result.noise.to_dict().items() if item is not None}
-    for kind in dict.fromkeys(datum.noise for datum in result.estimate.misfit.data):
-        name = f"noise of {plural_of(kind)}"
-        if kind not in estimated:
+    for kind in result.estimate.misfit.noises.values():
+        name, estimated = f"noise of {kind.plural}", result.noise.of(kind.name)
+        if estimated is None:
             yield name, "as declared"
             continue
-        factor, std = estimated[kind]["factor"], estimated[kind]["std"]
-        size = with_std(100 * factor * DEFAULTS[kind], 100 * std * DEFAULTS[kind], "%")
+        factor, std = estimated["factor"], estimated["std"]
+        (size, size_std), unit = kind.sized(factor, std)
         partly = any(datum.noise == kind and datum.declared for datum in result.estimate.misfit.data)
         where = ", where it is not declared" if partly else ""
-        yield name, f"{size} (estimated: {with_std(factor, std)} times the default{where})"
+        yield name, f"{with_std(size, size_std, unit)} (estimated: {with_std(factor, std)} times the default{where})"
 
 
 def noise_in_words(result: Closure) -> str:
-    """The estimated noise in a few words; empty where all of it was declared."""
-    found = result.noise.noise.factors
-    # Sizes of effects of many parameters are estimated with the noise, and are none.
-    said = [
-        f"{significant(100 * factor * DEFAULTS[kind], 2)} % of {plural_of(kind)}"
-        for kind, factor in found
-        if kind in DEFAULTS
-    ]
+    """Say the estimated noise in a few words; empty where all of it was declared."""
+    said = []
+    for name, factor in result.noise.noise.factors:
+        # Sizes of effects of many parameters are estimated with the noise, and are none.
+        if (kind := result.estimate.misfit.noises.get(name)) is not None:
+            (size,), unit = kind.sized(factor)
+            said.append(f"{significant(size, 2)} {unit} of {kind.plural}")
     return f"an estimated noise of {listed(said)}" if said else ""
 
 
-def plural_of(kind: str) -> str:
-    """A kind of data in the plural: "mode shapes"."""
-    words = kind.replace("_", " ")
-    return f"{words[:-1]}ies" if words.endswith("y") else f"{words}s"
+def plural_of(noise: str) -> str:
+    """Name the data of a noise in the plural, "mode shapes", or the declared statements."""
+    return "priors" if noise == "prior" else noise_kinds()[noise].plural
 
 
 NAMED = 2
@@ -115,7 +103,7 @@ CARRIES = 0.6
 
 
 def verdict_of(result: Closure) -> Verdict:
-    """The verdict with its words.
+    """Look up the verdict with its words.
 
     Parameters
     ----------
@@ -125,7 +113,7 @@ def verdict_of(result: Closure) -> Verdict:
 
 
 def headline(result: Closure) -> str:
-    """What was found, how probable it is, and what it does to the error that carried the verdict.
+    """Say what was found, how probable it is, and what it does to the error that carried the verdict.
 
     Parameters
     ----------
@@ -184,19 +172,19 @@ def _model(result: Closure) -> str:
 
 
 def _effects(effects: tuple[AddedEffect, ...]) -> str:
-    """The effects with their sizes and probabilities, or how many there are and the first."""
+    """Name the effects with their sizes and probabilities, or say how many there are and name the first."""
     said = [_sized(item) for item in effects]
     return listed(said) if len(said) <= NAMED else f"{len(said)} effects were found, the first: {said[0]}"
 
 
 def _sized(item: AddedEffect) -> str:
-    """An effect with its size, and how probable it is."""
+    """Name an effect with its size, and how probable it is."""
     probable = f"{chance(item.probability)} probable)"
     return f"{item.size[:-1]}; {probable}" if item.size.endswith(")") else f"{item.size} ({probable}"
 
 
 def _rivals(item: AddedEffect, *, several: bool) -> str:
-    """What else it may be: what no datum can distinguish from it first, then what is less probable."""
+    """Say what else it may be: what no datum can distinguish from it first, then what is less probable."""
     twins = [rival.placed.label for rival in item.rivals if rival.twin]
     others = [f"{rival.placed.label} ({chance(rival.probability)})" for rival in item.rivals if not rival.twin]
     mine = item.placed.label if several else "it"
@@ -223,7 +211,7 @@ def chi2_by_kind(estimate: Estimate) -> dict[str, float]:
 
 
 def carried_by(before: Estimate, after: Estimate) -> dict[str, float]:
-    """The share of each kind of data in the fall of chi-square, the largest first; empty where it does not fall.
+    """Divide the fall of chi-square among the kinds of data, the largest share first; empty where it does not fall.
 
     Parameters
     ----------
@@ -259,20 +247,19 @@ def evidence_in_words(result: Closure) -> str:
 
 
 def change_in_words(before: Estimate, after: Estimate) -> str:
-    """What became of the largest error of the kind of data that carries the change, frequencies or shapes.
+    """Say what became of the leading error of the kind that carries the change; frequencies' where none does.
 
     Parameters
     ----------
     before, after : Estimate
     """
-    shares, first, last = carried_by(before, after), before.quality, after.quality
-    if shares.get("mode_shape", 0.0) > 0.5 and first.max_shape_error and last.max_shape_error is not None:
-        return _moves("the largest mode-shape error", first.max_shape_error, last.max_shape_error)
-    return _moves("the largest frequency error", first.max_frequency_error, last.max_frequency_error)
-
-
-def _moves(what: str, before: float, after: float) -> str:
-    first, last = percents([before, after])
-    if first == last:
-        return f"{what} stays at {last}"
-    return f"{what} {'falls' if after < before else 'rises'} from {first} to {last}"
+    shares = carried_by(before, after)
+    carrying = [kind for name, kind in before.misfit.noises.items() if shares.get(name, 0.0) > 0.5]
+    for kind in (*carrying, Frequencies.noise):
+        if kind.leading is None or not (old := before.quality.errors[kind.leading.key]):
+            continue
+        new = after.quality.errors[kind.leading.key] or 0.0
+        first, last = percents([old, new])
+        moved = f"stays at {last}" if first == last else f"{'falls' if new < old else 'rises'} from {first} to {last}"
+        return f"the {kind.leading.label} {moved}"
+    return ""

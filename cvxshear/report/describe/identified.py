@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
+from cvxshear.data import Frequencies, noise_kinds
 from cvxshear.methods import Identification, IdentifiedFrame, SingleIdentification
 from cvxshear.report.describe import vocabulary
 from cvxshear.report.describe.measured import declared, units_for
@@ -205,7 +206,7 @@ def _headline(result: Identification) -> str:
 
 
 def part_section(result: Identification, part: SingleIdentification, place: int, units: Units) -> Section:
-    """The frame that one configuration, or all together, speak for, and how well it fits."""
+    """Tabulate the frame that one configuration, or all together, speak for, and how well it fits."""
     title = "All configurations together" if result.joint else part.name
     parts = [
         frame_table(part.frame, "Identified frame (masses without added mass)", units, key=f"identified-{place}"),
@@ -218,7 +219,7 @@ def part_section(result: Identification, part: SingleIdentification, place: int,
 
 
 def _bounds(part: SingleIdentification) -> Iterator[Sentence]:
-    """What would have gone on but for a bound."""
+    """Warn of what would have gone on but for a bound."""
     held = part.frame.at_bounds
     if held:
         are, them = ("is", "it") if len(held) == 1 else ("are", "them")
@@ -244,10 +245,10 @@ def _fit(part: SingleIdentification) -> str:
     fit = part.fit
     largest, rms = percents([fit.max_frequency_error, fit.rms_frequency_error])
     said = [f"Frequency errors: largest {largest}, root mean square {rms}"]
-    if fit.min_mac is not None:
-        said.append(f"smallest MAC {significant(fit.min_mac, 6)}")
-    if fit.max_displacement_error is not None:
-        said.append(f"largest displacement error {percent(fit.max_displacement_error)}")
+    for figure in (each for kind in noise_kinds().values() for each in kind.figures if kind is not Frequencies.noise):
+        error = fit.errors[figure.key]
+        if error is not None:
+            said.append(f"{figure.label} {percent(error) if figure.relative else significant(error, 6)}")
     test = "" if fit.p_value is None else f" ({equals(fit.p_value)})"
     said.append(f"chi-square {significant(fit.chi2)} on {counted(fit.dof, 'degree')} of freedom{test}")
     return f"{'; '.join(said)}."

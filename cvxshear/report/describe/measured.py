@@ -38,12 +38,12 @@ def _headline(experiment: Experiment) -> str:
 
 
 def units_for(experiment: Experiment, units: Units) -> Units:
-    """The units to show: relative ones where the total mass stands for one that nobody gave."""
+    """Choose the units to show: relative ones where the total mass stands for one that nobody gave."""
     return dataclasses.replace(units, relative=True) if experiment.frame.total_mass_placeholder else units
 
 
 def declared(experiment: Experiment, units: Units = AUTOMATIC) -> Section:
-    """What was declared of the frame, and each test in a line."""
+    """List what was declared of the frame, and each test in a line."""
     facts = Facts(tuple(_facts(experiment, units)))
     # One unit for all, that of the frame itself where its mass is known.
     sums = [float(each.added_mass.sum()) for each in experiment.configurations]
@@ -110,14 +110,14 @@ def _added(mass: Floats, factor: float, unit: str) -> str:
 
 
 def listed(values: Floats, unit: str, factor: float = 1.0) -> str:
-    """The values, or the one value that all have."""
+    """Write the values, or the one value that all have."""
     shown = [f"{value / factor:g}" for value in values]
     same = len(set(shown)) == 1 and len(shown) > 1
     return f"{shown[0]} {unit} each" if same else f"{', '.join(shown)} {unit}"
 
 
 def measured_modes(experiment: Experiment, units: Units = AUTOMATIC) -> Section:
-    """The measured modes of every configuration."""
+    """Tabulate the measured modes of every configuration."""
     parts: list[Block] = []
     for place, each in enumerate(experiment.configurations, 1):
         parts += _modes(each, place, units)

@@ -30,7 +30,7 @@ def _plan(result: Plan, units: Units = AUTOMATIC) -> Document:
 
 
 def headline(result: Plan) -> str:
-    """The choice in a sentence."""
+    """Say the choice in a sentence."""
     floors = ", ".join(map(str, result.sensors))
     everywhere = len(result.sensors) == result.model.design.stories
     where = "every floor" if everywhere else f"floor{'s' * (len(result.sensors) > 1)} {floors}"
@@ -38,7 +38,7 @@ def headline(result: Plan) -> str:
 
 
 def sure(result: Plan) -> str:
-    """The objective, and how far from the best the choice can be."""
+    """State the objective, and how far from the best the choice can be."""
     unit = "of the effects' sizes" if result.apart else "relative"
     said = f"{result.measure} ({result.criterion}): {percent(result.objective)} {unit}"
     if result.objective >= UNKNOWN_STD:
@@ -58,7 +58,7 @@ def sure(result: Plan) -> str:
 
 
 def cautions(result: Plan) -> list[Sentence]:
-    """What the promise is an average over, and where the frame of the plan is not the one that was measured."""
+    """Say what the promise is an average over, and where the frame of the plan is not the one that was measured."""
     said = []
     if result.frames > 1:
         said.append(
@@ -79,7 +79,7 @@ def cautions(result: Plan) -> list[Sentence]:
 
 
 def grid(result: Plan) -> list[Sentence]:
-    """What no tests of the grid of added masses can beat, where the masses were chosen."""
+    """State what no tests of the grid of added masses can beat, where the masses were chosen."""
     if result.grid_bound is None:
         return []
     if result.arbitrary_masses:
@@ -93,7 +93,7 @@ def grid(result: Plan) -> list[Sentence]:
 
 
 def expected_modes(result: Plan) -> Table:
-    """The modes of the first test, and how well they will be known."""
+    """Tabulate the modes of the first test, and how well they will be known."""
     rows = plain_rows(
         (
             str(each.mode),
@@ -109,7 +109,7 @@ def expected_modes(result: Plan) -> Table:
 
 
 def added_masses(result: Plan, units: Units) -> Table:
-    """Added mass of each test, the top floor first."""
+    """Tabulate the added mass of each test, the top floor first."""
     # They are laid on floors by hand, and asked for in kg, whatever their size.
     factor, unit = (1.0, "kg") if units.mass is None else units.of_mass(np.concatenate(result.tests).tolist())
     rows = plain_rows(
@@ -153,7 +153,7 @@ def conclusions(result: Plan) -> list[Sentence]:
 
 
 def accuracy(result: Plan, units: Units) -> Table:
-    """Expected standard deviations of every mass and stiffness: as planned, one sensor less and more, all floors."""
+    """Tabulate the expected deviations of masses and stiffnesses: as planned, one sensor less and more, all floors."""
     design = result.model.design
     options = (
         ("as planned", result.chosen),
@@ -180,19 +180,19 @@ def accuracy(result: Plan, units: Units) -> Table:
 
 
 def _std(std: Floats, at: int, value: float) -> str:
-    """A standard deviation, relative."""
+    """Write a standard deviation, relative."""
     if np.isnan(std[at]):
         return "open"
     return "exact" if std[at] < 1e-9 * value else percent(float(std[at]) / value)
 
 
 def _value(objective: float) -> str:
-    """The criterion's standard deviation, relative."""
+    """Write the criterion's standard deviation, relative."""
     return "open" if objective >= UNKNOWN_STD else percent(objective)
 
 
 def counts(result: Plan) -> Table:
-    """The objective against the number of sensors."""
+    """Tabulate the objective against the number of sensors."""
     outlooks: dict[int, Outlook] = {
         len(each.floors): each
         for each in (result.fewer, result.chosen, result.more, result.everywhere)

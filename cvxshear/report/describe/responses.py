@@ -124,7 +124,7 @@ def _reconstructed(result: Reconstruction) -> str:
 
 
 def _findings(result: Reconstruction) -> Iterator[str]:
-    """What an owner asks: which story drifted most, against which limit, and whether the building is the same."""
+    """Say what an owner asks: which story drifted most, against which limit, and whether the building is the same."""
     name = "story_drift_ratio" if "story_drift_ratio" in result.peaks.values else "story_drift"
     values, std = result.peaks.values[name], result.peaks.std[name]
     top = int(np.argmax(values))

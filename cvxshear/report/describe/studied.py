@@ -129,7 +129,7 @@ def in_percent(values: Floats, digits: int = 2) -> Cells:
 
 
 def note(result: NoiseStudy) -> str:
-    """The deviations that chance alone gives these figures."""
+    """Find the deviations that chance alone gives these figures."""
     ratio = 100 / np.sqrt(2 * result.samples)
     covered = 100 * np.sqrt(0.95 * 0.05 / result.samples)
     return (
@@ -176,7 +176,7 @@ def _kind(result: Comparison, kind: ProgramKind) -> Iterator[Block]:
 
 
 def programs(kind: ProgramKind) -> str:
-    """A kind of program and its size in words."""
+    """Name a kind of program and its size."""
     sizes = (
         counted(kind.unknowns, "unknown"),
         counted(kind.rows, "row"),
@@ -233,5 +233,5 @@ def _largest(values: list[float | None]) -> str:
 
 
 def short(failure: str) -> str:
-    """A failure that every reader of these tables knows, in a few words."""
+    """Name a failure that every reader of these tables knows, in a few words."""
     return "takes no active bound" if "takes equalities only" in failure else failure

@@ -163,7 +163,7 @@ class Document:
     sections: tuple[Section, ...]
 
     def __getitem__(self, key: str) -> Section:
-        """The section of a key."""
+        """Find the section of a key."""
         return next(section for section in self.sections if section.key == key)
 
     @property
@@ -184,7 +184,7 @@ def columns(*texts: Sequence[str]) -> tuple[Row, ...]:
 
 @singledispatch
 def describe(result: object, units: Units = AUTOMATIC) -> Document:
-    """The description of a result: its tables, sentences, and numbers with units.
+    """Describe a result: its tables, sentences, and numbers with units.
 
     Parameters
     ----------
@@ -206,5 +206,5 @@ def describe(result: object, units: Units = AUTOMATIC) -> Document:
 
 @singledispatch
 def line(result: object) -> str:
-    """A result in one short line, such as a prompt shows; by default its description's headline."""
+    """Say a result in one short line, such as a prompt shows; by default its description's headline."""
     return f"<{type(result).__name__} {describe(result).headline}>"

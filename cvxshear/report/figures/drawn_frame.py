@@ -139,7 +139,7 @@ def _findings_alternative(result: Closure) -> str:
     narrow=True,
 )
 def findings(result: Closure) -> Figure:
-    """The frame of each state to scale, with what was found at its place, its size, its probability and its rivals.
+    """Draw the frame of each state to scale, with what was found at its place, its size, probability and rivals.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def findings(result: Closure) -> Figure:
 
 
 def _shown_states(result: Closure) -> list[str | None]:
-    """The states that have a drawing; None alone where nothing concerns a single state."""
+    """List the states that have a drawing; None alone where nothing concerns a single state."""
     every = [item.placed.place.state for item in result.effects]
     every += [rival.placed.place.state for item in result.effects for rival in item.rivals[:RIVALS_DRAWN]]
     concerned = [state for state in every if state is not None]
@@ -197,7 +197,7 @@ class _Mark:
 
 
 def _marks(result: Closure, state: str | None, *, first: bool) -> list[_Mark]:
-    """What is marked in the drawing of a state; what concerns every state is marked in the first one."""
+    """Collect what is marked in the drawing of a state; what concerns every state is marked in the first one."""
     sure = not verdict_of(result).provisional
     tied = {id(item): _standing_out(item, places) for item, places in networks(result)}
     found = []
@@ -217,7 +217,7 @@ def _marks(result: Closure, state: str | None, *, first: bool) -> list[_Mark]:
 
 
 def _standing_out(item: AddedEffect, places: Sequence[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
-    """The pairs of levels whose springs stand out of their deviations, at most `MOST_TIES` of them."""
+    """Find the pairs of levels whose springs stand out of their deviations, at most `MOST_TIES` of them."""
     sizes = {
         place: abs(item.parameters[name]) / (item.std[name] or np.inf)
         for place, name in zip(places, item.parameters, strict=True)
@@ -262,7 +262,7 @@ def _state(axes: Axes, result: Closure, state: str | None, marks: Sequence[_Mark
 
 
 def _middle(placed: Placed, z: Floats) -> float:
-    """The elevation of what an effect acts on."""
+    """Find the elevation of what an effect acts on."""
     place, base = placed.place, np.concatenate([[0.0], z])
     if place.story is not None:
         return float(base[place.story - 1 : place.story + 1].mean())
@@ -320,7 +320,7 @@ def _tie(axes: Axes, low: int, high: int, z: Floats, at: _Columns, *, sure: bool
     narrow=True,
 )
 def frame(result: Closure | Identification) -> Figure:
-    """The identified frame: heights to scale, slabs as thick as floors are heavy, columns as wide as stories are stiff.
+    """Draw the identified frame: heights to scale, slabs by the masses, columns by the stiffnesses.
 
     Parameters
     ----------
@@ -387,7 +387,7 @@ def _numbers(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns, gap: f
 
 
 def networks(result: Closure) -> list[tuple[AddedEffect, list[tuple[int, int]]]]:
-    """The effects that are springs between pairs of levels, each with the pairs of its parameters in their order."""
+    """Find the effects of springs between pairs of levels, each with the pairs of its parameters in their order."""
     known = {named_pair(i, j): (i, j) for i, j in pairs(result.experiment.stories, ground=True)}
     return [
         (item, [known[name] for name in item.parameters])
@@ -409,7 +409,7 @@ def networks(result: Closure) -> list[tuple[AddedEffect, list[tuple[int, int]]]]
     narrow=True,
 )
 def springs(result: Closure) -> Figure:
-    """The matrix of springs between levels of the effect that has them.
+    """Fill the matrix of springs between levels of the effect that has them.
 
     Parameters
     ----------
@@ -428,7 +428,7 @@ def springs(result: Closure) -> Figure:
 
 
 def springs_between_levels(values: Floats, stds: Floats, units: Units = AUTOMATIC) -> Figure:
-    """The matrix of springs between all pairs of levels, those marked that stand out of their deviations.
+    """Draw the matrix of springs between all pairs of levels, those marked that stand out of their deviations.
 
     Parameters
     ----------

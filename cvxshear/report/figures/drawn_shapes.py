@@ -62,7 +62,7 @@ def mode_shapes(estimate: Estimate) -> list[ModeShape]:
     for configuration in estimate.experiment.configurations:
         model, datum = models[id(configuration)], laid.get(id(configuration))
         modelled = _modelled(configuration, model, datum)
-        noise = estimate.misfit.noise.of(Shapes.noise) if datum is not None and not datum.declared else 1.0
+        noise = estimate.misfit.noise.of(Shapes.noise.name) if datum is not None and not datum.declared else 1.0
         for j, mode in enumerate(configuration.modes.tolist()):
             unit = _unit(configuration, j)
             # Which entry is largest may change with the configuration; the mode keeps its sign.
@@ -83,7 +83,7 @@ def mode_shapes(estimate: Estimate) -> list[ModeShape]:
 
 
 def _modelled(configuration: Configuration, model: Model, datum: Shapes | None) -> Floats:
-    """The shapes at all floors as sensors would show them, on the measured ones' scale, shape (m, N).
+    """Find the shapes at all floors as sensors would show them, on the measured ones' scale, shape (m, N).
 
     The factor that lays a shape on the measured entries holds at the floors without a sensor too.
     """
@@ -98,7 +98,7 @@ def _modelled(configuration: Configuration, model: Model, datum: Shapes | None) 
 
 
 def _unit(configuration: Configuration, j: int) -> float:
-    """The largest measured entry of a mode, with its sign; 1 where none was measured."""
+    """Find the largest measured entry of a mode, with its sign; 1 where none was measured."""
     entries = configuration.mode_shapes[j, configuration.measured[j]]
     return float(entries[np.argmax(np.abs(entries))]) if entries.size else 1.0
 

@@ -56,11 +56,11 @@ class FigureEntry:
     narrow: bool
 
     def caption_of(self, *results: Any) -> str:
-        """What stands below the figure of these results."""
+        """Write what stands below the figure of these results."""
         return self.caption if isinstance(self.caption, str) else self.caption(*results)
 
     def alternative_of(self, *results: Any) -> str:
-        """What the figure of these results shows, for those who cannot see it."""
+        """Say what the figure of these results shows, for those who cannot see it."""
         return self.alternative if isinstance(self.alternative, str) else self.alternative(*results)
 
 
@@ -106,17 +106,17 @@ def figure(
 
 
 def figures_of(result: type) -> dict[str, FigureEntry]:
-    """The figures of a type of result by name, in the order of the report."""
+    """List the figures of a type of result by name, in the order of the report."""
     return dict(_TABLE.get(result, {}))
 
 
 def applicable(*results: Any) -> Iterator[FigureEntry]:
-    """The figures that can be drawn of these results, all of one type."""
+    """List the figures that can be drawn of these results, all of one type."""
     return (entry for entry in figures_of(type(results[0])).values() if entry.applies(*results))
 
 
 def drawn_figure(name: str, *results: Any) -> Figure:
-    """A figure by its name.
+    """Draw a figure by its name.
 
     Raises
     ------

@@ -94,7 +94,7 @@ def _poles(axes: Axes, sweep: Sweep) -> None:
 
 
 def _indicator(axes: Axes, result: ModalResult) -> None:
-    """The singular values of the functions, logarithmic, over the height of the orders; their size does not matter."""
+    """Draw the singular values of the functions, logarithmic, over the height of the orders; only their form counts."""
     assert result.functions is not None
     behind = axes.twinx()
     lines = result.functions.frequencies
@@ -194,7 +194,7 @@ def functions(*results: ModalResult) -> Figure:
     narrow=True,
 )
 def coherence(*results: ModalResult) -> Figure:
-    """The coherence of each floor's response with what drove it.
+    """Draw the coherence of each floor's response with what drove it.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def coherence(*results: ModalResult) -> Figure:
 
 
 def _label_units(figure: Figure, groups: Sequence[Sequence[Axes]], names: Sequence[str]) -> None:
-    """What the functions are: once where they all are the same, else at each record."""
+    """Name what the functions are: once where they all are the same, else at each record."""
     if len(set(names)) == 1:
         figure.supylabel(names[0], fontsize=8.5)
         return
@@ -260,7 +260,7 @@ def _functions_of(result: ModalResult) -> Functions:
 
 
 def _outputs(seen: Functions, *, reference: bool) -> list[int]:
-    """The floors that have a panel; the coherence of a reference with itself is no news."""
+    """List the floors that have a panel; the coherence of a reference with itself is no news."""
     return [
         place
         for place, floor in enumerate(seen.floors)
@@ -271,7 +271,7 @@ def _outputs(seen: Functions, *, reference: bool) -> list[int]:
 def _panels_of(
     results: Sequence[ModalResult], height: float, *, reference: bool = True
 ) -> tuple[Figure, list[list[Axes]]]:
-    """The panels of each record, on rows of its own."""
+    """Arrange the panels of each record on rows of its own."""
     counts = [len(_outputs(_functions_of(result), reference=reference)) for result in results]
     most = max(counts)
     columns = style.even_columns(most, 1 if style.narrow_page() else 4 if most > 9 else 3)
@@ -289,7 +289,7 @@ def _dress(axes: Axes, result: ModalResult, title: str, *, several: bool) -> Non
 
 
 def _against(seen: Functions, column: int) -> str:
-    """What a function is taken against, in words; nothing for the ground."""
+    """Name what a function is taken against; nothing for the ground."""
     floor = int(seen.inputs[column])
     if not seen.driven:
         return f", with floor {floor}"

@@ -49,7 +49,7 @@ TICKS = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999)
     narrow=True,
 )
 def ranking(result: Closure) -> Figure:
-    """The probability of each effect before the data and with them, on an axis of log odds.
+    """Draw the probability of each effect before the data and with them, on an axis of log odds.
 
     Parameters
     ----------
@@ -167,18 +167,27 @@ def residual(result: Closure) -> Figure:
     """
     pairs = list(zip(by_part(result.before.estimate), by_part(result.estimate), strict=True))
     kinds = list(dict.fromkeys(after.noise for _, after in pairs))
-    rows = list(dict.fromkeys((after.configuration, after.place) for _, after in pairs))
-    # On a telephone the kinds of data go below one another.
-    stacked = len(kinds) if style.narrow_page() else 1
-    figure = style.new_figure(style.page_width(), stacked * (ROW * len(rows) + ROOM))
-    drawn = figure.subplots(stacked, len(kinds) // stacked, sharey=True, squeeze=False).ravel()
-    for axes, kind in zip(drawn, kinds, strict=True):
-        _residual_panel(axes, rows, [pair for pair in pairs if pair[1].noise == kind])
-    longest = 12 if style.narrow_page() else 20
-    drawn[0].set_yticks(range(len(rows)), [f"{style.letters(name, longest)}, {place}" for name, place in rows])
-    drawn[0].set_ylim(len(rows) - 0.4, -0.6)
-    style.legend(figure, drawn[0], 2)
+    of_kind = {kind: [pair for pair in pairs if pair[1].noise == kind] for kind in kinds}
+    # On a telephone the kinds of data go below one another, each with its own rows.
+    listed = [of_kind[kind] for kind in kinds] if style.narrow_page() else [pairs]
+    rows = [list(dict.fromkeys((after.configuration, after.place) for _, after in each)) for each in listed]
+    heights = [ROW * len(each) + ROOM for each in rows]
+    figure = style.new_figure(style.page_width(), sum(heights))
+    columns = 1 if style.narrow_page() else len(kinds)
+    drawn = figure.subplots(len(rows), columns, sharey="row", squeeze=False, height_ratios=heights)
+    for at, (axes, kind) in enumerate(zip(drawn.ravel(), kinds, strict=True)):
+        _residual_panel(axes, rows[at // columns], of_kind[kind])
+    for axes, own in zip(drawn[:, 0], rows, strict=True):
+        axes.set_yticks(range(len(own)), [_row_label(name, place) for name, place in own])
+        axes.set_ylim(len(own) - 0.4, -0.6)
+    style.legend(figure, drawn[0, 0], 2)
     return figure
+
+
+def _row_label(configuration: str, place: str) -> str:
+    """Name a part of the measurement in no more letters than leave room for the panel; a prior has no configuration."""
+    name, statement = (12, 24) if style.narrow_page() else (20, 48)
+    return f"{style.letters(configuration, name)}, {place}" if configuration else style.letters(place, statement)
 
 
 def _residual_panel(axes: Axes, rows: Sequence[tuple[str, str]], pairs: Sequence[Pair]) -> None:
@@ -186,7 +195,8 @@ def _residual_panel(axes: Axes, rows: Sequence[tuple[str, str]], pairs: Sequence
     signed = all(after.entries == 1 for _, after in pairs)
     places = np.array([rows.index((after.configuration, after.place)) for _, after in pairs], dtype=float)
     axes.axvspan(-USUAL if signed else 0, USUAL, color="#EFEFEF", zorder=0, lw=0)
-    _dumbbells(axes, places, [before.deviations for before, _ in pairs], [after.deviations for _, after in pairs])
+    before, after = np.array([[before.deviations, after.deviations] for before, after in pairs]).T
+    _dumbbells(axes, places, *((before, after) if signed else (np.abs(before), np.abs(after))))
     what = f"{pairs[0][1].noise.replace('_', ' ')}, {'model less measurement' if signed else 'root mean square'}"
     wrapped = "\n".join(textwrap.wrap(f"{what}, standard deviations", 22))
     axes.set_xlabel(wrapped if style.narrow_page() else f"{what},\nstandard deviations")
@@ -198,7 +208,7 @@ def _residual_panel(axes: Axes, rows: Sequence[tuple[str, str]], pairs: Sequence
     axes.tick_params(axis="y", length=0)
 
 
-def _dumbbells(axes: Axes, places: Floats, before: Sequence[float], after: Sequence[float]) -> None:
+def _dumbbells(axes: Axes, places: Floats, before: Floats, after: Floats) -> None:
     axes.hlines(places, before, after, color="#B0B0B0", lw=1.0, zorder=1)
     axes.plot(before, places, label="shear model", **HOLLOW)
     axes.plot(after, places, ls="none", marker="o", color=style.AFTER, ms=4.2, label="with effects")

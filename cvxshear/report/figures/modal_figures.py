@@ -42,7 +42,7 @@ MAC_ROUNDING = 1e-12
     narrow=True,
 )
 def mac(result: Closure | Identification) -> Figure:
-    """The MAC matrix of each configuration.
+    """Draw the MAC matrix of each configuration.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def _matrices(matrices: Sequence[tuple[str, Floats, list[int], list[int]]], most
 
 
 def draw_matrix(axes: Axes, table: Floats, rows: list[int], columns: list[int]) -> AxesImage:
-    """A matrix of MACs with the numbers of its modes, and its values where they can be read."""
+    """Draw a matrix of MACs with the numbers of its modes, and its values where they can be read."""
     image = axes.imshow(table, vmin=0, vmax=1, cmap="cividis", aspect="auto")
     step = 1 if len(columns) <= 10 else 2
     axes.set_xticks(range(0, len(columns), step), [str(mode) for mode in columns[::step]])
@@ -98,7 +98,7 @@ def _numbers(axes: Axes, table: Floats) -> None:
 
 
 def written(value: float, digits: int) -> str:
-    """A MAC with so many decimals, rounded, but for what would round to 1: that stands for shapes that are the same.
+    """Round a MAC to so many decimals, but for what would round to 1: that stands for shapes that are the same.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def written(value: float, digits: int) -> str:
     narrow=True,
 )
 def modal_shapes(*results: ModalResult) -> Figure:
-    """The shapes of identified modes, one panel a record and mode, with one standard deviation on either side.
+    """Draw the shapes of identified modes, one panel a record and mode, with one standard deviation on either side.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def modal_shapes(*results: ModalResult) -> Figure:
     alternative="Matrix of the modal assurance criterion of every mode with every other.",
 )
 def modal_mac(*results: ModalResult) -> Figure:
-    """The modal assurance criterion of the modes of each record with one another.
+    """Draw the modal assurance criterion of the modes of each record with one another.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def modal_mac(*results: ModalResult) -> Figure:
 
 
 def _facing(result: ModalResult, shape: Floats, facing: dict[int, tuple[ModalResult, Floats]], mode: int) -> Floats:
-    """The shape with the sign that the mode had in the first record, by the floors that both measured."""
+    """Turn the shape to the sign that the mode had in the first record, by the floors that both measured."""
     first, before = facing.setdefault(mode, (result, shape))
     _, mine, theirs = np.intersect1d(result.floors, first.floors, return_indices=True)
     return -shape if shape[mine] @ before[theirs] < 0 else shape

@@ -14,7 +14,7 @@ from cvxshear.report.figures import style
 from cvxshear.report.figures.frequency_figures import stabilization
 from cvxshear.util.errors import InputError
 
-REACH = 12.0
+CLICK_DISTANCE = 12.0
 """Pixels beside a pole's frequency within which a click means it: a fingertip's width on a usual screen."""
 WITHOUT_WINDOW = ("agg", "cairo", "pdf", "pgf", "ps", "svg", "template", "inline")
 """Backends of matplotlib that draw files or pictures and know of no clicks."""
@@ -58,7 +58,7 @@ class PolePicker:
             return
         across = self._axes.transData.transform(np.column_stack([self._poles, np.zeros(len(self._poles))]))[:, 0]
         place = int(np.argmin(np.abs(across - event.x)))
-        if abs(across[place] - event.x) > REACH:
+        if abs(across[place] - event.x) > CLICK_DISTANCE:
             return
         if place in self._chosen:
             self._chosen.discard(place)
@@ -78,7 +78,7 @@ class PolePicker:
 
 
 def opened(result: ModalResult, record_file: str | Path | None) -> PolePicker:
-    """The picker in a window, or in the notebook's cell; a window of a script is waited for until it is closed.
+    """Open the picker in a window, or in the notebook's cell; a window of a script is waited for until it is closed.
 
     Raises
     ------

@@ -34,7 +34,7 @@ TEST_WIDTH = 0.9
     section="tests",
 )
 def plan(result: Plan) -> Figure:
-    """The frame of each test with the masses to add and the sensors drawn in, and accuracy against number of sensors.
+    """Draw the frame of each test with its added masses and sensors, and accuracy against number of sensors.
 
     Parameters
     ----------

@@ -38,7 +38,7 @@ SIDES = 1.96
 
 
 def _floors(result: RecordPrediction) -> Ints:
-    """The floors that are drawn, the top one first: measured ones where there are such, spread over the height."""
+    """Choose the floors to draw, the top one first: measured ones where there are such, spread over the height."""
     n = len(result.after.damped.model.M)
     measured = result.after.comparison
     floors = np.arange(1, n + 1) if measured is None else measured.floors
@@ -90,7 +90,7 @@ def response_histories(result: RecordPrediction) -> Figure:
 
 
 def _strongest(sizes: list[Floats], first_mode: float, rate: float) -> tuple[int, slice]:
-    """The run with the largest of these sizes over time, and the samples around it."""
+    """Find the run with the largest of these sizes over time, and the samples around it."""
     largest = [each.max(axis=1) for each in sizes]
     run = int(np.argmax([each.max() for each in largest]))
     half = int(PERIODS / 2 / first_mode * rate)
@@ -99,7 +99,7 @@ def _strongest(sizes: list[Floats], first_mode: float, rate: float) -> tuple[int
 
 
 def _band(axes: Axes, time: Floats, value: Floats, half: Floats, **look: Any) -> None:
-    """A history with the band that holds 95 %, where it is known."""
+    """Draw a history with the band that holds 95 %, where it is known."""
     if np.isfinite(half).all():
         axes.fill_between(time, value - half, value + half, color=AFTER, alpha=0.25, lw=0, label="95 % band")
     axes.plot(time, value, color=AFTER, lw=1.0, **look)
@@ -270,7 +270,7 @@ def floor_spectra(result: RecordPrediction) -> Figure:
     section="findings",
 )
 def story_drifts(result: Reconstruction) -> Figure:
-    """The frame with its stories coloured by peak drift, and the peaks with 95 % bars beside it.
+    """Draw the frame with its stories coloured by peak drift, and the peaks with 95 % bars beside it.
 
     Parameters
     ----------

@@ -125,7 +125,7 @@ def _one_level(scatters: dict[str, Scatter]) -> Figure:
 
 
 def _by_method(study: NoiseStudy, methods: tuple[str, ...]) -> dict[str, list[Scatter]]:
-    """The scatters of each method over the noise levels of one frame."""
+    """Select the scatters of each method over the noise levels of one frame."""
     chosen = [each for each in study.scatters if not methods or each.method in methods]
     if not chosen:
         there = sorted({each.method for each in study.scatters})
@@ -195,7 +195,7 @@ MOST_LINES = 6
     needs="a method that iterates on the masses: two-stage",
 )
 def convergence(*results: Identification, true_mass: Floats | None = None) -> Figure:
-    """The error of each floor mass over the iterations of the two-stage method (the paper's Fig. 4).
+    """Draw the error of each floor mass over the iterations of the two-stage method (the paper's Fig. 4).
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache, wraps
 from io import BytesIO
-from itertools import cycle, islice
+from itertools import cycle
 from pathlib import Path
 from threading import RLock
 from typing import Any, ParamSpec
@@ -85,13 +85,13 @@ _narrow: list[bool] = []
 
 
 def settings() -> dict[Any, Any]:
-    """What to set for as long as a figure is made or written."""
+    """Collect what to set for as long as a figure is made or written."""
     return {**SETTINGS, "font.family": list(families())}
 
 
 @cache
 def families() -> tuple[str, ...]:
-    """The fonts that are used here, in order of preference."""
+    """Find the fonts that are used here, in order of preference."""
     installed = set(font_manager.get_font_names())
     return ("DejaVu Sans", *(name for name in OTHER_SCRIPTS if name in installed))
 
@@ -103,7 +103,7 @@ def _fonts() -> tuple[FT2Font, ...]:
 
 @contextmanager
 def house_settings() -> Iterator[None]:
-    """The house's settings of matplotlib for one thread at a time; the user's are restored at the end."""
+    """Set matplotlib as the house has it, for one thread at a time; the user's settings are restored at the end."""
     with _SETTINGS_LOCK, mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(settings())
@@ -159,7 +159,7 @@ class ShownFigure(Figure):
 
 
 def new_figure(width: float, height: float, *, fixed: bool = False) -> Figure:
-    """An empty figure, inch, whose parts make room for each other unless their places are fixed."""
+    """Make an empty figure, inch, whose parts make room for each other unless their places are fixed."""
     return ShownFigure(figsize=(width, height), layout=None if fixed else "constrained")
 
 
@@ -171,16 +171,7 @@ def grid_of(panels: int, columns: int) -> tuple[int, int]:
 
 def panels(figure: Figure, count: int, columns: int, *, sharex: bool = False, sharey: bool = False) -> list[Axes]:
     """So many panels in a grid; the places left over stay empty."""
-    rows, columns = grid_of(count, columns)
-    axes = figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey)
-    every: list[Axes] = list(axes.ravel())
-    for unused in every[count:]:
-        unused.remove()
-    if sharex:
-        # The lowest panel of a column tells the numbers, also where the grid's last row does not reach it.
-        for place in range(max(0, count - columns), count):
-            every[place].tick_params(labelbottom=True)
-    return every[:count]
+    return panels_by_group(figure, [count], columns, sharex=sharex, sharey=sharey)[0]
 
 
 def panels_by_group(
@@ -206,7 +197,7 @@ def panels_by_group(
 
 
 def legend(figure: Figure, axes: Axes, columns: int | None = None, *, left: bool = False) -> None:
-    """The legend of one panel's lines for the whole figure, in one row where the columns are not said."""
+    """Put the legend of one panel's lines on the whole figure, in one row where the columns are not said."""
     handles, labels = axes.get_legend_handles_labels()
     place: Any = "outside upper left" if left else "outside upper center"
     figure.legend(handles, labels, loc=place, ncols=columns or max(len(labels), 1))
@@ -214,8 +205,8 @@ def legend(figure: Figure, axes: Axes, columns: int | None = None, *, left: bool
 
 def looks(count: int) -> list[dict[str, Any]]:
     """Colours with a line and a marker each, for so many lines in one panel."""
-    marks = zip(*(assorted(each, count) for each in (COLOURS, DASHES, MARKERS)), strict=True)
-    return [{"color": colour, "ls": line, "marker": marker} for colour, line, marker in marks]
+    marks = zip(range(count), cycle(COLOURS), cycle(DASHES), cycle(MARKERS), strict=False)
+    return [{"color": colour, "ls": line, "marker": marker} for _, colour, line, marker in marks]
 
 
 def error_bars(axes: Axes, values: Floats, heights: Floats | Ints, std: Floats | None, **look: Any) -> None:
@@ -229,16 +220,11 @@ def even_columns(most: int, fitting: int) -> int:
 
 
 def letters(text: str, longest: int = LONGEST_NAME) -> str:
-    """A text from a file as a figure can show it: on one line, not too long, of letters that the fonts have."""
+    """Write a text from a file as a figure can show it: on one line, not too long, of letters that the fonts have."""
     line = " ".join(text.split())
     if len(line) > longest:
         line = line[: longest - 1].rstrip() + "…"
     return "".join(each if any(font.get_char_index(ord(each)) for font in _fonts()) else "□" for each in line)
-
-
-def assorted(marks: Sequence[str], count: int) -> list[str]:
-    """So many marks, from the first again where there are not enough."""
-    return list(islice(cycle(marks), count))
 
 
 def power_of_ten(value: float, _: object = None) -> str:
@@ -314,7 +300,7 @@ def save(figure: Figure, path: str | Path) -> None:
 
 
 def kind_of(path: str | Path) -> str:
-    """The kind of figure that a file name asks for.
+    """Tell the kind of figure that a file name asks for.
 
     Raises
     ------
@@ -325,7 +311,7 @@ def kind_of(path: str | Path) -> str:
 
 
 def encoded(figure: Figure, kind: str, *, transparent: bool = False) -> bytes:
-    """A figure as the content of a file; the same figure gives the same bytes."""
+    """Write a figure as the content of a file; the same figure gives the same bytes."""
     no_date = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
     out = BytesIO()
     with house_settings():
@@ -336,7 +322,7 @@ def encoded(figure: Figure, kind: str, *, transparent: bool = False) -> bytes:
 
 
 def inline_svg(figure: Figure, name: str) -> str:
-    """A figure as an SVG element to stand in a page.
+    """Write a figure as an SVG element to stand in a page.
 
     Parameters
     ----------

@@ -1,0 +1,70 @@
+"""What each capability of the package costs in lines of code.
+
+python -m tests.benchmarks.size writes the table of CONTRIBUTING.md anew; python -m tests.benchmarks.size modal records
+lists the modules of these rooms. A line of code is one that holds neither a comment, a docstring nor nothing.
+"""
+
+import ast
+import re
+import statistics
+import sys
+from pathlib import Path
+
+import cvxshear
+
+ROOT = Path(cvxshear.__file__).parent
+PAGE = Path(__file__).parents[2] / "CONTRIBUTING.md"
+TABLE = re.compile(r"^\| for \|.*?\n\n", re.MULTILINE | re.DOTALL)
+
+CAPABILITIES = {
+    "declare a measurement and what is known beforehand": ("measurement", "priors"),
+    "compare a shear frame, with effects, with data": ("model", "effects", "data"),
+    "identify, on interchangeable backends": ("programs", "backends", "fit", "methods"),
+    "find what the shear model lacks": ("loop",),
+    "records to modes with their uncertainty": ("records", "modal"),
+    "read and write files; find mistakes in them": ("files", "screening"),
+    "predict and reconstruct motion": ("response",),
+    "plan a test": ("planning",),
+    "recompute the paper": ("paper",),
+    "terminal, page, notebook, figures, sheets, command line": ("report", "cli"),
+    "what every room uses, and the public face": ("util", ""),
+}
+"""What the package can do, with the rooms that do it; the empty name stands for the top level."""
+
+
+def measured(path):
+    """Lines and lines of code of a module."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    documented = set()
+    for node in ast.walk(ast.parse("\n".join(lines))):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
+            documented |= set(range(node.body[0].lineno, node.body[0].end_lineno + 1))
+    code = [
+        number not in documented and bool(line.strip()) and not line.strip().startswith("#")
+        for number, line in enumerate(lines, 1)
+    ]
+    return len(lines), sum(code)
+
+
+def table():
+    found = {}
+    for path in sorted(ROOT.rglob("*.py")):
+        *room, name = path.relative_to(ROOT).parts
+        found.setdefault(room[0] if room else "", []).append((*measured(path), name != "__init__.py"))
+    rows = []
+    for words, rooms in [*CAPABILITIES.items(), ("all", tuple(found))]:
+        modules = [each for room in rooms for each in found[room]]
+        where = ", ".join(f"`{room}`" for room in rooms if room) if words != "all" else ""
+        median = statistics.median(lines for lines, _, counts in modules if counts)
+        rows.append(f"| {words} | {where} | {len(modules)} | {sum(code for _, code, _ in modules):,} | {median:.0f} |")
+    head = "| for | rooms | modules | lines of code | median module, lines |\n|---|---|---|---|---|\n"
+    return head + "\n".join(rows) + "\n\n"
+
+
+if __name__ == "__main__":
+    if len(sys.argv) == 1:
+        PAGE.write_text(TABLE.sub(lambda _: table(), PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    for room in sys.argv[1:]:
+        for path in sorted((ROOT / room).rglob("*.py")):
+            lines, code = measured(path)
+            print(f"{path.relative_to(ROOT)!s:45}{lines:6d} lines, {code:4d} of code")

@@ -1,0 +1,158 @@
+"""The shear frame's matrices, modes and readings, against closed forms and difference quotients."""
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from cvxshear.model.observation import FloorObservation, Observation
+from cvxshear.model.shear import (
+    ShearSystem,
+    attached_share,
+    frame_modes,
+    mode_derivatives,
+    modes,
+    shear_system,
+    stiffness_matrix,
+)
+from cvxshear.util.errors import NoModesError
+
+MASS, STIFFNESS = np.array([4.0, 3.0, 2.0]), np.array([900.0, 700.0, 400.0])
+
+
+@pytest.mark.parametrize("stories", [1, 3, 39, 40, 60])
+def test_a_uniform_frame_has_the_frequencies_of_a_uniform_chain(stories):
+    """omega_r = 2 sqrt(k / m) sin((2 r - 1) pi / (4 N + 2)); shapes go as sin(i (2 r - 1) pi / (2 N + 1))."""
+    system = shear_system(np.full(stories, 5.0), np.full(stories, 2e3))
+    found, r = modes(system.M, system.K), np.arange(1, stories + 1)
+    np.testing.assert_allclose(
+        found.frequencies, np.sqrt(2e3 / 5.0) / np.pi * np.sin((2 * r - 1) * np.pi / (4 * stories + 2)), rtol=1e-10
+    )
+    np.testing.assert_allclose(found.shapes @ system.M @ found.shapes.T, np.eye(stories), atol=1e-10)
+    expected = np.sin(np.outer(2 * r - 1, r) * np.pi / (2 * stories + 1))
+    expected *= np.sign(np.sum(expected * found.shapes, axis=1))[:, None] / np.linalg.norm(expected, axis=1)[:, None]
+    np.testing.assert_allclose(found.shapes, expected / np.sqrt(5.0), atol=1e-9)
+    assert np.all(found.shapes.max(axis=1) >= -found.shapes.min(axis=1) - 1e-12)
+
+
+def test_a_tall_frame_that_is_no_chain_has_the_modes_of_its_matrices():
+    rng = np.random.default_rng(1)
+    n = 45
+    K, M = stiffness_matrix(rng.uniform(1e3, 2e3, n)), np.diag(rng.uniform(1.0, 3.0, n))
+    for springs, masses in (((0, 9), None), (None, (3, 4)), (None, None)):
+        K_, M_ = K.copy(), M.copy()
+        if springs:
+            K_[np.ix_(springs, springs)] += 500.0 * np.array([[1, -1], [-1, 1]])
+        if masses:
+            M_[masses, masses[::-1]] = 0.3
+        found = modes(M_, K_)
+        np.testing.assert_allclose(found.eigenvalues, linalg.eigh(K_, M_, eigvals_only=True), rtol=1e-9)
+        np.testing.assert_allclose(K_ @ found.shapes.T, M_ @ found.shapes.T * found.eigenvalues, atol=1e-8)
+
+
+@pytest.mark.parametrize("stories", [3, 45])
+def test_a_frame_without_modes_is_refused(stories):
+    K = stiffness_matrix(np.full(stories, 1e3))
+    with pytest.raises(NoModesError, match="the mass matrix is not positive definite"):
+        modes(np.diag(np.linspace(-1.0, 1.0, stories)), K)
+    with pytest.raises(NoModesError, match="not stable: the lowest eigenvalue is -"):
+        modes(np.eye(stories), K - 500.0 * np.eye(stories))
+
+
+@pytest.mark.parametrize("which", [slice(None), slice(1, 3), [0, 2]])
+def test_derivatives_of_modes_are_their_difference_quotients(which):
+    theta, h = np.concatenate([MASS, STIFFNESS]), 1e-6
+    system = shear_system(MASS, STIFFNESS)
+    dlam, dphi = mode_derivatives(modes(system.M, system.K), system, which)
+
+    def at(values):
+        there = shear_system(*np.split(values, 2))
+        return modes(there.M, there.K)
+
+    for p, value in enumerate(theta):
+        ends = [at(theta + sign * h * value * np.eye(6)[p]) for sign in (1, -1)]
+        np.testing.assert_allclose(
+            dlam[p], (ends[0].eigenvalues - ends[1].eigenvalues)[which] / (2 * h * value), rtol=1e-6, atol=1e-8
+        )
+        np.testing.assert_allclose(
+            dphi[p], (ends[0].shapes - ends[1].shapes)[which] / (2 * h * value), rtol=1e-5, atol=1e-9
+        )
+
+
+@pytest.mark.parametrize("which", [slice(None), slice(2, 5), slice(6, 8)])
+def test_rank_one_derivatives_are_those_of_the_whole_matrices(which):
+    """With two parameters more, of which nothing depends."""
+    whole = shear_system(MASS, STIFFNESS)
+    dM, dK = (np.concatenate([each, np.zeros((2, 3, 3))])[which] for each in (whole.dM, whole.dK))
+    found = ShearSystem(whole.M, whole.K, 8).by(which)
+    np.testing.assert_array_equal(found.dM, dM)
+    np.testing.assert_array_equal(found.dK, dK)
+    rng = np.random.default_rng(0)
+    phi, phi_j, u = rng.standard_normal((3, 3)), rng.standard_normal((3, 2)), rng.standard_normal(3)
+    by_stiffness, by_mass = found.modal_products(phi, phi_j)
+    np.testing.assert_allclose(by_stiffness, phi.T @ dK @ phi_j, atol=1e-12)
+    np.testing.assert_allclose(by_mass, phi.T @ dM @ phi_j, atol=1e-12)
+    np.testing.assert_allclose(found.stiffness_slopes(u), dK @ u, atol=1e-12)
+
+
+def test_the_share_of_attached_masses_adds_up_to_their_number():
+    """Shapes that M makes orthonormal are complete: over all modes each mass has the energy of one."""
+    M, K = np.diag([4.0, 3.0, 2.0, 0.05, 0.1]), np.zeros((5, 5))
+    K[:3, :3] = stiffness_matrix(STIFFNESS)
+    for own, floor, stiffness in ((3, 0, 40.0), (4, 2, 2.0)):
+        K[np.ix_((floor, own), (floor, own))] += stiffness * np.array([[1, -1], [-1, 1]])
+    found = modes(M, K)
+    share = attached_share(found, M, 3)
+    assert share.sum() == pytest.approx(2.0)
+    expected = [sum(M[at, at] * shape[at] ** 2 for at in (3, 4)) for shape in found.shapes]
+    np.testing.assert_allclose(share, expected)
+    assert np.all(share >= 0)
+    plain = shear_system(MASS, STIFFNESS)
+    kept = frame_modes(found, M, 3)
+    np.testing.assert_allclose(found.frequencies[kept], modes(plain.M, plain.K).frequencies, rtol=0.1)
+    np.testing.assert_array_equal(frame_modes(modes(plain.M, plain.K), plain.M, 3), [0, 1, 2])
+
+
+def sensors(gains):
+    """Readings of three floors with gains on some of them, and a mass attached that no sensor shows."""
+    found = Observation(np.eye(3))
+    for own, (floor, gain) in enumerate(gains, 2):
+        found = found.scaled(floor, 1 + gain, own)
+    return found.extended()
+
+
+@pytest.mark.parametrize("floors", [slice(None), np.array([0, 2])])
+@pytest.mark.parametrize("which", [slice(None), slice(3, None), slice(0, 3)])
+def test_slopes_of_readings_are_their_difference_quotients(floors, which):
+    """Two gains on one floor multiply; parameters 0 and 1 change the motion alone."""
+    rng = np.random.default_rng(2)
+    motion, slopes = rng.standard_normal((2, 4)), rng.standard_normal((5, 2, 4))
+    gains = [(0, 0.1), (2, -0.2), (0, 0.3)]
+    here, h = sensors(gains), 1e-6
+    expected = []
+    for p in range(5):
+        ends = []
+        for sign in (1, -1):
+            moved = [(floor, gain + sign * h * (p == own)) for own, (floor, gain) in enumerate(gains, 2)]
+            ends.append(sensors(moved).shown(motion + sign * h * slopes[p], floors))
+        expected.append((ends[0] - ends[1]) / (2 * h))
+    found = here.shown_slopes(motion, slopes[which], which, floors)
+    np.testing.assert_allclose(found, np.array(expected)[which], atol=1e-8)
+    np.testing.assert_allclose(here.gain, [1.1 * 1.3, 1.0, 0.8])
+    np.testing.assert_allclose(here.shown(motion, floors), (motion[:, :3] * here.gain)[:, floors])
+
+
+def test_sensors_that_show_the_floors_are_the_identity():
+    rng = np.random.default_rng(2)
+    motion, slopes = rng.standard_normal((2, 3)), rng.standard_normal((4, 2, 3))
+    plain, written_out = FloorObservation(3), Observation(np.eye(3))
+    for floors in (slice(None), np.array([2])):
+        np.testing.assert_array_equal(plain.shown(motion, floors), written_out.shown(motion, floors))
+        np.testing.assert_array_equal(
+            plain.shown_slopes(motion, slopes, slice(None), floors),
+            written_out.shown_slopes(motion, slopes, slice(None), floors),
+        )
+    for each in (plain, written_out):
+        np.testing.assert_array_equal(each.matrix, np.eye(3))
+        np.testing.assert_array_equal(each.gain, np.ones(3))
+        np.testing.assert_array_equal(each.extended().matrix, np.eye(3, 4))
+        np.testing.assert_array_equal(each.scaled(1, 2.0, 0).matrix, np.diag([1.0, 2.0, 1.0]))
