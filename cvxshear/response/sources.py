@@ -92,8 +92,12 @@ def load_unscaled(path: str | Path) -> tuple[Experiment, bool]:
     except NoScaleError:
         path = Path(path)
         declared = dict(with_modes_read(parse(read_text(path), path), path.parent))
-        placeholder = {"total_mass": 1.0, "total_mass_placeholder": True}
-        declared["frame"] = {**(declared.get("frame") or {}), **placeholder}
+        frame = declared.get("frame") or {}
+        # A remark of the result says it; doubts about masses that nobody wrote down would puzzle.
+        accepted = {*frame.get("accept", ()), "total_mass", "masses"}
+        declared["frame"] = {
+            **frame, "total_mass": 1.0, "total_mass_placeholder": True, "accept": sorted(accepted)
+        }  # fmt: skip
         return Experiment.from_dict(declared, name=path.stem), False
 
 
