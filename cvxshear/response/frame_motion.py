@@ -24,15 +24,15 @@ from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import FramePrior, VariedFrame
 from cvxshear.util.typing import Floats
 
-STILL = 0.05
+AT_REST = 0.05
 """Acceleration of the first period, relative to the whole record's, up to which a run counts as beginning at rest: what
 sensors of usual noise show of a frame that does not move."""
 
-MOST_ROUNDS = 4
+MOST_REFITS = 4
 """Fits at most after the first, each with gaps, spikes and the first state filled in by the one before. What is
 filled in wrongly falls to the missing share of the information each time: a tenth for a tenth of the strong motion."""
 
-SAME_FRAME = 0.1
+SAME_FIT = 0.1
 """Change of an unknown in its standard deviations at which these rounds end."""
 
 PROBED_SAMPLES = 1000
@@ -170,12 +170,12 @@ class FrameMotion:
             smoothed = work.smoothed(errors, fitted.p)
         if not self.moves_at_first and all(bool(np.all(each.weights == 1.0)) for each in smoothed):
             return work, fitted, smoothed
-        for _ in range(MOST_ROUNDS):
+        for _ in range(MOST_REFITS):
             errors = work.errors(smoothed, fitted.p)
             before, fitted = fitted, fit_frame(errors, prior, self.backend, fitted.p, free=self.free)
             smoothed = work.smoothed(errors, fitted.p)
             std = np.sqrt(np.maximum(np.diag(fitted.covariance), 1e-300))
-            if np.max(np.abs(fitted.p - before.p) / std) <= SAME_FRAME:
+            if np.max(np.abs(fitted.p - before.p) / std) <= SAME_FIT:
                 break
         return work, fitted, smoothed
 
@@ -183,7 +183,7 @@ class FrameMotion:
     def moves_at_first(self) -> bool:
         """Whether some run begins while the frame moves: its state at the beginning is then found with the motion."""
         level = self.recording.rms()
-        return any(rms(run.measured[: self._first] / level) > STILL for run in self.recording.runs)
+        return any(rms(run.measured[: self._first] / level) > AT_REST for run in self.recording.runs)
 
     @property
     def _first(self) -> int:

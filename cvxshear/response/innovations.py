@@ -44,7 +44,7 @@ FURTHEST_FORM = 0.5
 FURTHEST_NOISE = np.log(30.0)
 """Bound on the logarithm of a sensor's noise around its start: none is good to 0.1 % of a building's motion."""
 
-LEAST_FORCE, MOST_FORCE = 3e-4, 0.1
+LEAST_MISSED, MOST_MISSED = 3e-4, 0.1
 """Bounds on the missed story forces, relative to the rms story force: the least is far below what any sensor shows, and
 a model that misses more than the largest has no business in a reconstruction."""
 
@@ -149,7 +149,7 @@ class PredictionErrors:
         self.upper = np.full(self.size, FURTHEST_NOISE)
         self.upper[self.frame] = np.repeat([FURTHEST, FURTHEST, FURTHEST_STDS, FURTHEST_FORM], varied.sizes)
         self.lower = -self.upper
-        self.lower[force], self.upper[force] = np.log(LEAST_FORCE / noise.force), np.log(MOST_FORCE / noise.force)
+        self.lower[force], self.upper[force] = np.log(LEAST_MISSED / noise.force), np.log(MOST_MISSED / noise.force)
 
     @property
     def samples(self) -> int:
