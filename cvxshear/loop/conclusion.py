@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
@@ -26,6 +27,7 @@ from cvxshear.loop.residual import where_it_sits
 from cvxshear.loop.results import AddedEffect, Candidate, Closure, EffectSet, Step, parameters_of, stds_of
 from cvxshear.loop.search import Search, fits_alike
 from cvxshear.util.errors import NoModesError, NoSolutionError
+from cvxshear.util.quantities import listed
 
 EXPLAINED = 0.95
 """Probability at its place that each added effect has where the data are called explained."""
@@ -301,7 +303,7 @@ def _candidates(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[C
 
 
 def _quoted(names: Sequence[str]) -> str:
-    return " and ".join(f'"{name}"' for name in names)
+    return listed([f'"{name}"' for name in names])
 
 
 def _rests_on(final: Estimate) -> Iterator[str]:
@@ -333,10 +335,13 @@ def _granted(search: Search, found: ModelClass) -> Iterator[str]:
     if not said:
         return
     invariances = search.invariances(found)
+    untold = defaultdict[str, list[str]](list)
     for placed in said:
         alike = [other for other in candidates if other.place.state == placed.place.state and other.effect.kind != OPEN]
         if invariances.untold(placed, alike):
-            yield placed.effect.granted.format(state=f'"{placed.place.state}"')
+            untold[placed.effect.granted].append(str(placed.place.state))
+    for statement, names in untold.items():
+        yield statement.format(state=_quoted(names))
 
 
 def _information(search: Search, posterior: Posterior, final: Estimate, *, negligible: bool) -> Iterator[str]:

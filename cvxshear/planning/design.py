@@ -23,6 +23,7 @@ from cvxshear.model.shear import modes
 from cvxshear.priors import Value, check_prior
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import listed
 from cvxshear.util.typing import Floats
 
 FRAME_QUANTITIES = ("floor_mass", "story_stiffness")
@@ -269,7 +270,7 @@ class Design:
         n = experiment.stories
         determined = found.uncertainty.determined[: 2 * n]
         if not np.all(determined):
-            open_ones = " and ".join(found.uncertainty.null_directions[0][:4])
+            open_ones = listed(found.uncertainty.null_directions[0][:4])
             raise InputError(
                 f"{experiment.name} does not determine {open_ones}, so there is no frame to plan for; declare design "
                 "values (a nominal prior with std)"

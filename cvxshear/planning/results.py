@@ -14,6 +14,7 @@ from cvxshear.planning.choice import choose
 from cvxshear.planning.criteria import CRITERIA, criterion_named
 from cvxshear.planning.design import Fitted
 from cvxshear.planning.tested_model import AveragedModel, Expected, TestModel
+from cvxshear.util.quantities import listed
 from cvxshear.util.results import InJson, Shown
 from cvxshear.util.typing import Floats, Ints, Json
 
@@ -206,7 +207,7 @@ class Plan(Shown):
         if self.model.targets:
             return f"telling apart {', '.join(each.placed.label for each in self.model.targets)} and none of them"
         words = {"floor_mass": "floor masses", "story_stiffness": "story stiffnesses"}
-        return " and ".join(words[each] for each in self.model.quantities)
+        return listed([words[each] for each in self.model.quantities])
 
     @property
     def measure(self) -> str:

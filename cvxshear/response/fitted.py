@@ -15,6 +15,7 @@ from cvxshear.measurement.experiment import Experiment
 from cvxshear.methods import Identification
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import listed
 from cvxshear.util.results import InJson, as_json
 from cvxshear.util.typing import Floats, Json
 
@@ -88,7 +89,7 @@ class Fitted(InJson):
     @property
     def label(self) -> str:
         """The model in words."""
-        names = " and ".join(placed.label for placed in self.effects)
+        names = listed([placed.label for placed in self.effects])
         return f"shear model with {names}" if names else "shear model"
 
     @cached_property

@@ -19,7 +19,7 @@ from cvxshear.response.fitted import Fitted, Models
 from cvxshear.response.peaks import FloorSpectra, Peaks, floor_spectra, histories, largest, spectrum_lines
 from cvxshear.response.sources import ModelSource, MotionSource, models_of, motion_of, state_of, state_remarks
 from cvxshear.response.uncertain import Damped, UncertainFrame, propagated
-from cvxshear.util.quantities import percent
+from cvxshear.util.quantities import listed, percent
 from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats
 
@@ -238,7 +238,7 @@ def _remarks(after: Side, motion: Motion) -> list[str]:
     """Say what the reader has to know besides the numbers."""
     said = []
     if after.fitted.undetermined:
-        names = "; ".join(" and ".join(names) for names in after.fitted.undetermined)
+        names = "; ".join(listed(names) for names in after.fitted.undetermined)
         said.append(f"not determined by the measurement: {names}; the deviations do not include that")
     if after.comparison is not None and after.comparison.contradiction:
         said.append(after.comparison.contradiction)

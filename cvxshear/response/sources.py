@@ -22,6 +22,7 @@ from cvxshear.response.fitted import Fitted, Models
 from cvxshear.response.recording import Recording
 from cvxshear.util.checks import choice, shown
 from cvxshear.util.errors import InputError, NoScaleError
+from cvxshear.util.quantities import listed
 from cvxshear.util.typing import Floats
 
 ModelSource = str | Path | Experiment | Closure | Estimate | Models
@@ -175,7 +176,7 @@ def state_of(experiment: Experiment, record: Motion | Recording, name: str | Non
     if record.state is not None and (record.state in experiment.states or len(experiment.states) > 1):
         configurations = tuple(each for each in configurations if each.state == record.state)
         if not configurations:
-            known = " and ".join(f'"{state}"' for state in experiment.states)
+            known = listed([f'"{state}"' for state in experiment.states])
             raise InputError(
                 f'{record.name} was recorded in state "{record.state}", the model knows {known}; name one of its '
                 "configurations (--configuration), or test that state"
