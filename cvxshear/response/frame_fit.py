@@ -195,6 +195,7 @@ def fit_frame(
     backend : Backend
         Solves the steps.
     start : ndarray, shape (P,), optional
+        Where an earlier fit ended; without it a rough fit to a short part goes before.
     free : bool, optional
         Whether the frame is fitted; otherwise only the noise is.
     """
@@ -207,12 +208,13 @@ def fit_frame(
         at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(p, backend, MOST_FIT_STEPS)
         covariance = prior.gaussian(*answer.prior, same=errors.setting.base_measured).covariance
         return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged, at.posterior.along)
-    rough = _Posterior(
-        errors.shortened(FIRST_SAMPLES, p),
-        informative(errors, prior, p, FIRST_INFORMATION),
-        prior.gaussian(range(errors.stories), FORM_STDS[-1], SCATTER_STDS[-1]),
-    )
-    p = rough.maximum(p, backend, MOST_FIT_STEPS, FIRST_FITTED)[0].p
+    if start is None:
+        rough = _Posterior(
+            errors.shortened(FIRST_SAMPLES, p),
+            informative(errors, prior, p, FIRST_INFORMATION),
+            prior.gaussian(range(errors.stories), FORM_STDS[-1], SCATTER_STDS[-1]),
+        )
+        p = rough.maximum(p, backend, MOST_FIT_STEPS, FIRST_FITTED)[0].p
     along = informative(errors, prior, p)
     for _ in range(MOST_DECISIONS):
         posterior = _Posterior(errors, along, prior.gaussian(*answer.prior))
@@ -234,7 +236,8 @@ def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: f
     p : ndarray, shape (P,)
     least : float, optional
     """
-    short = errors.shortened(FIRST_SAMPLES, p)
+    # An unknown first state would hide from a short part what the whole record tells.
+    short = errors.shortened(FIRST_SAMPLES, p, free=False)
     widest = prior.gaussian(range(errors.stories), FORM_STDS[-1], SCATTER_STDS[-1])
     root = np.asarray(np.linalg.cholesky(widest.covariance), dtype=np.float64)
     return short.told(p, root, least * np.sqrt(short.samples / errors.samples))

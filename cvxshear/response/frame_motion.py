@@ -7,14 +7,13 @@ directions that move the motion most.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.records.motion import Drive
+from cvxshear.records.motion import Drive, trend
 from cvxshear.response.damped import DampedModel, Response, response
 from cvxshear.response.dynamics import SHORT, Noise, Outputs, Setting, dynamics
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, fit_frame
@@ -24,6 +23,17 @@ from cvxshear.response.smoother import Observed, Smoothed, Steady, smooth
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import FramePrior, VariedFrame
 from cvxshear.util.typing import Floats
+
+AT_REST = 0.05
+"""Acceleration of the first period, relative to the whole record's, up to which a run counts as beginning at rest: what
+sensors of usual noise show of a frame that does not move."""
+
+MOST_REFITS = 4
+"""Fits at most after the first, each with gaps, spikes and the first state filled in by the one before. What is
+filled in wrongly falls to the missing share of the information each time: a tenth for a tenth of the strong motion."""
+
+SAME_FIT = 0.1
+"""Change of an unknown in its standard deviations at which these rounds end."""
 
 PROBED_SAMPLES = 1000
 """Samples of the strongest motion on which the directions of the frame's uncertainty are compared."""
@@ -108,13 +118,13 @@ class FrameMotion:
         """Around an identified frame."""
         varied = VariedFrame.around(frame)
         model = varied.centre.model
-        known, rms = recording.input != "none", recording.rms()
+        known, level = recording.input != "none", recording.rms()
         frequencies = 2 * np.pi * model.modes.frequencies
         setting = Setting(
             recording.floors, recording.step, recording.force_floor, known, float(frequencies[0]),
             float(frequencies[-1]), frame.story_stiffness * _drift_rms(model, recording),
         )  # fmt: skip
-        noise = Noise(FIRST_SENSOR * rms, FIRST_FORCE, 0.0 if known else float(rms.min()))
+        noise = Noise(FIRST_SENSOR * level, FIRST_FORCE, 0.0 if known else float(level.min()))
         # Without the base motion a softer first story and another base motion are one and the same.
         return FrameMotion(frame, varied, recording, setting, noise, backend, free and known)
 
@@ -132,24 +142,55 @@ class FrameMotion:
         """Of the identified frame's first mode, s."""
         return 1.0 / float(self.varied.centre.model.modes.frequencies[0])
 
-    def fitted(self) -> tuple[FittedFrame, list[Smoothed]]:
-        """Fit the frame and find its motion; gaps and spikes are filled in by the identified, then the fitted frame."""
-        smoothed: list[Smoothed] = []
-        whole = not any(np.isnan(run.measured).any() for run in self.recording.runs)
-        errors = self._errors(None, None)
+    def fitted(self, *, detrend: bool) -> tuple[FrameMotion, FittedFrame, list[Smoothed]]:
+        """Fit the frame and find its motion.
+
+        Gaps and spikes are filled in by the identified frame, then by the fitted one, and so is the state of a record
+        that begins while the frame moves.
+
+        Parameters
+        ----------
+        detrend : bool
+            Whether the straight lines through what the motion leaves of the record are taken off.
+        """
+        errors = self.errors(None, None)
         prior = FramePrior.around(self.frame, self.varied, errors.size - errors.frame.stop)
         p = np.zeros(errors.size)
-        if not whole:
-            smoothed = self.smoothed(errors, p)
-            errors = self._errors(smoothed, p)
-        fitted = fit_frame(errors, prior, self.backend, p, free=self.free)
-        smoothed = self.smoothed(errors, fitted.p)
-        if all(bool(np.all(each.weights == 1.0)) for each in smoothed):
-            return fitted, smoothed
-        fitted = fit_frame(self._errors(smoothed, fitted.p), prior, self.backend, fitted.p, free=self.free)
-        return fitted, self.smoothed(fitted.errors, fitted.p)
+        if self.moves_at_first or any(np.isnan(run.measured).any() for run in self.recording.runs):
+            errors = self.errors(self.smoothed(errors, p), p)
+        fitted = fit_frame(errors, prior, self.backend, free=self.free)
+        work, smoothed = self, self.smoothed(errors, fitted.p)
+        if detrend:
+            model = errors.dynamics(fitted.p)
+            lines = [
+                trend(found.completed - found.states @ model.H.T - np.outer(run.driven, model.direct))
+                for run, found in zip(self.recording.runs, smoothed, strict=True)
+            ]
+            work = dataclasses.replace(self, recording=self.recording.less(lines))
+            smoothed = work.smoothed(errors, fitted.p)
+        if not self.moves_at_first and all(bool(np.all(each.weights == 1.0)) for each in smoothed):
+            return work, fitted, smoothed
+        for _ in range(MOST_REFITS):
+            errors = work.errors(smoothed, fitted.p)
+            before, fitted = fitted, fit_frame(errors, prior, self.backend, fitted.p, free=self.free)
+            smoothed = work.smoothed(errors, fitted.p)
+            std = np.sqrt(np.maximum(np.diag(fitted.covariance), 1e-300))
+            if np.max(np.abs(fitted.p - before.p) / std) <= SAME_FIT:
+                break
+        return work, fitted, smoothed
 
-    def _errors(self, smoothed: list[Smoothed] | None, p: Floats | None) -> PredictionErrors:
+    @cached_property
+    def moves_at_first(self) -> bool:
+        """Whether some run begins while the frame moves: its state at the beginning is then found with the motion."""
+        level = self.recording.rms()
+        return any(rms(run.measured[: self._first] / level) > AT_REST for run in self.recording.runs)
+
+    @property
+    def _first(self) -> int:
+        """Samples of the first period of a run."""
+        return max(2, round(self.period * self.recording.sampling_rate))
+
+    def errors(self, smoothed: list[Smoothed] | None, p: Floats | None) -> PredictionErrors:
         """Set up the innovations of the strongest part of each run, gaps and spikes filled in by the smoother."""
         stretches = []
         for place, run in enumerate(self.recording.runs):
@@ -157,7 +198,12 @@ class FrameMotion:
             start = np.zeros(self.setting.states) if smoothed is None else smoothed[place].states[0]
             stretches.append(Stretch(run.driven, y, start))
         errors = PredictionErrors(self.varied, self.setting, stretches, self.noise)
-        return errors.shortened(FITTED_SAMPLES, np.zeros(errors.size) if p is None else p)
+        at = np.zeros(errors.size) if p is None else p
+        if self.moves_at_first:
+            model = errors.dynamics(at)
+            stretches = [dataclasses.replace(each, spread=errors.spread(model, each.y)) for each in stretches]
+            errors = PredictionErrors(self.varied, self.setting, stretches, self.noise)
+        return errors.shortened(FITTED_SAMPLES, at)
 
     def smoothed(self, errors: PredictionErrors, p: Floats, rows: Floats | None = None) -> list[Smoothed]:
         """Find the motion of each run, with deviations of all outputs or of those given by rows on the state.
@@ -172,12 +218,11 @@ class FrameMotion:
         model = errors.dynamics(p)
         asked = self.outputs(model.outputs).rows if rows is None else rows
         stationary = np.sqrt(np.maximum(np.sum(model.H @ model.P0 * model.H, axis=1), 1e-300))
-        first = max(2, round(self.period * self.recording.sampling_rate))
         found = []
         for run, envelope in zip(self.recording.runs, self.recording.envelopes(self.period), strict=True):
-            begins = run.measured[:first]
-            moved = np.sqrt(np.nanmean((begins if np.isfinite(begins).any() else run.measured) ** 2))
-            scale = max(float(envelope[0]), float(moved / np.sqrt(np.mean(stationary**2))))
+            begins = run.measured[: self._first]
+            moved = rms(begins if np.isfinite(begins).any() else run.measured)
+            scale = max(float(envelope[0]), moved / rms(stationary))
             found.append(smooth(model, Observed(run.driven, run.measured, envelope, scale), asked))
         return found
 
@@ -291,6 +336,12 @@ class FrameMotion:
         return Directions(sides, np.sum(slopes**2, axis=(0, 1)) / np.maximum(along, 1e-300))
 
 
+def rms(values: Floats) -> float:
+    """Return the root mean square of what was measured; 0 where nothing was."""
+    there = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(there**2))) if len(there) else 0.0
+
+
 def predicted_responses(model: DampedModel, recording: Recording) -> list[Response] | None:
     """Compute the motion of a frame without a look at the sensors; None where the excitation was not measured."""
     if recording.input == "none":
@@ -299,20 +350,12 @@ def predicted_responses(model: DampedModel, recording: Recording) -> list[Respon
     return [response(model, drive, recording.step) for drive in drives]
 
 
-def shown_by(model: DampedModel) -> Callable[[Recording], list[Floats]]:
-    """Return a function that predicts the accelerations at the sensors of a recording, one array (samples, m) a run.
-
-    They are zero where the excitation was not measured.
-    """
-
-    def shown(recording: Recording) -> list[Floats]:
-        responses = predicted_responses(model, recording)
-        if responses is None:
-            return [np.zeros_like(run.measured) for run in recording.runs]
-        at = recording.floors - 1
-        return [model.gain[at] * item.acceleration[:, at] for item in responses]
-
-    return shown
+def shown_by(model: DampedModel, responses: list[Response] | None, recording: Recording) -> list[Floats]:
+    """Return the accelerations of responses at the sensors, one array (samples, m) a run; zeros without responses."""
+    at = recording.floors - 1
+    if responses is None:
+        return [np.zeros_like(run.measured) for run in recording.runs]
+    return [model.gain[at] * item.acceleration[:, at] for item in responses]
 
 
 def _drift_rms(model: DampedModel, recording: Recording) -> Floats:

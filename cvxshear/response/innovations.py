@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.response.damped import DampedModel
-from cvxshear.response.dynamics import SHORT, Dynamics, Noise, Setting, doubled, dynamics, recursion
+from cvxshear.response.dynamics import BLOCK, SHORT, Dynamics, Noise, Setting, doubled, dynamics, recursion
 from cvxshear.response.smoother import Steady
 from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util.typing import Floats
@@ -44,7 +44,7 @@ FURTHEST_FORM = 0.5
 FURTHEST_NOISE = np.log(30.0)
 """Bound on the logarithm of a sensor's noise around its start: none is good to 0.1 % of a building's motion."""
 
-LEAST_FORCE, MOST_FORCE = 3e-4, 0.1
+LEAST_MISSED, MOST_MISSED = 3e-4, 0.1
 """Bounds on the missed story forces, relative to the rms story force: the least is far below what any sensor shows, and
 a model that misses more than the largest has no business in a reconstruction."""
 
@@ -66,11 +66,14 @@ class Stretch:
         Accelerations, spikes and gaps filled in.
     start : ndarray, shape (n,)
         State at the beginning.
+    spread : ndarray, shape (n, n), optional
+        Root L of the covariance L L' of the state at the beginning; None where the frame is at rest there.
     """
 
     excitation: Floats
     y: Floats
     start: Floats
+    spread: Floats | None = None
 
     def strongest(self, most: int) -> slice:
         """Find the part of at most so many samples that holds the most of the motion, every channel counting alike."""
@@ -146,14 +149,14 @@ class PredictionErrors:
         self.upper = np.full(self.size, FURTHEST_NOISE)
         self.upper[self.frame] = np.repeat([FURTHEST, FURTHEST, FURTHEST_STDS, FURTHEST_FORM], varied.sizes)
         self.lower = -self.upper
-        self.lower[force], self.upper[force] = np.log(LEAST_FORCE / noise.force), np.log(MOST_FORCE / noise.force)
+        self.lower[force], self.upper[force] = np.log(LEAST_MISSED / noise.force), np.log(MOST_MISSED / noise.force)
 
     @property
     def samples(self) -> int:
         """Of all stretches together."""
         return sum(len(each.y) for each in self.stretches)
 
-    def shortened(self, most: int, p: Floats) -> PredictionErrors:
+    def shortened(self, most: int, p: Floats, *, free: bool = True) -> PredictionErrors:
         """Take the strongest part of each stretch, which starts from the state that the filter has there.
 
         Parameters
@@ -162,16 +165,35 @@ class PredictionErrors:
             Samples of each stretch.
         p : ndarray, shape (P,)
             Unknowns of the filter.
+        free : bool, optional
+            Whether the state at the beginning of a part is unknown; otherwise it is the filter's.
         """
         filtered = Steady.of(self.dynamics(p))
         parts = []
         for run in self.stretches:
             part = run.strongest(most)
-            start = run.start
+            start, spread = run.start, run.spread
             if part.start:
                 start = filtered.predicted(run.excitation, run.y, run.start)[0][part.start]
-            parts.append(Stretch(run.excitation[part], run.y[part], start))
+                spread = self.spread(filtered.model, run.y[part])
+            spread = spread if free else None
+            parts.append(Stretch(run.excitation[part], run.y[part], start, spread))
         return PredictionErrors(self.varied, self.setting, parts, self.noise)
+
+    def spread(self, model: Dynamics, y: Floats) -> Floats:
+        """Find the root of the covariance of a state at which the sensors show what they do over the first period.
+
+        Parameters
+        ----------
+        model : Dynamics
+        y : ndarray, shape (samples, m)
+        """
+        begins = y[: max(2, round(self._period / self.setting.step))]
+        shown = np.sum(model.H @ model.P0 * model.H, axis=1)
+        unit = np.sqrt(np.diag(model.P0))
+        values, vectors = np.linalg.eigh(model.P0 / np.outer(unit, unit))
+        root: Floats = unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+        return root * float(np.sqrt(np.mean(begins**2) / np.mean(shown)))
 
     def model(self, p: Floats) -> DampedModel:
         """Return the frame at a point."""
@@ -192,11 +214,16 @@ class PredictionErrors:
         """-2 log likelihood, without its constant."""
         filtered = Steady.of(self.dynamics(p))
         _, log_det = np.linalg.slogdet(filtered.S)
-        inverse = np.linalg.inv(filtered.S)
+        whitening = np.linalg.inv(np.linalg.cholesky(filtered.S))
         total = self.samples * float(log_det)
         for run in self.stretches:
             _, e = filtered.predicted(run.excitation, run.y, run.start)
-            total += float(np.sum((e @ inverse) * e))
+            white = (e @ whitening.T).ravel()
+            total += float(white @ white)
+            if run.spread is not None:
+                free = _free(filtered, run, whitening)
+                pulled = free.T @ white
+                total -= float(pulled @ np.linalg.solve(np.eye(len(pulled)) + free.T @ free, pulled))
         return total
 
     def told(self, p: Floats, root: Floats, least: float) -> Directions:
@@ -241,6 +268,7 @@ class PredictionErrors:
         m, at_rest = len(whitening), np.zeros(len(here.P))
         residuals: list[Floats] = []
         derivatives: list[Floats] = []
+        begun: list[Floats] = []
         mean = np.zeros((m, m))
         for run in self.stretches:
             x, e = here.predicted(run.excitation, run.y, run.start)
@@ -252,6 +280,15 @@ class PredictionErrors:
                 moved = recursion(here.F, told @ slope.inputs, at_rest, whitening @ here.model.H)
                 J[:, j] = -(moved + told @ slope.outputs).ravel()
             white = e @ whitening.T
+            if run.spread is not None:
+                # The state at the beginning goes along with every change of the frame: variable projection.
+                free = _free(here, run, whitening)
+                normal = np.eye(free.shape[1]) + free.T @ free
+                both = np.linalg.solve(normal, free.T @ np.column_stack([J, white.ravel()]))
+                turned, moved = both[:, :-1], both[:, -1]
+                white -= (free @ moved).reshape(white.shape)
+                J -= (free @ turned).astype(SHORT)
+                begun.append(both)
             residuals.append(white.ravel())
             derivatives.append(J)
             mean += white.T @ white
@@ -259,6 +296,8 @@ class PredictionErrors:
         # J'r of these rows is half the gradient of T log det S + sum e' S^-1 e by S.
         residuals.append(root * (np.eye(m) - mean / self.samples).ravel())
         derivatives.append(np.array([slope.S.ravel() for slope in slopes]).T * root)
+        derivatives += [both[:, :-1] for both in begun]
+        residuals += [both[:, -1] for both in begun]
         return np.concatenate(derivatives), np.concatenate(residuals)
 
     def _inflation(self, R: Floats, r: Floats, along: Directions) -> float:
@@ -315,6 +354,22 @@ class PredictionErrors:
         there = self.dynamics(p + step * column)
         names = ("A", "H", "R", "Q", "direct", "before", "after")
         return {name: (getattr(there, name) - getattr(here, name)) / step for name in names}
+
+
+def _free(filtered: Steady, run: Stretch, whitening: Floats) -> Floats:
+    """Return what the whitened innovations lose to a state at the beginning, of unit prior, shape (samples m, n)."""
+    rows = [whitening @ filtered.model.H]
+    for _ in range(BLOCK - 1):
+        rows.append(rows[-1] @ filtered.F)
+    block = np.concatenate(rows)
+    leap = np.linalg.matrix_power(filtered.F, BLOCK)
+    root = np.array(run.spread)
+    parts = []
+    for _ in range(0, len(run.y), BLOCK):
+        parts.append(block @ root)
+        root = leap @ root
+    result: Floats = np.concatenate(parts)[: run.y.size]
+    return result
 
 
 @dataclass(frozen=True, eq=False)

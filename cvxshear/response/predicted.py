@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,7 +19,6 @@ from cvxshear.response.fitted import Fitted, Models
 from cvxshear.response.peaks import FloorSpectra, Peaks, floor_spectra, histories, largest, spectrum_lines
 from cvxshear.response.sources import ModelSource, MotionSource, models_of, motion_of, state_of, state_remarks
 from cvxshear.response.uncertain import Damped, UncertainFrame, propagated
-from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import listed, percent
 from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats
@@ -156,7 +154,6 @@ def predict(
     motion = recorded.detrended() if detrend else recorded
     models = models_of(source, solver)
     experiment = models.after.experiment
-    _refuse_other_frame(motion, experiment.stories)
     state = state_of(experiment, motion, configuration)
     before = None
     if models.before is not None:
@@ -235,14 +232,6 @@ def _taken_off(recorded: Motion, motion: Motion) -> list[str]:
         f"a straight line of up to {percent(largest, 1)} of the rms ({where}) was taken for the sensor's and off; "
         "--no-detrend leaves it in"
     ]
-
-
-def _refuse_other_frame(motion: Motion, stories: int) -> None:
-    """Raise where the record has floors or a force that the frame has not."""
-    places: Sequence[int] = [*motion.floors.tolist(), *(drive.floor for drive in motion.drives)]
-    highest = max(places)
-    if highest > stories:
-        raise InputError(f"{motion.name} speaks of floor {highest}, the frame has {stories} stories")
 
 
 def _remarks(after: Side, motion: Motion) -> list[str]:

@@ -28,7 +28,6 @@ from cvxshear.response.recording import Recording, RecordingSource, recording_of
 from cvxshear.response.sensor_checks import SensorCheck, Whiteness, checked, whiteness, widening
 from cvxshear.response.sources import ModelSource, models_of, state_of, state_remarks
 from cvxshear.response.uncertain import UncertainFrame
-from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import percent, ranged
 from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Floats, Json
@@ -40,7 +39,7 @@ WIDER = 1.3
 """Ratio of the left-out sensors' errors to their stated deviations, by which all bands are then widened, that is said:
 twenty effective samples scatter by as much."""
 
-COLOURED = 0.3
+COLOURED = 0.1
 """Correlation of an innovation with an earlier one from which on it is said that the model misses something there."""
 
 
@@ -209,12 +208,8 @@ def reconstruct(
     """
     solver = backends.get(backend)
     recording = recorded = recording_of(record)
-    line = 0.0
     models = models_of(source, solver)
     experiment = models.after.experiment
-    highest = int(max(recording.floors.max(), recording.force_floor))
-    if highest > experiment.stories:
-        raise InputError(f"{recording.name} speaks of floor {highest}, the frame has {experiment.stories} stories")
     state = state_of(experiment, recording, configuration)
     frame = UncertainFrame.of(models.after, state, damping, solver)
     done, parts = itertools.count(1), 3 + (len(recording.floors) if leave_out else 0)
@@ -225,16 +220,13 @@ def reconstruct(
 
     identified = frame.at(np.zeros(frame.size)).model
     if detrend:
-        recording, line = recorded.detrended(shown_by(identified))
-    work = FrameMotion.around(frame, recording, solver, free=fit)
+        recording = recording.without_base_line()
     predicted = predicted_responses(identified, recording)
+    if detrend:
+        recording = recording.less(recording.lines(shown_by(identified, predicted, recording)))
+    work = FrameMotion.around(frame, recording, solver, free=fit)
     advance()
-    fitted, smoothed = work.fitted()
-    if detrend and work.free:
-        # The fitted frame knows better what of a line is the end of a vibration.
-        recording, line = recorded.detrended(shown_by(fitted.model))
-        work = dataclasses.replace(work, recording=recording)
-        smoothed = work.smoothed(fitted.errors, fitted.p)
+    work, fitted, smoothed = work.fitted(detrend=detrend)
     advance()
     checks = []
     for channel in range(len(recording.floors)) if leave_out and len(recording.floors) > 1 else ():
@@ -247,12 +239,12 @@ def reconstruct(
         ratio, std = peaks.values["story_drift_ratio"], np.maximum(peaks.std["story_drift_ratio"], 1e-300)
         passed = np.asarray(stats.norm.sf(experiment.limits.story_drift[:, None], ratio, std), dtype=np.float64)
     found = Reconstruction(
-        recording, state, solver.name, frame.fitted, frame.kind, fitted, fitted.model, tuple(runs), peaks,
+        work.recording, state, solver.name, frame.fitted, frame.kind, fitted, fitted.model, tuple(runs), peaks,
         None if predicted is None else _peaks([(item, {}) for item in predicted]), tuple(checks),
         whiteness(work, smoothed), experiment.limits, passed, (),
     )  # fmt: skip
     advance()
-    remarks = [*state_remarks(experiment, recording, state), *_remarks(found, line)]
+    remarks = [*state_remarks(experiment, recording, state), *_remarks(found, recorded)]
     return dataclasses.replace(found, remarks=tuple(remarks))
 
 
@@ -278,12 +270,14 @@ def _peaks(runs: list[tuple[Response, dict[str, Floats]]]) -> Peaks:
     return Peaks(values, stds)
 
 
-def _remarks(found: Reconstruction, line: float) -> list[str]:
+def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
     """Say what the reader has to know besides the numbers."""
     said = [
         "residual displacement is out of reach: accelerations do not show where a floor comes to rest, and the model "
         "returns to where it began"
     ]
+    pairs = zip(recorded.runs, found.recording.runs, strict=True)
+    line = max(float(np.nanmax(np.abs(raw.measured - run.measured) / recorded.rms())) for raw, run in pairs)
     if line > 0.01:
         said.append(
             f"a straight line of up to {percent(line, 1)} of a channel's rms was taken for its sensor's and off; "
@@ -321,6 +315,6 @@ def _remarks(found: Reconstruction, line: float) -> list[str]:
         said.append(
             f"the innovations of floor {ranged([each.floor for each in coloured])} are not white: the model misses a "
             "part of the motion there, and the deviations of the frame were widened for it "
-            f"(by {np.sqrt(found.frame.inflation):.1f})"
+            f"(by {np.sqrt(found.frame.inflation):.1f}); another kind of damping may describe it better (--damping)"
         )
     return said

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from cvxshear.records.motion import Motion, trend
 from cvxshear.records.record import INPUTS, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Floats, Ints
 
 RecordingSource = str | Path | TimeRecord | Motion
 
@@ -123,39 +123,32 @@ class Recording:
         square: Floats = np.nanmean(np.concatenate([run.measured for run in self.runs]) ** 2, axis=0)
         return np.sqrt(square)
 
-    def detrended(self, shown: Callable[[Recording], Sequence[Floats]] | None = None) -> tuple[Recording, float]:
-        """Take a straight line off each acceleration, and return the largest line over its channel's rms as well.
+    def without_base_line(self) -> Recording:
+        """Take the straight line off a measured base acceleration."""
+        if self.input != "base":
+            return self
+        runs = [dataclasses.replace(run, excitation=run.driven - trend(run.driven)) for run in self.runs]
+        return dataclasses.replace(self, runs=tuple(runs))
 
-        The line of a floor is that through what a model does not show. The vibration itself is not without one over a
-        finite time: a cycle that the end of the record cuts off would pass for the sensor's.
+    def lines(self, expected: Sequence[Floats]) -> list[Floats]:
+        """Find the straight line of each channel, one array (samples, m) a run.
+
+        It is that through what a model does not show. The vibration itself is not without one over a finite time: a
+        cycle that the end of the record cuts off would pass for the sensor's.
 
         Parameters
         ----------
-        shown : callable, optional
-            Accelerations of a model at the sensors, one array (samples, m) a run, driven as the recording says.
+        expected : sequence of ndarray, shape (samples, m)
+            Accelerations of a model at the sensors, for each run.
         """
-        whole = [self._whole(run) for run in self.runs]
-        runs = []
-        for run, there in zip(self.runs, whole, strict=True):
-            excitation = run.excitation
-            if excitation is not None and self.input == "base":
-                excitation = excitation - trend(excitation, there)
-            runs.append(dataclasses.replace(run, excitation=excitation))
-        driven = dataclasses.replace(self, runs=tuple(runs))
-        expected = [np.zeros_like(run.measured) for run in runs] if shown is None else shown(driven)
-        largest, found = 0.0, []
-        for run, there, own in zip(runs, whole, expected, strict=True):
-            left = run.measured - own
-            line = np.column_stack([trend(column, there & np.isfinite(column)) for column in left.T])
-            largest = max(largest, float(np.max(np.abs(line) / self.rms())))
-            found.append(dataclasses.replace(run, measured=run.measured - line))
-        return dataclasses.replace(self, runs=tuple(found)), largest
+        return [trend(run.measured - own) for run, own in zip(self.runs, expected, strict=True)]
 
-    @staticmethod
-    def _whole(run: RecordedRun) -> Bools:
-        """Tell which samples all lines go through: through different parts of a motion they would contradict."""
-        there = np.asarray(np.isfinite(run.measured).all(axis=1))
-        return np.ones_like(there) if there.sum() <= len(there) // 2 else there
+    def less(self, lines: Sequence[Floats]) -> Recording:
+        """Take straight lines off the measured accelerations, one array (samples, m) a run."""
+        runs = [
+            dataclasses.replace(run, measured=run.measured - line) for run, line in zip(self.runs, lines, strict=True)
+        ]
+        return dataclasses.replace(self, runs=tuple(runs))
 
     def without(self, channel: int) -> Recording:
         """Return the recording with one channel fewer."""

@@ -11,11 +11,10 @@ from scipy import stats
 
 from cvxshear.response.damped import Response
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, refitted
-from cvxshear.response.frame_motion import FrameMotion
+from cvxshear.response.frame_motion import FrameMotion, rms
 from cvxshear.response.innovations import PredictionErrors, Stretch
 from cvxshear.response.smoother import SPIKE, Smoothed
 from cvxshear.util.quantities import NORMAL_95
-from cvxshear.util.typing import Floats
 
 CHECK_STEPS = 1
 """Gauss-Newton steps of the frame without one sensor: it starts from the fit to all, and what it needs is the
@@ -132,8 +131,8 @@ def checked(
             alone.append((gain * predicted[number].acceleration[part, place] - seen)[there])
     error, variances = np.concatenate(left), np.concatenate(stated)
     return SensorCheck(
-        place + 1, _rms(error), float(np.sqrt(np.mean(variances))), _rms(np.concatenate(measured)),
-        _rms(np.concatenate(alone)) if alone else None,
+        place + 1, rms(error), float(np.sqrt(np.mean(variances))), rms(np.concatenate(measured)),
+        rms(np.concatenate(alone)) if alone else None,
         float(np.mean(np.abs(error) <= NORMAL_95 * np.sqrt(variances))),
     )  # fmt: skip
 
@@ -169,7 +168,3 @@ def whiteness(work: FrameMotion, smoothed: Sequence[Smoothed]) -> tuple[Whitenes
             )
         )  # fmt: skip
     return tuple(found)
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -93,8 +93,12 @@ def load_unscaled(path: str | Path) -> tuple[Experiment, bool]:
     except NoScaleError:
         path = Path(path)
         declared = dict(with_modes_read(parse(read_text(path), path), path.parent))
-        placeholder = {"total_mass": 1.0, "total_mass_placeholder": True}
-        declared["frame"] = {**(declared.get("frame") or {}), **placeholder}
+        frame = declared.get("frame") or {}
+        # A remark of the result says it; doubts about masses that nobody wrote down would puzzle.
+        accepted = {*frame.get("accept", ()), "total_mass", "masses"}
+        declared["frame"] = {
+            **frame, "total_mass": 1.0, "total_mass_placeholder": True, "accept": sorted(accepted)
+        }  # fmt: skip
         return Experiment.from_dict(declared, name=path.stem), False
 
 
@@ -159,8 +163,12 @@ def state_of(experiment: Experiment, record: Motion | Recording, name: str | Non
     Raises
     ------
     InputError
-        Where there is no such configuration or state, or the added mass is of another frame.
+        Where there is no such configuration or state, or floors or added mass are of another frame.
     """
+    driven = [record.force_floor] if isinstance(record, Recording) else [drive.floor for drive in record.drives]
+    highest = max([*record.floors.tolist(), *driven])
+    if highest > experiment.stories:
+        raise InputError(f"{record.name} speaks of floor {highest}, the frame has {experiment.stories} stories")
     configurations = experiment.configurations
     if name is not None:
         choice(name, [each.name for each in configurations], "configuration")

@@ -218,27 +218,6 @@ def propagated(frame: UncertainFrame, function: Callable[[Damped], Floats]) -> t
     return centre, np.sqrt(variance)
 
 
-def sampled(
-    frame: UncertainFrame, function: Callable[[Damped], Floats], samples: int, rng: np.random.Generator
-) -> Floats:
-    """Evaluate a function at random frames, shape (samples, ...), to check the linear propagation.
-
-    Parameters
-    ----------
-    frame : UncertainFrame
-    function : callable
-    samples : int
-    rng : numpy.random.Generator
-
-    Raises
-    ------
-    InputError
-        Where a frame drawn has no modes.
-    """
-    centre = frame.at(np.zeros(frame.size))
-    return np.array([function(frame.at(rng.standard_normal(frame.size), centre)) for _ in range(samples)])
-
-
 def _lengths(frame: UncertainFrame) -> Floats:
     """How far each direction is gone along, in standard deviations."""
     fitted = frame.fitted

@@ -21,9 +21,9 @@ from cvxshear.fit.efficient import efficient
 from cvxshear.records.motion import Drive
 from cvxshear.response import DampedModel, Fitted, response
 from cvxshear.response.peaks import largest
-from cvxshear.response.uncertain import UncertainFrame, propagated, sampled
+from cvxshear.response.uncertain import UncertainFrame, propagated
 from cvxshear.util.parallel import each
-from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
+from tests.response.common import damped_frame, declared, matrices, pole_ratios, sampled, shaking
 
 STORIES = (3, 8, 20)
 KINDS = ("modal", "story")

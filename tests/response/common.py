@@ -88,3 +88,9 @@ def declared(
     }
     frame = {"stories": n, "total_mass": float(np.sum(mass)), "story_heights": 3.0}
     return {"frame": frame, "configuration": [configuration], **more}
+
+
+def sampled(frame, function, samples, rng):
+    """Evaluate a function at random frames, shape (samples, ...): what linear deviations are checked by."""
+    centre = frame.at(np.zeros(frame.size))
+    return np.array([function(frame.at(rng.standard_normal(frame.size), centre)) for _ in range(samples)])

@@ -11,10 +11,10 @@ from cvxshear.fit.efficient import efficient
 from cvxshear.model.shear import modes
 from cvxshear.response import Fitted, damping_of
 from cvxshear.response.dashpots import Ratios, story_dashpots
-from cvxshear.response.uncertain import UncertainFrame, propagated, sampled
+from cvxshear.response.uncertain import UncertainFrame, propagated
 from cvxshear.util.errors import InputError, UnsuitableError
 from tests.frames import modes_of
-from tests.response.common import damped_frame, declared, matrices, pole_ratios
+from tests.response.common import damped_frame, declared, matrices, pole_ratios, sampled
 
 
 def estimated(declaration):

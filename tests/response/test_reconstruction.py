@@ -255,11 +255,29 @@ def test_a_record_file_gives_one_channel_a_floor_between_start_and_end(tmp_path)
     np.testing.assert_allclose(only.excitation, np.cos(9 * time[100:250]), atol=1e-12)
 
 
+def test_a_record_that_begins_amid_the_motion_is_reconstructed_as_well(softened):
+    """The free vibration at its beginning is nobody's excitation: its state is found with the frame."""
+    models, motion, drift, soft, _ = softened
+    first, last = 900, 3400
+    drive = motion.drives[0]
+    part = dataclasses.replace(
+        drive, excitation=drive.excitation[first:last], responses=drive.responses[first:last]
+    )  # fmt: skip
+    found = reconstruct(models, dataclasses.replace(motion, drives=(part,)), leave_out=False)
+    true = np.abs(drift[first:last]).max(axis=0)
+    moves = np.abs(drift[first : first + 50]).max(axis=0)
+    assert np.all(moves > 0.1 * true)
+    np.testing.assert_allclose(found.peaks.values["story_drift"], true, rtol=0.03)
+    assert np.all(np.abs(found.peaks.values["story_drift"] - true) < 3 * found.peaks.std["story_drift"])
+    assert found.changed == (soft,)
+
+
 @pytest.mark.parametrize("stories", [3, 8])
-def test_an_effect_that_the_model_lacks_is_in_the_bands(stories):
-    """Beams that bend in a finite-element frame, a shear model: drifts between the sensors come out within bands."""
-    errors, deviations, over_time, changed, _ = study.trial(1, stories, "beams")
-    assert np.all(np.abs(deviations[1]) < 3.0)
-    assert np.mean(over_time[1]) > 0.9
-    assert not changed
-    assert np.sqrt(np.mean(errors[2] ** 2)) < 0.4 * np.sqrt(np.mean(errors[0] ** 2))
+def test_effects_that_the_model_lacks_are_in_the_bands(stories):
+    """Beams that bend in finite-element frames, a shear model: drifts between the sensors come out within bands."""
+    found = [study.trial(seed, stories, "beams") for seed in range(3)]
+    assert all(np.all(np.abs(deviations[1]) < 3.0) for _, deviations, *_ in found)
+    assert np.mean([over_time[1] for _, _, over_time, *_ in found]) > 0.9
+    assert not any(changed for *_, changed, _ in found)
+    by_prediction, _, by_fit = np.sqrt(np.mean(np.square([errors for errors, *_ in found]), axis=(0, 2)))
+    assert by_fit < 0.4 * by_prediction

@@ -77,12 +77,12 @@ def _errors(side: RecordComparison, at: int, modes: int) -> Iterator[str]:
     yield from (percent(float(value), 1) for value in side.frf_error[at, :modes])
 
 
-def peaks(found: Peaks) -> Table:
-    """Largest values at every floor and story, the top first."""
+def peaks(found: Peaks, skipped: str = "") -> Table:
+    """Largest values at every floor and story, the top first, but for a quantity that stands elsewhere."""
     values, std = found.values, found.std
     head, columns = ["floor / story"], []
     for name, word, unit in PEAKS:
-        if name in values:
+        if name in values and name != skipped:
             factor, prefixed = (1e-3, "mm") if unit == "m" else scaled(values[name].tolist(), unit)
             head.append(f"{word}, {prefixed}" if unit else word)
             columns.append([
@@ -99,13 +99,13 @@ def peaks(found: Peaks) -> Table:
 @describe.register
 def _reconstruction(result: Reconstruction, units: Units = AUTOMATIC) -> Document:
     lead = [Sentence(text, "strong") for text in _findings(result)]
-    evidence = [whiteness(result)]
-    checks = () if not result.checks else (left_out(result),)
+    checks = (Section("checks", "Each sensor from the others", (left_out(result),)),) if result.checks else ()
     sections = (
-        Section("findings", "", (*lead, *checks)),
-        Section("motion", "What the stories did", (stories(result), peaks(result.peaks))),
+        Section("findings", "", tuple(lead)),
+        *checks,
+        Section("motion", "What the stories did", (stories(result), peaks(result.peaks, skipped="story_drift_ratio"))),
         Section("frame", "The frame in this record", tuple(_frame_parts(result))),
-        Section("evidence", "Sensors", tuple(evidence)),
+        Section("evidence", "Sensors", (whiteness(result),)),
         Section("remarks", "", tuple(Sentence(remark, "warning") for remark in result.remarks)),
     )
     return Document(result.fitted.experiment.name, _reconstructed(result), sections)

@@ -18,7 +18,7 @@ from cvxshear.report.figures.style import AFTER, BEFORE, GREY, MEASURED, PAGE_WI
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.response.compare import seen
 from cvxshear.util.errors import InputError
-from cvxshear.util.quantities import scaled
+from cvxshear.util.quantities import scaled, with_std
 from cvxshear.util.typing import Floats, Ints
 
 MOST_FLOORS = 4
@@ -266,8 +266,8 @@ def floor_spectra(result: RecordPrediction) -> Figure:
     caption="Left: the frame, each story coloured by its peak drift, with its standard deviation; * marks a story that "
     "changed, triangles the floors with sensors. Right: the same with bars that hold 95\N{NO-BREAK SPACE}%, the "
     "prediction that looks at no sensor, and the limits.",
-    alternative="The frame with the peak drift of each story; the numbers are in the table above.",
-    section="motion",
+    alternative="The frame with the peak drift of each story; the numbers are in the table of the stories.",
+    section="findings",
 )
 def story_drifts(result: Reconstruction) -> Figure:
     """Draw the frame with its stories coloured by peak drift, and the peaks with 95 % bars beside it.
@@ -291,11 +291,12 @@ def story_drifts(result: Reconstruction) -> Figure:
     sensors = set(result.recording.floors.tolist())
     for story, (low, high) in enumerate(pairwise(levels)):
         share = float(peaks[story] / max(float(peaks.max()), 1e-300))
-        left.add_patch(Rectangle((0.2, low), 0.6, high - low, fc=colours(share), ec=GREY, lw=0.8, alpha=0.85))
+        left.add_patch(Rectangle((0.2, low), 0.6, high - low, fc=colours(share), ec=GREY, lw=0.8))
         mark = " *" if story + 1 in result.changed else ""
         left.text(
-            0.5, 0.5 * (low + high), f"{peaks[story]:.3g} ± {std[story]:.1g}{mark}", ha="center", va="center",
-            fontsize=8, color="white" if share > 0.5 else "black",
+            0.5, 0.5 * (low + high), with_std(float(peaks[story]), float(std[story]), factor=1.0) + mark, ha="center",
+            # Not quite black and white, which a dark page would exchange; the stories keep their colours.
+            va="center", fontsize=8, color="#fefefe" if share > 0.5 else "#010101",
         )  # fmt: skip
         if story + 1 in sensors:
             left.plot([0.86], [high], marker="<", color=MEASURED, ls="none")
