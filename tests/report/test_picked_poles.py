@@ -2,7 +2,6 @@
 
 import tomllib
 
-import numpy as np
 import pytest
 from matplotlib import pyplot
 from matplotlib.backend_bases import MouseEvent
