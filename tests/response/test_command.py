@@ -11,6 +11,7 @@ import pytest
 import cvxshear
 from cvxshear import backends
 from cvxshear.cli import main
+from cvxshear.files.modes import modes_from_file
 from cvxshear.files.toml import write_measurement
 from cvxshear.response import DampedModel, Drive, predict, response
 from cvxshear.response.sources import models_of
@@ -140,6 +141,14 @@ def test_effects_of_a_loop_pass_through_its_json(folder, capsys, change, effect,
     assert json.loads(out)["frequencies"] == pytest.approx(modes["frequencies"], rel=1e-9)
     read = models_of("loop.json", backends.get("auto"))
     assert read.to_dict() == closed["model"]
+
+
+def test_a_record_file_in_place_of_an_experiment(folder):
+    """Its modes are identified first."""
+    given = cvxshear.identify("shaken.toml")
+    modes = cvxshear.Experiment.from_dict(modes_from_file("shaken.toml")[1])
+    np.testing.assert_array_equal(given.frame.floor_mass, cvxshear.identify(modes).frame.floor_mass)
+    assert given.experiment.name == "shaken"
 
 
 def test_identify_reports_damping(folder, capsys):
