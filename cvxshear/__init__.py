@@ -18,6 +18,7 @@ from cvxshear.util.errors import (
     NoSolutionError,
     UnsuitableError,
 )
+from cvxshear.util.reader import read_by
 from cvxshear.util.results import shown_by
 from cvxshear.version import __version__ as __version__
 
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from cvxshear.response import predict, reconstruct
 
 shown_by("cvxshear.report.terminal")
+read_by("cvxshear.files.modes")
 
 __all__ = [
     "Closure",

@@ -8,7 +8,11 @@ import pytest
 
 import cvxshear
 from cvxshear import Experiment, InfeasibleError, InputError, UnsuitableError, identify
+from cvxshear.files.toml import write_measurement
+from cvxshear.methods import programs_of
 from cvxshear.priors import Bounds, Nominal, Ratio, Value
+from cvxshear.response import Fitted, damping_of
+from cvxshear.screening import Screening, refuse_mistakes, screen
 from tests.frames import EXAMPLES, chain, configuration, experiment
 
 MASS = np.array([10.0, 7.5, 5.0])
@@ -18,6 +22,39 @@ SEPARATE = ("two-stage", "one-shot", "berman", "qi")
 
 def exact(*configurations, **keys):
     return Experiment.from_dict(experiment(MASS, STIFFNESS, *configurations, **keys))
+
+
+TAKE_A_PATH = {
+    "identify": lambda source: identify(source).to_dict(),
+    "close_loop": lambda source: cvxshear.close_loop(source, effects=["gravity"]).to_dict(),
+    "compare_backends": lambda source: cvxshear.compare_backends(source, ["kkt"], repeats=1).experiment,
+    "programs_of": lambda source: [program.kind for program in programs_of(source)[0]],
+    "plan": lambda source: cvxshear.plan(source, sensors=1).to_dict(),
+    "screen": screen,
+    "refuse_mistakes": refuse_mistakes,
+    "check": lambda source: Screening.of(source).to_dict(),
+    "damping_of": lambda source: str(damping_of(source, Fitted.of_identification(identify(source)))),
+}
+"""What takes an experiment, as a function of the experiment alone."""
+
+
+@pytest.mark.parametrize("function", TAKE_A_PATH)
+def test_every_public_function_takes_a_path(tmp_path, function):
+    """A path, a Path, the experiment itself: one result. A built-in's name will do, and what is neither is refused."""
+    table = configuration(MASS, STIFFNESS, damping_ratios=[0.01, 0.02, 0.03])
+    path = tmp_path / "three.toml"
+    write_measurement(path, experiment(MASS, STIFFNESS, table))
+    called = TAKE_A_PATH[function]
+    assert called(str(path)) == called(path) == called(cvxshear.load(path))
+    called("paper")
+    with pytest.raises(InputError, match="no such file"):
+        called(str(tmp_path / "four.toml"))
+
+
+@pytest.mark.parametrize("function", [name for name in TAKE_A_PATH if name != "plan"])
+def test_what_is_no_experiment_is_refused(function):
+    with pytest.raises(InputError, match=r"an Experiment, the path of its file or the name of a built-in .*, not 3"):
+        TAKE_A_PATH[function](3)
 
 
 def noisy(seed=3, noise=0.05, prior=()):

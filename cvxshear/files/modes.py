@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from cvxshear.files.inputs import named_after
 from cvxshear.files.record_file import read_record
-from cvxshear.files.toml import files_of, is_record_file, write_measurement
+from cvxshear.files.toml import files_of, is_record_file, load, write_measurement
 from cvxshear.files.uff import write_uff
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.modal.diagnostics import cables_changed
@@ -177,6 +178,26 @@ def modes_from_file(
     if uff is not None:
         write_uff(uff, test.modes)
     return test.modes, declared
+
+
+def experiment_from_file(path: str | Path) -> Experiment:
+    """Read what was measured from a measurement file, or identify the modes of a record file.
+
+    Parameters
+    ----------
+    path : str or Path
+        Or the name of a built-in example.
+
+    Raises
+    ------
+    InputError
+        Where a file cannot be read or is wrong.
+    NoSolutionError
+        Where no mode was found in a record.
+    """
+    if not is_record_file(path):
+        return load(path)
+    return Experiment.from_dict(modes_from_file(path)[1], name=named_after(path))
 
 
 def write_modes(

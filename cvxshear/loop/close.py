@@ -29,6 +29,7 @@ from cvxshear.loop.results import Closure
 from cvxshear.loop.search import REACH, Search
 from cvxshear.loop.verdicts import VERDICTS
 from cvxshear.measurement.experiment import Experiment
+from cvxshear.measurement.opened import Measurement, opened
 from cvxshear.measurement.reading import repeated_configurations
 from cvxshear.priors import Prior
 from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError, UnsuitableError
@@ -42,7 +43,7 @@ SAME_FRAME = 1e-3
 
 
 def close_loop(
-    experiment: Experiment,
+    experiment: Measurement,
     effects: Sequence[str | Effect] | None = None,
     assume: Sequence[str | Placed] = (),
     backend: str | Backend = "auto",
@@ -54,7 +55,7 @@ def close_loop(
 
     Parameters
     ----------
-    experiment : Experiment
+    experiment : Experiment, path or name of a built-in
     effects : sequence of str or Effect, optional
         Which effects to look for, names or objects of your own; the whole catalogue where not given. An object brings
         its own probability and expected size (`Effect.expecting`).
@@ -77,7 +78,7 @@ def close_loop(
     NoSolutionError
         Where the shear model itself could not be fitted by this backend.
     """
-    experiment, repeated = without_repeated(experiment.with_priors(tuple(priors)))
+    experiment, repeated = without_repeated(opened(experiment).with_priors(tuple(priors)))
     wanted, left_out = _sound(chosen(effects), experiment)
     solver = backends.get(backend)
     there = _declared(experiment, solver, assumed(experiment, assume))

@@ -93,7 +93,7 @@ _ALL = (
         "The shear model explains the data once the modes are numbered otherwise; nothing was added.",
         "{found}; {change}",
         "{model} explains the data; {change}",
-        "Use the masses and stiffnesses of the final model; look at the remaining candidates before you rely on it.",
+        "Use the masses and stiffnesses of the final model.",
         "#00664a",
         "#4fc3a1",
         certain=True,

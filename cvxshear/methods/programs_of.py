@@ -14,6 +14,7 @@ from cvxshear.fit.gauss_newton import step_program
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import uniform
 from cvxshear.measurement.experiment import Experiment
+from cvxshear.measurement.opened import Measurement, opened
 from cvxshear.methods.separate import CompleteTest, complete_test, start_mass
 from cvxshear.programs import LeastSquares, mass_correction, one_shot_masses, story_stiffnesses
 from cvxshear.programs.orthogonality import normalized
@@ -26,7 +27,7 @@ TIGHTER = 0.95
 
 
 def compare_backends(
-    experiment: Experiment,
+    experiment: Measurement,
     names: Sequence[str] | None = None,
     *,
     repeats: int = REPEATS,
@@ -36,7 +37,7 @@ def compare_backends(
 
     Parameters
     ----------
-    experiment : Experiment
+    experiment : Experiment, path or name of a built-in
     names : sequence of str, optional
         Backends; all that are installed where not given.
     repeats : int, optional
@@ -53,18 +54,19 @@ def compare_backends(
     InputError
         Where a named backend is not installed, or a number makes no sense.
     """
+    experiment = opened(experiment)
     programs, left_out = programs_of(experiment)
     return backends.compare(
         programs, names, repeats=repeats, tolerance=tolerance, experiment=experiment.name, left_out=left_out
     )
 
 
-def programs_of(experiment: Experiment) -> tuple[list[BenchmarkProgram], str]:
+def programs_of(experiment: Measurement) -> tuple[list[BenchmarkProgram], str]:
     """List the programs of an experiment, of each configuration by itself and of all together.
 
     Parameters
     ----------
-    experiment : Experiment
+    experiment : Experiment, path or name of a built-in
 
     Returns
     -------
@@ -75,6 +77,7 @@ def programs_of(experiment: Experiment) -> tuple[list[BenchmarkProgram], str]:
     left_out : str
         Why there is none of the kinds but the last; empty where there are.
     """
+    experiment = opened(experiment)
     separate, left_out = _separate_programs(experiment)
     return [*separate, *_step_programs(experiment)], left_out
 

@@ -10,7 +10,7 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.fit.efficient import efficient, parameter_names
 from cvxshear.fit.results import Identification, SingleIdentification
-from cvxshear.measurement.experiment import Experiment
+from cvxshear.measurement.opened import Measurement, opened
 from cvxshear.methods.paper_methods import TOLERANCE, berman, one_shot, qi, two_stage
 from cvxshear.methods.separate import CompleteTest, complete_test
 from cvxshear.priors import Prior
@@ -22,7 +22,7 @@ METHODS = ("efficient", "two-stage", "one-shot", "berman", "qi")
 
 
 def identify(
-    experiment: Experiment,
+    experiment: Measurement,
     method: str = "efficient",
     backend: str | Backend = "auto",
     priors: Sequence[Prior] = (),
@@ -36,7 +36,7 @@ def identify(
 
     Parameters
     ----------
-    experiment : Experiment
+    experiment : Experiment, path or name of a built-in
     method : str, optional
         "efficient": one weighted fit over all configurations, which takes incomplete data. "two-stage": the
         paper's, and "one-shot", "berman", "qi": each configuration by itself; these need all modes at all
@@ -69,7 +69,7 @@ def identify(
         Where the backend does not solve a program.
     """
     checks.choice(method, METHODS, "method")
-    experiment = experiment.with_priors(tuple(priors))
+    experiment = opened(experiment).with_priors(tuple(priors))
     solver = backends.get(backend)
     checks.number(tolerance, "tolerance", above=0.0)
     start = None

@@ -19,6 +19,7 @@ from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop import close_loop
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame, Prior
+from cvxshear.measurement.opened import Measurement, opened
 from cvxshear.model.shear import modes
 from cvxshear.priors import Value, check_prior
 from cvxshear.util import checks
@@ -248,13 +249,13 @@ class Design:
 
     @staticmethod
     def of_experiment(
-        experiment: Experiment, *, fresh: bool = False, loop: bool = False, state: str | None = None
+        experiment: Measurement, *, fresh: bool = False, loop: bool = False, state: str | None = None
     ) -> Design:
         """Take the frame from a measurement.
 
         Parameters
         ----------
-        experiment : Experiment
+        experiment : Experiment, path or name of a built-in
             Fitted first.
         fresh : bool, optional
             Take the values from it, and its priors, but count none of its measurements as known.
@@ -263,6 +264,7 @@ class Design:
         state : str, optional
             State of the frame that is to be tested; that of the first configuration where not given.
         """
+        experiment = opened(experiment)
         states = list(dict.fromkeys(each.state for each in experiment.configurations))
         if state is not None:
             checks.choice(state, states, "state")

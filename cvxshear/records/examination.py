@@ -13,7 +13,7 @@ from scipy import signal
 
 from cvxshear.records.clocks import BandClock, Segments, band_clock
 from cvxshear.records.floors import one_a_floor, turning
-from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord
+from cvxshear.records.record import Channel, Finding, FrfRecord, Record, TimeRecord
 from cvxshear.records.sick_channels import channel_findings, without_sick, without_spikes
 from cvxshear.records.signals import detrended, impulsive, in_step, only, scaled
 from cvxshear.util.quantities import significant
@@ -40,6 +40,7 @@ COHERENT_LINE = 0.8
 GRAVITY = 9.80665
 ACCELERATION_UNITS = {
     "g": GRAVITY, "mm/s2": 1e-3, "cm/s2": 1e-2, "mg": 1e-3 * GRAVITY, "in/s2": 0.0254, "ft/s2": 0.3048,
+    "gal": 1e-2,
 }  # fmt: skip
 """Units of acceleration in m/s2."""
 SAME_RATIO = 0.2
@@ -249,10 +250,8 @@ def _with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
             factor *= ACCELERATION_UNITS[unit] if value * ACCELERATION_UNITS[unit] else 1.0
             findings.append(
                 in_unit(
-                    str(channel),
-                    channel.name,
-                    channel.floor,
-                    unit,
+                    channel,
+                    ACCELERATION_UNITS[unit],
                     f"it moves {abs(value):.3g} times as much as the base at low frequency",
                 )
             )
@@ -267,13 +266,30 @@ def unit_of(gain: float) -> str | None:
     return fits[0] if fits and abs(np.log(gain)) > 3 * SAME_RATIO else None
 
 
-def in_unit(channel: str, name: str, floor: int, unit: str, why: str) -> Finding:
-    """Report a channel recorded in another unit than the others."""
+def unit_in_truth(channel: Channel, factor: float) -> str | None:
+    """Name the unit that a channel was recorded in, where its values are to be multiplied by a factor; None if none is.
+
+    What it was declared in, or m/s2, times the factor.
+    """
+    units = {"m/s2": 1.0, **ACCELERATION_UNITS}
+    size = units.get(channel.unit or "m/s2", 1.0) * factor
+    return next((name for name, each in units.items() if abs(np.log(size / each)) < SAME_RATIO), None)
+
+
+def in_unit(channel: Channel, factor: float, why: str) -> Finding:
+    """Report a channel recorded in another unit than was declared or, where nothing was, than the others."""
+    unit = unit_in_truth(channel, factor)
+    if channel.unit is not None:
+        looks = f"is declared in {channel.unit} and looks like " + (unit or f"{factor:.3g} times that")
+    elif unit is not None:
+        looks = f"looks like {unit}, the others like m/s2"
+    else:
+        looks = f"looks like m/s2, the others like {unit_of(factor) or f'{1 / factor:.3g} times that'}"
+    remedy = "" if unit is None else f'. Write unit = "{unit}" in the record file'
     return Finding(
         "unit",
-        f"floor {floor} looks like {unit}, the others like m/s2: {channel}, {why}; multiplied by "
-        f'{ACCELERATION_UNITS[unit]:.6g}. Write unit = "{unit}" in the record file',
-        {"channel": name, "floor": floor, "unit": unit, "factor": ACCELERATION_UNITS[unit], "corrected": True},
+        f"floor {channel.floor} {looks}: {channel}, {why}; multiplied by {factor:.6g}{remedy}",
+        {"channel": channel.name, "floor": channel.floor, "unit": unit, "factor": factor, "corrected": True},
     )
 
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.records.examination import ACCELERATION_UNITS, GRAVITY, in_unit
+from cvxshear.records.examination import GRAVITY, in_unit, unit_in_truth
 from cvxshear.records.record import Channel, Finding
-from cvxshear.util.quantities import listed
+from cvxshear.util.quantities import chance, listed
 from cvxshear.util.typing import Floats, Ints
 
 REVERSED = 0.02
@@ -43,6 +43,8 @@ UNUSUAL = 3.0
 """Loss of log likelihood for a second mode whose node is beyond the sensors."""
 SURE = 0.95
 """Probability from which on a channel is taken to be what a hypothesis says."""
+UNNAMED = 0.005
+"""Probability, of all hypotheses that are not named together, from which on it is said that something else may be."""
 DOUBTFUL = 0.3
 """Probability of a hypothesis from which on it is said beside that the channels are as declared."""
 
@@ -207,14 +209,23 @@ def findings_of(hypotheses: Sequence[Hypothesis], channels: Sequence[Channel], f
     if not rivals or rivals[0].probability < DOUBTFUL:
         return []
     names = [channels[place].name for item in rivals for place in item.places]
-    options = [f"{_in_words(item, channels)} ({100 * item.probability:.0f} %)" for item in rivals]
+    options = [f"{_in_words(item, channels)} ({chance(item.probability)})" for item in rivals]
     missed = next(item.missed for item in hypotheses if item.kind == "sound")
     otherwise = "a mode was missed and " if missed > 0.5 else ""
+    options.append(f"{otherwise}the channels are as declared ({chance(sound)})")
+    rest = 1.0 - sound - sum(item.probability for item in rivals)
+    if rest > UNNAMED:
+        options.append(f"something else is wrong ({chance(rest)})")
+    # Where one is more probable than all others together the modes do tell, only not surely enough to change anything.
+    said = (
+        f"by the lowest modes {options[0]}, or {listed(options[1:], 'or')}"
+        if rivals[0].probability > 0.5
+        else f"the lowest modes cannot tell what is wrong: {listed(options, 'or')}"
+    )
     return [
         Finding(
             rivals[0].kind,
-            f"the lowest modes cannot tell what is wrong: {listed(options)}, or {otherwise}the channels are as "
-            f"declared ({100 * sound:.0f} %); look at the cables. The record is taken as declared",
+            f"{said}; look at the cables and units. Nothing reaches {100 * SURE:.0f} %: the record is taken as declared",
             {"channels": names, "probabilities": [item.probability for item in rivals], "corrected": False},
         )
     ]
@@ -225,7 +236,11 @@ def _in_words(item: Hypothesis, channels: Sequence[Channel]) -> str:
     if item.kind == "sign":
         return f"{named} {'is' if len(item.places) == 1 else 'are'} reversed"
     if item.kind == "unit":
-        return f"{named} is in {'g' if item.factor > 1 else 'm/s2 and the others in g'}"
+        channel = channels[item.places[0]]
+        unit = unit_in_truth(channel, item.factor)
+        if channel.unit is not None:
+            return f"{named} is in {unit or 'another unit'}, not in {channel.unit} as declared"
+        return f"{named} is in {unit}" if unit is not None else f"{named} is in m/s2 and the others in g"
     return f"{named} are in each other's place"
 
 
@@ -235,17 +250,7 @@ def _said(item: Hypothesis, channels: Sequence[Channel], first: Floats, sound: f
     names = [channels[place].name for place in item.places]
     numbers = {"channels": names, "probability": item.probability, "first_mode": first.tolist()}
     if item.kind == "unit":
-        channel = channels[item.places[0]]
-        if item.factor > 1:
-            return in_unit(
-                str(channel), channel.name, channel.floor, "g", f"its entry in the lowest mode, {shape}, {odds}"
-            )
-        return Finding(
-            "unit",
-            f"floor {channel.floor} looks like m/s2 and the others like g: {channel}, by the lowest mode, {shape}, "
-            f"{odds}; divided by {ACCELERATION_UNITS['g']:.6g}",
-            {"channel": channel.name, "factor": item.factor, "corrected": True},
-        )
+        return in_unit(channels[item.places[0]], item.factor, f"by the lowest mode, {shape}, {odds}")
     if item.kind == "sign":
         one = len(item.places) == 1
         more = {"channel": names[0]} if one else {}

@@ -9,7 +9,7 @@ import numpy as np
 from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.fit.efficient import Estimate
-from cvxshear.measurement.experiment import Experiment
+from cvxshear.measurement.opened import Measurement, opened
 from cvxshear.response.dashpots import LEAST_RATIO, MISSED, known
 from cvxshear.response.fitted import Fitted
 from cvxshear.response.uncertain import Damped, UncertainFrame, propagated
@@ -113,7 +113,7 @@ WORDS = {"story": "dashpots between the floors", "rayleigh": "Rayleigh damping"}
 
 
 def damping_of(
-    experiment: Experiment,
+    experiment: Measurement,
     estimate: Estimate | Fitted,
     backend: str | Backend = "auto",
     *,
@@ -124,7 +124,7 @@ def damping_of(
 
     Parameters
     ----------
-    experiment : Experiment
+    experiment : Experiment, path or name of a built-in
     estimate : Estimate or Fitted
         Of `identification.efficient`, or of a closed loop.
     backend : str or Backend, optional
@@ -145,6 +145,7 @@ def damping_of(
     UnsuitableError
         Where Rayleigh damping is asked for and one ratio is known.
     """
+    experiment = opened(experiment)
     if not known(experiment):
         return None
     names = [each.name for each in experiment.configurations if each.damping_ratios is not None]

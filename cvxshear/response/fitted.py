@@ -9,7 +9,8 @@ from functools import cached_property
 
 import numpy as np
 
-from cvxshear.effects import Place, Placed, named
+from cvxshear.effects import Place, Placed, catalogue, open_classes
+from cvxshear.effects.wrong_prior import WrongPrior
 from cvxshear.fit.efficient import Estimate
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.methods import Identification
@@ -144,9 +145,20 @@ def _misfit(estimate: Estimate) -> tuple[float, float]:
 
 
 def _placed(item: object, where: str, experiment: Experiment) -> Placed:
-    table = checks.keys(item, ["name", "fixed", "floor", "to", "story", "configuration"], ["name"], where)
-    place = Place(table.get("floor"), table.get("story"), table.get("configuration"), table.get("to"))
-    return Placed(named([table["name"]])[0].bound(experiment), place, tuple(table.get("fixed", ())))
+    """Read an effect at its place, its parameters those that it has there."""
+    table = checks.keys(item, ["name", "fixed", "floor", "to", "story", "configuration", "prior"], ["name"], where)
+    known = {effect.name: effect for effect in (*catalogue(), *open_classes())}
+    effect = known[checks.choice(table["name"], list(known), "effect")].bound(experiment)
+    place = Place(
+        table.get("floor"), table.get("story"), table.get("configuration"), table.get("to"), table.get("prior")
+    )
+    statements = [words for words, rows in experiment.soft_statements if rows]
+    if isinstance(effect, WrongPrior) and place.prior not in statements:
+        raise InputError(
+            f"{where}: prior must be a statement of the experiment that has a standard deviation "
+            f"({'; '.join(statements) or 'there is none'}), not {checks.shown(place.prior)}"
+        )
+    return Placed(effect.bound_at(experiment, place), place, tuple(table.get("fixed", ())))
 
 
 @dataclass(frozen=True, eq=False)

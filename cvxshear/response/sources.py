@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.files.modes import modes_from_file
+from cvxshear.files.modes import experiment_from_file
 from cvxshear.files.record_file import read_motion
 from cvxshear.files.toml import is_record_file, load, parse, read_text, with_modes_read
 from cvxshear.fit.efficient import Estimate
@@ -69,10 +69,7 @@ def _of_file(source: str | Path, backend: Backend) -> Models:
     if not is_record_file(source):
         experiment, mass_known = load_unscaled(source)
         return models_of_loop(close_loop(experiment, backend=backend), mass_known=mass_known)
-    found, declared = modes_from_file(source)
-    experiment = Experiment.from_dict(declared, name=Path(source).stem)
-    mass_known = not any(finding.kind == "scale" for finding in found.findings)
-    return models_of_loop(close_loop(experiment, backend=backend), mass_known=mass_known)
+    return models_of_loop(close_loop(experiment_from_file(source), backend=backend))
 
 
 def load_unscaled(path: str | Path) -> tuple[Experiment, bool]:

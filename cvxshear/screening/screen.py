@@ -20,7 +20,8 @@ from typing import Protocol
 import numpy as np
 
 from cvxshear.measurement.declaration import NUMBERS
-from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.measurement.experiment import Configuration
+from cvxshear.measurement.opened import Measurement, opened
 from cvxshear.measurement.reading import Reading
 from cvxshear.measurement.sign_rule import violations
 from cvxshear.screening.doubts import DOUBT_CHECKS, frequency_units, total_mass
@@ -119,8 +120,9 @@ class Screening(Shown):
     json_keys = "name refused findings record"
 
     @staticmethod
-    def of(experiment: Experiment, record: Iterable[Remark] = ()) -> Screening:
+    def of(experiment: Measurement, record: Iterable[Remark] = ()) -> Screening:
         """Find what looks wrong in an experiment, and what was said of the records that it comes from."""
+        experiment = opened(experiment)
         return Screening(experiment.name, tuple(experiment.frame.accept), screen(experiment), tuple(record))
 
     @property
@@ -129,18 +131,19 @@ class Screening(Shown):
         return any(item.refuses for item in self.findings)
 
 
-def screen(experiment: Experiment) -> tuple[Finding, ...]:
+def screen(experiment: Measurement) -> tuple[Finding, ...]:
     """Find what looks wrong in an experiment.
 
     Parameters
     ----------
-    experiment : Experiment
+    experiment : Experiment, path or name of a built-in
 
     Returns
     -------
     tuple of Finding
         Mistakes first, then warnings; without those that `[frame] accept` lists.
     """
+    experiment = opened(experiment)
     found = [*frequency_units(experiment), *(item for each in experiment.configurations for item in mistakes(each))]
     # Frequencies and shapes that are wrong tell no mass.
     for doubt in DOUBT_CHECKS if found else (total_mass, *DOUBT_CHECKS):
@@ -149,12 +152,12 @@ def screen(experiment: Experiment) -> tuple[Finding, ...]:
     return tuple(item for item in found if not item.accepted(experiment.frame.accept))
 
 
-def refuse_mistakes(experiment: Experiment, weighed: Collection[str] = ()) -> tuple[Finding, ...]:
+def refuse_mistakes(experiment: Measurement, weighed: Collection[str] = ()) -> tuple[Finding, ...]:
     """Return the warnings of `screen`, where nothing refuses.
 
     Parameters
     ----------
-    experiment : Experiment
+    experiment : Experiment, path or name of a built-in
     weighed : collection of str, optional
         Configurations of which what follows weighs the numbers of the modes itself; that they look wrong is a warning.
 
@@ -163,6 +166,7 @@ def refuse_mistakes(experiment: Experiment, weighed: Collection[str] = ()) -> tu
     InputError
         Naming the first mistake found, what to change and how to accept it.
     """
+    experiment = opened(experiment)
     found = tuple(
         dataclasses.replace(item, refuses=item.refuses and not _left_to_the_loop(item, weighed))
         for item in screen(experiment)

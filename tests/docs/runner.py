@@ -39,7 +39,6 @@ FENCE = "```"
 
 IMPORTS_ALONE = {
     "noise-study.md": "its block takes minutes",
-    "modal.md": "its block reads a record of the reader's own",
 }
 """Pages whose python blocks stand for more than a test can do: their imports alone are run. A single block is marked
 as such by the word no-run after its fence."""

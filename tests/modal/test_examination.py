@@ -14,7 +14,7 @@ from cvxshear.modal import Channel, Run, TimeRecord, from_arrays, identify_modes
 from cvxshear.modal.diagnostics import cables_changed
 from cvxshear.records.examination import examined
 from cvxshear.records.floors import one_a_floor
-from cvxshear.records.placement import weighed
+from cvxshear.records.placement import Hypothesis, findings_of, weighed
 from cvxshear.records.signals import scaled
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, base_record
 from cvxshear.report import terminal
@@ -22,6 +22,7 @@ from cvxshear.response.sources import load_unscaled
 from cvxshear.screening import Screening
 from cvxshear.util.errors import InputError
 from tests.benchmarks.record_faults import INPUTS, NAMED_BY, case_of, judged, only
+from tests.frames import modes_of
 
 
 @pytest.mark.parametrize("kind", INPUTS)
@@ -303,3 +304,51 @@ def test_a_measurement_file_without_a_mass_is_read_with_a_placeholder(tmp_path):
     path.write_text("[[configuration]]\nfrequencies = [1.0, 3.0]\nmode_shapes = [[0.5, 1.0], [1.0, -0.6]]\n")
     experiment, mass_known = load_unscaled(path)
     assert (experiment.frame.total_mass_placeholder, mass_known) == (True, False)
+
+
+@pytest.mark.parametrize(
+    ("declared", "times", "expected", "unit"),
+    [
+        ("g", 9.80665, "floor 2 is declared in g and looks like m/s2: ", "m/s2"),
+        ("m/s2", 1 / 9.80665, "floor 2 is declared in m/s2 and looks like g: ", "g"),
+        ("mg", 1 / 9.80665, "floor 2 is declared in mg and looks like 9.81 times that: ", None),
+        (None, 1 / 9.80665, "floor 2 looks like g, the others like m/s2: ", "g"),
+        (None, 9.80665, "floor 2 looks like m/s2, the others like g: ", None),
+    ],
+)
+def test_a_wrong_unit_is_said_beside_the_declared_one(declared, times, expected, unit):
+    """The lowest modes of a uniform frame of five stories; floor 2 shows so many times what the others do."""
+    frequencies, shapes = modes_of(np.full(5, 10.0), np.full(5, 2e4))
+    shapes[:, 1] *= times
+    channels = [Channel(f"acc {floor}", floor, unit=declared if floor == 2 else None) for floor in range(1, 6)]
+    (finding,) = findings_of(weighed(frequencies[:2], shapes[:2], np.arange(1, 6), 5), channels, shapes[0])
+    assert finding.message.startswith(expected)
+    assert finding.numbers["unit"] == unit
+    assert finding.numbers["factor"] == pytest.approx(1 / times)
+    assert (f'Write unit = "{unit}"' in finding.message) == (unit is not None)
+
+
+@pytest.mark.parametrize(
+    ("probabilities", "expected"),
+    [
+        (
+            (0.91, 0.002, 0.088),
+            'by the lowest modes channel "acc_2 (g)" (floor 2) is in g (91.0 %), or the channels are as declared '
+            "(0.2 %) or something else is wrong (8.8 %); look at",
+        ),
+        (
+            (0.45, 0.40, 0.15),
+            'the lowest modes cannot tell what is wrong: channel "acc_2 (g)" (floor 2) is in g (45.0 %), the channels '
+            "are as declared (40.0 %) or something else is wrong (15.0 %); look at",
+        ),
+    ],
+)
+def test_what_is_probable_but_not_sure_is_said_with_odds_that_make_up_the_whole(probabilities, expected):
+    in_g, sound, other = probabilities
+    channels = [Channel("acc_1", 1), Channel("acc_2 (g)", 2)]
+    weights = [Hypothesis("unit", (1,), 9.80665, in_g), Hypothesis("sound", probability=sound)]
+    others = Hypothesis("sign", (0,), probability=other)
+    (finding,) = findings_of([*weights, others], channels, np.array([0.6, 0.1]))
+    assert finding.message.startswith(expected)
+    assert "Nothing reaches 95 %: the record is taken as declared" in finding.message
+    assert finding.numbers["corrected"] is False

@@ -58,6 +58,24 @@ def test_the_headline_of_an_explained_frame_names_size_probability_and_errors(pa
     assert said.endswith(f"from {100 * before:.2f} % to {100 * after:.2f} %.")
 
 
+def test_what_to_test_next_says_one_thing_of_what_may_be_there_besides(paper):
+    """Where candidates are left the averaged frame allows for them; where none is, the final model's is to be used."""
+
+    def said(result):
+        (section,) = (each for each in describe(result).sections if each.key == "next")
+        return section.parts[0].text
+
+    left = [item for item in paper.candidates[1:] if item.probability > 0.05]
+    assert len(left) > 3
+    named = ", ".join(f"{item.placed.label} ({chance(item.probability)})" for item in left[:3])
+    assert f"may be there besides: {named} or {len(left) - 3} more." in said(paper)
+    assert "averaged masses and stiffnesses" in said(paper)
+    assert "of the final model" not in said(paper)
+    sure = dataclasses.replace(paper, candidates=paper.candidates[:1])
+    assert said(sure).endswith("Use the masses and stiffnesses of the final model.")
+    assert "besides" not in said(sure)
+
+
 def test_an_ambiguous_headline_names_the_rivals_with_their_probabilities(ambiguous):
     said = headline(ambiguous)
     (effect,) = ambiguous.effects

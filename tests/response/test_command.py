@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 
 import cvxshear
+from cvxshear import backends
 from cvxshear.cli import main
+from cvxshear.files.modes import modes_from_file
 from cvxshear.files.toml import write_measurement
 from cvxshear.response import DampedModel, Drive, predict, response
+from cvxshear.response.sources import models_of
 from tests.modal.shared import csv
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
 
@@ -102,6 +105,52 @@ def test_loop_is_fitted_once(folder, capsys):
     assert closed["damping"]["ratios"] == pytest.approx(closed["validation"]["damping"]["ratios"])
 
 
+def misread(table):
+    """The highest sensor reads a third too much."""
+    shapes = np.array(table["configuration"][0]["mode_shapes"])
+    table["configuration"][0]["mode_shapes"] = (shapes * [1.0, 1.0, 1.3]).tolist()
+
+
+def misjudged(table):
+    """A statement of 2 % that is off by half."""
+    ratio = {"kind": "ratio", "quantity": "story_stiffness", "of": 2, "to": 1, "value": 2.0, "std": 0.02}
+    table["prior"] = [ratio]
+
+
+@pytest.mark.parametrize(
+    ("change", "effect", "prior"),
+    [
+        (misread, "sensor_gain", None),
+        (misread, "other_gains", None),
+        (misjudged, "wrong_prior", "story_stiffness 2 is 2 times story_stiffness 1 within 2 %"),
+    ],
+)
+def test_effects_of_a_loop_pass_through_its_json(folder, capsys, change, effect, prior):
+    """The model read back has the modes, and the parameters, of the closed loop."""
+    mass, stiffness, dashpots = damped_frame(3)
+    table = declared(mass, stiffness, pole_ratios(*matrices(mass, stiffness, dashpots)))
+    change(table)
+    write_measurement("off.toml", table)
+    run(capsys, "loop", "off.toml", "--effects", effect, "--json", "loop.json")
+    closed = json.loads((folder / "loop.json").read_text())
+    (there,) = closed["model"]["after"]["effects"]
+    assert (there["name"], there["prior"]) == (effect, prior)
+    status, out, _ = run(capsys, "predict", "loop.json", "--record", "shaken.toml", "--json", "-")
+    assert status == 0
+    (modes,) = closed["predictions"]
+    assert json.loads(out)["frequencies"] == pytest.approx(modes["frequencies"], rel=1e-9)
+    read = models_of("loop.json", backends.get("auto"))
+    assert read.to_dict() == closed["model"]
+
+
+def test_a_record_file_in_place_of_an_experiment(folder):
+    """Its modes are identified first."""
+    given = cvxshear.identify("shaken.toml")
+    modes = cvxshear.Experiment.from_dict(modes_from_file("shaken.toml")[1])
+    np.testing.assert_array_equal(given.frame.floor_mass, cvxshear.identify(modes).frame.floor_mass)
+    assert given.experiment.name == "shaken"
+
+
 def test_identify_reports_damping(folder, capsys):
     status, out, _ = run(capsys, "identify", "frame.toml", "--json", "-")
     assert status == 0
@@ -158,6 +207,10 @@ def test_bad_input(folder, capsys, arguments, message):
         (lambda model: model["after"]["covariance"].pop(), "model: after: covariance must have 6 rows"),
         (lambda model: model["experiment"].pop("configuration"), "at least one [[configuration]] is needed"),
         (lambda model: model["after"]["effects"].append({"name": "wind"}), "effect must be one of gravity"),
+        (
+            lambda model: model["after"]["effects"].append({"name": "wrong_prior", "prior": "as drawn"}),
+            "effects: prior must be a statement of the experiment that has a standard deviation (there is none), not",
+        ),
     ],
 )
 def test_json_that_is_not_what_loop_wrote(folder, capsys, change, message):

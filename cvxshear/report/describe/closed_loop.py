@@ -10,6 +10,7 @@ from cvxshear.loop.results import AddedEffect, Candidate, EffectSet
 from cvxshear.report.describe.before_after import before_after, residual_section, steps_section
 from cvxshear.report.describe.consequences import consequences
 from cvxshear.report.describe.headline import (
+    DOUBT,
     NAMED,
     evidence_in_words,
     headline,
@@ -314,7 +315,8 @@ def _next(result: Closure, units: Units) -> str:
         )
     verdict = verdict_of(result)
     if verdict.certain:
-        return f"Nothing: no rival is left that another test would have to rule out. {verdict.advice}"
+        nothing = f"Nothing: no rival is left that another test would have to rule out. {verdict.advice}"
+        return _besides(result) or nothing
     if any(item.rivals for item in result.effects):
         return f"No added mass up to that of a floor would distinguish the rivals. {verdict.advice}"
     if in_doubt(result):
@@ -322,6 +324,22 @@ def _next(result: Closure, units: Units) -> str:
             "Sensors at more floors: the changes of sign of a shape that is known at every floor show which mode it is."
         )
     return verdict.advice
+
+
+def _besides(result: Closure) -> str:
+    """Say what else may be there where the verdict is certain, and which frame allows for it; empty where nothing."""
+    added = {item.placed for item in result.effects}
+    left = [item for item in result.candidates if item.placed not in added and item.probability > DOUBT]
+    if not left:
+        return ""
+    named = [f"{item.placed.label} ({chance(item.probability)})" for item in left[:SPELLED_OUT]]
+    if more := len(left) - len(named):
+        named.append(f"{more} more")
+    first = "No rival is left in the place of what was found" if added else "Nothing has to be added"
+    return (
+        f"{first}, but something may be there besides: {listed(named, 'or')}. The averaged masses and stiffnesses "
+        "allow for that; use those."
+    )
 
 
 def _with_sensors(result: Closure, test: NextTest) -> str:

@@ -15,7 +15,7 @@ from cvxshear.report.describe.vocabulary import Facts, Row, Section, Table
 from cvxshear.util.quantities import chance, listed, percent, percents, significant, with_std
 
 DOUBT = 0.05
-"""Probability of other mode numbers above which a sentence mentions them."""
+"""Probability of other mode numbers, or of an effect that is not in the model, above which a sentence names them."""
 
 
 def numbers_in_words(changes: Changes) -> str:
