@@ -160,7 +160,7 @@ def predict(
         frame = UncertainFrame.of(models.before, state, damping, solver)
         before = _side(models.before, frame.at(np.zeros(frame.size)), motion)
     found = _predicted(models, UncertainFrame.of(models.after, state, damping, solver), motion, before)
-    said = [*state_remarks(experiment, recorded, state), *_taken_off(recorded, motion)]
+    said = [*state_remarks(experiment, recorded, state, named=configuration is not None), *_taken_off(recorded, motion)]
     return dataclasses.replace(found, remarks=(*said, *found.remarks))
 
 

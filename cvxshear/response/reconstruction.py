@@ -244,7 +244,7 @@ def reconstruct(
         whiteness(work, smoothed), experiment.limits, passed, (),
     )  # fmt: skip
     advance()
-    remarks = [*state_remarks(experiment, recording, state), *_remarks(found, recorded)]
+    remarks = [*state_remarks(experiment, recording, state, named=configuration is not None), *_remarks(found, recorded)]
     return dataclasses.replace(found, remarks=tuple(remarks))
 
 

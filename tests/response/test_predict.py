@@ -13,6 +13,7 @@ from cvxshear.files.toml import write_measurement
 from cvxshear.fit.efficient import efficient
 from cvxshear.modal import Channel, Run, TimeRecord
 from cvxshear.records.motion import Drive, Motion
+from cvxshear.report.describe import describe
 from cvxshear.report.series_files import series
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
 from cvxshear.response.compare import peak
@@ -285,6 +286,14 @@ def test_a_record_of_a_changed_state_predicts_that_state():
     unnamed = predict(pair, Motion.of(record))
     assert np.all(unnamed.after.comparison.nrmse > 0.3)
     assert any("the record names no state" in remark for remark in unnamed.remarks)
+    asked = predict(pair, Motion.of(record), configuration="before")
+    assert not any("the record names no state" in remark for remark in asked.remarks)
+    (other,) = (said for said in predict(pair, Motion.of(record, state="after"), configuration="before").remarks
+                if "the record is of state" in said)  # fmt: skip
+    assert other == 'the record is of state "after", the model that of "before", as asked'
+    # Of the effects only those that act in the state predicted are named.
+    assert "by the shear model with story change at story 1" in describe(found)["how"].parts[0].text
+    assert "story 1" not in describe(asked)["how"].parts[0].text
     with pytest.raises(InputError, match='recorded in state "later", the model knows "before" and "after"'):
         predict(pair, Motion.of(record, state="later"))
 

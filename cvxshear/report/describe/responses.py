@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from cvxshear.report.describe.before_after import MODELS
 from cvxshear.report.describe.identified import damping_section
 from cvxshear.report.describe.vocabulary import Document, Row, Section, Sentence, Table, describe, plain_rows
 from cvxshear.response import Peaks, Reconstruction, RecordComparison, RecordPrediction
@@ -29,7 +30,7 @@ PEAKS = (
 
 @describe.register
 def _prediction(result: RecordPrediction, units: Units = AUTOMATIC) -> Document:
-    how = f"by the {result.after.fitted.label}, {result.damping.kind} damping, backend {result.backend}"
+    how = f"by the {result.after.fitted.label_in(result.configuration)}, {result.damping.kind} damping, backend {result.backend}"
     sections = [Section("how", "", (Sentence(how),))]
     if result.after.comparison is not None:
         before = None if result.otherwise_before is None else result.otherwise_before.comparison
@@ -54,11 +55,11 @@ def _headline(result: RecordPrediction) -> str:
 
 
 def errors(before: RecordComparison | None, after: RecordComparison) -> Table:
-    """Errors of each floor's acceleration, before (where there is one) and after, the top floor first."""
+    """Errors of each floor's acceleration, by both models where there are two, the top floor first."""
     modes = min(after.frf_error.shape[1], MODE_COLUMNS)
     sides: list[tuple[tuple[str, ...], RecordComparison]] = [((), after)]
     if before is not None:
-        sides = [(("before",), before), (("after",), after)]
+        sides = [((MODELS[0],), before), ((MODELS[1],), after)]
     rows = plain_rows(
         (str(after.floors[at]), *word, *_errors(side, at, modes))
         for at in reversed(range(len(after.floors)))
