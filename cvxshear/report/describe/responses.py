@@ -10,7 +10,7 @@ from cvxshear.report.describe.before_after import MODELS
 from cvxshear.report.describe.identified import damping_section
 from cvxshear.report.describe.vocabulary import Document, Row, Section, Sentence, Table, describe, plain_rows
 from cvxshear.response import Peaks, Reconstruction, RecordComparison, RecordPrediction
-from cvxshear.util.quantities import AUTOMATIC, Units, percent, probability, ranged, scaled, significant, with_std
+from cvxshear.util.quantities import AUTOMATIC, Units, capital, percent, probability, ranged, scaled, significant, with_std
 
 MODE_COLUMNS = 6
 """Columns of the transfer functions' errors; the higher modes stand in the JSON."""
@@ -36,7 +36,7 @@ def _prediction(result: RecordPrediction, units: Units = AUTOMATIC) -> Document:
         before = None if result.otherwise_before is None else result.otherwise_before.comparison
         sections.append(Section("errors", "Beside the record", (errors(before, result.after.comparison),)))
     sections += [
-        Section("peaks", "Peaks", (peaks(result.peaks),)),
+        Section("peaks", "Peaks", tuple(_peak_parts(result))),
         damping_section(result.damping),
         Section("remarks", "", tuple(Sentence(remark, "warning") for remark in result.remarks)),
     ]
@@ -97,19 +97,47 @@ def peaks(found: Peaks, skipped: str = "") -> Table:
     return Table("prediction-peaks", "peaks ± standard deviation", tuple(head), tuple(reversed(rows)))
 
 
+def _peak_parts(result: RecordPrediction) -> Iterator[Sentence | Table]:
+    """Tables of the peaks, and what their deviations hold."""
+    yield peaks(result.peaks, skipped="story_drift_ratio")
+    yield from _drift_ratios(result.peaks)
+    if result.after.fitted.covariance is None:
+        return
+    if result.missed is None or result.after.comparison is None:
+        yield Sentence(
+            "the deviations hold what the frame leaves uncertain, not the noise of the measured excitation nor what "
+            "the model itself lacks, which a record with accelerations of floors would show"
+        )
+        return
+    what = "peak accelerations" if result.after.comparison.shifts else "accelerations"
+    yield Sentence(
+        f"the deviations hold what the frame leaves uncertain and {percent(result.missed, 1)} of each peak, by which "
+        f"the {what} of floor {ranged(result.after.comparison.floors.tolist())} in this record were missed "
+        "beyond that: noise of the measured motions, and what the model lacks"
+    )
+
+
+def _drift_ratios(found: Peaks) -> Iterator[Table]:
+    """Drift ratios in a table of their own: beside the other peaks they would not fit on a page."""
+    if "story_drift_ratio" in found.values:
+        pairs = zip(found.values["story_drift_ratio"], found.std["story_drift_ratio"], strict=True)
+        cells = [with_std(float(value), float(std), factor=0.01) for value, std in pairs]
+        rows = plain_rows((str(story), cells[story - 1]) for story in range(len(cells), 0, -1))
+        yield Table("prediction-drift-ratios", "peak drift ± standard deviation", ("story", "% of height"), rows)
+
+
 @describe.register
 def _reconstruction(result: Reconstruction, units: Units = AUTOMATIC) -> Document:
-    lead = [Sentence(text, "strong") for text in _findings(result)]
     checks = (Section("checks", "Each sensor from the others", (left_out(result),)),) if result.checks else ()
     sections = (
-        Section("findings", "", tuple(lead)),
+        Section("findings", "", (Sentence(_reconstructed(result)),)),
         *checks,
         Section("motion", "What the stories did", (stories(result), peaks(result.peaks, skipped="story_drift_ratio"))),
         Section("frame", "The frame in this record", tuple(_frame_parts(result))),
         Section("evidence", "Sensors", (whiteness(result),)),
         Section("remarks", "", tuple(Sentence(remark, "warning") for remark in result.remarks)),
     )
-    return Document(result.fitted.experiment.name, _reconstructed(result), sections)
+    return Document(result.fitted.experiment.name, capital("; ".join(_findings(result))), sections)
 
 
 def _reconstructed(result: Reconstruction) -> str:
