@@ -207,16 +207,13 @@ def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Si
 def _missed(side: Side, std: tuple[dict[str, Floats], ...]) -> float | None:
     """Find by how much the record was missed beyond what the frame leaves uncertain, over the size of the motion.
 
-    The root mean square over the measured floors, of the errors in time, or, where those are of motions that fall out
-    of step, of the errors of the peaks. It holds the noise of the measured excitation, how the excitation
-    went between its samples, what the model lacks, and the noise of the floors' sensors, which makes it too large.
+    The root mean square over the measured floors of the errors in time. It holds the noise of the measured excitation,
+    how that went between its samples, what the model lacks, and the noise of the floors' sensors. Motions that fall out
+    of step are missed by more than their peaks are; the errors of a few floors' peaks would say too little.
     """
     beside = side.comparison
     if beside is None:
         return None
-    if beside.shifts:
-        beyond = (beside.peak_ratio - 1.0) / np.maximum(1.0, beside.peak_ratio)
-        return float(np.sqrt(np.mean(beyond**2)))
     places = beside.floors - 1
     band = np.concatenate([each["floor_acceleration"][:, places] for each in std]) * side.damped.model.gain[places]
     moved = np.concatenate([each.acceleration[:, places] for each in side.responses]) * side.damped.model.gain[places]

@@ -10,10 +10,23 @@ from cvxshear.report.describe.before_after import MODELS
 from cvxshear.report.describe.identified import damping_section
 from cvxshear.report.describe.vocabulary import Document, Row, Section, Sentence, Table, describe, plain_rows
 from cvxshear.response import Peaks, Reconstruction, RecordComparison, RecordPrediction
-from cvxshear.util.quantities import AUTOMATIC, Units, capital, percent, probability, ranged, scaled, significant, with_std
+from cvxshear.util.quantities import (
+    AUTOMATIC,
+    Units,
+    capital,
+    percent,
+    probability,
+    ranged,
+    scaled,
+    significant,
+    with_std,
+)
 
 MODE_COLUMNS = 6
 """Columns of the transfer functions' errors; the higher modes stand in the JSON."""
+
+LEAST_MISSED = 0.0005
+"""Relative error of a record from which on it is told: what 0.1 % is written of."""
 
 CERTAINLY_PASSED = 0.95
 """Probability from which on a limit counts as passed, and below whose complement as not."""
@@ -30,7 +43,8 @@ PEAKS = (
 
 @describe.register
 def _prediction(result: RecordPrediction, units: Units = AUTOMATIC) -> Document:
-    how = f"by the {result.after.fitted.label_in(result.configuration)}, {result.damping.kind} damping, backend {result.backend}"
+    model = result.after.fitted.label_in(result.configuration)
+    how = f"by the {model}, {result.damping.kind} damping, backend {result.backend}"
     sections = [Section("how", "", (Sentence(how),))]
     if result.after.comparison is not None:
         before = None if result.otherwise_before is None else result.otherwise_before.comparison
@@ -109,11 +123,15 @@ def _peak_parts(result: RecordPrediction) -> Iterator[Sentence | Table]:
             "the model itself lacks, which a record with accelerations of floors would show"
         )
         return
-    what = "peak accelerations" if result.after.comparison.shifts else "accelerations"
+    floors = result.after.comparison.floors.tolist()
+    where = f"the accelerations of floor{'s' if len(floors) > 1 else ''} {ranged(floors)} in this record were missed"
+    if result.missed < LEAST_MISSED:
+        yield Sentence(f"the deviations hold what the frame leaves uncertain; {where} by no more than that")
+        return
+    wide = " (for peaks too much, since the motions fall out of step)" if result.after.comparison.shifts else ""
     yield Sentence(
         f"the deviations hold what the frame leaves uncertain and {percent(result.missed, 1)} of each peak, by which "
-        f"the {what} of floor {ranged(result.after.comparison.floors.tolist())} in this record were missed "
-        "beyond that: noise of the measured motions, and what the model lacks"
+        f"{where} beyond that: noise of the measured motions, and what the model lacks{wide}"
     )
 
 
