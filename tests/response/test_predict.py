@@ -332,8 +332,12 @@ def test_a_short_record_has_transfer_function_errors_too(frame):
 
 
 def test_deviations_of_peaks_hold_what_the_record_shows_of_its_errors(frame):
-    """The ground's sensor has noise of 10 % of its rms, which the frame, known to 0.2 %, cannot account for."""
-    _, estimate, truth = frame
+    """The ground's sensor has noise of 10 % of its rms, which a frame that is known to 0.01 % cannot account for."""
+    _, rough, truth = frame
+    mass, stiffness, dashpots = damped_frame(3)
+    precise = {"frequency_std": 1e-4, "shape_std": 2e-4, "ratio_std": 1e-3, "damping": {"kind": "story"}}
+    table = declared(mass, stiffness, pole_ratios(*matrices(mass, stiffness, dashpots)), **precise)
+    estimate = efficient(cvxshear.Experiment.from_dict(table), backends.get("auto"))
     exact = recorded(truth, floors=(1, 3))
     run = exact.runs[0]
     true = np.abs(response(truth, Drive(run.excitation), 1 / RATE).drift).max(axis=0)
@@ -347,9 +351,12 @@ def test_deviations_of_peaks_hold_what_the_record_shows_of_its_errors(frame):
         off.append(error / seen.peaks.std["story_drift"])
         alone.append(error / bare.peaks.std["story_drift"])
         assert bare.missed is None
+    assert np.mean(np.abs(alone) < 1.96) < 0.7
     assert np.mean(np.abs(off) < 1.96) > 0.9
-    assert np.sqrt(np.mean(np.square(off))) < 0.7 * np.sqrt(np.mean(np.square(alone)))
     said = describe(seen)["peaks"].parts[-1].text
-    assert f"{100 * seen.missed:.1f} % of each peak, by which the accelerations of floors 1 and 3" in said
+    assert f"{100 * seen.missed:.1f} % of each peak, by which the accelerations of floors 1, 3 in" in said
     assert "not the noise of the measured excitation" in describe(bare)["peaks"].parts[-1].text
-    assert predict(estimate, exact, detrend=False).missed < 1e-4
+    # Where the frame accounts for all that was missed, nothing is added.
+    well = predict(rough, exact, detrend=False)
+    assert well.missed < 1e-4
+    assert describe(well)["peaks"].parts[-1].text.endswith("missed by no more than that")
