@@ -88,8 +88,10 @@ def other_modes(findings: Sequence[Finding]) -> list[Json]:
 
 DRAWN = 0.3
 """Weight of equal variances against those that the covariance asks for."""
-LEAST_STD = 1e-6
-"""Relative; no record is that good, and a zero would weigh infinitely."""
+REPRODUCED_TO = 2e-4
+"""Relative standard deviation of a frequency that no scatter within a record goes below: loggers' crystals are 20 to
+100 ppm off, and a degree takes 0.02 % from the frequency of a steel frame (Young's modulus falls by 0.04 % a degree).
+Without it a day's change of temperature between two tests would be found as a cause."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -179,7 +181,7 @@ class ModalResult(Shown):
     @property
     def written_frequency_std(self) -> Floats:
         """Relative standard deviations of the frequencies, with what no scatter shows, as files have them."""
-        return np.maximum(frequency_std(self.frequency_std, self.modes, self.findings), LEAST_STD)
+        return np.maximum(frequency_std(self.frequency_std, self.modes, self.findings), REPRODUCED_TO)
 
     @property
     def written_entry_std(self) -> Floats:

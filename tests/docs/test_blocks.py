@@ -41,7 +41,7 @@ SHOWN = {
     "own_prior": r"not weighed .*= 10\.79 kg\nweighed .*= 12\.44 kg",
     "own_backend": r"slsqp +m = (.*) kg\nclarabel +m = \1 kg",
     "close_the_loop": r"verdict: explained\ngravity: .*gamma.*: 1\.2.*\n.*1\.83 % before, 0\.34 % after",
-    "modes_from_hammer": r"mode 1: 1\.0336 Hz .*[\s\S]*floor_mass 1: 10\.01 ± 0\.05 kg\nfloor_mass 2: 7\.51 ± ",
+    "modes_from_hammer": r"mode 1: 1\.0336 Hz .*[\s\S]*floor_mass 1: 10\.00 ± 0\.05 kg\nfloor_mass 2: 7\.50 ± ",
     "plan_a_test": r"floors \[1, 4, 6, 7\][\s\S]*1 test: .* 0\.00\n.*2 tests: .*\[10\.0, 10\.0\].* 0\.9",
     "three_shaker_records": r"bare\.toml, bare\.csv: 30720 samples at 256 Hz, stamped 0\.004, .*, 0\.023, \.\.\. s",
     "own_effect": r"brace: b = 39\d ± \d N/m",

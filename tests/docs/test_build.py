@@ -25,7 +25,8 @@ def site(tmp_path_factory):
     # The figures of the gallery are drawn beside its page, so the build has a copy to itself.
     for name in ("docs", "examples"):
         shutil.copytree(ROOT / name, folder / name)
-    shutil.copy(ROOT / "CHANGELOG.md", folder)
+    for name in ("CHANGELOG.md", "README.md"):
+        shutil.copy(ROOT / name, folder)
     found = subprocess.run(
         [sys.executable, "-P", "-m", "sphinx", "-W", "-q", "-b", "html", "docs", "build/docs"],
         cwd=folder,
