@@ -12,7 +12,7 @@ import numpy as np
 from cvxshear.effects import Place, Placed, catalogue, open_classes
 from cvxshear.effects.wrong_prior import WrongPrior
 from cvxshear.fit.efficient import Estimate
-from cvxshear.measurement.experiment import Experiment
+from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.methods import Identification
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
@@ -87,11 +87,12 @@ class Fitted(InJson):
         covariance = np.nan_to_num(result.correlation) * np.outer(std, std) if np.isfinite(std).all() else None
         return Fitted(result.experiment, (), theta, covariance, result.undetermined)
 
-    @property
-    def label(self) -> str:
-        """The model in words."""
-        names = listed([placed.label for placed in self.effects])
-        return f"shear model with {names}" if names else "shear model"
+    def label_in(self, configuration: Configuration) -> str:
+        """Name the model and its effects that act in this configuration."""
+        names = listed([placed.label for placed in self.effects if placed.acts_on(configuration)])
+        if names:
+            return f"shear model with {names}"
+        return "shear model, its effects in other states only" if self.effects else "shear model"
 
     @cached_property
     def root(self) -> Floats:

@@ -67,11 +67,15 @@ class RecordPrediction(Shown):
     after : Side
         With the effects that were found.
     peaks : Peaks
-        Of `after`.
+        Of `after`; the deviations include `missed`.
     damping : IdentifiedDamping
         Of `after`.
     std : tuple of dict of str to ndarray
         Standard deviations over time of `after`, one a run, by the names in `BANDS`; nan where nothing tells the noise.
+        What the frame leaves uncertain alone.
+    missed : float or None
+        Error of the predicted accelerations of the measured floors, over their size, beyond these deviations; None
+        where the record has none to compare with.
     remarks : tuple of str
         What was assumed, and what speaks against the model.
     """
@@ -84,6 +88,7 @@ class RecordPrediction(Shown):
     peaks: Peaks
     damping: IdentifiedDamping
     std: tuple[dict[str, Floats], ...]
+    missed: float | None
     remarks: tuple[str, ...]
 
     json_keys = (
@@ -160,7 +165,7 @@ def predict(
         frame = UncertainFrame.of(models.before, state, damping, solver)
         before = _side(models.before, frame.at(np.zeros(frame.size)), motion)
     found = _predicted(models, UncertainFrame.of(models.after, state, damping, solver), motion, before)
-    said = [*state_remarks(experiment, recorded, state), *_taken_off(recorded, motion)]
+    said = [*state_remarks(experiment, recorded, state, named=configuration is not None), *_taken_off(recorded, motion)]
     return dataclasses.replace(found, remarks=(*said, *found.remarks))
 
 
@@ -180,19 +185,44 @@ def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Si
     of_damping, *rest = np.split(std, np.cumsum(sizes)[:-1])
     bands = iter(rest[len(values) :])
     damping = described(frame, centre, of_damping)
+    over_time = tuple(
+        {name: next(bands).reshape(moved.acceleration.shape) for name in _bands(moved)} for moved in after.responses
+    )
+    missed = _missed(after, over_time)
+    of_peaks = zip(values.items(), rest, strict=False)
     return RecordPrediction(
         motion=motion,
         configuration=frame.configuration,
         backend=frame.backend.name,
         before=before,
         after=after,
-        peaks=Peaks(values, dict(zip(values, rest, strict=False))),
+        peaks=Peaks(values, {name: np.hypot(own, (missed or 0.0) * peak) for (name, peak), own in of_peaks}),
         damping=damping,
-        std=tuple(
-            {name: next(bands).reshape(moved.acceleration.shape) for name in _bands(moved)} for moved in after.responses
-        ),
+        std=over_time,
+        missed=missed,
         remarks=(*damping.remarks, *_remarks(after, motion)),
     )
+
+
+def _missed(side: Side, std: tuple[dict[str, Floats], ...]) -> float | None:
+    """Find by how much the record was missed beyond what the frame leaves uncertain, over the size of the motion.
+
+    The root mean square over the measured floors of the errors in time. It holds the noise of the measured excitation,
+    how that went between its samples, what the model lacks, and the noise of the floors' sensors. Motions that fall out
+    of step are missed by more than their peaks are; the errors of a few floors' peaks would say too little.
+    """
+    beside = side.comparison
+    if beside is None:
+        return None
+    places = beside.floors - 1
+    band = np.concatenate([each["floor_acceleration"][:, places] for each in std]) * side.damped.model.gain[places]
+    moved = np.concatenate([each.acceleration[:, places] for each in side.responses]) * side.damped.model.gain[places]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        stated = beside.rms_ratio * np.sqrt(np.mean(band**2, axis=0) / np.mean(moved**2, axis=0))
+        # Over the larger of both motions: one a tenth of the other would be missed by all of it, not by ten times.
+        beyond = (beside.nrmse**2 - np.nan_to_num(stated) ** 2) / np.maximum(1.0, beside.rms_ratio) ** 2
+    beyond = beyond[np.isfinite(beyond)]
+    return float(np.sqrt(max(0.0, np.mean(beyond)))) if beyond.size else None
 
 
 def _bands(moved: Response) -> dict[str, Floats]:

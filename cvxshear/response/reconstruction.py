@@ -244,8 +244,8 @@ def reconstruct(
         whiteness(work, smoothed), experiment.limits, passed, (),
     )  # fmt: skip
     advance()
-    remarks = [*state_remarks(experiment, recording, state), *_remarks(found, recorded)]
-    return dataclasses.replace(found, remarks=tuple(remarks))
+    said = state_remarks(experiment, recording, state, named=configuration is not None)
+    return dataclasses.replace(found, remarks=(*said, *_remarks(found, recorded)))
 
 
 def _peaks(runs: list[tuple[Response, dict[str, Floats]]]) -> Peaks:

@@ -189,14 +189,28 @@ def state_of(experiment: Experiment, record: Motion | Recording, name: str | Non
     return dataclasses.replace(configurations[0], name=_unused(experiment, added), added_mass=added)
 
 
-def state_remarks(experiment: Experiment, record: Motion | Recording, configuration: Configuration) -> list[str]:
-    """Say what was assumed about the state of the frame while it was recorded."""
+def state_remarks(
+    experiment: Experiment, record: Motion | Recording, configuration: Configuration, *, named: bool
+) -> list[str]:
+    """Say what was assumed about the state of the frame while it was recorded.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    record : Motion or Recording
+    configuration : Configuration
+        What `state_of` found.
+    named : bool
+        Whether the caller named it: then nothing was assumed.
+    """
     if record.state is not None and record.state != configuration.state:
+        if named:
+            return [f'the record is of state "{record.state}", the model that of "{configuration.state}", as asked']
         return [
             f'the record is of state "{record.state}", of which nothing was measured: the model is that of '
             f'"{configuration.state}"'
         ]
-    if record.state is None and len({each.state for each in experiment.configurations}) > 1:
+    if not named and record.state is None and len({each.state for each in experiment.configurations}) > 1:
         return [
             f'the record names no state: "{configuration.state}" is taken; write state = "..." in the record file, or '
             "give --configuration"

@@ -161,6 +161,11 @@ def test_a_prediction_does_not_run_over_its_edge(browser, tmp_path, viewport):
     assert len(drawings) == 3
     assert all(drawing.bounding_box()["height"] > 50 for drawing in drawings)
     assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+    if viewport is DESKTOP:
+        tables = page.query_selector_all(".scroll")
+        assert len(tables) >= 3
+        for table in tables:
+            assert table.evaluate("each => each.scrollWidth <= each.clientWidth"), table.get_attribute("aria-label")
     page.close()
 
 

@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -89,7 +90,13 @@ def test_a_ground_motion_alone_is_enough(folder, capsys):
     assert said["after"] is None
     assert any("no accelerations of floors" in remark for remark in said["remarks"])
     _, whole, _ = run(capsys, "predict", "frame.toml", "--record", "shaken.toml", "--json", "-")
-    assert said["peaks"] == json.loads(whole)["peaks"]
+    compared = json.loads(whole)["peaks"]
+    for name, values in said["peaks"].items():
+        # What the record shows of its errors can but widen the deviations; it moves no peak.
+        if name.endswith("_std"):
+            assert np.all(np.array(compared[name]) >= np.array(values))
+        else:
+            assert values == compared[name]
 
 
 def test_loop_is_fitted_once(folder, capsys):
@@ -309,7 +316,9 @@ def test_reconstruct_writes_all_it_is_asked_for(folder, capsys):
     page = Path("two.html").read_text()
     assert "each measured floor from the other sensors alone" in page
     assert 'id="figure-drifts"' in page
-    assert "drifted most" in out
+    # What an owner asks stands first, the record below it.
+    assert re.search(r"Story \d drifted most: .*; limit 0.01 %: passed in .* under base motion", " ".join(out.split()))
+    assert re.search(r'id="headline">Story \d drifted most: [^<]*than identified</p>\s*<p>[^<]*under base motion', page)
     assert Path("two.csv").read_text().startswith("floor / story,floor acceleration")
     with np.load("two.npz") as series:
         assert {"drift_2", "drift_std_2", "shear_1"} <= set(series)

@@ -1,5 +1,7 @@
 """Figures of a prediction can be read, and show what was predicted."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,19 @@ from cvxshear import backends
 from cvxshear.fit.efficient import efficient
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.report import figures
-from cvxshear.response import DampedModel, Fitted, Models, predict, response
+from cvxshear.report.describe import describe
+from cvxshear.report.figures.figure_table import figures_of
+from cvxshear.response import (
+    DampedModel,
+    Fitted,
+    Models,
+    Peaks,
+    Reconstruction,
+    RecordPrediction,
+    predict,
+    reconstruct,
+    response,
+)
 from cvxshear.util.errors import InputError
 from tests.report.test_figures import assert_readable
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
@@ -48,3 +62,40 @@ def test_peaks_are_drawn_where_they_are(prediction):
     axes = figures.response_peaks(prediction).axes[0]
     drawn = next(line for line in axes.lines if line.get_marker() == "s")
     np.testing.assert_allclose(drawn.get_xdata(), prediction.peaks.values["floor_acceleration"])
+
+
+def panel_numbers(drawn):
+    return [int(axes.get_title(loc="left").split()[-1]) for axes in drawn.axes]
+
+
+@pytest.mark.parametrize("largest", [1, 3, 12, 20])
+def test_the_floor_of_the_largest_peak_is_drawn_and_those_left_out_are_counted(prediction, largest):
+    count = len(prediction.after.damped.model.M)
+    peak = np.where(np.arange(1, count + 1) == min(largest, count), 9.0, 1.0)
+    peaks = Peaks({**prediction.peaks.values, "floor_acceleration": peak}, prediction.peaks.std)
+    found = dataclasses.replace(prediction, peaks=peaks)
+    for draw in (figures.response_histories, figures.transfer_functions):
+        shown = panel_numbers(draw(found))
+        assert min(largest, count) in shown
+        assert shown == sorted(shown, reverse=True)
+    for name in ("history", "transfer", "spectra"):
+        caption = figures_of(RecordPrediction)[name].caption_of(found)
+        assert ("not drawn" in caption) == (count > 4)
+        assert count <= 4 or f"16 of {count}" in caption
+
+
+def test_the_story_that_the_headline_names_is_drawn():
+    """Five stories, the third as soft as none of the others, so that four panels over the height would leave it out."""
+    mass, stiffness, dashpots = damped_frame(5)
+    stiffness[2] *= 0.2
+    M, C, K = matrices(mass, stiffness, dashpots)
+    experiment = cvxshear.Experiment.from_dict(declared(mass, stiffness, pole_ratios(M, C, K)))
+    fitted = Fitted.of(efficient(experiment, backends.get("auto")))
+    excitation = shaking(800)
+    moved = response(DampedModel(M, C, K, np.ones(5)), Drive(excitation), 0.01).acceleration
+    motion = Motion((Drive(excitation, responses=moved),), 100.0, floors=np.arange(1, 6))
+    found = reconstruct(Models(None, fitted), motion, fit=False, leave_out=False)
+    assert describe(found).headline.startswith("Story 3 drifted most: ")
+    assert "base motion" in describe(found)["findings"].parts[0].text
+    assert panel_numbers(figures.reconstructed_histories(found)) == [5, 4, 3, 1]
+    assert "1 of 5 stories is not drawn" in figures_of(Reconstruction)["histories"].caption_of(found)

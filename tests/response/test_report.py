@@ -98,7 +98,7 @@ def test_two_sets_of_errors_where_an_effect_was_added(closed):
     pair = Models(Fitted.of(closed.estimate), Fitted.of(gained))
     found = predict(pair, motion(measured=True))
     table = next(part for section in describe(found).sections for part in section.parts if section.key == "errors")
-    assert [row.cells[:2] for row in table.rows[:2]] == [("3", "before"), ("3", "after")]
+    assert [row.cells[:2] for row in table.rows[:2]] == [("3", "shear model"), ("3", "with effects")]
     legend = [text.get_text() for text in transfer_functions(found).legends[0].get_texts()]
     assert sorted(legend) == ["measured", "shear model", "with effects"]
 

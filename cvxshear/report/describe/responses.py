@@ -6,13 +6,27 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from cvxshear.report.describe.before_after import MODELS
 from cvxshear.report.describe.identified import damping_section
 from cvxshear.report.describe.vocabulary import Document, Row, Section, Sentence, Table, describe, plain_rows
 from cvxshear.response import Peaks, Reconstruction, RecordComparison, RecordPrediction
-from cvxshear.util.quantities import AUTOMATIC, Units, percent, probability, ranged, scaled, significant, with_std
+from cvxshear.util.quantities import (
+    AUTOMATIC,
+    Units,
+    capital,
+    percent,
+    probability,
+    ranged,
+    scaled,
+    significant,
+    with_std,
+)
 
 MODE_COLUMNS = 6
 """Columns of the transfer functions' errors; the higher modes stand in the JSON."""
+
+LEAST_MISSED = 0.0005
+"""Relative error of a record from which on it is told: what 0.1 % is written of."""
 
 CERTAINLY_PASSED = 0.95
 """Probability from which on a limit counts as passed, and below whose complement as not."""
@@ -29,13 +43,14 @@ PEAKS = (
 
 @describe.register
 def _prediction(result: RecordPrediction, units: Units = AUTOMATIC) -> Document:
-    how = f"by the {result.after.fitted.label}, {result.damping.kind} damping, backend {result.backend}"
+    model = result.after.fitted.label_in(result.configuration)
+    how = f"by the {model}, {result.damping.kind} damping, backend {result.backend}"
     sections = [Section("how", "", (Sentence(how),))]
     if result.after.comparison is not None:
         before = None if result.otherwise_before is None else result.otherwise_before.comparison
         sections.append(Section("errors", "Beside the record", (errors(before, result.after.comparison),)))
     sections += [
-        Section("peaks", "Peaks", (peaks(result.peaks),)),
+        Section("peaks", "Peaks", tuple(_peak_parts(result))),
         damping_section(result.damping),
         Section("remarks", "", tuple(Sentence(remark, "warning") for remark in result.remarks)),
     ]
@@ -54,11 +69,11 @@ def _headline(result: RecordPrediction) -> str:
 
 
 def errors(before: RecordComparison | None, after: RecordComparison) -> Table:
-    """Errors of each floor's acceleration, before (where there is one) and after, the top floor first."""
+    """Errors of each floor's acceleration, by both models where there are two, the top floor first."""
     modes = min(after.frf_error.shape[1], MODE_COLUMNS)
     sides: list[tuple[tuple[str, ...], RecordComparison]] = [((), after)]
     if before is not None:
-        sides = [(("before",), before), (("after",), after)]
+        sides = [((MODELS[0],), before), ((MODELS[1],), after)]
     rows = plain_rows(
         (str(after.floors[at]), *word, *_errors(side, at, modes))
         for at in reversed(range(len(after.floors)))
@@ -96,19 +111,51 @@ def peaks(found: Peaks, skipped: str = "") -> Table:
     return Table("prediction-peaks", "peaks ± standard deviation", tuple(head), tuple(reversed(rows)))
 
 
+def _peak_parts(result: RecordPrediction) -> Iterator[Sentence | Table]:
+    """Tables of the peaks, and what their deviations hold."""
+    yield peaks(result.peaks, skipped="story_drift_ratio")
+    yield from _drift_ratios(result.peaks)
+    if result.after.fitted.covariance is None:
+        return
+    if result.missed is None or result.after.comparison is None:
+        yield Sentence(
+            "the deviations hold what the frame leaves uncertain, not the noise of the measured excitation nor what "
+            "the model itself lacks, which a record with accelerations of floors would show"
+        )
+        return
+    floors = result.after.comparison.floors.tolist()
+    where = f"the accelerations of floor{'s' if len(floors) > 1 else ''} {ranged(floors)} in this record were missed"
+    if result.missed < LEAST_MISSED:
+        yield Sentence(f"the deviations hold what the frame leaves uncertain; {where} by no more than that")
+        return
+    wide = " (for peaks too much, since the motions fall out of step)" if result.after.comparison.shifts else ""
+    yield Sentence(
+        f"the deviations hold what the frame leaves uncertain and {percent(result.missed, 1)} of each peak, by which "
+        f"{where} beyond that: noise of the measured motions, and what the model lacks{wide}"
+    )
+
+
+def _drift_ratios(found: Peaks) -> Iterator[Table]:
+    """Drift ratios in a table of their own: beside the other peaks they would not fit on a page."""
+    if "story_drift_ratio" in found.values:
+        pairs = zip(found.values["story_drift_ratio"], found.std["story_drift_ratio"], strict=True)
+        cells = [with_std(float(value), float(std), factor=0.01) for value, std in pairs]
+        rows = plain_rows((str(story), cells[story - 1]) for story in range(len(cells), 0, -1))
+        yield Table("prediction-drift-ratios", "peak drift ± standard deviation", ("story", "% of height"), rows)
+
+
 @describe.register
 def _reconstruction(result: Reconstruction, units: Units = AUTOMATIC) -> Document:
-    lead = [Sentence(text, "strong") for text in _findings(result)]
     checks = (Section("checks", "Each sensor from the others", (left_out(result),)),) if result.checks else ()
     sections = (
-        Section("findings", "", tuple(lead)),
+        Section("findings", "", (Sentence(_reconstructed(result)),)),
         *checks,
         Section("motion", "What the stories did", (stories(result), peaks(result.peaks, skipped="story_drift_ratio"))),
         Section("frame", "The frame in this record", tuple(_frame_parts(result))),
         Section("evidence", "Sensors", (whiteness(result),)),
         Section("remarks", "", tuple(Sentence(remark, "warning") for remark in result.remarks)),
     )
-    return Document(result.fitted.experiment.name, _reconstructed(result), sections)
+    return Document(result.fitted.experiment.name, capital("; ".join(_findings(result))), sections)
 
 
 def _reconstructed(result: Reconstruction) -> str:

@@ -37,22 +37,51 @@ SIDES = 1.96
 """Standard deviations of a 95 % band."""
 
 
+def _spread(places: Ints, largest: int) -> Ints:
+    """Choose floors or stories to draw, the top one first: spread over the height, the one of the largest peak too."""
+    chosen = places[np.unique(np.linspace(0, len(places) - 1, min(MOST_FLOORS, len(places))).round().astype(int))]
+    if largest not in chosen:
+        nearest = int(np.argmin(np.abs(chosen - largest)))
+        chosen = np.sort(np.concatenate([np.delete(chosen, nearest), [largest]]))
+    return np.asarray(chosen[::-1], dtype=np.int64)
+
+
+def _left_out(shown: int, total: int, word: str, where: str) -> str:
+    """Say how many floors or stories have no panel, and where all of them are; empty where none is left out."""
+    if shown >= total:
+        return ""
+    verb = "is" if total - shown == 1 else "are"
+    return f" {total - shown} of {total} {word} {verb} not drawn, but never that of the largest peak; {where}."
+
+
 def _floors(result: RecordPrediction) -> Ints:
-    """Choose the floors to draw, the top one first: measured ones where there are such, spread over the height."""
-    n = len(result.after.damped.model.M)
+    """Choose the floors to draw: measured ones where there are such, and the one with the largest acceleration."""
+    peaks = result.peaks.values["floor_acceleration"]
     measured = result.after.comparison
-    floors = np.arange(1, n + 1) if measured is None else measured.floors
-    chosen = np.unique(np.linspace(0, len(floors) - 1, min(MOST_FLOORS, len(floors))).round().astype(int))
-    return np.asarray(floors[chosen][::-1], dtype=np.int64)
+    places = np.arange(1, len(peaks) + 1) if measured is None else measured.floors
+    return _spread(places, int(np.argmax(peaks)) + 1)
+
+
+def _compared_floors(result: RecordPrediction) -> Ints:
+    """Choose from the floors that were measured, with the one of them that has the largest acceleration."""
+    measured = result.after.comparison
+    floors: Ints = np.zeros(0, dtype=np.int64) if measured is None else measured.floors
+    peaks = result.peaks.values["floor_acceleration"]
+    return _spread(floors, int(floors[np.argmax(peaks[floors - 1])]))
+
+
+def _floors_left_out(result: RecordPrediction) -> str:
+    total = len(result.peaks.values["floor_acceleration"])
+    return _left_out(len(_floors(result)), total, "floors", "the table of peaks has all")
 
 
 @figure(
     "history",
     RecordPrediction,
     title="Accelerations over time",
-    caption="Total accelerations of the floors around the strongest motion: predicted (dashed), with the band that "
-    "holds 95\N{NO-BREAK SPACE}% by the deviations of masses, stiffnesses, effects and damping, and, where the record "
-    "has them, measured.",
+    caption=lambda result: "Total accelerations of the floors around the strongest motion: predicted (dashed), with "
+    "the band that holds 95\N{NO-BREAK SPACE}% by the deviations of masses, stiffnesses, effects and damping, and, "
+    f"where the record has them, measured.{_floors_left_out(result)}",
     alternative="Accelerations of the floors over time, predicted and measured.",
     section="peaks",
 )
@@ -165,8 +194,12 @@ def _measured_peaks(axes: Axes, result: RecordPrediction) -> None:
     "transfer",
     RecordPrediction,
     title="Transfer functions",
-    caption="Size of each floor's transfer function: measured, of the shear model, and, where effects were added, of "
-    "the model with effects. All go through the same estimate.",
+    caption=lambda result: "Size of each floor's transfer function: measured, of the shear model, and, where effects "
+    "were added, of the model with effects. All go through the same estimate."
+    + _left_out(
+        len(_compared_floors(result)), len(result.after.comparison.floors), "measured floors",
+        "the table above has the errors of all",
+    ),
     alternative="Sizes of the transfer functions from the excitation to the floors, measured and predicted.",
     section="errors",
     applies=lambda result: result.after.comparison is not None,
@@ -194,7 +227,7 @@ def transfer_functions(result: RecordPrediction) -> Figure:
     after = result.after.comparison
     if after is None:
         raise InputError("there are no transfer functions to show: the record has no accelerations of floors")
-    floors = _floors(result)
+    floors = _compared_floors(result)
     before = None if result.otherwise_before is None else result.otherwise_before.comparison
     natural = result.after.damped.model.modes.frequencies
     shown = (after.measured.frequencies > 0.3 * natural[0]) & (after.measured.frequencies < 1.4 * natural[-1])
@@ -226,7 +259,8 @@ def transfer_functions(result: RecordPrediction) -> Figure:
     "spectra",
     RecordPrediction,
     title="Floor spectra",
-    caption="Peak acceleration of an oscillator on each floor: what equipment there has to bear.",
+    caption=lambda result: "Peak acceleration of an oscillator on each floor: what equipment there has to bear."
+    + _floors_left_out(result),
     alternative="Response spectra of the floors.",
     section="peaks",
 )
@@ -323,7 +357,10 @@ def story_drifts(result: Reconstruction) -> Figure:
     "histories",
     Reconstruction,
     title="Drifts over time",
-    caption="Drifts around the strongest motion, with the band that holds 95\N{NO-BREAK SPACE}%.",
+    caption=lambda result: "Drifts around the strongest motion, with the band that holds 95\N{NO-BREAK SPACE}%."
+    + _left_out(
+        len(_drawn_stories(result)), len(result.model.M), "stories", "the table of the stories has the peaks of all"
+    ),
     alternative="Drifts of the stories over time.",
     section="frame",
 )
@@ -341,8 +378,7 @@ def reconstructed_histories(result: Reconstruction) -> Figure:
     sizes = [np.abs(item.response.drift) for item in result.runs]
     run, window = _strongest(sizes, result.model.modes.frequencies[0], result.recording.sampling_rate)
     moved, std = result.runs[run].response, result.runs[run].std["story_drift"]
-    count = len(result.model.M)
-    stories = np.unique(np.linspace(count, 1, min(MOST_FLOORS, count)).round().astype(int))[::-1]
+    stories = _drawn_stories(result)
     figure = new_figure(PAGE_WIDTH, 1.35 * len(stories) + 0.9)
     for axes, story in zip(panels(figure, len(stories), 1, sharex=True), stories, strict=True):
         drift, band = 1000 * moved.drift[window, story - 1], 1000 * SIDES * std[window, story - 1]
@@ -352,3 +388,10 @@ def reconstructed_histories(result: Reconstruction) -> Figure:
     axes.set_xlabel("time, s")
     style.legend(figure, axes, left=True)
     return figure
+
+
+def _drawn_stories(result: Reconstruction) -> Ints:
+    """Choose the stories whose drift is drawn over time, with the one that the headline names."""
+    peaks = result.peaks.values
+    peak = peaks.get("story_drift_ratio", peaks["story_drift"])
+    return _spread(np.arange(1, len(peak) + 1), int(np.argmax(peak)) + 1)
