@@ -225,7 +225,8 @@ def findings_of(hypotheses: Sequence[Hypothesis], channels: Sequence[Channel], f
     return [
         Finding(
             rivals[0].kind,
-            f"{said}; look at the cables and units. Nothing reaches {100 * SURE:.0f} %: the record is taken as declared",
+            f"{said}; look at the cables and units. The record is taken as declared: nothing "
+            f"reaches {100 * SURE:.0f} %",
             {"channels": names, "probabilities": [item.probability for item in rivals], "corrected": False},
         )
     ]

@@ -350,5 +350,5 @@ def test_what_is_probable_but_not_sure_is_said_with_odds_that_make_up_the_whole(
     others = Hypothesis("sign", (0,), probability=other)
     (finding,) = findings_of([*weights, others], channels, np.array([0.6, 0.1]))
     assert finding.message.startswith(expected)
-    assert "Nothing reaches 95 %: the record is taken as declared" in finding.message
+    assert "The record is taken as declared: nothing reaches 95 %" in finding.message
     assert finding.numbers["corrected"] is False
