@@ -44,9 +44,10 @@ FURTHEST_FORM = 0.5
 FURTHEST_NOISE = np.log(30.0)
 """Bound on the logarithm of a sensor's noise around its start: none is good to 0.1 % of a building's motion."""
 
-LEAST_MISSED, MOST_MISSED = 3e-4, 0.1
-"""Bounds on the missed story forces, relative to the rms story force: the least is far below what any sensor shows, and
-a model that misses more than the largest has no business in a reconstruction."""
+LEAST_MISSED, MOST_MISSED = 2e-3, 0.1
+"""Bounds on the missed story forces, relative to the rms story force. A model that misses more than the largest has no
+business in a reconstruction. Less than the least cannot be told from sensors at a third of the floors: with 0.03 % the
+fit of 20-story frames whose beams bend settled there, and only 70 % of the peaks lay within their 95 % bands."""
 
 DIFFERENCE = 1e-5
 """Step of the unknowns by which small matrices are differentiated: rounding and curvature both leave 1e-5 of it."""
