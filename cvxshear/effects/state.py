@@ -139,7 +139,10 @@ class State:
 
     def usual_flexibility(self) -> tuple[float, Floats]:
         """Return the unit of joint flexibilities, 1 / mean(k h^2) of the columns, and its derivatives, rad/(N m)."""
-        unit = 1.0 / float(np.mean(self.column_stiffness * self.heights**2))
+        usual = float(np.mean(self.column_stiffness * self.heights**2))
+        if usual <= 0:
+            raise NoModesError("no story has columns whose joints could turn")
+        unit = 1.0 / usual
         return unit, -(unit**2) * np.mean(self.d_column_stiffness * self.heights**2, axis=1)
 
     @property

@@ -527,3 +527,16 @@ def test_a_loose_joint_costs_what_it_says():
         lost = 1.0 - drift @ state.system.K @ drift / 2e4
         said = effect.effect.phrase(effect.place, np.array([0.6, 0.1]), np.array([0.1, 0.0]), SCALE, ["", ""])
         assert f"{100 * lost:.1f} " in said
+
+
+def test_joints_of_a_frame_without_columns_have_no_usual_flexibility():
+    """All of the stiffness may be braces' on the way of a fit: that is outside the model, and no division by zero."""
+    of = Experiment.from_dict(
+        {
+            "frame": {"total_mass": 2.0},
+            "configuration": [{"frequencies": [1.0, 2.5], "mode_shapes": [[0.6, 1.0], [1.0, -0.6]]}],
+        }
+    )
+    state = compose(of, of.configurations[0], (), np.array([1.0, 1.0, 40.0, 40.0]))
+    with pytest.raises(NoModesError, match="no story has columns"):
+        dataclasses.replace(state, column_stiffness=np.zeros(2)).usual_flexibility()
