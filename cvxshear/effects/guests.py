@@ -106,6 +106,7 @@ class _Check:
         self._that(all(isinstance(place, Place) for place in places), "places() must list objects of the class Place")
         self._that(len(set(places)) == len(places), "places() lists a place twice")
         for place in dict.fromkeys((*places[:1], *places[-1:])):
+            # Bound to this place now; mypy infers no type for a lambda's default.
             here = self._call("bound_at", lambda at=place: bound.bound_at(self.experiment, at), Effect)  # type: ignore[misc]
             sizes = self._parameters(here)
             self._limits(here, place)
