@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import json
 import os
 import signal
@@ -10,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -231,6 +233,25 @@ def test_a_killed_process_is_told(capsys, monkeypatch):
         main(["loop", "paper", "--jobs", "2"])
     assert stopped.value.code == 1
     assert capsys.readouterr().err == "cvxshear: one of the processes was ended from outside\n"
+
+
+def _half(value):
+    return value / 2
+
+
+def test_who_stops_hears_nothing_of_what_was_under_way():
+    """Ctrl-C between two results. Warnings are errors here, and joblib's comes when the rest is given up."""
+
+    def stop(done, count):
+        assert (done, count) == (3, 40)
+        raise KeyboardInterrupt
+
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        with pytest.raises(KeyboardInterrupt):
+            each(_half, range(40), jobs=2, progress=stop)
+        gc.collect()
+    assert [str(warning.message) for warning in said] == []
 
 
 def test_berman_refuses_modes_that_hardly_differ():

@@ -15,6 +15,7 @@ import os
 import signal
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, nullcontext
@@ -70,6 +71,7 @@ def each(
     chunks = _chunks(todo, jobs, seen=progress is not None)
     results: list[Done] = []
     options: dict[str, Any] = {} if jobs == 1 else {"initializer": end_with, "initargs": (os.getpid(),)}
+    parts: Any = ()
     try:
         with nullcontext() if jobs == 1 else _interruption_held():
             # In the order of the chunks, as they become ready.
@@ -86,7 +88,17 @@ def each(
             f"one of the processes was ended from outside, after {len(results)} of {len(todo)} things were done; where "
             "it was for want of memory, fewer jobs need less of it"
         ) from None
+    finally:
+        _drop(parts)
     return results
+
+
+def _drop(parts: Any) -> None:
+    """Cancel what is still under way. joblib warns of tasks that were begun for nothing: whoever stopped knows."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        if hasattr(parts, "close"):
+            parts.close()
 
 
 def _chunks(items: Sequence[Item], jobs: int, *, seen: bool) -> list[Sequence[Item]]:
