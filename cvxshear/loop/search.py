@@ -19,7 +19,7 @@ from cvxshear.effects import Placed
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.gauss_newton import CONVERGED_STEP
 from cvxshear.loop.fitter import ROUGH, Fitter
-from cvxshear.loop.hypotheses import OPEN
+from cvxshear.loop.hypotheses import OPEN, Hypothesis
 from cvxshear.loop.linear import Linearised
 from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.neighbors import WITHIN, Set, groups, holds_open, named_entries, promising, with_motions
@@ -63,10 +63,13 @@ class Search:
     fitter : Fitter
     base : Estimate
         Of the set without any.
+    looked_for : sequence of Hypothesis, optional
+        Those of the fitter that sets are made of; all of them where not given.
     """
 
-    def __init__(self, fitter: Fitter, base: Estimate) -> None:
+    def __init__(self, fitter: Fitter, base: Estimate, looked_for: Sequence[Hypothesis] | None = None) -> None:
         self.fitter = fitter
+        self.looked_for = fitter.hypotheses if looked_for is None else looked_for
         start = fitter.model_of(base)
         fitter.base = base
         self.visited: dict[Set, ModelClass] = {start.effects: start}
@@ -75,6 +78,7 @@ class Search:
         self.thinned: set[Set] = set()
         self.regrouped: set[Set] = set()
         self.moved = False
+        self.descended = False
         self.base = start
 
     @property
@@ -114,10 +118,33 @@ class Search:
                 break
             way, model = found
             way(model)
-        if not self.moved and not self.spent and self._add_motions():
-            self.run()
-        elif self.spent:
+        if self.spent:
             self._exchange_in_best()
+        elif self._descend_among_causes() or self._add_motions():
+            self.run()
+
+    def _descend_among_causes(self) -> bool:
+        """Visit, where the best set holds an open class, what causes alone lead to; tell whether one of them is better.
+
+        A class that does the work of several causes hides them, which are seen only together: by themselves each of
+        them brings less than the class. Without it the way to them is short.
+        """
+        if self.descended or not holds_open(self.best.effects):
+            return False
+        self.descended = True
+        assert self.base.estimate is not None, "the shear model was fitted"
+        causes = [item for item in self.looked_for if item.placed.effect.kind != OPEN]
+        alone = Search(self.fitter, self.base.estimate, causes)
+        while not alone.spent:
+            if (model := alone._next(alone.pruned, 0.0)) is not None:
+                alone._prune(model)
+            elif (model := alone._next(alone.expanded, 0.0)) is not None:
+                alone._expand(model)
+            else:
+                break
+        before = self.best
+        self._record(model for effects, model in alone.visited.items() if effects not in self.visited)
+        return self.best is not before
 
     def _exchange_in_best(self) -> None:
         """Visit what may stand in the place of each effect of the best sets, however many sets were visited.
@@ -137,6 +164,8 @@ class Search:
 
     def _add_motions(self) -> bool:
         """Visit sets with an effect that brings a motion of its own, where the shear model does not win."""
+        if self.moved:
+            return False
         self.moved = True
         base = self.base.estimate
         assert base is not None, "the shear model was fitted"
@@ -241,7 +270,7 @@ class Search:
         """List the effects that a set lacks and the linearised model at its fit can judge."""
         return [
             item.placed
-            for item in self.fitter.hypotheses
+            for item in self.looked_for
             if item.placed not in model.effects and not item.placed.effect.adds_motion
         ]
 
