@@ -39,8 +39,8 @@ TOUCHED = 1e-9
 """Violation of an inequality that still counts as none, relative to its right side: what solvers leave at best."""
 
 ZERO_VIOLATION = 1e-13
-"""The same in scaled units, for right sides near zero: rounding. Where the rows are badly conditioned a right side of
-order one in its own units is a small number in scaled ones."""
+"""Violation of an inequality that still counts as none, in scaled units, for right sides near zero: rounding. Where the
+rows are badly conditioned a right side of order one in its own units is a small number in scaled ones."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,6 +45,7 @@ class CvxshearPrograms(qpbenchmark.TestSet):
         for path in sorted(Path(__file__).parent.glob("*.npz")):
             yield qpbenchmark.Problem.load(str(path))
 '''
+"""The test set, which reads the programs beside it."""
 
 
 def export(programs: Sequence[BenchmarkProgram], folder: str | Path) -> list[Path]:

@@ -89,9 +89,10 @@ THROUGH_QPSOLVERS = tuple(
         ("sip", "sip_qp_python", "sip-qp-python"),
     )
 )
-"""Those of qpsolvers that pip can install, under their names there."""
+"""Solvers of qpsolvers that pip can install, under their names there."""
 
 THROUGH_CVXPY = tuple(Solver(f"cvxpy-{name}", name, name, "cvxpy") for name in ("clarabel", "osqp", "scs"))
+"""Solvers that cvxpy brings along and that take a quadratic objective."""
 
 TOLERANCES: dict[str, dict[str, float]] = {
     "clarabel": {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12},
@@ -102,7 +103,8 @@ TOLERANCES: dict[str, dict[str, float]] = {
     "proxqp": {"eps_abs": 1e-11},
     "scs": {"eps_abs": 1e-9, "eps_rel": 1e-9},
 }
-"""Accuracies a solver, chosen so that masses and stiffnesses agree with the closed form within 1e-6."""
+"""Accuracies that each solver is asked for, chosen so that masses and stiffnesses agree with the closed form within
+1e-6."""
 
 TIME_LIMITS = {
     "clarabel": "time_limit",
@@ -122,6 +124,8 @@ OTHER_OPTIONS: dict[str, dict[str, Any]] = {
     "proxqp": {"eps_rel": 0.0, "max_iter": 10_000},
     "scs": {"max_iters": 200_000},
 }
+"""Further options: iterations enough for the accuracy above, which the solvers' own limits are not, and no looser
+accuracy beside it."""
 
 
 def accurate(solver: str) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats
 
 DEFAULT_DISPLACEMENT_STD = 0.01
-"""Relative to the largest displacement; `data.Static.noise` says why."""
+"""Standard deviation relative to the largest displacement, where none is declared; `data.Static.noise` says why."""
 
 
 @dataclass(frozen=True, eq=False)

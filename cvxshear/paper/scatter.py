@@ -25,13 +25,22 @@ from cvxshear.util.results import InJson, Shown
 from cvxshear.util.typing import Bools, Floats
 
 SIGMAS = (0.01, 0.02, 0.03, 0.04, 0.05)
-"""The paper's noise levels."""
+"""Standard deviations of the mode shapes' noise in the paper's study."""
 
 SAMPLES = 2000
+"""Samples of each setup: a coefficient of variation is then known to 1.6 % of itself."""
+
 SEED = 2023
+"""Of the noise where none is given, so that the figures of the documentation come back."""
+
 MOST_SAMPLES = 1_000_000
+"""More take gigabytes at once, and say nothing that a million do not."""
+
 LARGEST_SEED = 2**63
+"""Seeds below it are whole numbers on every platform."""
+
 COMPARED = ("two-stage", "one-shot", "efficient")
+"""Methods of a study that names none: the paper's, and those that are to be better."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +68,7 @@ class Scatter(InJson):
     seconds: float
 
     json_keys = (
-        "setup method samples failures seconds mean bias bias_error variation rmse bound=relative_bound "
-        "ratio coverage"
+        "setup method samples failures seconds mean bias bias_error variation rmse bound=relative_bound ratio coverage"
     )
 
     @property
