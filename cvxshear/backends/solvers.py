@@ -64,31 +64,19 @@ def version(package: str) -> str | None:
         return None
 
 
+MODULES = {
+    "copt": "coptpy", "gurobi": "gurobipy", "highs": "highspy", "jaxopt_osqp": "jaxopt", "proxqp": "proxsuite",
+    "sip": "sip_qp_python",
+}  # fmt: skip
+"""Modules of the solvers that Python knows by another name than qpsolvers; pip has a - for each _."""
+
 THROUGH_QPSOLVERS = tuple(
-    Solver(*each)
-    for each in (
-        ("clarabel", "clarabel", "clarabel"),
-        ("copt", "coptpy", "coptpy"),
-        ("cvxopt", "cvxopt", "cvxopt"),
-        ("daqp", "daqp", "daqp"),
-        ("ecos", "ecos", "ecos"),
-        ("gurobi", "gurobipy", "gurobipy"),
-        ("highs", "highspy", "highspy"),
-        ("jaxopt_osqp", "jaxopt", "jaxopt"),
-        ("kvxopt", "kvxopt", "kvxopt"),
-        ("mosek", "mosek", "mosek"),
-        ("osqp", "osqp", "osqp"),
-        ("piqp", "piqp", "piqp"),
-        ("proxqp", "proxsuite", "proxsuite"),
-        ("pyqpmad", "pyqpmad", "pyqpmad"),
-        ("qpalm", "qpalm", "qpalm"),
-        ("qpax", "qpax", "qpax"),
-        ("qtqp", "qtqp", "qtqp"),
-        ("quadprog", "quadprog", "quadprog"),
-        ("scs", "scs", "scs"),
-        ("sip", "sip_qp_python", "sip-qp-python"),
+    Solver(name, MODULES.get(name, name), MODULES.get(name, name).replace("_", "-"))
+    for name in (
+        "clarabel", "copt", "cvxopt", "daqp", "ecos", "gurobi", "highs", "jaxopt_osqp", "kvxopt", "mosek", "osqp",
+        "piqp", "proxqp", "pyqpmad", "qpalm", "qpax", "qtqp", "quadprog", "scs", "sip",
     )
-)
+)  # fmt: skip
 """Solvers of qpsolvers that pip can install, under their names there."""
 
 THROUGH_CVXPY = tuple(Solver(f"cvxpy-{name}", name, name, "cvxpy") for name in ("clarabel", "osqp", "scs"))

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cvxshear.measurement.declaration import InTable
+from cvxshear.measurement.declaration import InTable, named_in
 from cvxshear.measurement.measured_modes import OtherModes, copied_rows, other_modes, proportional_rows
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
@@ -230,9 +230,7 @@ class Configuration(InTable):
         elsewhere : dict, optional
             Keys of other tables of the file, each with that table's header, for a message that says where they belong.
         """
-        where = name
-        if isinstance(declared, Mapping) and declared.get("name") is not None:
-            where = f'configuration "{checks.text(declared["name"], f"{name}: name")}"'
+        where = named_in(declared, "configuration", name)
         for key in ("added_mass", "measured_floors", "modes", "mode_shapes"):
             if isinstance(declared, Mapping) and declared.get(key) is not None and _absent(declared[key]):
                 raise InputError(f"{where}: {key} must not be empty; leave the key out for its default")

@@ -82,6 +82,13 @@ class InTable:
         return fields_as_table(self, unsaid=self.unsaid)
 
 
+def named_in(declared: object, kind: str, otherwise: str) -> str:
+    """Say which table a message is about: by the name that it gives itself, or `otherwise`."""
+    if isinstance(declared, Mapping) and declared.get("name") is not None:
+        return f'{kind} "{checks.text(declared["name"], f"{otherwise}: name")}"'
+    return otherwise
+
+
 @dataclass(frozen=True, eq=False)
 class Frame(InTable):
     """What is known of the frame itself, the same in every configuration.

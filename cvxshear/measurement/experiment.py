@@ -196,20 +196,14 @@ class Experiment(Shown):
         frame = Frame.from_dict({} if table.get("frame") is None else table["frame"], elsewhere=tested_keys)
         configurations = tuple(
             Configuration.from_dict(item, name=f"configuration {place}", elsewhere=frame_keys)
-            for place, item in enumerate(_tables(table["configuration"], "configuration"), 1)
+            for place, item in _tables(table, "configuration")
         )
         priors = []
-        for place, item in enumerate(_tables(table.get("prior"), "prior"), 1):
+        for place, item in _tables(table, "prior"):
             with _named(place):
                 priors.append(Prior.from_dict(item))
-        static = tuple(
-            StaticTest.from_dict(item, name=f"static test {place}")
-            for place, item in enumerate(_tables(table.get("static"), "static"), 1)
-        )
-        expected = tuple(
-            ExpectedEffect.from_dict(item, f"effect {place}")
-            for place, item in enumerate(_tables(table.get("effect"), "effect"), 1)
-        )
+        static = tuple(StaticTest.from_dict(item, name=f"static test {at}") for at, item in _tables(table, "static"))
+        expected = tuple(ExpectedEffect.from_dict(item, f"effect {at}") for at, item in _tables(table, "effect"))
         damping = Damping() if table.get("damping") is None else Damping.from_dict(table["damping"])
         report = Heading() if table.get("report") is None else Heading.from_dict(table["report"])
         limits = None if table.get("limits") is None else Limits.from_dict(table["limits"])
@@ -295,15 +289,16 @@ def _named(place: int) -> Iterator[None]:
         raise type(error)(f"prior {place}: {error}") from error
 
 
-def _tables(value: object, key: str) -> list[object]:
-    """Return what stands below the headers `[[key]]`."""
+def _tables(declared: Mapping[str, object], key: str) -> list[tuple[int, object]]:
+    """Return what stands below the headers `[[key]]`, each with its number."""
+    value = declared.get(key)
     if value is None:
         return []
     if isinstance(value, Mapping):
         raise InputError(f"[{key}] must be a list of tables: write [[{key}]], in double brackets")
     if not isinstance(value, list | tuple):
         raise InputError(f"{key} must be a list of tables, each below [[{key}]], not {checks.shown(value)}")
-    return list(value)
+    return list(enumerate(value, 1))
 
 
 Measurement = str | Path | Experiment

@@ -119,12 +119,6 @@ class Reading:
         return 2 * float(np.sum(shapes) + np.sum(np.log(self.frequency_std / near.frequency_std)))
 
 
-def certain_signs(reading: Reading) -> Floats:
-    """Find the sign of each entry, shape (m, n): 1, -1, or 0 where it cannot be told or was not measured."""
-    scaled = reading.scaled
-    return np.where(np.abs(scaled) * reading.weights > CERTAIN, np.sign(scaled), 0.0)
-
-
 def fewest_changes(signs: Floats) -> int:
     """Count changes of sign among the entries whose sign is certain."""
     sure = signs[signs != 0]
@@ -146,7 +140,8 @@ def most_changes(signs: Floats) -> int:
 
 def violations(reading: Reading) -> list[str]:
     """Name the modes whose signs no shear frame's mode of that number has, a part of a sentence for each."""
-    signs = certain_signs(reading)
+    scaled = reading.scaled
+    signs = np.where(np.abs(scaled) * reading.weights > CERTAIN, np.sign(scaled), 0.0)
     whole = len(reading.floors) == reading.stories
     return [
         said

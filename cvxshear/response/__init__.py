@@ -11,23 +11,7 @@ from cvxshear.response.sources import models_of_loop
 from cvxshear.response.uncertain import IdentifiedDamping, damping_of
 
 __all__ = [
-    "DampedModel",
-    "Drive",
-    "Fitted",
-    "FloorSpectra",
-    "IdentifiedDamping",
-    "Models",
-    "Motion",
-    "Peaks",
-    "Reconstruction",
-    "RecordComparison",
-    "RecordPrediction",
-    "Response",
-    "Side",
-    "damping_of",
-    "floor_spectra",
-    "models_of_loop",
-    "predict",
-    "reconstruct",
-    "response",
-]
+    "DampedModel", "Drive", "Fitted", "FloorSpectra", "IdentifiedDamping", "Models", "Motion", "Peaks",
+    "Reconstruction", "RecordComparison", "RecordPrediction", "Response", "Side", "damping_of", "floor_spectra",
+    "models_of_loop", "predict", "reconstruct", "response",
+]  # fmt: skip

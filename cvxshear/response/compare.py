@@ -237,14 +237,15 @@ def compared(
     measured_modes : ndarray of int, optional
         The modes that were measured, from 1, of which alone shifts are told; all where not given.
     """
-    if any(drive.responses is None for drive in motion.drives):
+    recorded = [drive.responses for drive in motion.drives if drive.responses is not None]
+    if len(recorded) < len(motion.drives):
         return None
-    whole = [np.isfinite(drive.responses).all(axis=0) for drive in motion.drives if drive.responses is not None]
-    columns = np.flatnonzero((motion.floors <= len(model.M)) & np.all(whole, axis=0))
+    whole = np.all([np.isfinite(each).all(axis=0) for each in recorded], axis=0)
+    columns = np.flatnonzero((motion.floors <= len(model.M)) & whole)
     floors = motion.floors[columns]
     if not floors.size:
         return None
-    measured = [drive.responses[:, columns] for drive in motion.drives if drive.responses is not None]
+    measured = [each[:, columns] for each in recorded]
     predicted = [seen(model, response, floors) for response in responses]
     error = np.concatenate(predicted) - np.concatenate(measured)
     rms_measured, rms_predicted, rms_error = (

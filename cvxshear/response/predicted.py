@@ -250,7 +250,7 @@ def _side(fitted: Fitted, damped: Damped, motion: Motion) -> Side:
 
 def _taken_off(recorded: Motion, motion: Motion) -> list[str]:
     """How large the straight lines were that were taken for the sensors' own, where they were worth a word."""
-    largest, where = 0.0, ""
+    found = [(0.0, "")]
     for before, after in zip(recorded.drives, motion.drives, strict=True):
         columns = [("the base motion", before.excitation, after.excitation)] if recorded.input == "base" else []
         if before.responses is not None and after.responses is not None:
@@ -259,9 +259,10 @@ def _taken_off(recorded: Motion, motion: Motion) -> list[str]:
                 for place, floor in enumerate(recorded.floors)
             ]
         for name, old, new in columns:
-            line, rms = np.nanmax(np.abs(old - new)), np.sqrt(np.nanmean(new**2))
-            if rms > 0 and line / rms > largest:
-                largest, where = float(line / rms), name
+            line, rms = float(np.nanmax(np.abs(old - new))), float(np.sqrt(np.nanmean(new**2)))
+            if rms > 0:
+                found.append((line / rms, name))
+    largest, where = max(found)
     return line_remarks(largest, f"the rms ({where})")
 
 
