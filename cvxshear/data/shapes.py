@@ -65,9 +65,7 @@ class Shapes(Datum):
         entries = np.sum(self.tested.measured[self.kept], axis=1)
         return int(np.sum(np.maximum(entries - (0 if self.tested.mass_normalized else 1), 0)))
 
-    def _laid_on(
-        self, model: Model, factor: Floats | None = None
-    ) -> tuple[Floats, Floats, Floats, Floats | None]:
+    def _laid_on(self, model: Model, factor: Floats | None = None) -> tuple[Floats, Floats, Floats, Floats | None]:
         """Weights, the modelled shapes as the sensors would show them, their scales, and u where the scale is free."""
         configuration = self.tested
         floors = configuration.measured_floors - 1

@@ -31,6 +31,7 @@ __all__ = [
 Tested = Configuration | StaticTest
 """What was measured on one state of the frame; either has a `name`, a `state` and an `added_mass`."""
 
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Experiment(Shown):
     """A frame, the configurations it was tested in, and what is known beforehand.

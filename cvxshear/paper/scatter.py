@@ -59,8 +59,7 @@ class Scatter(InJson):
     seconds: float
 
     json_keys = (
-        "setup method samples failures seconds mean bias bias_error variation rmse bound=relative_bound "
-        "ratio coverage"
+        "setup method samples failures seconds mean bias bias_error variation rmse bound=relative_bound ratio coverage"
     )
 
     @property

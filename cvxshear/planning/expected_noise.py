@@ -192,8 +192,4 @@ def band_factors(kappa: float) -> tuple[float, float, float]:
     atan k.
     """
     angle, part = np.arctan(kappa), kappa / (kappa**2 + 1)
-    return (
-        float(2 / np.pi * (angle - part)),
-        float(2 / np.pi * (angle + part - 2 * angle**2 / kappa)),
-        float(angle),
-    )
+    return (float(2 / np.pi * (angle - part)), float(2 / np.pi * (angle + part - 2 * angle**2 / kappa)), float(angle))

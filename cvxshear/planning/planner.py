@@ -24,11 +24,7 @@ from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
 
-GOALS = {
-    "masses": ("floor_mass",),
-    "stiffnesses": ("story_stiffness",),
-    "all": ("floor_mass", "story_stiffness"),
-}
+GOALS = {"masses": ("floor_mass",), "stiffnesses": ("story_stiffness",), "all": ("floor_mass", "story_stiffness")}
 
 DECLARED = "declared"
 """In place of a number of tests: those that the file declares."""
@@ -177,8 +173,8 @@ def plan(
         if isinstance(tests, str):
             raise InputError(f"tests must be a whole number or {DECLARED!r}, not {checks.shown(tests)}")
         checks.whole(tests, "tests", least=1, most=MOST_TESTS)
-    design = source if isinstance(source, Design) else read_design(
-        source, fresh=fresh or declared, loop=loop, state=state
+    design = (
+        source if isinstance(source, Design) else read_design(source, fresh=fresh or declared, loop=loop, state=state)
     )
     n = design.stories
     number = n if sensors is None else checks.whole(sensors, "sensors", least=1, most=n)
@@ -228,9 +224,7 @@ def _names(design: Design, count: int) -> list[str]:
     return [next(free) for _ in range(count)]
 
 
-def _masses(
-    model: AveragedModel, number: int, count: int, by: Criterion, limits: Limits, solver: str
-) -> list[Floats]:
+def _masses(model: AveragedModel, number: int, count: int, by: Criterion, limits: Limits, solver: str) -> list[Floats]:
     """Choose the masses of so many tests, kg, the lightest first; floors and masses chosen by turns."""
     n = len(limits.floor)
     grid = limits.grid()

@@ -40,7 +40,6 @@ Hardest = Callable[[Floats], tuple[Floats, Floats]]
 """From covariances, shape (..., s, s): the criterion's variance, (...), and its mixture of the parameters, (..., s)."""
 
 
-
 @dataclass(frozen=True, eq=False)
 class Term:
     """v' C(w) v, or its logarithm, C(w) the inverse of an information that the weights add up to.

@@ -112,9 +112,7 @@ def softened(
     J = np.concatenate([part[1] for part in soft])
     R, s = program.weighted
     return program.replace(
-        R=np.concatenate([R / row_std, J]),
-        s=np.concatenate([s / row_std, -r if step else J @ at - r]),
-        W=None,
+        R=np.concatenate([R / row_std, J]), s=np.concatenate([s / row_std, -r if step else J @ at - r]), W=None
     )
 
 

@@ -360,9 +360,7 @@ def contradiction(measured: Sequence[Floats], predicted: Sequence[Floats], floor
                 and crossed > own[i] ** 2 + own[j] ** 2 + EXCHANGED
                 and sizes < straight
             ):
-                said.append(
-                    f"floors {floors[i]} and {floors[j]} fit each other's prediction: are they exchanged?"
-                )
+                said.append(f"floors {floors[i]} and {floors[j]} fit each other's prediction: are they exchanged?")
     return "; ".join(said)
 
 

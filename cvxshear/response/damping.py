@@ -50,8 +50,7 @@ class IdentifiedDamping(Shown):
     remarks: tuple[str, ...] = ()
 
     json_keys = (
-        "kind story_dashpot story_dashpot_std ratios ratios_std ratios_measured=measured rayleigh "
-        "rayleigh_std remarks"
+        "kind story_dashpot story_dashpot_std ratios ratios_std ratios_measured=measured rayleigh rayleigh_std remarks"
     )
 
 

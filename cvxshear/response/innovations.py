@@ -56,6 +56,7 @@ SCORE_PERIODS = 1.0
 """Fundamental periods over which scores are summed before their scatter is taken: errors of a wrong model hang together
 for about as long."""
 
+
 @dataclass(frozen=True, eq=False)
 class Stretch:
     """One run without gaps.

@@ -284,9 +284,7 @@ def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
             "--no-detrend leaves it in"
         )
     if found.fitted.covariance is None:
-        said.append(
-            "the measurement tells no noise: the identified stiffnesses are taken as exact"
-        )
+        said.append("the measurement tells no noise: the identified stiffnesses are taken as exact")
     if found.recording.input == "none":
         said.append(
             "nobody measured the base motion: it is estimated with the rest, the frame is taken as identified, and "

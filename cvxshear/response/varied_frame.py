@@ -260,9 +260,7 @@ class FramePrior:
             others, ModalRows.around(frame, varied),
         )  # fmt: skip
 
-    def gaussian(
-        self, changed: Sequence[int], form_std: float, scatter_std: float, *, same: bool = False
-    ) -> Gaussian:
+    def gaussian(self, changed: Sequence[int], form_std: float, scatter_std: float, *, same: bool = False) -> Gaussian:
         """Return the prior with given stories (from 0) changed, and given standard deviations.
 
         Parameters
