@@ -133,11 +133,11 @@ def rate_of(declared: Mapping[str, Any], columns: Columns) -> float:
     if said is not None:
         said = checks.number(said, "record: sampling_rate", above=0.0)
     if name is None:
-        if said is None and columns.stated_rate is None:
-            raise InputError(
-                f"record: give sampling_rate, in Hz, or time, the name of the time column of {columns.source}"
-            )
-        return said if said is not None else columns.stated_rate[1]
+        if said is not None:
+            return said
+        if columns.stated_rate is not None:
+            return columns.stated_rate[1]
+        raise InputError(f"record: give sampling_rate, in Hz, or time, the name of the time column of {columns.source}")
     rate = sampling_rate_of(seconds_of(declared, columns.column(name, "record: time")), columns, name, said)
     if said is not None:
         if abs(rate - said) > 0.01 * said:
