@@ -22,10 +22,10 @@ from cvxshear.files.formats import format_of, read_columns, read_modes_of
 from cvxshear.files.inputs import named_after
 from cvxshear.files.record_file import FREQUENCY_NAMES
 from cvxshear.files.record_pieces import TIME_UNITS
-from cvxshear.files.record_tables import CHANNEL_UNITS
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import CHANNEL_UNITS
 from cvxshear.util.text import escaped, printable
 from cvxshear.util.typing import Floats
 
