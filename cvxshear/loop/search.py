@@ -56,6 +56,7 @@ TWINS_DIFFER = 0.1
 EXCHANGES = 4
 """Sets, the best ones, whose effects are exchanged when the budget is spent: two ties make four sets as probable."""
 
+
 class Search:
     """Sets of effects that were visited, and the way to more of them.
 
