@@ -288,7 +288,8 @@ def _candidates(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[C
         else:
             gain = linear.decrease(placed)
             chi2, dof = final.chi2 - gain, final.dof - count
-            confounded = () if linear.told(placed) >= TOLD else linear.confounders(placed, names)
+            if linear.told(placed) < TOLD and posterior.keeps_odds(placed):
+                confounded = linear.confounders(placed, names)
         p_value = min(1.0, len(fitter.hypotheses) * float(stats.chi2.sf(max(gain, 0.0), count)))
         probability = posterior.of_effects[placed]
         found.append(Candidate(placed, probability, item.probability, chi2, dof, p_value, confounded))
