@@ -92,7 +92,7 @@ class BackendResult:
         `seconds` over that of the closed form on the same programs (on the programs of the same kind without bounds,
         where bounds are active); None where it solves neither.
     tolerance : float or None
-        The loosest accuracy that the solver is told to reach; None where it takes none.
+        The loosest accuracy that the solver is asked to reach; None where it takes none.
     failure : str
         Why a program was not solved; empty where all were.
     """
@@ -154,7 +154,7 @@ def compare(
     repeats : int, optional
         Solves of each program of which the fastest counts.
     tolerance : float, optional
-        Accuracy that the solvers are told to reach, in place of their own settings here. A certificate's limit stays.
+        Accuracy that the solvers are asked to reach, in place of their own settings here. A certificate's limit stays.
     experiment, left_out : str, optional
         As in `Comparison`.
 

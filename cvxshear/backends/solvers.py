@@ -130,8 +130,8 @@ def accurate(solver: str) -> dict[str, Any]:
 
 def loosest(solver: str, options: Mapping[str, Any]) -> float | None:
     """Find the loosest accuracy among a solver's options; None where they have none."""
-    told = [float(options[name]) for name in TOLERANCES.get(solver, {}) if name in options]
-    return max(told, default=None)
+    given = [float(options[name]) for name in TOLERANCES.get(solver, {}) if name in options]
+    return max(given, default=None)
 
 
 def with_tolerance(solver: str, options: Mapping[str, Any], tolerance: float) -> dict[str, Any]:

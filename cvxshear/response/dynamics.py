@@ -100,12 +100,15 @@ class Dynamics:
 
 @dataclass(frozen=True, eq=False)
 class Outputs:
-    """Rows that turn states into total accelerations, displacements, drifts and story forces of the frame.
+    """Rows that turn states into what a reconstruction reports.
+
+    Total accelerations, displacements, drifts and story forces of the frame, then the overturning moment where story
+    heights are declared, and the base acceleration where it is estimated.
 
     Parameters
     ----------
-    rows : ndarray, shape (4 N, n)
-    direct : ndarray, shape (4 N,)
+    rows : ndarray, shape (outputs, n)
+    direct : ndarray, shape (outputs,)
         Weights of the excitation.
     """
 
@@ -168,8 +171,7 @@ def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     setting : Setting
     """
     N = len(model.M)
-    estimated = not setting.base_measured
-    n = 3 * N + (1 if estimated else 0)
+    estimated, n = not setting.base_measured, setting.states
     T = transformation(N)
     restoring = -np.linalg.solve(model.M, np.hstack([model.K, model.C]))
     missed = np.linalg.solve(model.M, T * setting.story_force)
@@ -199,20 +201,27 @@ def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     at = setting.floors - 1
     return Dynamics(
         A, before, after, Q, total[at] * model.gain[at, None], through[at] * model.gain[at], noise.sensors**2,
-        _outputs(model, total, through, setting.force_floor, n),
+        _outputs(model, total, through, setting),
     )  # fmt: skip
 
 
-def _outputs(model: DampedModel, total: Floats, through: Floats, force_floor: int, n: int) -> Outputs:
-    """Rows of the quantities that a reconstruction reports."""
+def _outputs(model: DampedModel, total: Floats, through: Floats, setting: Setting) -> Outputs:
+    """Rows of the quantities that a reconstruction reports, `total` and `through` those of the accelerations."""
     N = len(model.M)
-    moved = np.eye(N, n)
+    moved = np.eye(N, setting.states)
     above = np.triu(np.ones((N, N)))
-    direct = -above @ model.M @ through
-    if force_floor:
-        direct = direct + above[:, force_floor - 1]
-    rows = np.concatenate([total, moved, np.diff(moved, axis=0, prepend=0.0), -above @ model.M @ total])
-    return Outputs(rows, np.concatenate([through, np.zeros(2 * N), direct]))
+    shear, direct = -above @ model.M @ total, -above @ model.M @ through
+    if setting.force_floor:
+        direct = direct + above[:, setting.force_floor - 1]
+    rows = [total, moved, np.diff(moved, axis=0, prepend=0.0), shear]
+    weights = [through, np.zeros(2 * N), direct]
+    if model.heights is not None:
+        rows.append((model.heights @ shear)[None])
+        weights.append(np.atleast_1d(model.heights @ direct))
+    if not setting.base_measured:
+        rows.append(np.eye(setting.states)[3 * N :])
+        weights.append(np.zeros(1))
+    return Outputs(np.concatenate(rows), np.concatenate(weights))
 
 
 def _van_loan(rates: Floats, density: Floats, step: float) -> tuple[Floats, Floats]:

@@ -240,7 +240,7 @@ def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: f
     short = errors.shortened(FIRST_SAMPLES, p, free=False)
     widest = prior.gaussian(range(errors.stories), FORM_STDS[-1], SCATTER_STDS[-1])
     root = np.asarray(np.linalg.cholesky(widest.covariance), dtype=np.float64)
-    return short.told(p, root, least * np.sqrt(short.samples / errors.samples))
+    return short.informed(p, root, least * np.sqrt(short.samples / errors.samples))
 
 
 def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: Backend, steps: int) -> FittedFrame:
