@@ -13,6 +13,7 @@ from cvxshear.records.record import Complexes
 from cvxshear.util.typing import Floats
 
 RULES = ("magnitude", "projection")
+"""Ways to make a complex shape real: each entry's modulus with a sign, or its part along the shape's main axis."""
 
 
 def mac(first: Complexes | Floats, second: Complexes | Floats) -> float:

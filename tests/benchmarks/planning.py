@@ -197,9 +197,7 @@ def _on_another_frame(planned, rng):
     for prior in design.priors:
         at = slice(0, design.stories) if prior.quantity == "floor_mass" else slice(design.stories, None)
         sizes[at] *= np.maximum(1 + prior.std * rng.standard_normal(design.stories), 0.1)
-    moved = dataclasses.replace(
-        design, floor_mass=sizes[: design.stories], story_stiffness=sizes[design.stories :]
-    )
+    moved = dataclasses.replace(design, floor_mass=sizes[: design.stories], story_stiffness=sizes[design.stories :])
     model = dataclasses.replace(planned.model, design=moved)
     return dataclasses.replace(planned, averaged=AveragedModel((model,)))
 
