@@ -264,7 +264,7 @@ class Response:
 
     @property
     def drift(self) -> Floats:
-        """Of each story, floor less floor below, shape (samples, N), m."""
+        """Story drifts, each floor less the floor below, shape (samples, N), m."""
         return np.diff(self.displacement, axis=1, prepend=0.0)
 
     @property
@@ -284,7 +284,7 @@ class Response:
 
     @property
     def overturning_moment(self) -> Floats | None:
-        """Of the floors' forces about the base, shape (samples,), N m; weights on displaced floors are not in it."""
+        """Moment of the floors' forces about the base, shape (samples,), N m; without weights on displaced floors."""
         return self.story_force @ self.heights if self.mass_known and self.heights is not None else None
 
 

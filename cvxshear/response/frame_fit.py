@@ -80,7 +80,7 @@ class Answer:
 
 @dataclass(frozen=True, eq=False)
 class FittedFrame:
-    """The frame in the record.
+    """The frame as it was in the record.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class FittedFrame:
 
     @cached_property
     def story_probability(self) -> Floats:
-        """That each story changed by itself, shape (N,)."""
+        """Probability that each story changed by itself, shape (N,)."""
         result = np.zeros(self.errors.stories)
         for each in self.answers:
             result[list(each.stories)] += each.probability
@@ -123,12 +123,12 @@ class FittedFrame:
 
     @property
     def factors_std(self) -> Floats:
-        """Their standard deviations, shape (N,)."""
+        """Standard deviations of the factors, shape (N,)."""
         return self.factors * np.sqrt(np.diag(self.covariance)[: self.errors.stories])
 
     @property
     def model(self) -> DampedModel:
-        """The frame."""
+        """The frame at the most probable unknowns."""
         return self.errors.model(self.p)
 
 

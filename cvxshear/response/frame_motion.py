@@ -115,7 +115,7 @@ class FrameMotion:
 
     @staticmethod
     def around(frame: UncertainFrame, recording: Recording, backend: Backend, *, free: bool) -> FrameMotion:
-        """Around an identified frame."""
+        """Set up the reconstruction of a recording around an identified frame."""
         varied = VariedFrame.around(frame)
         model = varied.centre.model
         known, level = recording.input != "none", recording.rms()
@@ -129,7 +129,7 @@ class FrameMotion:
         return FrameMotion(frame, varied, recording, setting, noise, backend, free and known)
 
     def without(self, channel: int, parts: list[slice]) -> FrameMotion:
-        """One channel fewer, and of each run a part."""
+        """Leave out one channel, and take a part of each run."""
         return dataclasses.replace(
             self,
             recording=self.recording.without(channel).cut(parts),
@@ -336,7 +336,7 @@ def shown_by(model: DampedModel, responses: list[Response] | None, recording: Re
 
 
 def _drift_rms(model: DampedModel, recording: Recording) -> Floats:
-    """Of each story: predicted, or from the first mode scaled to the sensors where the excitation is not known."""
+    """Rms drift of each story: predicted, or of the first mode at the sensors' size if the excitation is unknown."""
     responses = predicted_responses(model, recording)
     if responses is not None:
         return np.asarray(np.sqrt(np.mean(np.concatenate([item.drift for item in responses]) ** 2, axis=0)))

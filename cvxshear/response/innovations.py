@@ -156,7 +156,7 @@ class PredictionErrors:
 
     @property
     def samples(self) -> int:
-        """Of all stretches together."""
+        """Number of samples of all stretches together."""
         return sum(len(each.y) for each in self.stretches)
 
     def shortened(self, most: int, p: Floats, *, free: bool = True) -> PredictionErrors:

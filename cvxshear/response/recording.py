@@ -114,7 +114,7 @@ class Recording:
         return sum(len(run.measured) for run in self.runs) / self.sampling_rate
 
     def rms(self) -> Floats:
-        """Of each channel, shape (m,), m/s2."""
+        """Compute the root mean square of each channel, shape (m,), m/s2."""
         square: Floats = np.nanmean(np.concatenate([run.measured for run in self.runs]) ** 2, axis=0)
         return np.sqrt(square)
 

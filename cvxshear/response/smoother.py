@@ -288,7 +288,7 @@ def _deviations(rows: Floats, gains: list[_Gain], which: Ints) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Steady:
-    """The smoother of a model whose noise and sensors never change, in whose place it is as good but for the ends.
+    """The smoother of a model whose noise and sensors never change: as good but for the ends of a record.
 
     Parameters
     ----------
