@@ -289,12 +289,15 @@ SHORT: np.dtype[Any] = np.dtype(np.float32)
 MOST_BLOCKS = 128
 """Blocks that are gone through at once: what they need besides the result stays within a few megabytes."""
 
+LONG = 256
+"""Samples, four blocks, from which on products of large matrices are faster than a loop over the samples."""
+
 BLOCK = 64
 """Samples that one sweep of a linear recursion leaps over at once: about the root of the samples of a long record."""
 
 
 def recursion(F: Floats, inputs: Floats, start: Floats, rows: Floats | None = None) -> Floats:
-    """x_0 = start, x_(t+1) = F x_t + inputs_t by products of large matrices.
+    """x_0 = start, x_(t+1) = F x_t + inputs_t, by products of large matrices where there are many samples.
 
     All blocks of samples are first gone through from zero, side by side; what the state at each block's beginning adds
     follows from powers of F. The precision is that of the inputs.
@@ -313,6 +316,13 @@ def recursion(F: Floats, inputs: Floats, start: Floats, rows: Floats | None = No
     ndarray, shape (samples, n) or (samples, k)
     """
     kind = inputs.dtype
+    if len(inputs) < LONG:
+        states = np.empty((len(inputs), len(F)), dtype=kind)
+        state = start
+        for t, more in enumerate(inputs):
+            states[t] = state
+            state = F @ state + more
+        return states if rows is None else np.asarray(states @ rows.T.astype(kind))
     turned = F.T.astype(kind)
     seen = np.eye(len(F), dtype=kind) if rows is None else rows.T.astype(kind)
     # F'^j seen for all j, then over a whole block.

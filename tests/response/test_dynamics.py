@@ -96,7 +96,7 @@ def test_the_noise_has_the_deviations_that_were_asked_for(case):
     np.testing.assert_allclose(settled_covariance(found), settled, rtol=1e-5, atol=1e-10)
 
 
-@pytest.mark.parametrize("samples", [1, 63, 64, 65, 200, 64 * 128 + 70])
+@pytest.mark.parametrize("samples", [1, 200, 256, 319, 320, 321, 64 * 128 + 70])
 @pytest.mark.parametrize("rows", [None, np.array([[1.0, 0.0, 2.0]])])
 def test_a_recursion_by_blocks_is_the_one_sample_by_sample(samples, rows):
     rng = np.random.default_rng(samples)
