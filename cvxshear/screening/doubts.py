@@ -1,4 +1,4 @@
-"""Declarations that look wrong, where something declared or measured besides speaks against them.
+"""What looks wrong, and declarations that do because something declared or measured besides speaks against them.
 
 Nothing in the frequencies and shapes of one test alone says in which unit they are. What does is stated with each
 function. Whether a declared total mass is right, the added masses say: they lower the frequencies the more, the lighter
@@ -8,16 +8,17 @@ own: that of the shear frame nearest to all of them together, its scale free.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import Reading, repeated_configurations
-from cvxshear.screening.results import Finding
 from cvxshear.screening.shear_fit import ROUGH_STEPS, TALLEST_FITTED, ShearFrames, modes_of, odd_starts
 from cvxshear.util.quantities import quantity, significant
-from cvxshear.util.typing import Floats
+from cvxshear.util.results import InJson
+from cvxshear.util.typing import Floats, Json
 
 EARTH = (9.7, 10.0)
 """Range (m/s2) of the Earth's gravity: 9.78 to 9.83 between the equator and the poles, and often rounded."""
@@ -85,6 +86,48 @@ VAGUE = 0.05
 
 UNIT_OFF = 0.5
 """Difference of logarithms within which the ratio of two totals is taken for 1000 or its inverse, a unit."""
+
+
+@dataclass(frozen=True)
+class Finding(InJson):
+    """One thing that looks wrong, and what to change.
+
+    Parameters
+    ----------
+    name : str
+        The word that `[frame] accept = [...]` takes.
+    configuration : str or None
+        Where it was found; None where it concerns the whole file.
+    found : str
+        What is there, a sentence.
+    change : str
+        What to change, a sentence.
+    refuses : bool
+        Whether nothing is to be fitted before it is changed or accepted; else it is a warning.
+    rivals : tuple of str, optional
+        Names of other mistakes that `change` proposes as well; to accept one of them is to accept the finding.
+    """
+
+    name: str
+    configuration: str | None
+    found: str
+    change: str
+    refuses: bool
+    rivals: tuple[str, ...] = ()
+
+    def accepted(self, names: Collection[str]) -> bool:
+        """Whether it is among these names."""
+        return any(name in names for name in (self.name, *self.rivals))
+
+    @property
+    def how_to_accept(self) -> str:
+        """The line of the measurement file that lets it pass."""
+        return f'[frame] accept = ["{self.name}"]'
+
+
+def in_json(found: Iterable[Finding] | None) -> Json:
+    """List what the findings add to a result's JSON; nothing where nobody looked for any."""
+    return {} if found is None else {"warnings": [item.to_dict() for item in found]}
 
 
 def _doubt(name: str, found: str, change: str, configuration: str | None = None) -> Finding:
