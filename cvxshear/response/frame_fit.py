@@ -80,7 +80,7 @@ class Answer:
 
 @dataclass(frozen=True, eq=False)
 class FittedFrame:
-    """The frame in the record.
+    """The frame as it was in the record.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ class FittedFrame:
 
     @cached_property
     def story_probability(self) -> Floats:
-        """That each story changed by itself, shape (N,)."""
+        """Probability that each story changed by itself, shape (N,)."""
         result = np.zeros(self.errors.stories)
         for each in self.answers:
             result[list(each.stories)] += each.probability
@@ -126,7 +126,7 @@ class FittedFrame:
 
     @property
     def factors_std(self) -> Floats:
-        """Their standard deviations, shape (N,): of the stiffness in this record and of the identified one."""
+        """Standard deviations of the factors, shape (N,): the stiffness in this record and the identified one both vary."""
         varied, frame = self.errors.varied, self.errors.frame
         _, J = varied.story_factors(self.p[frame])
         N, D, W, _ = varied.sizes
@@ -136,7 +136,7 @@ class FittedFrame:
 
     @property
     def model(self) -> DampedModel:
-        """The frame."""
+        """The frame at the most probable unknowns."""
         return self.errors.model(self.p)
 
 
@@ -249,7 +249,7 @@ def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: f
     short = errors.shortened(FIRST_SAMPLES, p, free=False)
     widest = prior.gaussian(range(errors.stories), FORM_STDS[-1], SCATTER_STDS[-1])
     root = np.asarray(np.linalg.cholesky(widest.covariance), dtype=np.float64)
-    return short.told(p, root, least * np.sqrt(short.samples / errors.samples))
+    return short.informed(p, root, least * np.sqrt(short.samples / errors.samples))
 
 
 def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: Backend, steps: int) -> FittedFrame:

@@ -110,7 +110,7 @@ class Reconstruction(Shown):
 
     @cached_property
     def spectra_std(self) -> Floats:
-        """Of the spectra, shape (N, lines): relative, that of the floor's peak acceleration at every frequency."""
+        """Standard deviations of the spectra, shape (N, lines): relatively those of the floors' peak accelerations."""
         peak = self.peaks.values["floor_acceleration"]
         relative: Floats = self.peaks.std["floor_acceleration"] / np.where(peak > 0, peak, 1.0)
         return self.spectra.acceleration * relative[:, None]

@@ -89,7 +89,7 @@ class VariedFrame:
 
     @staticmethod
     def around(frame: UncertainFrame) -> VariedFrame:
-        """Around the most probable values of an uncertain frame."""
+        """Set up the variations around the most probable values of an uncertain frame."""
         centre = frame.at(np.zeros(frame.size))
         if frame.kind == "modal":
             own = frame.ratios.std
@@ -108,7 +108,7 @@ class VariedFrame:
 
     @cached_property
     def period(self) -> float:
-        """Of the identified frame's first mode, s."""
+        """Period of the identified frame's first mode, s."""
         return 1.0 / float(self.centre.model.modes.frequencies[0])
 
     def first_samples(self, step: float) -> int:

@@ -170,7 +170,10 @@ def test_the_state_follows_the_added_mass(frame):
 
 def test_forces_are_left_out_where_masses_have_no_scale(frame):
     _, estimate, truth = frame
-    models = Models(None, Fitted.of(estimate, mass_known=False))
+    fitted = Fitted.of(estimate)
+    unscaled = dataclasses.replace(fitted.experiment.frame, total_mass_placeholder=True)
+    fitted = dataclasses.replace(fitted, experiment=dataclasses.replace(fitted.experiment, frame=unscaled))
+    models = Models(None, fitted)
     said = predict(models, recorded(truth)).to_dict()
     assert said["peaks"]["base_shear"] is None
     assert said["peaks"]["story_shear_std"] is None
