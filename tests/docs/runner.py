@@ -227,8 +227,10 @@ def kept(name: str, make: Callable[[], R]) -> R:
 
 def main(arguments: list[str]) -> None:
     import cvxshear.loop  # noqa: PLC0415
+    from cvxshear.report import html  # noqa: PLC0415
 
     cvxshear.close_loop = cvxshear.loop.close_loop = once(cvxshear.loop.close_loop)
+    html.drawings, html.compare_backends = once(html.drawings), once(html.compare_backends)
     examples, *pages = [Path(argument).resolve() for argument in arguments]
     results = {}
     for page in pages:
