@@ -65,14 +65,15 @@ class KnownFrame:
         system = np.block([[np.zeros((count, count)), np.eye(count)], [-inverse @ self.stiffness, -inverse @ damper]])
         load = np.vstack([np.zeros((count, count)), inverse])
         a, b, c, d, _ = scipy.signal.cont2discrete((system, load, system[count:], inverse), step, method="foh")
-        # The modes of the discrete system decouple, so each is one recursive filter.
+        # The modes of the discrete system decouple, so each is one recursive filter; of a conjugate pair one will do.
         values, vectors = np.linalg.eig(a)
-        drive = forces @ np.linalg.solve(vectors, b.astype(complex)).T
-        output = forces @ d.T
-        for place, value in enumerate(values):
-            state = scipy.signal.lfilter([0.0, 1.0], [1.0, -value], drive[:, place])
-            output = output + np.real(np.outer(state, c @ vectors[:, place]))
-        return np.asarray(output)
+        one = values.imag >= 0.0
+        weights = np.where(values.imag > 0.0, 2.0, 1.0)[one]
+        drive = forces @ np.linalg.solve(vectors, b.astype(complex))[one].T
+        for place, value in enumerate(values[one]):
+            drive[:, place] = scipy.signal.lfilter([0.0, 1.0], [1.0, -value], drive[:, place])
+        out = weights * (c @ vectors[:, one])
+        return np.asarray(forces @ d.T + drive.real @ out.real.T - drive.imag @ out.imag.T)
 
 
 PAPER_FRAME = KnownFrame(np.array([10.0, 7.5, 5.0]), np.array([1800.0, 1200.0, 600.0]), 0.01)
