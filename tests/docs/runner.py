@@ -245,7 +245,8 @@ def kept(name: str, make: Callable[[], R]) -> R:
     return result
 
 
-def main(arguments: list[str]) -> None:
+def share() -> None:
+    """From here on this process closes loops and draws reports once, see `once`."""
     import cvxshear.loop  # noqa: PLC0415
 
     cvxshear.close_loop = cvxshear.loop.close_loop = once(cvxshear.loop.close_loop)
@@ -253,6 +254,10 @@ def main(arguments: list[str]) -> None:
     from cvxshear.report import html  # noqa: PLC0415
 
     html.drawings, html.compare_backends = once(html.drawings), once(html.compare_backends)
+
+
+def main(arguments: list[str]) -> None:
+    share()
     examples, *pages = [Path(argument).resolve() for argument in arguments]
     results = {}
     for page in pages:
