@@ -126,7 +126,7 @@ class FittedFrame:
 
     @property
     def factors_std(self) -> Floats:
-        """Standard deviations of the factors, shape (N,): the stiffness in this record and the identified one both vary."""
+        """Standard deviations of the factors, shape (N,): both stiffnesses are uncertain."""
         varied, frame = self.errors.varied, self.errors.frame
         _, J = varied.story_factors(self.p[frame])
         N, D, W, _ = varied.sizes
