@@ -11,7 +11,8 @@ the best sets.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from cvxshear.effects import Placed
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.gauss_newton import CONVERGED_STEP
 from cvxshear.loop.fitter import ROUGH, Fitter
-from cvxshear.loop.hypotheses import OPEN
+from cvxshear.loop.hypotheses import OPEN, Hypothesis
 from cvxshear.loop.linear import Linearised
 from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.neighbors import WITHIN, Set, groups, holds_open, named_entries, promising, with_motions
@@ -64,10 +65,13 @@ class Search:
     fitter : Fitter
     base : Estimate
         Of the set without any.
+    looked_for : sequence of Hypothesis, optional
+        Those of the fitter that sets are made of; all of them where not given.
     """
 
-    def __init__(self, fitter: Fitter, base: Estimate) -> None:
+    def __init__(self, fitter: Fitter, base: Estimate, looked_for: Sequence[Hypothesis] | None = None) -> None:
         self.fitter = fitter
+        self.looked_for = fitter.hypotheses if looked_for is None else looked_for
         start = fitter.model_of(base)
         fitter.base = base
         self.visited: dict[Set, ModelClass] = {start.effects: start}
@@ -76,6 +80,7 @@ class Search:
         self.thinned: set[Set] = set()
         self.regrouped: set[Set] = set()
         self.moved = False
+        self.descended = False
         self.base = start
 
     @property
@@ -100,25 +105,52 @@ class Search:
 
     def run(self) -> None:
         """Visit sets until the beam has nothing left to expand, or the budget is spent."""
-        ways = (
-            (self._prune, self.pruned, 0.0),
-            (self._expand, self.expanded, 0.0),
-            (self._regroup, self.regrouped, 0.0),
-            (self._expand, self.expanded, REACH),
-            (self._regroup, self.regrouped, WITHIN),
-            (self._thin, self.thinned, WITHIN),
+        ways: tuple[Callable[[], bool], ...] = (
+            partial(self._follow, self._prune, self.pruned, 0.0),
+            partial(self._follow, self._expand, self.expanded, 0.0),
+            self._look_elsewhere,
+            partial(self._follow, self._regroup, self.regrouped, 0.0),
+            partial(self._follow, self._expand, self.expanded, REACH),
+            partial(self._follow, self._regroup, self.regrouped, WITHIN),
+            partial(self._follow, self._thin, self.thinned, WITHIN),
+            self._add_motions,
         )
-        while not self.spent:
-            nexts = ((way, self._next(done, within)) for way, done, within in ways)
-            found = next(((way, model) for way, model in nexts if model is not None), None)
-            if found is None:
-                break
-            way, model = found
-            way(model)
-        if not self.moved and not self.spent and self._add_motions():
-            self.run()
-        elif self.spent:
+        while not self.spent and any(way() for way in ways):
+            pass
+        if self.spent:
             self._exchange_in_best()
+
+    def _follow(self, way: Callable[[ModelClass], None], done: set[Set], within: float) -> bool:
+        """Go one way from the best set that has not gone it yet; tell whether there was one."""
+        model = self._next(done, within)
+        if model is not None:
+            way(model)
+        return model is not None
+
+    def _look_elsewhere(self) -> bool:
+        """Where nothing simple explains the data, or an open class has to, look far from the best set first."""
+        if not (self._unsatisfied() or holds_open(self.best.effects)):
+            return False
+        return self._add_motions() or self._descend_among_causes()
+
+    def _descend_among_causes(self) -> bool:
+        """Visit, where the best set holds an open class, what causes alone lead to; tell whether one of them is better.
+
+        A class that does the work of several causes hides them, which are seen only together: by themselves each of
+        them brings less than the class. Without it the way to them is short.
+        """
+        if self.descended or not holds_open(self.best.effects):
+            return False
+        self.descended = True
+        assert self.base.estimate is not None, "the shear model was fitted"
+        causes = [item for item in self.looked_for if item.placed.effect.kind != OPEN]
+        alone = Search(self.fitter, self.base.estimate, causes)
+        ways = ((alone._prune, alone.pruned), (alone._expand, alone.expanded))
+        while not alone.spent and any(alone._follow(way, done, 0.0) for way, done in ways):
+            pass
+        before = self.best
+        self._record(model for effects, model in alone.visited.items() if effects not in self.visited)
+        return self.best is not before
 
     def _exchange_in_best(self) -> None:
         """Visit what may stand in the place of each effect of the best sets, however many sets were visited.
@@ -138,10 +170,12 @@ class Search:
 
     def _add_motions(self) -> bool:
         """Visit sets with an effect that brings a motion of its own, where the shear model does not win."""
+        if self.moved or self.best is self.base:
+            return False
         self.moved = True
         base = self.base.estimate
         assert base is not None, "the shear model was fitted"
-        found = [] if self.best is self.base else with_motions(base, self.fitter)
+        found = with_motions(base, self.fitter)
         # An effect may be fitted from several starts: the best of them is the set's fit.
         self._record(sorted(self.fitter.models(found), key=lambda model: model.score))
         return bool(found)
@@ -242,7 +276,7 @@ class Search:
         """List the effects that a set lacks and the linearised model at its fit can judge."""
         return [
             item.placed
-            for item in self.fitter.hypotheses
+            for item in self.looked_for
             if item.placed not in model.effects and not item.placed.effect.adds_motion
         ]
 

@@ -26,6 +26,7 @@ from cvxshear.util import checks
 from cvxshear.util.typing import Floats, Ints
 
 EXCITATIONS = ("ambient", "shaker", "hammer")
+"""Kinds of records whose noise is known, see `Recorded`."""
 
 HAMMER = 0.35
 """Of the shaker's factor: between blows a hammer's force is known to be zero. From the study

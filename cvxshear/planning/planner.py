@@ -25,6 +25,7 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
 
 GOALS = {"masses": ("floor_mass",), "stiffnesses": ("story_stiffness",), "all": ("floor_mass", "story_stiffness")}
+"""What a plan can be for besides effects, with the quantities that it is to determine."""
 
 DECLARED = "declared"
 """In place of a number of tests: those that the file declares."""
@@ -33,6 +34,7 @@ USUAL_MODES = 4
 """Modes that are planned for where nothing says which: as many as ambient tests of buildings commonly give."""
 
 MOST_TESTS = 50
+"""Tests at most: nobody makes more, and the program's time grows with them."""
 
 TURNS = 3
 """Times that floors and masses are chosen, one given the other; the third turn seldom changes anything."""

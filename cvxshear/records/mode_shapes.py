@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cvxshear.measurement.sign_rule import fewest_changes, most_changes
+from cvxshear.measurement.reading import fewest_changes, most_changes
 from cvxshear.records.record import Complexes
 from cvxshear.util.typing import Floats
 

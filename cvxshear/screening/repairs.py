@@ -274,4 +274,4 @@ KINDS: tuple[Callable[[Reading, Sequence[Modes]], Iterator[Repair]], ...] = (
     other_orders,
     entry_signs,
 )
-"""Simplest first."""
+"""Kinds of repairs, the simplest first: of two that are alike the first is named."""
