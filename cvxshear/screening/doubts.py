@@ -24,7 +24,7 @@ from cvxshear.util.typing import Floats
 EARTH = (9.7, 10.0)
 """m/s2; between the equator and the poles it is 9.78 to 9.83, and often rounded."""
 
-OTHER_GRAVITIES = ((981.0, "cm/s2"), (9810.0, "mm/s2"), (32.2, "ft/s2"), (386.0, "in/s2"), (1.0, "g"))
+OTHER_GRAVITIES = ((981.0, "cm/s²"), (9810.0, "mm/s²"), (32.2, "ft/s²"), (386.0, "in/s²"), (1.0, "g"))
 
 HIGHEST_STORY = 25.0
 """m."""
@@ -103,8 +103,8 @@ def gravity(experiment: Experiment) -> Iterator[Finding]:
         return
     unit = next((f" (that would be {unit})" for size, unit in OTHER_GRAVITIES if _near(value, size)), "")
     yield _doubt(
-        "gravity", None, f"gravity = {value:g} m/s2 is not the Earth's{unit}",
-        "write it in m/s2, 9.81, or leave it out",
+        "gravity", None, f"gravity = {value:g} m/s² is not the Earth's{unit}",
+        "write it in m/s², 9.81, or leave it out",
     )  # fmt: skip
 
 

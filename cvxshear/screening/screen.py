@@ -96,6 +96,10 @@ class Remark(Protocol):
         """Convert the remark to plain values."""
 
 
+MISDECLARED = ("sign", "unit", "swapped channels")
+"""Kinds of remarks on a record that a change of its file settles; all others are of the record itself."""
+
+
 @dataclass(frozen=True, repr=False)
 class Screening(Shown):
     """What `check` shows of a file.
@@ -117,7 +121,7 @@ class Screening(Shown):
     findings: tuple[Finding, ...]
     record: tuple[Remark, ...] = ()
 
-    json_keys = "name refused findings record"
+    json_keys = "name refused doubtful findings record"
 
     @staticmethod
     def of(experiment: Measurement, record: Iterable[Remark] = ()) -> Screening:
@@ -129,6 +133,11 @@ class Screening(Shown):
     def refused(self) -> bool:
         """Whether nothing is to be fitted before something is changed or accepted."""
         return any(item.refuses for item in self.findings)
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether a doubt is open, or a record contradicts what its file declares of a sensor."""
+        return bool(self.findings) or any(item.kind in MISDECLARED for item in self.record)
 
 
 def screen(experiment: Measurement) -> tuple[Finding, ...]:

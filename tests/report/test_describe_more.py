@@ -126,7 +126,7 @@ def test_what_a_plan_leaves_open_is_called_so():
 def test_a_prediction_is_described_by_its_peaks_and_errors(predicted, shaken):
     total, relative = shaken[3]
     shown = table(predicted, "prediction-peaks")
-    assert shown.head[1:4] == ("acceleration, m/s2", "displacement, mm", "drift, mm")
+    assert shown.head[1:4] == ("acceleration, m/s²", "displacement, mm", "drift, mm")
     drift = np.diff(np.column_stack([np.zeros(len(relative)), relative]), axis=1)
     # The base's row, with its moment, has no cell in these columns.
     for at, values in ((1, total), (2, 1e3 * relative), (3, 1e3 * drift)):
@@ -142,8 +142,11 @@ def test_a_prediction_is_described_by_its_peaks_and_errors(predicted, shaken):
     for row, exact in zip(reversed(rows), damped_frame(3)[2], strict=True):
         found, std = map(float, row.cells[1].split(" ± "))
         assert abs(found - exact) < 2 * std < 0.5 * exact
-    said = describe(predicted).headline
-    assert said == "three stories (configuration 1) under base motion of shaken: 4.0 s at 100 Hz"
+    most = np.argmax(np.max(np.abs(drift), axis=0))
+    assert describe(predicted).headline.startswith(f"Story {most + 1} drifts most: ")
+    assert "the measured accelerations of floors 1, 2, 3 are missed by " in describe(predicted).headline
+    said = parts(predicted, Sentence)[0].text
+    assert said.startswith("three stories (configuration 1) under base motion of shaken: 4.0 s at 100 Hz, by the ")
 
 
 def test_the_damping_of_a_frame_describes_itself(predicted):
