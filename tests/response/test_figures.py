@@ -12,6 +12,7 @@ from cvxshear.records.motion import Drive, Motion
 from cvxshear.report import figures
 from cvxshear.report.describe import describe
 from cvxshear.report.figures.figure_table import figures_of
+from cvxshear.report.figures.style import for_narrow_page
 from cvxshear.response import (
     DampedModel,
     Fitted,
@@ -46,6 +47,10 @@ def prediction(request):
 @pytest.mark.parametrize("draw", DRAWN, ids=lambda draw: draw.__name__)
 def test_figures_are_readable(prediction, draw):
     assert_readable(draw(prediction))
+    with for_narrow_page():
+        drawn = draw(prediction)
+    assert drawn.get_figwidth() <= 3.7
+    assert_readable(drawn)
 
 
 def test_figures_without_measured_floors(prediction):
