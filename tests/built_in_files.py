@@ -148,13 +148,7 @@ def benchmark(direction: str) -> str:
 
 def loosened_joints() -> str:
     """Frequencies of the healthy frame and of twelve states with one loose plate."""
-    lines = [
-        OF_JOINTS,
-        "[frame]",
-        "stories = 3",
-        "floor_masses = [0.697, 0.6967, 0.6976]",
-        'reference = "healthy"',
-    ]
+    lines = [OF_JOINTS, "[frame]", "stories = 3", "floor_masses = [0.697, 0.6967, 0.6976]", 'reference = "healthy"']
     for row in rows("ucl-loosened-joints/states.csv"):
         if row["session"] != "day6":
             continue

@@ -1,8 +1,9 @@
 """What the loop makes of frames whose cause no effect of the catalogue is, or a cause beyond the first ten.
 
 python -m tests.outside --frames 5 --seed 1 prints, for each kind of frame, how often something that is not there was
-named with 95 % or more, how often the kind of cause was told, and how often masses and stiffnesses were covered. The
-frames are made here from matrices of their own, with motions that a shear frame has not: tanks, turning floors, a base.
+named with 95 % or more, how often the kind of cause was told, in how many frames the shear model leaves a residual that
+has to be explained, and how often masses and stiffnesses were covered. The frames are made here from matrices of their
+own, with motions that a shear frame has not: tanks, turning floors, a base.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from tests.fe.frame import Building, sway_modes
 FREQUENCY_STD, SHAPE_STD = 0.001, 0.01
 HEIGHT = 3.0
 SURE = 0.95
+VISIBLE = 0.05
+"""Probability of the shear model's residual below which something is there to be told."""
 
 
 @dataclass
@@ -193,6 +196,7 @@ class Outcome:
     named: tuple[tuple[str, float], ...]
     false: int
     told: bool
+    visible: bool
     covered: tuple[int, int]
 
 
@@ -214,7 +218,8 @@ def outcome(task):
     exact = np.concatenate([frame.mass, frame.stiffness])
     inside = int(np.sum(np.abs(values - exact) <= stats.norm.isf(0.025) * std))
     named = tuple((item["name"], round(item["probability"], 3)) for item in result["effects"])
-    return Outcome(kind, seed, result["verdict"], named, false, bool(names & right), (inside, len(exact)))
+    visible = result["before"]["p_value"] < VISIBLE
+    return Outcome(kind, seed, result["verdict"], named, false, bool(names & right), visible, (inside, len(exact)))
 
 
 def outcomes(frames: int, seed: int, kinds: Sequence[str] = tuple(KINDS), jobs: int | None = None) -> list[Outcome]:
@@ -231,14 +236,14 @@ def main():
     parser.add_argument("--failures", action="store_true")
     chosen = parser.parse_args()
     found = outcomes(chosen.frames, chosen.seed, tuple(chosen.kind or KINDS))
-    print("kind                         false  pile  told  covered  verdicts")
+    print("kind                         false  pile  told  of visible  covered  verdicts")
     for kind in dict.fromkeys(each.kind for each in found):
         own = [each for each in found if each.kind == kind]
         inside, count = np.sum([each.covered for each in own], axis=0)
         verdicts = ", ".join(f"{v} {sum(each.verdict == v for each in own)}" for v in sorted({e.verdict for e in own}))
         false, pile = sum(each.false > 0 for each in own), sum(each.false > 3 for each in own)
-        told = sum(each.told for each in own)
-        print(f"{kind:28s} {false:5d} {pile:5d} {told:5d}  {100 * inside / count:5.0f} %  {verdicts}")
+        told, visible = sum(each.told for each in own), sum(each.visible for each in own)
+        print(f"{kind:28s} {false:5d} {pile:5d} {told:5d} {visible:11d}  {100 * inside / count:5.0f} %  {verdicts}")
         if chosen.failures:
             for each in own:
                 print("   ", each.seed, each.verdict, each.named, "" if each.told else "NOT TOLD", each.covered)

@@ -118,7 +118,7 @@ FAULTS = {
 """Faults that `tests.mistakes` does not have, each with the effects that are a right answer to it."""
 
 UNTOLD = {
-    "all_in_rad": "a frame (2 pi)^2 times as stiff has these modes; masses are right, every stiffness is wrong by that",
+    "all_in_rad": "a frame (2 pi)^2 times as stiff has these modes; masses are right, every stiffness is wrong by that"
 }
 """Faults of which no datum can tell, with the reason."""
 

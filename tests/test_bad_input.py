@@ -83,10 +83,7 @@ TABLES = {
         {**declared(), "zzz": 1},
         f"the measurement file: unknown key 'zzz'; {TABLES_OF_A_FILE}",
     ),
-    "a key that is no text": (
-        {**declared(), 3: 1},
-        f"the measurement file: unknown key 3; {TABLES_OF_A_FILE}",
-    ),
+    "a key that is no text": ({**declared(), 3: 1}, f"the measurement file: unknown key 3; {TABLES_OF_A_FILE}"),
     "[configuration]": (
         {"configuration": declared()["configuration"][0]},
         "[configuration] must be a list of tables: write [[configuration]], in double brackets",
@@ -128,10 +125,7 @@ FRAMES = {
     "no story": ({"stories": 0}, "stories = 0 must lie between 1 and 2000"),
     "fewer stories than none": ({"stories": -3}, "stories = -3 must lie between 1 and 2000"),
     "a million stories": ({"stories": 1000000}, "stories = 1000000 must lie between 1 and 2000"),
-    "a huge number of stories": (
-        {"stories": HUGE},
-        f"stories = 1{'0' * 27}...{'0' * 29} must lie between 1 and 2000",
-    ),
+    "a huge number of stories": ({"stories": HUGE}, f"stories = 1{'0' * 27}...{'0' * 29} must lie between 1 and 2000"),
     "stories that cannot be printed": (
         {"stories": TOO_LONG},
         "stories = a number too long to print must lie between 1 and 2000",
@@ -150,10 +144,7 @@ FRAMES = {
         {"total_mass": HUGE},
         f"total_mass = 1{'0' * 27}...{'0' * 29} must be between 1e-30 and 1e+30; check its unit",
     ),
-    "a vanishing mass": (
-        {"total_mass": 1e-300},
-        "total_mass = 1e-300 must be between 1e-30 and 1e+30; check its unit",
-    ),
+    "a vanishing mass": ({"total_mass": 1e-300}, "total_mass = 1e-300 must be between 1e-30 and 1e+30; check its unit"),
     "a date for a mass": (
         {"total_mass": datetime.date(2020, 1, 2)},
         "total_mass must be a number, not datetime.date(2020, 1, 2)",
@@ -194,10 +185,7 @@ KEYS = {
     "empty frequencies": ({"frequencies": []}, ": frequencies must not be empty"),
     "a text for a frequency": ({"frequencies": [2.0, "5 Hz"]}, ": frequencies, entry 2 must be a number, not '5 Hz'"),
     "a text for frequencies": ({"frequencies": "2, 5"}, ": frequencies must be a list of numbers, not '2, 5'"),
-    "nan in a frequency": (
-        {"frequencies": [2.0, np.nan]},
-        ": frequencies, entry 2 must be a finite number, not nan",
-    ),
+    "nan in a frequency": ({"frequencies": [2.0, np.nan]}, ": frequencies, entry 2 must be a finite number, not nan"),
     "inf in a frequency": ({"frequencies": [2.0, np.inf]}, ": frequencies, entry 2 must be a finite number, not inf"),
     "a frequency of zero": ({"frequencies": [0.0, 2.0]}, ": frequencies, entry 1 = 0 must be greater than 0"),
     "a negative frequency": ({"frequencies": [-2.0, 2.0]}, ": frequencies, entry 1 = -2 must be greater than 0"),
@@ -269,18 +257,12 @@ KEYS = {
         ": mode_shapes, rows 1 and 3 are the same shape; each mode has its own",
     ),
     "floor 0": ({"measured_floors": [0, 1]}, ": measured_floors, entry 1 = 0 must lie between 1 and 2000"),
-    "half a floor": (
-        {"measured_floors": [1, 1.5]},
-        ": measured_floors, entry 2 must be a whole number, not 1.5",
-    ),
+    "half a floor": ({"measured_floors": [1, 1.5]}, ": measured_floors, entry 2 must be a whole number, not 1.5"),
     "floors out of order": (
         {"measured_floors": [2, 1]},
         ": measured_floors must be ascending, none twice; found 1 after 2",
     ),
-    "a floor twice": (
-        {"measured_floors": [2, 2]},
-        ": measured_floors must be ascending, none twice; found 2 after 2",
-    ),
+    "a floor twice": ({"measured_floors": [2, 2]}, ": measured_floors must be ascending, none twice; found 2 after 2"),
     "a floor beyond the frame": (
         {"measured_floors": [1, 3], "added_mass": [0, 1]},
         ": measured_floors names floor 3 of a frame of 2 stories; floors count from 1, the first above ground, to 2",
@@ -396,10 +378,7 @@ CONTRADICTIONS = {
         'configuration "B": mode_shapes (no measured_floors given) speaks of 3 stories, configuration "A": mode_shapes '
         "(no measured_floors given) of 2; they must agree",
     ),
-    "two of one name": (
-        {"configurations": [{}, {}]},
-        'two configurations are named "A"; give each a name of its own',
-    ),
+    "two of one name": ({"configurations": [{}, {}]}, 'two configurations are named "A"; give each a name of its own'),
     "too many stories by added mass": (
         {"added_mass": [0.0] * 2001, "measured_floors": [1, 2]},
         'configuration "A": added_mass speaks of 2001 stories; 2000 are the most that are taken',
@@ -451,10 +430,7 @@ PRIORS = {
     "unknown kind": ({"kind": "bound"}, "kind must be one of {kinds}, not 'bound'; did you mean 'bounds'?"),
     "nothing like a kind": ({"kind": "xyz"}, "kind must be one of {kinds}, not 'xyz'"),
     "a list for a kind": ({"kind": ["bounds"]}, "kind must be one of {kinds}, not ['bounds']"),
-    "unknown key": (
-        {**BOUNDS, "lowr": 1},
-        "the bounds prior: unknown key 'lowr'; did you mean 'lower'?",
-    ),
+    "unknown key": ({**BOUNDS, "lowr": 1}, "the bounds prior: unknown key 'lowr'; did you mean 'lower'?"),
     "another kind's key": (
         {**MONOTONE, "free_scale": True},
         "the monotone prior: unknown key 'free_scale'; known keys are direction, kind, quantity",
@@ -605,10 +581,7 @@ FILES = {
         SOUND.replace("31.33", "1e999").encode(),
         ": frame: total_mass must be a finite number, not inf",
     ),
-    "nan for a mass": (
-        SOUND.replace("31.33", "nan").encode(),
-        ": frame: total_mass must be a finite number, not nan",
-    ),
+    "nan for a mass": (SOUND.replace("31.33", "nan").encode(), ": frame: total_mass must be a finite number, not nan"),
     "a date for a mass": (
         SOUND.replace("31.33", "2020-01-02").encode(),
         ": frame: total_mass must be a number, not datetime.date(2020, 1, 2)",

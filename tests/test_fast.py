@@ -19,8 +19,7 @@ from cvxshear.model.shear import mass_matrix, mode_derivatives, modes, shear_sys
 from cvxshear.paper.setups import three_story
 from cvxshear.priors import Bounds, Nominal, Ratio
 from cvxshear.programs import mass_correction, one_shot_masses, story_stiffnesses
-from cvxshear.programs.normal import digits_lost, factored, pair_adjoint, pair_normal
-from cvxshear.programs.orthogonality import normalized, pair_products
+from cvxshear.programs.orthogonality import digits_lost, factored, normalized, pair_adjoint, pair_normal, pair_products
 from cvxshear.programs.statements import _plainly_feasible, feasible, statements
 from cvxshear.util.parallel import each
 from tests.frames import configuration, experiment

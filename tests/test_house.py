@@ -95,9 +95,7 @@ def test_every_module_has_its_room():
 
 def test_nothing_imports_upward():
     upward = [
-        f"{name}:{line} imports {target}"
-        for name, target, line in arrows()
-        if LEVEL[room(target)] > LEVEL[room(name)]
+        f"{name}:{line} imports {target}" for name, target, line in arrows() if LEVEL[room(target)] > LEVEL[room(name)]
     ]
     assert upward == []
 

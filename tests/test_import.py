@@ -23,11 +23,7 @@ def loaded_by(statement):
 
 @pytest.mark.parametrize(
     "statement",
-    [
-        "import cvxshear",
-        "import cvxshear; dir(cvxshear)",
-        "import cvxshear; cvxshear.Experiment, cvxshear.load",
-    ],
+    ["import cvxshear", "import cvxshear; dir(cvxshear)", "import cvxshear; cvxshear.Experiment, cvxshear.load"],
 )
 def test_importing_cvxshear_loads_no_solver_no_plotting_and_no_command_line(statement):
     modules = loaded_by(statement)

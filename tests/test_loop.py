@@ -256,7 +256,6 @@ class Brace(Effect):
         dK[own] += np.outer(e, e)
         return state.with_stiffness(state.system.K + values[0] * np.outer(e, e), dK)
 
-
     def sizes(self, scale):
         return np.array([0.1 * scale.story_stiffness])
 

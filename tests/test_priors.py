@@ -507,16 +507,3 @@ def test_a_statement_about_something_else(constraints, message):
 def test_what_a_prior_suggests(prior, expected):
     suggested = prior.suggested(3)
     assert suggested is expected or np.array_equal(suggested, expected, equal_nan=True)
-
-
-@pytest.mark.parametrize("prior", [Value("floor_mass", 2, 13.0, 0.1), Nominal("floor_mass", [13.0] * 3, 0.1)])
-def test_a_statement_made_again_scatters_as_it_says(prior):
-    rng = np.random.default_rng(0)
-    values = np.array([np.nanmean(prior.redrawn(rng).suggested(3)[1:2]) for _ in range(4000)])
-    assert values.mean() == pytest.approx(13.0, rel=0.01)
-    assert values.std() == pytest.approx(1.3, rel=0.05)
-
-
-def test_an_exact_statement_is_made_again_as_it_is():
-    for prior in (Value("floor_mass", 2, 13.0), Ratio("floor_mass", 1, 2, 2.0, 0.1)):
-        assert prior.redrawn(np.random.default_rng(0)) is prior

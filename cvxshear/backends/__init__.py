@@ -7,19 +7,6 @@ from cvxshear.backends.certificate import Certificate, Solution
 from cvxshear.backends.installed import ListedBackend, available, get, listed, register
 
 __all__ = [
-    "Answer",
-    "Backend",
-    "BackendResult",
-    "BenchmarkProgram",
-    "Canonical",
-    "Certificate",
-    "Comparison",
-    "ListedBackend",
-    "ProgramKind",
-    "Solution",
-    "available",
-    "compare",
-    "get",
-    "listed",
-    "register",
-]
+    "Answer", "Backend", "BackendResult", "BenchmarkProgram", "Canonical", "Certificate", "Comparison",
+    "ListedBackend", "ProgramKind", "Solution", "available", "compare", "get", "listed", "register",
+]  # fmt: skip

@@ -23,7 +23,7 @@ from cvxshear.backends.canonical import Answer, Canonical, canonical
 from cvxshear.backends.certificate import Assembled, Certificate, Point, Solution, certify, largest_relative
 from cvxshear.backends.minimizer import Minimizer, UndeterminedError, UnsettledError, minimizer
 from cvxshear.programs import LeastSquares
-from cvxshear.util.checks import shown
+from cvxshear.util import checks
 from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError
 from cvxshear.util.typing import Bools, Floats
 
@@ -135,18 +135,18 @@ class Backend(ABC):
         answer = self.answer(problem) if self.time_limit is None else _limited(self, problem, self.time_limit)
         if not isinstance(answer, Answer):
             raise InputError(
-                f"backend {self.name}: answer() must return a cvxshear.backends.Answer, not {shown(answer)}"
+                f"backend {self.name}: answer() must return a cvxshear.backends.Answer, not {checks.shown(answer)}"
             )
-        parts = [
-            _numbers(getattr(answer, name), length, f"backend {self.name}: {name} of its answer")
-            for name, length in (("z", len(problem.q)), ("y", len(problem.e)), ("w", len(problem.f)))
-        ]
-        for values in parts:
+        checked = {}
+        for name, length in (("z", len(problem.q)), ("y", len(problem.e)), ("w", len(problem.f))):
+            where = f"backend {self.name}: {name} of its answer"
+            values = checked[name] = checks.real(getattr(answer, name), where)
+            if values.shape != (length,):
+                raise InputError(f"{where} must have the shape ({length},), not {values.shape}")
             if not np.all(np.isfinite(values)):
                 first = values[~np.isfinite(values)][0]
                 raise NoSolutionError(self.name, f"its answer holds {first} (its own status: {answer.status})")
-        z, y, w = parts
-        return dataclasses.replace(answer, z=z, y=y, w=w)
+        return dataclasses.replace(answer, z=checked["z"], y=checked["y"], w=checked["w"])
 
     def solve(self, program: LeastSquares, start: Solution | None = None) -> Solution:
         """Solve a program, and certify the solution.
@@ -299,19 +299,6 @@ def _padded(part: Answer, within: Bools, iterations: int | None) -> Answer:
     w = np.zeros(len(within))
     w[within] = part.w
     return dataclasses.replace(part, w=w, iterations=iterations)
-
-
-def _numbers(values: object, length: int, where: str) -> Floats:
-    """Real numbers of this length, as floats."""
-    try:
-        array = np.asarray(values)
-    except ValueError:
-        array = np.array(None)
-    if array.dtype.kind not in "fiu":
-        raise InputError(f"{where} must hold real numbers, not {shown(values)}")
-    if array.shape != (length,):
-        raise InputError(f"{where} must have the shape ({length},), not {array.shape}")
-    return np.array(array, dtype=float)
 
 
 _given_up: weakref.WeakSet[Backend] = weakref.WeakSet()

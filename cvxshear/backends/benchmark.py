@@ -17,7 +17,11 @@ from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats
 
 REPEATS = 3
+"""Solves of each program of which the fastest counts: one is often disturbed, three seldom all."""
+
 MOST_REPEATS = 10_000
+"""Repeats that are taken: more are a slip of the pen, and run for hours."""
+
 OPEN_DIRECTION = 1e-12
 """Ratio of the smallest to the largest singular value below which rows leave a direction open."""
 

@@ -39,8 +39,8 @@ TOUCHED = 1e-9
 """Violation of an inequality that still counts as none, relative to its right side: what solvers leave at best."""
 
 ZERO_VIOLATION = 1e-13
-"""The same in scaled units, for right sides near zero: rounding. Where the rows are badly conditioned a right side of
-order one in its own units is a small number in scaled ones."""
+"""Violation of an inequality that still counts as none, in scaled units, for right sides near zero: rounding. Where the
+rows are badly conditioned a right side of order one in its own units is a small number in scaled ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +211,8 @@ def _whitening(R: Floats, s: Floats, A: Floats, b: Floats) -> tuple[Floats, Floa
     # What stands below the diagonal are reflections, which LAPACK's triangular solvers pass over.
     triangle = lapack.dgeqrf(stacked, lwork=64 * (n + 1))[0][:n]
     U, q = triangle[:, :n], triangle[:, n]
-    if len(U) == n and _reciprocal_condition(U) > SINGULAR_ROWS:
+    # LAPACK estimates the condition number of a triangle, in the 1-norm, at O(n^2) cost.
+    if len(U) == n and float(lapack.dtrcon(U)[0]) > SINGULAR_ROWS:
         # From U'X' = I, so that X U is the identity to its last digits, row by row: x = X z is what is needed.
         inverse = lapack.dtrtrs(U, np.eye(n), trans=1)[0].T
         return D[:, None] * inverse, np.eye(n), q.copy(), False
@@ -220,11 +221,6 @@ def _whitening(R: Floats, s: Floats, A: Floats, b: Floats) -> tuple[Floats, Floa
     padded = np.zeros(n)
     padded[: len(U)] = q
     return np.diag(D), square, padded, True
-
-
-def _reciprocal_condition(U: Floats) -> float:
-    """LAPACK's estimate of the reciprocal condition number of a triangle, in the 1-norm, at O(n^2) cost."""
-    return float(lapack.dtrcon(U)[0])
 
 
 def _inequalities(program: LeastSquares, inverse: Floats) -> tuple[Floats, Floats]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import tempfile
 from collections.abc import Sequence
 from io import BytesIO
@@ -45,6 +43,7 @@ class CvxshearPrograms(qpbenchmark.TestSet):
         for path in sorted(Path(__file__).parent.glob("*.npz")):
             yield qpbenchmark.Problem.load(str(path))
 '''
+"""The test set, which reads the programs beside it."""
 
 
 def export(programs: Sequence[BenchmarkProgram], folder: str | Path) -> list[Path]:
@@ -73,25 +72,15 @@ def export(programs: Sequence[BenchmarkProgram], folder: str | Path) -> list[Pat
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise InputError(f"{folder} is there already and not empty; name a new folder for the programs")
         folder.parent.mkdir(parents=True, exist_ok=True)
-        beside = Path(tempfile.mkdtemp(prefix=folder.name, dir=folder.parent))
-        try:
-            written = _written(programs, beside)
-            # A folder made for one's own eyes alone is not what somebody who names one expects.
-            beside.chmod(0o777 & ~_umask())
-            beside.replace(folder)
-        except BaseException:
-            shutil.rmtree(beside, ignore_errors=True)
-            raise
+        with tempfile.TemporaryDirectory(prefix=folder.name, dir=folder.parent) as beside:
+            # The temporary folder is for one's own eyes alone, which is not what somebody who names one expects.
+            whole = Path(beside) / folder.name
+            whole.mkdir()
+            written = _written(programs, whole)
+            whole.replace(folder)
     except OSError as error:
         raise InputError(f"{folder} cannot be written: {error.strerror}") from None
-    return [folder / path.relative_to(beside) for path in written]
-
-
-def _umask() -> int:
-    """Read the process's mask of permissions, which is possible only by setting it."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+    return [folder / path.relative_to(whole) for path in written]
 
 
 def _written(programs: Sequence[BenchmarkProgram], folder: Path) -> list[Path]:

@@ -64,34 +64,23 @@ def version(package: str) -> str | None:
         return None
 
 
+MODULES = {
+    "copt": "coptpy", "gurobi": "gurobipy", "highs": "highspy", "jaxopt_osqp": "jaxopt", "proxqp": "proxsuite",
+    "sip": "sip_qp_python",
+}  # fmt: skip
+"""Modules of the solvers that Python knows by another name than qpsolvers; pip has a - for each _."""
+
 THROUGH_QPSOLVERS = tuple(
-    Solver(*each)
-    for each in (
-        ("clarabel", "clarabel", "clarabel"),
-        ("copt", "coptpy", "coptpy"),
-        ("cvxopt", "cvxopt", "cvxopt"),
-        ("daqp", "daqp", "daqp"),
-        ("ecos", "ecos", "ecos"),
-        ("gurobi", "gurobipy", "gurobipy"),
-        ("highs", "highspy", "highspy"),
-        ("jaxopt_osqp", "jaxopt", "jaxopt"),
-        ("kvxopt", "kvxopt", "kvxopt"),
-        ("mosek", "mosek", "mosek"),
-        ("osqp", "osqp", "osqp"),
-        ("piqp", "piqp", "piqp"),
-        ("proxqp", "proxsuite", "proxsuite"),
-        ("pyqpmad", "pyqpmad", "pyqpmad"),
-        ("qpalm", "qpalm", "qpalm"),
-        ("qpax", "qpax", "qpax"),
-        ("qtqp", "qtqp", "qtqp"),
-        ("quadprog", "quadprog", "quadprog"),
-        ("scs", "scs", "scs"),
-        ("sip", "sip_qp_python", "sip-qp-python"),
+    Solver(name, MODULES.get(name, name), MODULES.get(name, name).replace("_", "-"))
+    for name in (
+        "clarabel", "copt", "cvxopt", "daqp", "ecos", "gurobi", "highs", "jaxopt_osqp", "kvxopt", "mosek", "osqp",
+        "piqp", "proxqp", "pyqpmad", "qpalm", "qpax", "qtqp", "quadprog", "scs", "sip",
     )
-)
-"""Those of qpsolvers that pip can install, under their names there."""
+)  # fmt: skip
+"""Solvers of qpsolvers that pip can install, under their names there."""
 
 THROUGH_CVXPY = tuple(Solver(f"cvxpy-{name}", name, name, "cvxpy") for name in ("clarabel", "osqp", "scs"))
+"""Solvers that cvxpy brings along and that take a quadratic objective."""
 
 TOLERANCES: dict[str, dict[str, float]] = {
     "clarabel": {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12},
@@ -102,7 +91,8 @@ TOLERANCES: dict[str, dict[str, float]] = {
     "proxqp": {"eps_abs": 1e-11},
     "scs": {"eps_abs": 1e-9, "eps_rel": 1e-9},
 }
-"""Accuracies a solver, chosen so that masses and stiffnesses agree with the closed form within 1e-6."""
+"""Accuracies that each solver is asked for, chosen so that masses and stiffnesses agree with the closed form within
+1e-6."""
 
 TIME_LIMITS = {
     "clarabel": "time_limit",
@@ -122,6 +112,8 @@ OTHER_OPTIONS: dict[str, dict[str, Any]] = {
     "proxqp": {"eps_rel": 0.0, "max_iter": 10_000},
     "scs": {"max_iters": 200_000},
 }
+"""Further options: iterations enough for the accuracy above, which the solvers' own limits are not, and no looser
+accuracy beside it."""
 
 
 def accurate(solver: str) -> dict[str, Any]:

@@ -39,6 +39,10 @@ if TYPE_CHECKING:
 
 
 def new(
+    more: Annotated[
+        list[str] | None,
+        typer.Argument(help="More files of the record that --record begins: hits, say.", metavar="DATA..."),
+    ] = None,
     output: Annotated[
         str | None,
         writes("--output", "-o", what="Write it here; printed where not given.", metavar="TOML", endings=(".toml",)),
@@ -58,6 +62,7 @@ def new(
     """Begin a measurement file, or with --record a record file: one with every key explained, to fill in.
 
     Example: cvxshear new --stories 5 -o test.toml
+    Example: cvxshear new --record hit1.csv hit2.csv hit3.csv -o hits.toml
     """
     from cvxshear.files.to_fill_in import record_template, template, template_from
 
@@ -66,11 +71,13 @@ def new(
     ]
     if len(given) > 1:
         raise InputError(f"give only one of {' and '.join(given)}: either tells what the file is begun from")
+    if more and record is None:
+        raise InputError(f"{more[0]}: name files after --record, for a record file, or after --from")
     if output is not None and Path(output).exists():
         raise InputError(f"{output} is there already; name a new file, or delete the old one first")
     folder = Path(output).parent if output is not None else Path()
     if record is not None:
-        text = record_template(record, folder)
+        text = record_template([record, *(more or ())], folder)
     else:
         text = template_from(modes, folder) if modes is not None else template(3 if stories is None else stories)
     if output is None:

@@ -17,20 +17,9 @@ from cvxshear.data.shapes import Shapes
 from cvxshear.data.static import Static
 
 __all__ = [
-    "Datum",
-    "Deviation",
-    "ErrorFigure",
-    "Frequencies",
-    "Model",
-    "Noise",
-    "NoiseKind",
-    "Residual",
-    "Shapes",
-    "Static",
-    "data_of",
-    "noise_kinds",
-    "register",
-]
+    "Datum", "Deviation", "ErrorFigure", "Frequencies", "Model", "Noise", "NoiseKind", "Residual", "Shapes",
+    "Static", "data_of", "noise_kinds", "register",
+]  # fmt: skip
 
 for _kind in (Frequencies, Shapes, Static):
     register(_kind)

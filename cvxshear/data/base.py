@@ -195,14 +195,14 @@ class Datum(ABC):
         """All data of this kind in an experiment."""
 
     @property
-    @abstractmethod
     def label(self) -> str:
-        """What and where it was measured, for a reader."""
+        """What and where it was measured, for a reader: 'frequencies of "bare"'."""
+        return f'{self.noise.plural} of "{self.tested.name}"'
 
     @property
-    @abstractmethod
     def declared(self) -> bool:
-        """Whether its standard deviation was declared."""
+        """Whether its standard deviation was declared: `frequency_std` of the test for the noise "frequency"."""
+        return getattr(self.tested, f"{self.noise.name}_std", None) is not None
 
     @property
     @abstractmethod
@@ -250,8 +250,9 @@ class Datum(ABC):
         return [Deviation(self.noise.name, self.tested.name, self.label, error, deviation, max(len(r), 1))]
 
     def by_floor(self, model: Model) -> Mapping[int, Floats]:
-        """Residuals in standard deviations by the floor they were measured at; none by default."""
-        return {}
+        """Residuals in standard deviations by the floor they were measured at; none where they are of no floor."""
+        r, floors = self.residual(model).r, np.where(self.known, self.floors, 0)
+        return {int(floor): r[floors == floor] for floor in np.unique(floors) if floor}
 
 
 @dataclass(frozen=True)

@@ -45,16 +45,6 @@ class Frequencies(Datum):
         return [cls(each, np.ones(len(each.frequencies), dtype=bool)) for each in experiment.configurations]
 
     @property
-    def label(self) -> str:
-        """Whose frequencies."""
-        return f'frequencies of "{self.tested.name}"'
-
-    @property
-    def declared(self) -> bool:
-        """Whether `frequency_std` was given."""
-        return self.tested.frequency_std is not None
-
-    @property
     def count(self) -> int:
         """One a mode."""
         return int(np.sum(self.kept))

@@ -50,24 +50,12 @@ class Shapes(Datum):
         ]
 
     @property
-    def label(self) -> str:
-        """Whose shapes."""
-        return f'mode shapes of "{self.tested.name}"'
-
-    @property
-    def declared(self) -> bool:
-        """Whether `mode_shape_std` was given."""
-        return self.tested.mode_shape_std is not None
-
-    @property
     def count(self) -> int:
         """Entries, less one a mode whose scale is free."""
         entries = np.sum(self.tested.measured[self.kept], axis=1)
         return int(np.sum(np.maximum(entries - (0 if self.tested.mass_normalized else 1), 0)))
 
-    def _laid_on(
-        self, model: Model, factor: Floats | None = None
-    ) -> tuple[Floats, Floats, Floats, Floats | None]:
+    def _laid_on(self, model: Model, factor: Floats | None = None) -> tuple[Floats, Floats, Floats, Floats | None]:
         """Weights, the modelled shapes as the sensors would show them, their scales, and u where the scale is free."""
         configuration = self.tested
         floors = configuration.measured_floors - 1
@@ -148,12 +136,6 @@ class Shapes(Datum):
                 self.tested.modes[self.kept], z, self._rows(model), strict=True
             )
         ]
-
-    def by_floor(self, model: Model) -> Mapping[int, Floats]:
-        """Collect the entries at each floor."""
-        z = self.residual(model).r.reshape(int(self.kept.sum()), -1)
-        known = self.tested.measured[self.kept]
-        return {int(floor): z[known[:, at], at] for at, floor in enumerate(self.tested.measured_floors)}
 
 
 def shape_error(measured: Floats, modelled: Floats) -> float:

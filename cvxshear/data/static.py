@@ -37,19 +37,9 @@ class Static(Datum):
         return [cls(each) for each in experiment.static]
 
     @property
-    def label(self) -> str:
-        """Which test."""
-        return f'displacements of "{self.tested.name}"'
-
-    @property
-    def declared(self) -> bool:
-        """Whether `displacement_std` was given."""
-        return self.tested.displacement_std is not None
-
-    @property
     def count(self) -> int:
         """One a measured displacement."""
-        return int(np.sum(self.tested.measured))
+        return len(self.floors)
 
     @property
     def floors(self) -> Ints:
@@ -77,17 +67,11 @@ class Static(Datum):
 
     def describe(self, model: Model) -> list[Deviation]:
         """One a measured floor."""
-        floors = np.flatnonzero(self.tested.measured) + 1
         errors, r = self.errors(model)["displacement_error"], self.residual(model).r
         return [
             Deviation(self.noise.name, self.tested.name, f"floor {floor}", float(error), float(z))
-            for floor, error, z in zip(floors, errors, r, strict=True)
+            for floor, error, z in zip(self.floors, errors, r, strict=True)
         ]
-
-    def by_floor(self, model: Model) -> Mapping[int, Floats]:
-        """Return the residual at each floor."""
-        floors = np.flatnonzero(self.tested.measured) + 1
-        return {int(floor): np.array([z]) for floor, z in zip(floors, self.residual(model).r, strict=True)}
 
 
 def _moved(K: Floats, force: Floats) -> Floats:

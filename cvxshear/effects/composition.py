@@ -20,12 +20,7 @@ MOST_BYTES = 1e9
 
 
 def compose(
-    experiment: Experiment,
-    tested: Tested,
-    effects: Sequence[Placed],
-    theta: Floats,
-    *,
-    derivatives: bool = True,
+    experiment: Experiment, tested: Tested, effects: Sequence[Placed], theta: Floats, *, derivatives: bool = True
 ) -> State:
     """Matrices and observation of one tested state, with derivatives by every parameter.
 

@@ -161,8 +161,7 @@ class _Check:
         for item, size in zip(items, sizes, strict=True):
             self._that(not np.isnan(size) and size > 0, f"the size of {item.name} is {size:g}: it must be positive")
             self._that(
-                item.lower < item.upper,
-                f"{item.name}: lower = {item.lower:g} must be below upper = {item.upper:g}",
+                item.lower < item.upper, f"{item.name}: lower = {item.lower:g} must be below upper = {item.upper:g}"
             )
             for key, value in (("null", item.null), ("start", item.start)):
                 # Where any value between the bounds is as probable, the null value need not be one of them.

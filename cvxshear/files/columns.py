@@ -60,6 +60,8 @@ class Columns:
         The line of the file that each row stands on; None for a binary file.
     units : tuple of str, optional
         What a line of units says of each column; empty where there is none.
+    stated_rate : tuple of (str, float), optional
+        A lone number of the file that gives the sampling rate: its name, and the rate in Hz.
     """
 
     source: str
@@ -67,6 +69,7 @@ class Columns:
     values: Floats
     lines: Ints | None = None
     units: tuple[str, ...] = ()
+    stated_rate: tuple[str, float] | None = None
 
     def __post_init__(self) -> None:
         if len(self.values) < FEWEST_ROWS:
@@ -86,7 +89,7 @@ class Columns:
     def rows(self, which: slice) -> Columns:
         """Keep some of the rows."""
         lines = None if self.lines is None else self.lines[which]
-        return Columns(self.source, self.names, self.values[which], lines, self.units)
+        return Columns(self.source, self.names, self.values[which], lines, self.units, self.stated_rate)
 
     def check(self, name: str, asked: str) -> None:
         """Raise `InputError` where there is no such column; `asked` says who asks for it."""

@@ -1,8 +1,8 @@
 """Reader of delimited text: what loggers, spreadsheets and other programs write.
 
 Before the line that names the columns there may be a preamble, after it a line of units; cells are separated by
-semicolons, tabs, commas or blanks; a decimal comma is understood where no comma separates. Stamps of date or time
-become seconds since the first.
+semicolons, tabs, commas or blanks; a decimal comma is understood where no comma separates. Stamps of time, with or
+without a date, become seconds since the first; a column of dates alone is left out.
 """
 
 from __future__ import annotations
@@ -38,12 +38,17 @@ LONGEST_HEAD = 400
 UNIT = re.compile(r"[\[(]?\s*(?:[a-zA-Zµ°%]{1,4}(?:[/·^*²0-9-]{1,4}[a-zA-Z]{0,3}){0,3}|-|)\s*[\])]?")
 """A cell of a line of units: "s", "m/s2", "[g]", "mm/s^2", "-", or nothing."""
 
-STAMP = re.compile(r"(?:\d{4}-\d\d-\d\d[T ])?\d\d:\d\d(?::\d\d(?:[.,]\d+)?)?(?:Z|[+-]\d\d:?\d\d)?")
-"""A date with a time, or a time of the day (ISO 8601)."""
+DATE = re.compile(r"\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.](?:\d{4}|\d\d)")
+"""A date by itself: 2024-03-12, 12.03.2024, 3/12/24."""
 
-MIDNIGHT = "1970-01-01T"
-"""Put before a time of the day, so that it is read as one with a date."""
+STAMP = re.compile(
+    rf"(?:(?P<date>{DATE.pattern})[T ] *)?(?P<hour>\d\d?):(?P<minute>\d\d)(?::(?P<second>\d\d(?:[.,:]\d+)?))?"
+    r"(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?(?:Z|[+-]\d\d:?\d\d)?"
+)
+"""A time of the day, of 24 hours or of twice 12, with or without a date before it."""
 
+ISO_DATE = re.compile(r"\d{4}-\d\d-\d\d")
+EPOCH = datetime(1970, 1, 1)
 DAY = 86_400.0
 """s."""
 
@@ -139,11 +144,10 @@ def layout_of(head: Sequence[Line], where: str) -> Layout:
     for place, (number, line) in enumerate(head):
         if _comment(line):
             continue
-        # "1,2" is one number with a decimal comma, or two: what makes more columns is meant.
+        # "1,2" is one number with a decimal comma, or two: what makes more columns is meant, where the header has them.
         counts = {separator: _numbers_in(line, separator) for separator in SEPARATORS}
-        count = max(counts.values())
-        for separator in [each for each in SEPARATORS if count and counts[each] == count]:
-            found = _header(head[:place], separator, count)
+        for separator in sorted((each for each in SEPARATORS if counts[each]), key=lambda each: -counts[each]):
+            found = _header(head[:place], separator, counts[separator])
             if found is not None:
                 names, stands, units = found
                 _refuse_many(names, where, stands)
@@ -190,7 +194,7 @@ def _header(
 def _numbers_in(line: str, separator: str | None) -> int:
     """How many cells a line has where each is a number, a stamp or empty, and one at least is a number; else 0."""
     cells = _split(line if separator == "," else line.replace(",", "."), separator)
-    if not cells or not all(not cell.strip() or _is_number(cell) or STAMP.fullmatch(cell.strip()) for cell in cells):
+    if not cells or not all(not cell.strip() or _is_number(cell) or _is_stamp(cell) for cell in cells):
         return 0
     return len(cells) if any(_is_number(cell) for cell in cells) else 0
 
@@ -200,6 +204,7 @@ def _columns(lines: Iterable[Line], layout: Layout, where: str, limit: float) ->
     values = array("d")
     names = layout.names
     stamps: list[int] = []
+    dates: set[int] = set()
     for number, text in lines:
         line = text if layout.separator == "," else text.replace(",", ".")
         cells = _cells(line, layout.separator, f"{where}, line {number}")
@@ -210,6 +215,8 @@ def _columns(lines: Iterable[Line], layout: Layout, where: str, limit: float) ->
             )
         if not numbers:
             stamps = [place for place, cell in enumerate(cells) if STAMP.fullmatch(cell.strip())]
+            # The time of the day beside it tells all that a record needs, midnight included.
+            dates = {place for place, cell in enumerate(cells) if DATE.fullmatch(cell.strip()) and not _is_number(cell)}
         values.extend(_row(cells, line, names, f"{where}, line {number}", table=bool(numbers)))
         numbers.append(number)
         if len(values) * values.itemsize > limit:
@@ -225,7 +232,7 @@ def _columns(lines: Iterable[Line], layout: Layout, where: str, limit: float) ->
         table[:, stamps] += DAY * np.cumsum(np.diff(table[:, stamps], axis=0, prepend=0.0) < -DAY / 2, axis=0)
     units = layout.units or ("",) * len(names)
     # What stands after the last separator of every line is no column.
-    kept = [place for place, name in enumerate(names) if name or not np.isnan(table[:, place]).all()]
+    kept = [p for p, name in enumerate(names) if p not in dates and (name or not np.isnan(table[:, p]).all())]
     if len(kept) < len(names):
         table, names, units = table[:, kept], *(tuple(each[place] for place in kept) for each in (names, units))
     return Columns(where, names, table, np.frombuffer(numbers, dtype=np.int64), units if layout.units else ())
@@ -246,22 +253,36 @@ def _cell(cell: str, where: str, name: str, *, table: bool) -> float:
     if "_" not in cell:
         with suppress(ValueError):
             return float(cell)
-        if STAMP.fullmatch(cell):
-            return seconds(cell, where)
+        if found := STAMP.fullmatch(cell):
+            return _seconds(found, where)
+        if DATE.fullmatch(cell):
+            return math.nan
     if not table:
         raise InputError(f"{where}: what follows the line of names is no line of numbers; is this a table?")
     raise InputError(f'{where}: channel "{name}" holds {shown(cell)}, which is not a number')
 
 
-def seconds(stamp: str, where: str) -> float:
-    """Read a stamp of date or time, in s since the start of 1970 or of the day."""
-    text = stamp.replace(",", ".")
+def _seconds(stamp: re.Match[str], where: str) -> float:
+    """Read a stamp in s, since midnight or, where its date is an ISO date, since the start of 1970.
+
+    In other dates the day or the month may come first; none is needed, since the clock shows when midnight comes.
+    """
+    hour, minute, second = int(stamp["hour"]), int(stamp["minute"]), float(re.sub("[,:]", ".", stamp["second"] or "0"))
+    half = (stamp["half"] or "").lower()
+    if half and 1 <= hour <= 12:
+        hour = hour % 12 + (12 if half == "p" else 0)
+    date = stamp["date"] or ""
     try:
-        found = datetime.fromisoformat(text if "-" in text[:5] else MIDNIGHT + text)
+        days = (datetime.fromisoformat(date) - EPOCH).days if ISO_DATE.fullmatch(date) else 0
+        if hour > 23 or minute > 59 or second >= 61:
+            raise ValueError(stamp[0])
     except ValueError:
-        raise InputError(f"{where} holds {shown(stamp)}, which is no date or time") from None
-    start = datetime(1970, 1, 1, tzinfo=found.tzinfo)
-    return (found - start).total_seconds()
+        raise InputError(f"{where} holds {shown(stamp[0])}, which is no date or time") from None
+    return DAY * days + 3600.0 * hour + 60.0 * minute + second
+
+
+def _is_stamp(cell: str) -> bool:
+    return bool(STAMP.fullmatch(cell.strip()) or DATE.fullmatch(cell.strip()))
 
 
 def _cells(line: str, separator: str | None, where: str) -> list[str]:

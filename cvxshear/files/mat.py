@@ -8,6 +8,7 @@ anything is read.
 from __future__ import annotations
 
 import importlib
+import re
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -25,6 +26,10 @@ from cvxshear.files.mat5 import MOST_ARRAYS, MOST_DEPTH
 from cvxshear.util.errors import InputError
 
 Array = np.ndarray[Any, Any]
+
+RATE_NAMES = re.compile(r"(.*\.)?(fs|f_s|sr|rate|sampl(e|ing)_?(rate|freq(uency)?)|fsample)(_hz)?", re.IGNORECASE)
+STEP_NAMES = re.compile(r"(.*\.)?(dt|delta_?t|ts|sampl(e|ing)_?(time|interval|period))(_s)?", re.IGNORECASE)
+"""What a lone number is called that is a sampling rate, Hz, or the time between two samples, s."""
 
 
 def read_mat(path: str | Path, limit: float = LIMIT) -> Columns:
@@ -74,16 +79,34 @@ def columns_of_arrays(read: Mapping[str, Any], where: str) -> Columns:
     # Numbers that no double holds come out infinite, and are refused where they are used.
     with np.errstate(over="ignore", invalid="ignore"):
         table = np.column_stack([np.asarray(values, dtype=np.float64) for values in kept.values()])
-    return Columns(where, tuple(kept), table)
+    return Columns(where, tuple(kept), table, stated_rate=_stated_rate(read))
 
 
-def _arrays(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Array]]:
+def _stated_rate(read: Mapping[str, Any]) -> tuple[str, float] | None:
+    """Find the lone number that is called a sampling rate, or the step of one."""
+    for name, array in _arrays(read, lone=True):
+        number = float(array.real.ravel()[0])
+        if np.isfinite(number) and number > 0:
+            if RATE_NAMES.fullmatch(name):
+                return name, number
+            if STEP_NAMES.fullmatch(name):
+                return name, 1.0 / number
+    return None
+
+
+def _arrays(content: Mapping[str, Any], prefix: str = "", *, lone: bool = False) -> Iterator[tuple[str, Array]]:
+    """Yield the numeric vectors and matrices, or the lone numbers."""
     for name, value in content.items():
         if name.startswith("__"):
             continue
         if isinstance(value, Mapping):
-            yield from _arrays(value, f"{prefix}{name}.")
-        elif isinstance(value, np.ndarray) and value.dtype.kind in "fiuc" and value.ndim <= 2 and value.size > 1:
+            yield from _arrays(value, f"{prefix}{name}.", lone=lone)
+        elif (
+            isinstance(value, np.ndarray)
+            and value.dtype.kind in "fiuc"
+            and value.ndim <= 2
+            and (value.size == 1 if lone else value.size > 1)
+        ):
             yield prefix + name, value
 
 
@@ -217,10 +240,10 @@ class _Walk:
 
 
 def _numeric(item: Any) -> bool:
-    """Whether a data set is a vector or matrix of numbers; what MATLAB calls empty has a mark, and two numbers."""
+    """Whether a data set is numbers; what MATLAB calls empty has a mark, and two numbers."""
     kind = item.dtype
     plain = kind.kind in "fiu" or (kind.names == ("real", "imag") and all(kind[each].kind in "fiu" for each in (0, 1)))
-    return plain and item.shape is not None and item.ndim <= 2 and item.size > 1 and "MATLAB_empty" not in item.attrs
+    return plain and item.shape is not None and item.ndim <= 2 and item.size > 0 and "MATLAB_empty" not in item.attrs
 
 
 LONE = "column"

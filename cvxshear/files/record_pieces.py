@@ -127,17 +127,17 @@ def _asked(columns: Columns, name: str | None, declared: Mapping[str, Any], run:
 
 
 def rate_of(declared: Mapping[str, Any], columns: Columns) -> float:
-    """Find the sampling rate, from the time column, from the declaration, or from both where they agree."""
+    """Find the sampling rate: of the time column, as declared where the two agree, or else as the file states it."""
     name = time_column_of(declared, columns)
     said = declared.get("sampling_rate")
     if said is not None:
         said = checks.number(said, "record: sampling_rate", above=0.0)
     if name is None:
-        if said is None:
-            raise InputError(
-                f"record: give sampling_rate, in Hz, or time, the name of the time column of {columns.source}"
-            )
-        return said
+        if said is not None:
+            return said
+        if columns.stated_rate is not None:
+            return columns.stated_rate[1]
+        raise InputError(f"record: give sampling_rate, in Hz, or time, the name of the time column of {columns.source}")
     rate = sampling_rate_of(seconds_of(declared, columns.column(name, "record: time")), columns, name, said)
     if said is not None:
         if abs(rate - said) > 0.01 * said:

@@ -15,25 +15,10 @@ from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.records.record import RECORDED_QUANTITIES
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import CHANNEL_UNITS
 
 CHANNEL_KEYS = ("column", "floor", "axis", "sign", "calibration", "quantity", "unit", "position", "direction")
 RUN_KEYS = ("file", "name", "input_floor", "start", "end")
-STANDARD_GRAVITY = 9.80665
-"""m/s2, by definition (CGPM 1901): what a sensor's "g" is."""
-
-IN_SI = {
-    "acceleration": {
-        "m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY, "mm/s2": 1e-3, "cm/s2": 1e-2, "gal": 1e-2,
-        "in/s2": 0.0254,
-    },
-    "velocity": {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "in/s": 0.0254},
-    "displacement": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254},
-    "force": {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605},
-}  # fmt: skip
-CHANNEL_UNITS = {unit: (kind, size) for kind, units in IN_SI.items() for unit, size in units.items()}
-"""Units of a channel: what is measured in it, and what it is in m/s2, m/s, m or N (definitions of the SI and of the
-international foot and pound)."""
-
 PASSED_ON = ("frame", "prior", "added_mass", "state")
 
 

@@ -22,10 +22,10 @@ from cvxshear.files.formats import format_of, read_columns, read_modes_of
 from cvxshear.files.inputs import named_after
 from cvxshear.files.record_file import FREQUENCY_NAMES
 from cvxshear.files.record_pieces import TIME_UNITS
-from cvxshear.files.record_tables import CHANNEL_UNITS
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import CHANNEL_UNITS
 from cvxshear.util.text import escaped, printable
 from cvxshear.util.typing import Floats
 
@@ -140,13 +140,15 @@ def _listed(values: Floats | np.ndarray, shown: str) -> str:
     return "[" + ", ".join(format(value, shown) for value in values) + "]"
 
 
-TIME = re.compile(r"(time|zeit|t|temps|tiempo|timestamp|date|datetime|elapsed|stamp|seconds)\b", re.IGNORECASE)
+TIME = re.compile(r"(time|zeit|uhrzeit|t|temps|tiempo|timestamp|date|datetime|elapsed|stamp|seconds)\b", re.IGNORECASE)
 GROUND = re.compile(
     r"ground|base\b|basement|table|platform|input|boden|tisch\b|fundament|sol\b|floor ?0\b", re.IGNORECASE
 )
 FORCE = re.compile(r"force|hammer|impact|shaker|load ?cell|kraft", re.IGNORECASE)
 ROOF = re.compile(r"roof|\btop\b|dach|toit", re.IGNORECASE)
-NO_MOTION = re.compile(r"temp|humid|batt|status|comment", re.IGNORECASE)
+NO_MOTION = re.compile(
+    r"temp|humid|batt|status|comment|\bsample|\bindex\b|\bcount|\bn[or]\b\.?$|\bdat(?:e|um)\b", re.IGNORECASE
+)
 NUMBER = re.compile(r"\d+")
 AXIS = re.compile(r"(?:^|[^a-z])([xyz])(?:$|[^a-z])|\d([xyz])$", re.IGNORECASE)
 
@@ -203,13 +205,14 @@ class Guess:
     said: str = ""
 
 
-def record_template(data: str | Path, folder: str | Path = ".") -> str:
-    """Write a record file for the samples in a logger's file, every guess marked as one.
+def record_template(data: str | Path | Sequence[str | Path], folder: str | Path = ".") -> str:
+    """Write a record file for the samples in a logger's files, every guess marked as one.
 
     Parameters
     ----------
-    data : str or Path
-        Of one of the formats in `files.formats.FORMATS` that hold columns.
+    data : str or Path, or sequence of them
+        Of one of the formats in `files.formats.FORMATS` that hold columns; several files, with the same columns, are
+        the runs of one record: hits of a hammer, releases, or repetitions of one shaking.
     folder : str or Path, optional
         Where the record file will stand; it names the other from there.
 
@@ -221,10 +224,16 @@ def record_template(data: str | Path, folder: str | Path = ".") -> str:
     Raises
     ------
     InputError
-        Where the file cannot be read, or holds no column of numbers besides time.
+        Where a file cannot be read, holds no column of numbers besides time, or other columns than the first.
     """
-    path = Path(data)
+    path, *others = [Path(data)] if isinstance(data, str | Path) else [Path(each) for each in data]
     columns = read_columns(path, LIMIT)
+    for other in others:
+        if missing := sorted(set(columns.names) - set(names := read_columns(other, LIMIT).names)):
+            raise InputError(
+                f'{other} has no column "{missing[0]}", which {path} has; it has {", ".join(names[:12])}. The files of '
+                "one record have the same columns; begin a record file for each where they are records of their own"
+            )
     if any(name in columns.names for name in FREQUENCY_NAMES):
         raise InputError(
             f"{path} has a column of frequencies, so it holds frequency response functions; docs/modal.md has a record "
@@ -247,32 +256,54 @@ def record_template(data: str | Path, folder: str | Path = ".") -> str:
     if several:
         rate += f'\naxis = "{axes[0]}"  # GUESSED: the direction of test, of those below'
     top = max(1, *(each.floor for each in guesses))
+    hit = next((each.floor for each in guesses if each.role == "force" and each.sure and each.floor > 0), top)
     left = [
-        f"\n# Left out, no motion by its name: {printable(each)}\n" for each in columns.names if NO_MOTION.search(each)
+        f"\n# Left out, no motion by its name: {printable(each)}\n"
+        for each in columns.names
+        if NO_MOTION.search(each) and each != time
     ]
     return _blank("record.toml").format(
-        file=printable(path.name), name=toml_line("x", named_after(path))[4:], kind=kind, why=why, rate=rate,
-        source=toml_line("file", os.path.relpath(path, folder)),
-        channels="".join((*(_channel(each, top, several=several) for each in guesses), *left)),
+        file=printable(path.name) + (f" and {len(others)} more" if others else ""),
+        name=toml_line("x", named_after(path))[4:], kind=kind, why=why, rate=rate,
+        source="" if others else toml_line("file", os.path.relpath(path, folder)) + "\n",
+        channels="".join((*(_channel(each, hit, several=several) for each in guesses), *left)),
+        runs=_runs([path, *others], folder, kind, hit) if others else "",
     )  # fmt: skip
+
+
+def _runs(files: Sequence[Path], folder: str | Path, kind: str, hit: int) -> str:
+    """Write a table for each file of a record."""
+    where = f"\ninput_floor = {hit}  # GUESSED: the floor that was hit in this file" if kind == "force" else ""
+    return "".join(f"\n[[run]]\n{toml_line('file', os.path.relpath(each, folder))}{where}\n" for each in files)
 
 
 def _time_column(columns: Columns) -> str | None:
     """Find the column that is called so and ascends; where none is called so, the first if it ascends in even steps."""
     called = [name for name in columns.names if TIME.match(name.strip())]
-    for name in (*called, *columns.names[:1]):
-        values = columns.values[:, columns.names.index(name)]
-        steps = np.diff(values[np.isfinite(values)])
+    # Of a date and a time of the day the one that changes from sample to sample.
+    steps_of = {name: _steps(columns, name) for name in (*called, *columns.names[:1])}
+    for name, steps in sorted(
+        steps_of.items(), key=lambda each: (each[0] not in called, -np.count_nonzero(each[1] > 0))
+    ):
         if steps.size == 0 or np.mean(steps >= 0) < ASCENDING:
             continue
         usual = np.median(steps)
-        if name in called or (usual > 0 and np.mean(np.abs(steps - usual) < EVEN * usual) > ASCENDING):
+        # Steps of 1 count the samples.
+        if name in called or (usual > 0 and usual != 1.0 and np.mean(np.abs(steps - usual) < EVEN * usual) > ASCENDING):
             return name
     return None
 
 
+def _steps(columns: Columns, name: str) -> Floats:
+    values = columns.values[:, columns.names.index(name)]
+    return np.asarray(np.diff(values[np.isfinite(values)]))
+
+
 def _rate(columns: Columns, time: str | None, preamble: str) -> str:
     """Write the lines that say how the record was sampled."""
+    if time is None and columns.stated_rate is not None:
+        name, rate = columns.stated_rate
+        return f"sampling_rate = {rate:.9g}  # Hz, GUESSED from {toml_line('x', name)[4:]} in the file"
     if time is None:
         found = RATE.search(preamble)
         if found is None:
@@ -335,15 +366,15 @@ def _guesses(columns: Columns, names: Sequence[str]) -> list[Guess]:
     return sorted(result, key=lambda each: names.index(each.column))
 
 
-def _channel(guess: Guess, top: int, *, several: bool) -> str:
+def _channel(guess: Guess, hit: int, *, several: bool) -> str:
     lines = ["", "[[channel]]", toml_line("column", guess.column)]
     if guess.role == "force":
-        at = guess.floor if guess.sure and guess.floor > 0 else top
-        lines += [f"floor = {at}  # GUESSED: where the force acts", 'quantity = "force"  # GUESSED from the header']
+        lines += [f"floor = {hit}  # GUESSED: where the force acts", 'quantity = "force"  # GUESSED from the header']
     elif guess.role == "ground":
         lines.append("floor = 0  # GUESSED from the name: the ground")
     else:
-        lines.append(f"floor = {guess.floor}  # GUESSED from the {'name' if guess.sure else 'order of the columns'}")
+        roof = "name: above the others" if ROOF.search(guess.column) else "order of the columns"
+        lines.append(f"floor = {guess.floor}  # GUESSED from the {'name' if guess.sure else roof}")
     if guess.unit is not None:
         lines.append(f'unit = "{guess.unit}"  # GUESSED from the header')
     else:

@@ -232,11 +232,7 @@ def parameter_names(experiment: Experiment, effects: Sequence[Placed]) -> tuple[
 
 
 def fitted(
-    misfit: Misfit,
-    theta: Floats,
-    backend: Backend,
-    tolerance: float = CONVERGED_STEP,
-    start: Evaluation | None = None,
+    misfit: Misfit, theta: Floats, backend: Backend, tolerance: float = CONVERGED_STEP, start: Evaluation | None = None
 ) -> Estimate:
     """Find the estimate that Gauss-Newton reaches from a starting point, with the noise that it speaks for.
 

@@ -131,9 +131,7 @@ class _Marginal:
         factors = [misfit.noise.of(item.key) for item in misfit.unknown]
         self._unknown = misfit.unknown
         self.here: Floats = np.log(np.array(factors))
-        self.start = np.array(
-            [item.coordinate(factor) for item, factor in zip(misfit.unknown, factors, strict=True)]
-        )
+        self.start = np.array([item.coordinate(factor) for item, factor in zip(misfit.unknown, factors, strict=True)])
         self.widths = np.array([item.width for item in misfit.unknown])
         self._counts = np.array([item.count for item in misfit.unknown], dtype=float)
         rows = [at.unknown == place for place in range(len(misfit.unknown))]

@@ -28,8 +28,7 @@ from cvxshear.loop.otherwise import searches
 from cvxshear.loop.results import Closure
 from cvxshear.loop.search import REACH, Search
 from cvxshear.loop.verdicts import VERDICTS
-from cvxshear.measurement.experiment import Experiment
-from cvxshear.measurement.opened import Measurement, opened
+from cvxshear.measurement.experiment import Experiment, Measurement, opened
 from cvxshear.measurement.reading import repeated_configurations
 from cvxshear.priors import Prior
 from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError, UnsuitableError

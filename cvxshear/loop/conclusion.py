@@ -104,10 +104,7 @@ def conclude(
         candidates=tuple(_candidates(posterior, judged, search.fitter)),
         not_considered={each.name: lack for each in wanted if (lack := each.lacks(fitter.experiment))},
         remains=tuple(where_it_sits(final)) if significant and not negligible else (),
-        information=(
-            *said,
-            *_information(search, posterior, judged, negligible=negligible),
-        ),
+        information=(*said, *_information(search, posterior, judged, negligible=negligible)),
         next_test=next_test(judged, rivals),
         fits=sum(each.fitter.fits for each in (*searches, *widened)),
         programs=sum(each.fitter.programs for each in (*searches, *widened)),
@@ -198,8 +195,7 @@ def _in_noise_of(final: Estimate, effects: Sequence[Placed], fitter: Fitter) -> 
     first = final if final.experiment is fitter.experiment else base
     proposals = [
         dataclasses.replace(
-            proposal,
-            misfit=proposal.misfit.replaced(noise=final.misfit.noise, widened=final.misfit.widened),
+            proposal, misfit=proposal.misfit.replaced(noise=final.misfit.noise, widened=final.misfit.widened)
         )
         for proposal in (fitter.proposal(start, wanted) for start in (first, base))
     ]
@@ -250,9 +246,7 @@ def _remarks(final: Estimate, placed: Placed) -> Iterator[str]:
 def _rival_sets(posterior: Posterior, added: Sequence[AddedEffect]) -> list[frozenset[Placed]]:
     """List the sets that hold what may be there in place of an added effect, twins first."""
     effects = frozenset(item.placed for item in added)
-    twins = [
-        (effects - {item.placed}) | {rival.placed} for item in added for rival in item.rivals if rival.twin
-    ]
+    twins = [(effects - {item.placed}) | {rival.placed} for item in added for rival in item.rivals if rival.twin]
     visited = {model.effects for model in posterior.models}
     found = [each for each in twins if each in visited]
     if any(item.rivals for item in added):

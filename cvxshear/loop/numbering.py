@@ -16,8 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.measurement.reading import Reading
-from cvxshear.measurement.sign_rule import violations
+from cvxshear.measurement.reading import Reading, violations
 from cvxshear.util.typing import Ints, Json
 
 OVERLOOKED = 0.05

@@ -24,6 +24,7 @@ from cvxshear.util.typing import Json
 if TYPE_CHECKING:
     import pandas as pd
 
+
 @dataclass(frozen=True, eq=False)
 class Step(InJson):
     """One fit on the way.

@@ -11,7 +11,8 @@ the best sets.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -54,6 +55,7 @@ TWINS_DIFFER = 0.1
 
 EXCHANGES = 4
 """Sets, the best ones, whose effects are exchanged when the budget is spent: two ties make four sets as probable."""
+
 
 class Search:
     """Sets of effects that were visited, and the way to more of them.
@@ -103,25 +105,33 @@ class Search:
 
     def run(self) -> None:
         """Visit sets until the beam has nothing left to expand, or the budget is spent."""
-        ways = (
-            (self._prune, self.pruned, 0.0),
-            (self._expand, self.expanded, 0.0),
-            (self._regroup, self.regrouped, 0.0),
-            (self._expand, self.expanded, REACH),
-            (self._regroup, self.regrouped, WITHIN),
-            (self._thin, self.thinned, WITHIN),
+        ways: tuple[Callable[[], bool], ...] = (
+            partial(self._follow, self._prune, self.pruned, 0.0),
+            partial(self._follow, self._expand, self.expanded, 0.0),
+            self._look_elsewhere,
+            partial(self._follow, self._regroup, self.regrouped, 0.0),
+            partial(self._follow, self._expand, self.expanded, REACH),
+            partial(self._follow, self._regroup, self.regrouped, WITHIN),
+            partial(self._follow, self._thin, self.thinned, WITHIN),
+            self._add_motions,
         )
-        while not self.spent:
-            nexts = ((way, self._next(done, within)) for way, done, within in ways)
-            found = next(((way, model) for way, model in nexts if model is not None), None)
-            if found is None:
-                break
-            way, model = found
-            way(model)
+        while not self.spent and any(way() for way in ways):
+            pass
         if self.spent:
             self._exchange_in_best()
-        elif self._descend_among_causes() or self._add_motions():
-            self.run()
+
+    def _follow(self, way: Callable[[ModelClass], None], done: set[Set], within: float) -> bool:
+        """Go one way from the best set that has not gone it yet; tell whether there was one."""
+        model = self._next(done, within)
+        if model is not None:
+            way(model)
+        return model is not None
+
+    def _look_elsewhere(self) -> bool:
+        """Where nothing simple explains the data, or an open class has to, look far from the best set first."""
+        if not (self._unsatisfied() or holds_open(self.best.effects)):
+            return False
+        return self._add_motions() or self._descend_among_causes()
 
     def _descend_among_causes(self) -> bool:
         """Visit, where the best set holds an open class, what causes alone lead to; tell whether one of them is better.
@@ -135,13 +145,9 @@ class Search:
         assert self.base.estimate is not None, "the shear model was fitted"
         causes = [item for item in self.looked_for if item.placed.effect.kind != OPEN]
         alone = Search(self.fitter, self.base.estimate, causes)
-        while not alone.spent:
-            if (model := alone._next(alone.pruned, 0.0)) is not None:
-                alone._prune(model)
-            elif (model := alone._next(alone.expanded, 0.0)) is not None:
-                alone._expand(model)
-            else:
-                break
+        ways = ((alone._prune, alone.pruned), (alone._expand, alone.expanded))
+        while not alone.spent and any(alone._follow(way, done, 0.0) for way, done in ways):
+            pass
         before = self.best
         self._record(model for effects, model in alone.visited.items() if effects not in self.visited)
         return self.best is not before
@@ -164,12 +170,12 @@ class Search:
 
     def _add_motions(self) -> bool:
         """Visit sets with an effect that brings a motion of its own, where the shear model does not win."""
-        if self.moved:
+        if self.moved or self.best is self.base:
             return False
         self.moved = True
         base = self.base.estimate
         assert base is not None, "the shear model was fitted"
-        found = [] if self.best is self.base else with_motions(base, self.fitter)
+        found = with_motions(base, self.fitter)
         # An effect may be fitted from several starts: the best of them is the set's fit.
         self._record(sorted(self.fitter.models(found), key=lambda model: model.score))
         return bool(found)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from cvxshear.measurement.declaration import InTable
+from cvxshear.measurement.declaration import InTable, named_in
 from cvxshear.measurement.measured_modes import OtherModes, copied_rows, other_modes, proportional_rows
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
@@ -21,6 +22,7 @@ DEFAULT_MODE_SHAPE_STD = 0.01
 """Relative, and relative to a mode's largest entry; `data.Frequencies.noise` and `data.Shapes.noise` say why."""
 
 NOISE_KINDS = ("additive", "multiplicative")
+"""What `mode_shape_std` is relative to: a mode's largest entry, or the entry itself."""
 
 
 def _no_floats() -> Floats:
@@ -100,66 +102,72 @@ class Configuration(InTable):
         self._put("state", checks.text(self.state, self._at("state")) if self.state else self.name)
         self._check_modes()
         self._check_shapes()
-        self._check_noise()
+        one_each: dict[str, Any] = {"length": len(self.frequencies), "each": ", one a mode"}
+        self._check("frequency_std", checks.one_or_many, above=0.0, **one_each)
+        if self.mode_shape_std is not None:
+            self._put("mode_shape_std", self._checked_shape_std(self.mode_shape_std, *self.mode_shapes.shape))
+        checks.choice(self.mode_shape_noise, NOISE_KINDS, self._at("mode_shape_noise"))
+        self._check("damping_ratios", checks.one_or_many, least=0.0, nan=True, **one_each)
+        if self.damping_ratios is not None:
+            self._refuse_ratios(self.damping_ratios)
+        self._check("damping_ratio_std", checks.one_or_many, above=0.0, **one_each)
 
     def _put(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
+
+    def _check(self, name: str, check: Callable[..., object], **limits: Any) -> None:
+        """Put what a check returns in the place of a field; a default of None stays."""
+        checks.put(self, name, check, self._at(name), **limits)
 
     def _at(self, key: str) -> str:
         return f'configuration "{self.name}": {key}'
 
     def _check_modes(self) -> None:
-        frequencies = checks.vector(self.frequencies, self._at("frequencies"), above=0.0)
-        self._put("frequencies", frequencies)
-        steps = np.flatnonzero(np.diff(frequencies) <= 0)
+        self._check("frequencies", checks.vector, above=0.0)
+        steps = np.flatnonzero(np.diff(self.frequencies) <= 0)
         if steps.size:
             place = int(steps[0])
+            before, after = self.frequencies[place : place + 2]
             raise InputError(
                 f"{self._at('frequencies')} must be ascending, each greater than the one before; entry {place + 2} "
-                f"is {frequencies[place + 1]:g} Hz after {frequencies[place]:g} Hz (sort the mode shapes with them)"
+                f"is {after:g} Hz after {before:g} Hz (sort the mode shapes with them)"
             )
-        count = len(frequencies)
+        count = len(self.frequencies)
         if _absent(self.modes):
             self._put("modes", checks.frozen(np.arange(1, count + 1)))
         else:
-            self._put("modes", checks.ascending_whole(self.modes, self._at("modes"), most=MOST_STORIES))
+            self._check("modes", checks.ascending_whole, most=MOST_STORIES)
             if len(self.modes) != count:
                 needed = f"{checks.entries(count)}, one a frequency"
                 raise InputError(f"{self._at('modes')} must have {needed}, not {len(self.modes)}")
         self._put("other_modes", other_modes(self.other_modes, self.modes, self._at("other_modes")))
-        if self.damping_ratios is not None:
-            where = self._at("damping_ratios")
-            ratios = checks.one_or_many(self.damping_ratios, where, count, each=", one a mode", least=0.0, nan=True)
-            if np.all(np.isnan(ratios)):
-                raise InputError(f"{where} must have a number for one mode at least; leave it out otherwise")
-            if np.any(ratios >= 1):
-                raise InputError(
-                    f"{where} must be below 1 (a fraction of critical, not percent), not {np.nanmax(ratios):g}"
-                )
-            self._put("damping_ratios", ratios)
-        if self.damping_ratio_std is not None:
-            where = self._at("damping_ratio_std")
-            std = checks.one_or_many(self.damping_ratio_std, where, count, each=", one a mode", above=0.0)
-            self._put("damping_ratio_std", std)
+
+    def _refuse_ratios(self, ratios: Floats) -> None:
+        where = self._at("damping_ratios")
+        if np.all(np.isnan(ratios)):
+            raise InputError(f"{where} must have a number for one mode at least; leave it out otherwise")
+        if np.any(ratios >= 1):
+            raise InputError(
+                f"{where} must be below 1 (a fraction of critical, not percent), not {np.nanmax(ratios):g}"
+            )
 
     def _check_shapes(self) -> None:
         if _absent(self.mode_shapes) and self.mode_shapes is not None:
-            shapes = checks.frozen(np.zeros((len(self.frequencies), 0)))
+            self._put("mode_shapes", checks.frozen(np.zeros((len(self.frequencies), 0))))
         else:
-            shapes = checks.table(self.mode_shapes, self._at("mode_shapes"), rows=len(self.frequencies), nan=True)
-        self._put("mode_shapes", shapes)
-        self._put("mass_normalized", checks.flag(self.mass_normalized, self._at("mass_normalized")))
+            self._check("mode_shapes", checks.table, rows=len(self.frequencies), nan=True)
+        self._check("mass_normalized", checks.flag)
         if _absent(self.added_mass):
             self._put("added_mass", _no_floats())
         else:
-            self._put("added_mass", checks.vector(self.added_mass, self._at("added_mass"), least=0.0))
-        width = shapes.shape[1]
+            self._check("added_mass", checks.vector, least=0.0)
+        width = self.mode_shapes.shape[1]
         whole = _absent(self.measured_floors) or len(self.added_mass) == width
         if _absent(self.measured_floors):
             self._put("measured_floors", _no_ints())
         else:
             where = self._at("measured_floors")
-            self._put("measured_floors", checks.ascending_whole(self.measured_floors, where, most=MOST_STORIES))
+            self._check("measured_floors", checks.ascending_whole, most=MOST_STORIES)
             if not width:
                 raise InputError(f"{where} is given, but no mode_shapes: leave it out, or give the shapes")
             if len(self.measured_floors) != width:
@@ -168,8 +176,8 @@ class Configuration(InTable):
                     "give one entry a measured floor"
                 )
         if width:
-            self._refuse_empty_shapes(shapes)
-            self._refuse_equal_shapes(shapes, whole=whole)
+            self._refuse_empty_shapes(self.mode_shapes)
+            self._refuse_equal_shapes(self.mode_shapes, whole=whole)
 
     def _refuse_empty_shapes(self, shapes: Floats) -> None:
         for row, shape in enumerate(shapes, 1):
@@ -192,16 +200,6 @@ class Configuration(InTable):
                 f"{self._at('mode_shapes')}, rows {pair[0] + 1} and {pair[1] + 1} are the same shape; each mode has "
                 "its own"
             )
-
-    def _check_noise(self) -> None:
-        count, width = self.mode_shapes.shape
-        if self.frequency_std is not None:
-            where = self._at("frequency_std")
-            std = checks.one_or_many(self.frequency_std, where, count, each=", one a mode", above=0.0)
-            self._put("frequency_std", std)
-        if self.mode_shape_std is not None:
-            self._put("mode_shape_std", self._checked_shape_std(self.mode_shape_std, count, width))
-        checks.choice(self.mode_shape_noise, NOISE_KINDS, self._at("mode_shape_noise"))
 
     def _checked_shape_std(self, value: object, count: int, width: int) -> Floats:
         """One number, one a mode, or one an entry, as one an entry."""
@@ -232,9 +230,7 @@ class Configuration(InTable):
         elsewhere : dict, optional
             Keys of other tables of the file, each with that table's header, for a message that says where they belong.
         """
-        where = name
-        if isinstance(declared, Mapping) and declared.get("name") is not None:
-            where = f'configuration "{checks.text(declared["name"], f"{name}: name")}"'
+        where = named_in(declared, "configuration", name)
         for key in ("added_mass", "measured_floors", "modes", "mode_shapes"):
             if isinstance(declared, Mapping) and declared.get(key) is not None and _absent(declared[key]):
                 raise InputError(f"{where}: {key} must not be empty; leave the key out for its default")

@@ -1,10 +1,10 @@
-"""What is declared of the frame itself, how its damping is modelled, and what a report says of the test."""
+"""What is declared of the frame itself, of its damping and of effects, and what a report says of the test."""
 
 from __future__ import annotations
 
 import dataclasses
 import datetime
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
@@ -32,7 +32,7 @@ MISTAKES = {
     "frequency_unit": "one configuration's frequencies are in another unit than those of the others",
     "signs": "a shape has signs that no mode of that number has, and no single change mends it",
 }
-"""What is refused unless it is accepted."""
+"""Findings of `check` that refuse a file unless they are accepted, each with what was done wrong."""
 
 NUMBERS = ("missing_mode", "mode_number")
 """Mistakes in which modes of the frame the measured ones are."""
@@ -48,11 +48,13 @@ DOUBTS = {
     "gravity": "gravity is not that of the Earth in m/s²",
     "total_mass": "the total mass contradicts what the added masses did to the frequencies",
 }
-"""What is warned of."""
+"""Findings of `check` that are warnings, each with what looks wrong."""
 
 NAMES = (*MISTAKES, *DOUBTS)
+"""Findings that `[frame] accept` can name."""
 
 DAMPING_KINDS = ("modal", "story", "rayleigh")
+"""Kinds of damping, see `Damping`."""
 
 
 class InTable:
@@ -78,6 +80,13 @@ class InTable:
     def to_dict(self) -> Json:
         """Return the table that declares it in a measurement file."""
         return fields_as_table(self, unsaid=self.unsaid)
+
+
+def named_in(declared: object, kind: str, otherwise: str) -> str:
+    """Say which table a message is about: by the name that it gives itself, or `otherwise`."""
+    if isinstance(declared, Mapping) and declared.get("name") is not None:
+        return f'{kind} "{checks.text(declared["name"], f"{otherwise}: name")}"'
+    return otherwise
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,10 +192,6 @@ class Frame(InTable):
         """The total mass without added mass, kg, where it is declared in either way."""
         return float(self.floor_masses.sum()) if self.floor_masses is not None else self.total_mass
 
-    def _completed(self, stories: int) -> Frame:
-        """Fill in the number of stories, and one height a story."""
-        return dataclasses.replace(self, stories=stories)
-
 
 @dataclass(frozen=True, eq=False)
 class Damping:
@@ -291,3 +296,74 @@ class Limits(InTable):
     def from_dict(declared: object) -> Limits:
         """Read the limits that the table `[limits]` of a measurement file declares."""
         return Limits.of_table(declared, "limits", "story_drift")
+
+
+@dataclass(frozen=True)
+class ExpectedEffect(InTable):
+    """What is known of an effect, everywhere or at a place, in place of what the catalogue expects.
+
+    Parameters
+    ----------
+    name : str
+        Of the catalogue.
+    floor, story : int, optional
+        Counted from 1 (floor 0: the base); every one where not given.
+    state : str, optional
+        Every one where not given.
+    size : float, optional
+        Standard deviation of its parameter, in its unit.
+    probability : float, optional
+        That it is there, at one of these places.
+    exclude : bool, optional
+        It is not looked for.
+    to : int, optional
+        The higher of the two floors that it joins, `floor` the lower; every one where not given.
+
+    Raises
+    ------
+    InputError
+        Naming the key, the value found and what would be right.
+    """
+
+    unsaid = {"exclude": False}  # noqa: RUF012 - nobody writes into it
+
+    name: str
+    floor: int | None = None
+    story: int | None = None
+    state: str | None = None
+    size: float | None = None
+    probability: float | None = None
+    exclude: bool = False
+    to: int | None = None
+
+    def __post_init__(self) -> None:
+        checks.text(self.name, "effect: name")
+        checks.put(self, "size", checks.number, self._at("size"), above=0.0)
+        checks.put(self, "probability", checks.number, self._at("probability"), above=0.0)
+        if self.probability is not None and self.probability >= 1.0:
+            raise InputError(f"{self._at('probability')} = {self.probability:g} must be below 1; assume the effect")
+        checks.flag(self.exclude, self._at("exclude"))
+        if self.exclude and (self.size is not None or self.probability is not None):
+            raise InputError(f"{self._at('exclude')} leaves no room for size or probability; give one or the other")
+
+    def _at(self, key: str) -> str:
+        return f"effect {self.name}: {key}"
+
+    @staticmethod
+    def from_dict(declared: object, where: str) -> ExpectedEffect:
+        """Read what a table `[[effect]]` declares."""
+        return ExpectedEffect.of_table(declared, where, "name")
+
+    def check(self, stories: int, states: Sequence[str]) -> None:
+        """Raise `InputError` where it names a floor, story or state that an experiment has not."""
+        for key, least in (("floor", 0), ("to", 1), ("story", 1)):
+            if getattr(self, key) is not None:
+                checks.whole(getattr(self, key), self._at(key), least=least, most=stories)
+        if self.to is not None and self.floor is not None and self.to <= self.floor:
+            raise InputError(f"{self._at('to')} = {self.to} must be above floor = {self.floor}: the lower floor first")
+        if self.state is not None:
+            checks.choice(self.state, list(states), self._at("state"))
+
+    def concerns(self, name: str, place: Mapping[str, int | str | None]) -> bool:
+        """Whether it speaks of the effect of this name at this place (its floor, to, story and state)."""
+        return name == self.name and all(getattr(self, part, None) in (None, its) for part, its in place.items())

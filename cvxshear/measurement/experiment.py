@@ -9,17 +9,18 @@ import dataclasses
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
 from cvxshear.measurement.configuration import Configuration
-from cvxshear.measurement.declaration import DAMPING_KINDS, Damping, Frame, Heading, Limits
-from cvxshear.measurement.expected_effect import ExpectedEffect
+from cvxshear.measurement.declaration import DAMPING_KINDS, Damping, ExpectedEffect, Frame, Heading, Limits
 from cvxshear.measurement.static_test import StaticTest
 from cvxshear.priors import Prior, check_prior
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError, NoScaleError
+from cvxshear.util.reader import experiment_in
 from cvxshear.util.results import Shown, as_table
 from cvxshear.util.typing import Json, T
 
@@ -30,6 +31,7 @@ __all__ = [
 
 Tested = Configuration | StaticTest
 """What was measured on one state of the frame; either has a `name`, a `state` and an `added_mass`."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Experiment(Shown):
@@ -82,7 +84,7 @@ class Experiment(Shown):
             raise InputError("at least one [[configuration]] is needed: none was found")
         self._check_names()
         stories = self._count_stories()
-        put(self, "frame", self.frame._completed(stories))
+        put(self, "frame", dataclasses.replace(self.frame, stories=stories))
         put(self, "configurations", tuple(each.in_frame(stories) for each in self.configurations))
         put(self, "static", tuple(each.in_frame(stories) for each in self.static))
         self._check_states()
@@ -112,9 +114,8 @@ class Experiment(Shown):
         """Raise where the reference or an expected effect names a state, floor or story that there is not."""
         states = self.states
         if self.frame.reference is not None and self.frame.reference not in states:
-            raise InputError(
-                f"frame: reference = {self.frame.reference!r} is no state; the states are {_quoted(states)}"
-            )
+            known = ", ".join(f'"{state}"' for state in states)
+            raise InputError(f"frame: reference = {self.frame.reference!r} is no state; the states are {known}")
         for each in self.expected:
             each.check(self.stories, states)
 
@@ -195,20 +196,14 @@ class Experiment(Shown):
         frame = Frame.from_dict({} if table.get("frame") is None else table["frame"], elsewhere=tested_keys)
         configurations = tuple(
             Configuration.from_dict(item, name=f"configuration {place}", elsewhere=frame_keys)
-            for place, item in enumerate(_tables(table["configuration"], "configuration"), 1)
+            for place, item in _tables(table, "configuration")
         )
         priors = []
-        for place, item in enumerate(_tables(table.get("prior"), "prior"), 1):
+        for place, item in _tables(table, "prior"):
             with _named(place):
                 priors.append(Prior.from_dict(item))
-        static = tuple(
-            StaticTest.from_dict(item, name=f"static test {place}")
-            for place, item in enumerate(_tables(table.get("static"), "static"), 1)
-        )
-        expected = tuple(
-            ExpectedEffect.from_dict(item, f"effect {place}")
-            for place, item in enumerate(_tables(table.get("effect"), "effect"), 1)
-        )
+        static = tuple(StaticTest.from_dict(item, name=f"static test {at}") for at, item in _tables(table, "static"))
+        expected = tuple(ExpectedEffect.from_dict(item, f"effect {at}") for at, item in _tables(table, "effect"))
         damping = Damping() if table.get("damping") is None else Damping.from_dict(table["damping"])
         report = Heading() if table.get("report") is None else Heading.from_dict(table["report"])
         limits = None if table.get("limits") is None else Limits.from_dict(table["limits"])
@@ -294,17 +289,41 @@ def _named(place: int) -> Iterator[None]:
         raise type(error)(f"prior {place}: {error}") from error
 
 
-def _quoted(names: Iterable[str]) -> str:
-    """Names as a message lists them."""
-    return ", ".join(f'"{name}"' for name in names)
-
-
-def _tables(value: object, key: str) -> list[object]:
-    """Return what stands below the headers `[[key]]`."""
+def _tables(declared: Mapping[str, object], key: str) -> list[tuple[int, object]]:
+    """Return what stands below the headers `[[key]]`, each with its number."""
+    value = declared.get(key)
     if value is None:
         return []
     if isinstance(value, Mapping):
         raise InputError(f"[{key}] must be a list of tables: write [[{key}]], in double brackets")
     if not isinstance(value, list | tuple):
         raise InputError(f"{key} must be a list of tables, each below [[{key}]], not {checks.shown(value)}")
-    return list(value)
+    return list(enumerate(value, 1))
+
+
+Measurement = str | Path | Experiment
+"""An experiment, the path of a measurement file or a record file, or the name of a built-in example."""
+
+
+def opened(source: Measurement) -> Experiment:
+    """Return an experiment as it is, or read it from its file.
+
+    Parameters
+    ----------
+    source : Experiment, str or Path
+        A path, of a measurement file or of a record file, whose modes are then identified; or a built-in's name.
+
+    Raises
+    ------
+    InputError
+        Where it is none of these, or the file cannot be read.
+    NoSolutionError
+        Where no mode was found in a record.
+    """
+    if isinstance(source, Experiment):
+        return source
+    if not isinstance(source, str | Path):
+        needed = "an Experiment, the path of its file or the name of a built-in example"
+        raise InputError(f"{needed} is needed, not {checks.shown(source)}")
+    found: Experiment = experiment_in(source)
+    return found

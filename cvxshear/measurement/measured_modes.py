@@ -79,10 +79,11 @@ def other_modes(declared: object, own: Ints, where: str) -> tuple[OtherModes, ..
 
 
 SAME_SHAPE = 1e-12
-"""Two shapes are taken to be the same where the squared sine of the angle between them is less."""
+"""Squared sine of the angle between two shapes below which they are the same one."""
 
 ENTRIES_OF_A_COPY = 3
-"""Where floors are missing two modes may look alike in one or two entries; the same three are a copied row."""
+"""Equal entries from which on a row is a copy of another: where floors are missing two modes may look alike in one or
+two."""
 
 
 def copied_rows(shapes: Floats) -> tuple[int, int] | None:

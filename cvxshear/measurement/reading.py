@@ -1,4 +1,9 @@
-"""What configurations read, as the screening takes it: rows that can be turned, exchanged and renumbered; copies."""
+"""What a configuration reads, as the screening takes it: rows that can be turned and renumbered, signs, copies.
+
+The signs of a mode of a shear frame: mode r changes sign r - 1 times from the ground up. Its stiffness matrix is a
+Jacobi matrix, its mass matrix positive and diagonal (Gantmacher and Krein 1950). At some of the floors mode r changes
+sign r - 1 times at most. Entries that noise could have turned round count in favour.
+"""
 
 from __future__ import annotations
 
@@ -10,19 +15,23 @@ from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.util.typing import Bools, Floats, Ints
 
 SHAPE_TOLERANCE = 0.03
-"""Of a mode's largest entry: so far a real frame's shapes stray from a shear frame's besides the noise."""
+"""Difference, relative to a mode's largest entry, by which a real frame's shapes stray from a shear frame's besides the
+noise."""
 
 FREQUENCY_TOLERANCE = 0.02
-"""Relative: so far its frequencies do."""
+"""Relative difference by which a real frame's frequencies stray from a shear frame's besides the noise."""
 
 CLOSER = 0.3
-"""The part of both tolerances that suffices for a frame which is nearly a shear frame."""
+"""Factor on both tolerances that suffices for a frame which is nearly a shear frame."""
 
 FARTHER = 3.0
-"""The multiple of both that a frame asks for which is far from a shear frame (walls, coupled floors)."""
+"""Factor on both tolerances for a frame which is far from a shear frame (walls, coupled floors)."""
+
+CERTAIN = 5.0
+"""Standard deviations from zero, `SHAPE_TOLERANCE` included, from which on an entry's sign is taken as it is."""
 
 NUMBERS_OF_A_COPY = 3
-"""Two tests may round to the same frequency or two; no two agree in the same three numbers to the last digit."""
+"""Equal numbers from which on two tests are one: they may round to the same frequency or two, not to three."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +117,53 @@ class Reading:
         near, known = self.closer, self.known
         shapes = np.log(near.weights[known] / self.weights[known])
         return 2 * float(np.sum(shapes) + np.sum(np.log(self.frequency_std / near.frequency_std)))
+
+
+def fewest_changes(signs: Floats) -> int:
+    """Count changes of sign among the entries whose sign is certain."""
+    sure = signs[signs != 0]
+    return int(np.sum(sure[1:] != sure[:-1]))
+
+
+def most_changes(signs: Floats) -> int:
+    """Count changes of sign where the uncertain entries (0) have the signs that make the most of them.
+
+    Over a distance of d floors there are d changes at most, and an odd number of them just where the signs differ.
+    """
+    places = np.flatnonzero(signs)
+    if not len(places):
+        return len(signs) - 1
+    distance, differ = np.diff(places), np.diff(signs[places]) != 0
+    within = np.sum(distance - (distance % 2 != differ))
+    return int(within + places[0] + len(signs) - 1 - places[-1])
+
+
+def violations(reading: Reading) -> list[str]:
+    """Name the modes whose signs no shear frame's mode of that number has, a part of a sentence for each."""
+    scaled = reading.scaled
+    signs = np.where(np.abs(scaled) * reading.weights > CERTAIN, np.sign(scaled), 0.0)
+    whole = len(reading.floors) == reading.stories
+    return [
+        said
+        for number, row, known in zip(reading.modes + 1, signs, reading.known, strict=True)
+        if known.any() and (said := _violation(int(number), row, whole=whole))
+    ]
+
+
+def _violation(number: int, signs: Floats, *, whole: bool) -> str:
+    """Say what is wrong with one mode; empty where nothing is. Entries not measured can have had any sign."""
+    right = number - 1
+    least = fewest_changes(signs)
+    if least > right:
+        return f"mode {number} changes sign {_times(least)} from the ground up, and a shear frame's {_times(right)}"
+    most = most_changes(signs)
+    if whole and most < right:
+        return f"mode {number} changes sign {_times(most)} from the ground up, and a shear frame's {_times(right)}"
+    return ""
+
+
+def _times(count: int) -> str:
+    return {0: "not at all", 1: "once", 2: "twice"}.get(count, f"{count} times")
 
 
 def repeated_configurations(experiment: Experiment) -> tuple[tuple[str, ...], ...]:

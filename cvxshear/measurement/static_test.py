@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from cvxshear.measurement.declaration import InTable
+from cvxshear.measurement.declaration import InTable, named_in
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats
 
 DEFAULT_DISPLACEMENT_STD = 0.01
-"""Relative to the largest displacement; `data.Static.noise` says why."""
+"""Standard deviation relative to the largest displacement, where none is declared; `data.Static.noise` says why."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +69,9 @@ class StaticTest(InTable):
     @staticmethod
     def from_dict(declared: object, *, name: str = "static test 1") -> StaticTest:
         """Read the test that a table `[[static]]` of a measurement file declares."""
-        where = name
-        if isinstance(declared, Mapping) and declared.get("name") is not None:
-            where = f'static test "{checks.text(declared["name"], f"{name}: name")}"'
-        return StaticTest.of_table(declared, where, "force", "displacement", name=name)
+        return StaticTest.of_table(
+            declared, named_in(declared, "static test", name), "force", "displacement", name=name
+        )
 
     def in_frame(self, stories: int) -> StaticTest:
         """Fit the test to a frame of so many stories, added mass filled in."""

@@ -25,8 +25,7 @@ from cvxshear.fit.gauss_newton import Ending
 from cvxshear.fit.results import SingleIdentification
 from cvxshear.methods.separate import MOST_ROUNDS, UNCHANGED, CompleteTest, finished, identified_stiffness, start_mass
 from cvxshear.programs import mass_correction, one_shot_masses
-from cvxshear.programs.normal import LOST, digits_lost, keeps_rows
-from cvxshear.programs.orthogonality import normalized
+from cvxshear.programs.orthogonality import LOST, digits_lost, keeps_rows, normalized
 from cvxshear.programs.statements import constrained, softened
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.typing import Floats

@@ -13,8 +13,7 @@ from cvxshear.fit.domain import domain_of
 from cvxshear.fit.gauss_newton import step_program
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import uniform
-from cvxshear.measurement.experiment import Experiment
-from cvxshear.measurement.opened import Measurement, opened
+from cvxshear.measurement.experiment import Experiment, Measurement, opened
 from cvxshear.methods.separate import CompleteTest, complete_test, start_mass
 from cvxshear.programs import LeastSquares, mass_correction, one_shot_masses, story_stiffnesses
 from cvxshear.programs.orthogonality import normalized

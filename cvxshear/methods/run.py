@@ -10,7 +10,7 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.fit.efficient import efficient, parameter_names
 from cvxshear.fit.results import Identification, SingleIdentification
-from cvxshear.measurement.opened import Measurement, opened
+from cvxshear.measurement.experiment import Measurement, opened
 from cvxshear.methods.paper_methods import TOLERANCE, berman, one_shot, qi, two_stage
 from cvxshear.methods.separate import CompleteTest, complete_test
 from cvxshear.priors import Prior

@@ -17,8 +17,7 @@ from cvxshear.fit.quality import quality
 from cvxshear.fit.results import IdentifiedFrame, SingleIdentification, predictions
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.programs import story_stiffnesses
-from cvxshear.programs.normal import LOST, digits_lost, keeps_rows
-from cvxshear.programs.orthogonality import normalized
+from cvxshear.programs.orthogonality import LOST, digits_lost, keeps_rows, normalized
 from cvxshear.programs.statements import NamedConstraints, constrained, softened, statements
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.quantities import ranged

@@ -32,7 +32,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg
 
-from cvxshear.modal.frf import RINGING
+from cvxshear.modal.frf import ERA_COLUMNS, ERA_ROWS, RINGING
 from cvxshear.modal.realization import Impulse, Source, block_hankel, left_factor
 from cvxshear.records.record import Complexes
 from cvxshear.util.errors import NoSolutionError
@@ -47,8 +47,6 @@ MOST_UNKNOWNS = 0.1
 
 LARGEST_GROWTH = 1.002
 """A sample; a lightly damped pole may come out that much unstable by chance."""
-OKID_ROWS = 60
-OKID_COLUMNS = 600
 
 
 def lags_for(stories: int, outputs: int, samples: int) -> int:
@@ -164,11 +162,11 @@ class OkidSource(Source):
         direct = weights[: self.inputs].T
         lagged = weights[self.inputs :].reshape(self.lags, self.inputs + self.outputs, self.outputs)
         past = lagged.transpose(0, 2, 1)
-        return _system_markov(direct, past[:, :, : self.inputs], past[:, :, self.inputs :], OKID_ROWS + OKID_COLUMNS)
+        return _system_markov(direct, past[:, :, : self.inputs], past[:, :, self.inputs :], ERA_ROWS + ERA_COLUMNS)
 
     def factor(self, keep: Bools | None = None) -> Floats:
         """Left factor of the block Hankel matrix of the Markov parameters."""
-        return left_factor(block_hankel(self.markov(keep), OKID_ROWS, OKID_COLUMNS))
+        return left_factor(block_hankel(self.markov(keep), ERA_ROWS, ERA_COLUMNS))
 
     def impulse(self, keep: Bools | None = None) -> Impulse:
         """Return the Markov parameters, from the first that rings no more.
@@ -293,7 +291,8 @@ def _data(excitation: Floats, response: Floats, rows: int) -> Floats:
 
 
 SSI_ROWS = 40
-SSI_COLUMNS = 40
+"""Block rows, and block columns, of the Hankel matrix of covariances: four periods of a highest mode at a tenth of the
+sampling rate, and with two sensors more than twice the 30 states of the largest model."""
 LEAST_NOISE = 1e-8
 """Of the largest variance, added to every channel's: an oversampled record's covariances are nearly singular."""
 
@@ -314,7 +313,7 @@ class CovarianceSource(Source):
     unit = "block"
 
     def __init__(
-        self, pieces: Sequence[Floats], sampling_rate: float, rows: int = SSI_ROWS, columns: int = SSI_COLUMNS
+        self, pieces: Sequence[Floats], sampling_rate: float, rows: int = SSI_ROWS, columns: int = SSI_ROWS
     ) -> None:
         self.sampling_rate = sampling_rate
         self.rows, self.columns = rows, columns

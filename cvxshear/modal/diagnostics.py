@@ -73,8 +73,6 @@ def left_out(candidates: Sequence[PoleCandidate], chosen: Sequence[PoleCandidate
     return [item for item in candidates if (item.physical or item.shaky) and item.members not in taken]
 
 
-SIGNIFICANT_STDS = 3.0
-"""Standard deviations."""
 CLOCK_CERTAIN = 4.5
 """Standard deviations, of a score of blocks, for a clock that is off: one sound record in some hundreds has one."""
 STRAIGHT = 0.7
@@ -82,9 +80,9 @@ STRAIGHT = 0.7
 LEAST_TURN = 1.0
 """Degrees at the highest mode; a clock offset that turns it less changes nothing that is reported."""
 COMPLEX = 5.0
-"""Degrees of phase lost in a real normal mode that are worth a word."""
+"""Degrees of phase lost in a real normal mode that are said: the real mode then lacks 0.4 % of the complex one."""
 UNRECIPROCAL = 0.02
-"""Relative; sensors and hammers are hardly calibrated better."""
+"""Relative difference of a transfer with its direction that is said: of two sensors and a hammer good to 1 %."""
 OTHER = "not a sway mode that the frame still lacks: torsion, another axis, a local or split mode"
 GAIN_CHANGED = 0.04
 """Change of a channel's gain between two records that is worth a word: twice what calibrations differ by."""

@@ -19,6 +19,7 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats, Ints
 
 DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
+"""How often each quantity is a displacement differentiated by time."""
 
 
 def residues(sequence: Floats, eigenvalues: Complexes, sampling_rate: float, start: int) -> Complexes:
@@ -94,8 +95,9 @@ def modal_scale(products: Complexes, shape: Floats, floors: Ints, driven: Ints) 
     return float(np.sqrt(square)) if square > 0 else None
 
 
-ERA_ROWS = 60
-ERA_COLUMNS = 600
+ERA_ROWS, ERA_COLUMNS = 60, 600
+"""Block rows and columns of the Hankel matrix of impulse responses: twice the states of the largest model for a single
+sensor, and at a tenth of the sampling rate, where the highest mode lies at least, sixty of its periods."""
 SKIPPED = 3
 """Samples at the start of an impulse response that its cut at half the sampling rate disturbs most."""
 RINGING = 12

@@ -20,6 +20,8 @@ from cvxshear.util.typing import Floats
 
 MODAL_METHODS = ("era", "okid", "subspace", "ssi")
 BLOCKS = 20
+"""Pieces of a continuous record: Student's t of 19 degrees of freedom widens the deviations by 7 % only, and a piece
+still holds many periods of the lowest mode."""
 
 
 def default_method(record: Record) -> str:
@@ -125,7 +127,7 @@ def _one_floor(record: TimeRecord) -> int:
 
 
 def _ambient(record: TimeRecord, blocks: int) -> Source:
-    after = continuous.SSI_ROWS + continuous.SSI_COLUMNS
+    after = 2 * continuous.SSI_ROWS
     pieces = [run.responses[start : stop + after] for run, start, stop in _cuts(record, blocks, 0, after)]
     return continuous.CovarianceSource(pieces, record.sampling_rate)
 
@@ -149,6 +151,7 @@ def _cuts(record: TimeRecord, blocks: int, before: int, after: int) -> Iterator[
 
 
 DECIMATION_FACTORS = (2, 4, 8, 16, 32, 64)
+"""Steps of the sampling rate: at a factor of two the highest mode is met within LOWEST_SHARE and half the rate."""
 LOWEST_SHARE = 0.1
 """Of the sampling rate: a highest mode below it asks for a lower rate."""
 

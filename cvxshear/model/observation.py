@@ -10,6 +10,7 @@ import numpy as np
 from cvxshear.util.typing import Floats, Ints
 
 ALL = slice(None)
+"""Index of every floor."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,13 +5,6 @@ from cvxshear.paper.scatter import NoiseStudy, Scatter, noise_study, paper_setup
 from cvxshear.paper.tables import Row, Section
 
 __all__ = [
-    "NoiseStudy",
-    "Reproduction",
-    "Row",
-    "Scatter",
-    "Section",
-    "noise_study",
-    "paper_setups",
-    "reproduce",
+    "NoiseStudy", "Reproduction", "Row", "Scatter", "Section", "noise_study", "paper_setups", "reproduce",
     "six_story_study",
-]
+]  # fmt: skip

@@ -1,7 +1,7 @@
 """Many complete measurements at once: the two-stage and one-shot methods in closed form, a sample a row.
 
-Both work on normal matrices, which need no row a pair of modes (`programs.normal`). Squaring squares the condition
-number, which costs frames of a few stories nothing that could be seen; there `identify` keeps the rows.
+Both work on normal matrices, which need no row a pair of modes (`programs.orthogonality`). Squaring squares the
+condition number, which costs frames of a few stories nothing that could be seen; there `identify` keeps the rows.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 from cvxshear.methods.paper_methods import MOST_ITERATIONS, TOLERANCE
 from cvxshear.model.shear import transformation
-from cvxshear.programs.normal import pair_normal
+from cvxshear.programs.orthogonality import pair_normal
 from cvxshear.util.typing import Bools, Floats, Ints
 
 

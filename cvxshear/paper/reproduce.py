@@ -9,7 +9,7 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.paper import steel_frame, three_story
 from cvxshear.paper.scatter import SEED
-from cvxshear.paper.tables import DIFFERS, MISPRINTED, ROUNDED, TO_THE_DIGIT, Row, Section
+from cvxshear.paper.tables import DIFFERS, MISPRINTED, ROUNDED, TO_THE_DIGIT, Section
 from cvxshear.util.results import InJson
 
 
@@ -34,11 +34,6 @@ class Reproduction(InJson):
     json_keys = "backend samples seed summary sections"
 
     @property
-    def rows(self) -> tuple[Row, ...]:
-        """All rows of all sections."""
-        return tuple(row for section in self.sections for row in section.rows)
-
-    @property
     def summary(self) -> str:
         """How many figures agree, in a sentence or two."""
         results = [row for section in self.sections if section.counted for row in section.rows]
@@ -50,10 +45,6 @@ class Reproduction(InJson):
             f"printed digit, {counts[ROUNDED]} more once computed, as the paper did, from its own rounded figures, "
             f"{counts[MISPRINTED]} is a misprint, {counts[DIFFERS]} differ."
         )
-
-    def section(self, title: str) -> Section:
-        """Find the first section whose title begins so."""
-        return next(each for each in self.sections if each.title.startswith(title))
 
 
 def reproduce(

@@ -1,11 +1,4 @@
-"""Known frames with noisy measurements, and the Cramer-Rao bound of what can be identified from them.
-
-No unbiased estimator of the masses and stiffnesses scatters less than the bound. Nothing in it comes from the
-estimator: the modes are those of M^-1/2 K M^-1/2, the derivatives central differences, and the unknown scale of each
-measured mode is a parameter of its own that the information matrix carries. The total mass is known, so that the bound
-is that of the constrained problem, Z (Z' I Z)^-1 Z' with Z spanning the changes that keep the total (Stoica and Ng,
-1998).
-"""
+"""Known frames with noisy measurements, and the Cramer-Rao bound of what can be identified from them."""
 
 from __future__ import annotations
 
@@ -14,18 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import linalg
 
+from cvxshear.fit.misfit import Misfit
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.util import checks
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats, Ints
-
-SMALL_STEP = 1e-5
-"""Relative step of the bound's central differences, whose error is of its square."""
-
-
-def _none() -> Ints:
-    return np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +51,8 @@ class Setup(InJson):
     mode_shape_noise: str = "multiplicative"
     frequency_std: float = 1e-5
     exact_frequencies: bool = True
-    modes: Ints = field(default_factory=_none)
-    measured_floors: Ints = field(default_factory=_none)
+    modes: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    measured_floors: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     name: str = "frame"
 
     json_keys = (
@@ -189,7 +176,10 @@ def six_story(mode_shape_std: float = 0.01) -> Setup:
 
 
 def cramer_rao(setup: Setup) -> Floats:
-    """Smallest covariance of floor masses and story stiffnesses.
+    """Smallest covariance of floor masses and story stiffnesses that an unbiased estimator can have.
+
+    Z (Z' J'J Z)^-1 Z' with J the derivatives of the standardized data at the true frame, the scale of each shape
+    eliminated, and Z spanning the changes that keep the total mass (Stoica and Ng, 1998).
 
     Parameters
     ----------
@@ -207,26 +197,11 @@ def cramer_rao(setup: Setup) -> Floats:
     deviations are taken as numbers.
     """
     truth = setup.truth
-    unit = np.diag(truth)
-    frequencies, shapes = _modal_data(setup, truth)
-    spread = np.abs(shapes)
-    if setup.mode_shape_noise == "additive":
-        spread = np.max(spread, axis=1, keepdims=True)
-    std = np.concatenate([
-        np.full(len(frequencies), setup.frequency_std),
-        np.broadcast_to(setup.mode_shape_std * spread, shapes.shape).ravel(),
-    ])  # fmt: skip
-    slopes = [
-        (_stacked(setup, truth + SMALL_STEP * row) - _stacked(setup, truth - SMALL_STEP * row)) / (2 * SMALL_STEP)
-        for row in unit
-    ]  # of relative changes, so that kg and N/m share one size
-    scales = linalg.block_diag(*shapes.reshape(len(shapes), -1, 1))
-    J = np.hstack([np.array(slopes).T, np.vstack([np.zeros((len(frequencies), len(shapes))), scales])])
-    total = np.concatenate([setup.floor_mass, np.zeros(J.shape[1] - setup.stories)])
-    Z = linalg.null_space(total[None])
-    root = np.linalg.inv(np.linalg.qr((J / std[:, None]) @ Z, mode="r"))
-    relative = (Z @ root)[: len(truth)]
-    covariance: Floats = unit @ relative @ relative.T @ unit
+    # Of relative changes, so that kg and N/m share one size.
+    J = Misfit(setup.experiment(*setup.exact())).evaluate(truth).J * truth
+    Z = linalg.null_space(np.concatenate([setup.floor_mass, np.zeros(setup.stories)])[None])
+    root = truth[:, None] * Z @ np.linalg.inv(np.linalg.qr(J @ Z, mode="r"))
+    covariance: Floats = root @ root.T
     return covariance
 
 
@@ -234,21 +209,3 @@ def bound(setup: Setup) -> Floats:
     """Smallest standard deviation of each floor mass and story stiffness, shape (2N,), kg and N/m."""
     result: Floats = np.sqrt(np.diag(cramer_rao(setup)))
     return result
-
-
-def _modal_data(setup: Setup, theta: Floats) -> tuple[Floats, Floats]:
-    """Logarithms of the measured frequencies, shape (m,), and measured shapes of unit modal mass, shape (m, n)."""
-    n = setup.stories
-    root = np.sqrt(theta[:n])
-    drift = np.eye(n) - np.eye(n, k=-1)
-    eigenvalues, vectors = np.linalg.eigh((drift.T * theta[n:]) @ drift / np.outer(root, root))
-    shapes = vectors / root[:, None]
-    # The largest entry of a mode does not change its sign over a step of the differences.
-    shapes = shapes * np.sign(shapes[np.argmax(np.abs(shapes), axis=0), np.arange(n)])
-    which = setup.modes - 1
-    return 0.5 * np.log(eigenvalues[which]), shapes[np.ix_(setup.measured_floors - 1, which)].T
-
-
-def _stacked(setup: Setup, theta: Floats) -> Floats:
-    frequencies, shapes = _modal_data(setup, theta)
-    return np.concatenate([frequencies, shapes.ravel()])

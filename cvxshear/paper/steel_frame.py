@@ -18,8 +18,6 @@ from cvxshear.programs import story_stiffnesses
 from cvxshear.programs.orthogonality import normalized
 from cvxshear.util.typing import Floats
 
-ORDINALS = (1, 2)
-
 
 @dataclass(frozen=True)
 class RecoveredShapes:
@@ -94,9 +92,9 @@ class SteelFrame:
     def recovered(self, name: str) -> RecoveredShapes:
         """Read the shapes of Fig. 8 from the printed figures of one structure."""
         return recovered_shapes(
-            np.array(tables.values(tables.TABLE_6_MASS[name])),
-            KILO * np.array(tables.values(tables.TABLE_6_STIFFNESS[name])),
-            np.array(tables.values(tables.TABLE_5[name])),
+            tables.values(tables.TABLE_6_MASS[name]),
+            KILO * tables.values(tables.TABLE_6_STIFFNESS[name]),
+            tables.values(tables.TABLE_5[name]),
         )
 
 
@@ -125,8 +123,8 @@ def sections(ours: SteelFrame) -> Iterator[Section]:
 
 def _rows(table: str, what: str, printed: Mapping[str, tuple[str, ...]], found: Mapping[str, Floats]) -> Iterator[Row]:
     for name in tables.STRUCTURES:
-        for place in ORDINALS:
-            yield Row(what.format(place), f"{table}, {name}", printed[name][place - 1], float(found[name][place - 1]))
+        for place, (text, number) in enumerate(zip(printed[name], found[name], strict=True), 1):
+            yield Row(what.format(place), f"{table}, {name}", text, float(number))
 
 
 def _inputs(ours: SteelFrame) -> Iterator[Row]:
@@ -195,7 +193,7 @@ def _conclusions(ours: SteelFrame) -> Iterator[Row]:
 
 
 def _numbers(printed: Mapping[str, tuple[str, ...]]) -> dict[str, Floats]:
-    return {name: np.array(tables.values(texts)) for name, texts in printed.items()}
+    return {name: tables.values(texts) for name, texts in printed.items()}
 
 
 def _spread(found: Mapping[str, Floats]) -> float:

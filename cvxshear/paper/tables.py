@@ -8,13 +8,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from cvxshear.util.results import InJson
+from cvxshear.util.typing import Floats
 
 KILO = 1e3
 """The paper prints stiffnesses in kN/m."""
 
 INITIAL_MASS = {1: (9.5, 7.5, 5.5), 2: (7.5, 7.5, 7.5)}
-"""Section 5.1, kg."""
+"""Initial floor masses of the two cases of Section 5.1, kg."""
 
 PAPER_METHODS = {"two-stage": "present", "qi": "Ref. [23]", "berman": "Ref. [17]"}
 """Our name of each method, and the paper's."""
@@ -69,18 +72,20 @@ TABLE_3 = {
 """Errors of the mean value, percent, by standard deviation of the noise, for each of `PARAMETERS`."""
 
 TABLE_3_SAMPLES = 100
+"""Random samples of Table 3 (Section 5.2)."""
 
 FIGURE_6_SIGMA = 0.05
 FIGURE_6 = "about 5"
 """Section 5.2: the coefficient of variation of mass and stiffness at that noise, percent."""
 
 STRUCTURES = ("Structure 1", "Structure 2", "Structure 3")
+"""The states of the test frame, by their counterweights."""
 
 TABLE_4 = {"Structure 1": ("13.5", "8.6"), "Structure 2": ("27.5", "22.6"), "Structure 3": ("41", "36.1")}
-"""Counterweights, kg."""
+"""Counterweights on floors 1 and 2, kg."""
 
 TOTAL_NET_MASS = "31.33"
-"""Section 6, kg."""
+"""Total mass without counterweights (Section 6), kg."""
 
 TABLE_5 = {"Structure 1": ("2.990", "7.934"), "Structure 2": ("2.380", "6.331"), "Structure 3": ("2.030", "5.420")}
 """Measured natural frequencies, Hz."""
@@ -97,6 +102,7 @@ TABLE_6_NET_MASS = {
     "Structure 2": ("12.738", "18.592"),
     "Structure 3": ("12.730", "18.600"),
 }
+"""Identified floor masses without counterweights, kg."""
 
 TABLE_6_STIFFNESS = {
     "Structure 1": ("25.517", "25.176"),
@@ -127,15 +133,16 @@ def decimals(printed: str) -> int:
     return len(printed.partition(".")[2])
 
 
-def values(printed: tuple[str, ...]) -> tuple[float, ...]:
+def values(printed: tuple[str, ...]) -> Floats:
     """Read printed figures as numbers."""
-    return tuple(value(each) for each in printed)
+    return np.array([value(each) for each in printed])
 
 
 TO_THE_DIGIT = "to the last digit"
 ROUNDED = "from rounded figures"
 MISPRINTED = "misprint"
 DIFFERS = "differs"
+"""How a recomputed figure compares with the printed one."""
 
 
 @dataclass(frozen=True)

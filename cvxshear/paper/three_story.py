@@ -19,6 +19,8 @@ from cvxshear.paper.tables import KILO, Row, Section
 from cvxshear.util.typing import Floats
 
 FIGURE_6_SAMPLES = 2000
+"""Samples of Fig. 6, as many as a noise study draws: it has no number of its own."""
+
 UNLIKELY = 1.96
 """Standard errors that chance exceeds in one case of twenty."""
 
@@ -132,9 +134,9 @@ def _largest_errors(ours: ThreeStory) -> Iterator[Row]:
         truth = ours.truth
         yield Row(
             "largest error of a floor mass, %", where, mass, _largest(frame.floor_mass, truth.floor_mass),
-            from_rounded=_largest(np.array(tables.values(diagonal)), truth.floor_mass),
+            from_rounded=_largest(tables.values(diagonal), truth.floor_mass),
         )  # fmt: skip
-        rounded = KILO * np.array(tables.values(tables.TABLE_2[method, case]))
+        rounded = KILO * tables.values(tables.TABLE_2[method, case])
         yield Row(
             "largest error of a story stiffness, %", where, stiffness,
             _largest(frame.story_stiffness, truth.story_stiffness),

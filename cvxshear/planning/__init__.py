@@ -6,16 +6,6 @@ from cvxshear.planning.planner import Limits, plan
 from cvxshear.planning.results import Outlook, Plan, predicted, write_template
 
 __all__ = [
-    "Declared",
-    "Design",
-    "Limits",
-    "Outlook",
-    "Plan",
-    "Recorded",
-    "TestNoise",
-    "measurement_of",
-    "plan",
-    "predicted",
-    "read_design",
-    "write_template",
-]
+    "Declared", "Design", "Limits", "Outlook", "Plan", "Recorded", "TestNoise", "measurement_of", "plan",
+    "predicted", "read_design", "write_template",
+]  # fmt: skip

@@ -141,7 +141,7 @@ def candidates(known: Floats, fixed: Floats, rows: Floats, question: Floats, wei
     InputError
         Where all that is asked for is known exactly.
     """
-    free = linalg.null_space(fixed, rcond=1e-12) if len(fixed) else np.eye(question.shape[1])
+    free = free_changes(fixed)
     left, sizes, right = np.linalg.svd(question @ free)
     rank = int(np.sum(sizes > KNOWN_EXACTLY * max(1.0, sizes[0] if len(sizes) else 1.0)))
     if not rank or sizes[0] <= KNOWN_EXACTLY:
@@ -152,6 +152,11 @@ def candidates(known: Floats, fixed: Floats, rows: Floats, question: Floats, wei
     known, rows = known @ scale, rows @ scale
     asked = left[:, :rank] * sizes[:rank] @ scale[:rank, :rank]
     return Candidates((known.T @ known)[None], rows[None], asked[None])
+
+
+def free_changes(fixed: Floats) -> Floats:
+    """Orthonormal columns, shape (p, f), that span the changes of p parameters on which fixed rows (e, p) are zero."""
+    return np.asarray(linalg.null_space(fixed, rcond=1e-12)) if len(fixed) else np.eye(fixed.shape[1])
 
 
 def _lower(whole: Floats) -> Floats:

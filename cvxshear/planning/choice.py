@@ -37,13 +37,15 @@ SOLVER_ACCURACY: dict[str, dict[str, Any]] = {
     "clarabel": {"tol_gap_abs": 1e-6, "tol_gap_rel": 1e-6, "tol_feas": 1e-7},
     "scs": {"eps_abs": 1e-6, "eps_rel": 1e-6, "max_iters": 40_000},
 }
+"""Accuracies that they are asked for: the bound is computed afterwards, and rough weights only make it lower."""
 
 TELLING = 1e-3
 """Part of a direction's information that the candidates must give for the direction to stand in the program: the
 others' standard deviations change by less than 0.05 %."""
 
 DIRECTIONS_ASKED = 16
-"""Of what is asked for, and as many again of the rest: the program's time grows with their fourth power."""
+"""Directions in the program of what is asked for, and as many again of the rest: its time grows with their fourth
+power."""
 
 IMPROVES = 1e-9
 """Relative gain from which on an exchange is made; less is rounding."""
@@ -52,28 +54,34 @@ AT_ONCE = 2_000_000
 """Numbers in the information matrices that are formed at a time: 16 MB."""
 
 FEW = 20_000
-"""Choices of which every one is looked at, where the information has `TYPICAL` rows: eighteen floors choose six."""
+"""Number of choices up to which every one is looked at, where the information has `TYPICAL` rows: eighteen floors
+choose six."""
 
 TYPICAL = 45
 """Rows of the information of an eighteen-story frame with three modes: a cubic measure of what one choice takes."""
 
 AT_LAST = 2
-"""Times as many, of which every one is looked at where windows leave a gap: a few sensors on a tall frame."""
+"""Factor on `FEW` where windows leave a gap: a few sensors on a tall frame are then all looked at."""
 
 CLOSE_ENOUGH = 0.05
-"""Gap from which on no closer bound is looked for."""
+"""Relative gap between a choice and its bound up to which no closer bound is looked for: expected noise is no better
+known."""
 
 WIDTHS = (4, 6, 8, 10)
-"""Floors in the windows of the closer bound, tried one after the other."""
+"""Numbers of floors in the windows of the closer bound, tried one after the other while the time allows."""
 
 MOST_WORK = 6e7
-"""Parameters, times choices within a window, times the numbers that each takes: two seconds."""
+"""Parameters times choices within a window times the numbers that each takes, up to which a window is affordable: two
+seconds."""
 
 ROUNDING_SEED = 2009
+"""Seed of the choices that are drawn, so that a plan comes out the same each time."""
+
 ROUNDINGS, FEWER_ROUNDINGS = 8, 1
 """Choices drawn with the weights as odds; fewer where there are more than `MANY` candidates, and each takes long."""
 
 MANY = 24
+"""Candidates above which a round of exchanges takes seconds: its time goes with the cube of their number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +96,6 @@ class Choice:
         The criterion's standard deviation.
     bound : float
         What no choice of as many can beat; the value itself where all were looked at.
-    program : float
-        What the convex program alone says that no choice can beat; the value where it was not needed.
     worst : float
         What no choice exceeds: the worst of all where all were looked at, else the value without any candidate.
     """
@@ -97,7 +103,6 @@ class Choice:
     chosen: Ints
     value: float
     bound: float
-    program: float
     worst: float
 
     @property
@@ -145,17 +150,15 @@ def choose(
         bound = max(bound, higher)
         value, chosen = min((value, chosen), exchanged(problem, start, by))
     if widths and value > (1 + CLOSE_ENOUGH) * bound and work <= AT_LAST * enumerate_up_to:
-        return _best_of_all(problem, number, by, found.bound)
-    without = float(by.value(problem, problem.base))
-    return Choice(np.array(chosen), value, min(bound, value), min(found.bound, value), without)
+        return _best_of_all(problem, number, by)
+    return Choice(np.array(chosen), value, min(bound, value), float(by.value(problem, problem.base)))
 
 
-def _best_of_all(problem: Candidates, number: int, by: Criterion, program: float | None = None) -> Choice:
+def _best_of_all(problem: Candidates, number: int, by: Criterion) -> Choice:
     every = list(combinations(range(problem.count), number))
     values = values_of(problem, every, by)
     best = int(np.argmin(values))
-    value = float(values[best])
-    return Choice(np.array(every[best]), value, value, value if program is None else program, float(values.max()))
+    return Choice(np.array(every[best]), float(values[best]), float(values[best]), float(values.max()))
 
 
 def values_of(problem: Candidates, choices: Sequence[Sequence[int]], by: Criterion) -> Floats:

@@ -297,6 +297,7 @@ class Worst(_Largest):
 
 
 CRITERIA: dict[str, Criterion] = {each.name: each for each in (Determinant(), Trace(), Eigenvalue(), Worst())}
+"""Criteria by the names that options have for them."""
 
 
 def criterion_named(name: str) -> Criterion:

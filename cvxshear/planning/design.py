@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import linalg
 
 from cvxshear import backends
 from cvxshear.effects import Place, Placed, Scale, catalogue, compose
-from cvxshear.files.toml import is_built_in, load, parse, read_text
+from cvxshear.files.toml import is_built_in, load, parse, read_result, read_text
 from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop import close_loop
-from cvxshear.measurement.experiment import Configuration, Experiment, Frame, Prior
-from cvxshear.measurement.opened import Measurement, opened
+from cvxshear.measurement.experiment import Configuration, Experiment, Frame, Measurement, Prior, opened
 from cvxshear.model.shear import modes
 from cvxshear.priors import Value, check_prior
 from cvxshear.util import checks
@@ -28,28 +25,14 @@ from cvxshear.util.quantities import listed
 from cvxshear.util.typing import Floats
 
 FRAME_QUANTITIES = ("floor_mass", "story_stiffness")
+"""Quantities that a frame has, in the order in which parameters stand."""
 
 UNKNOWN_STD = 1.0
 """Relative standard deviation from which on a mass or stiffness counts as unknown: as uncertain as it is large."""
 
-FIRM = 0.1
-"""Relative standard deviation of design values up to which a plan is made at these values alone. What a test tells
-changes with the frame: averaged over stiffnesses good to 30 % expected standard deviations are 14 % larger than those
-at the design values, in a story up to twice, and the difference goes with the square."""
-
-MOST_PAIRS, FEWEST_PAIRS = 16, 4
-"""Frames on either side of the design values over which a plan is averaged where these are vague. With sixteen pairs,
-stiffnesses good to 30 %, promises are within 2 % of the average of 200 frames in the mean (`python -m
-tests.benchmarks.planning vague`)."""
-
-STORIES_DRAWN = 160
-"""Stories of all pairs together: tall frames get fewer, each of which takes longer and draws more stories."""
-
-PRIOR_SEED = 2024
-
 
 @dataclass(frozen=True)
-class Fitted:
+class MeasuredFrequency:
     """A measured frequency beside that of the frame that the plan starts from.
 
     Parameters
@@ -144,44 +127,15 @@ class Design:
         ]
         return np.concatenate([self.sizes, away])
 
-    def possible(self) -> tuple[Design, ...]:
-        """Return the frame as designed, then frames that its design values allow; these alone where they are firm.
-
-        Masses and stiffnesses are drawn from what is known beforehand, in pairs about the design values, so that the
-        mean and the variance of each are those known. What nothing is known of stays as designed.
-        """
-        fixed = self.fixed()
-        free = linalg.null_space(fixed, rcond=1e-12) if len(fixed) else np.eye(len(self.sizes))
-        known = self.known()[:, : len(self.sizes)] @ free
-        information, axes = np.linalg.eigh(known.T @ known)
-        somewhat = information > UNKNOWN_STD**-2
-        root = free @ (axes[:, somewhat] / np.sqrt(information[somewhat]))
-        if np.max(np.linalg.norm(root, axis=1), initial=0.0) <= FIRM * (1 + 1e-9):
-            return (self,)
-        pairs = int(np.clip(STORIES_DRAWN // self.stories, FEWEST_PAIRS, MOST_PAIRS))
-        z = np.random.default_rng(PRIOR_SEED).standard_normal((pairs, root.shape[1]))
-        # The frame as designed is one of them: without a factor they would scatter less than is known.
-        z *= np.sqrt((2 * pairs + 1) / (2 * np.sum(z**2, axis=0)))
-        return (self, *(self._moved(root @ each) for each in (*z, *-z)))
-
-    def _moved(self, change: Floats) -> Design:
-        """Change masses and stiffnesses by these parts of themselves; the total mass stays as declared."""
-        # Below a half the logarithm is changed instead, which leaves every value positive.
-        factor = np.where(change > -0.5, 1 + change, 0.5 * np.exp(2 * np.minimum(change, 0.0) + 1))
-        mass, stiffness = np.split(self.sizes * factor, 2)
-        if self.frame.total_mass is not None and self.frame.floor_masses is None:
-            mass *= self.floor_mass.sum() / mass.sum()
-        return dataclasses.replace(self, floor_mass=mass, story_stiffness=stiffness)
-
-    def fitted(self) -> tuple[Fitted, ...]:
+    def measured_frequencies(self) -> tuple[MeasuredFrequency, ...]:
         """Every frequency that the file measured beside that of this frame."""
-        found: list[Fitted] = []
+        found: list[MeasuredFrequency] = []
         shell = self.shell()
         for test in self.declared:
             state = compose(shell, test, self.effects, self.theta, derivatives=False)
             expected = modes(state.system.M, state.system.K).frequencies[test.modes - 1]
             pairs = zip(test.modes, expected, test.frequencies, strict=True)
-            found += [Fitted(test.name, int(mode), float(own), float(seen)) for mode, own, seen in pairs]
+            found += [MeasuredFrequency(test.name, int(mode), float(own), float(seen)) for mode, own, seen in pairs]
         return tuple(found)
 
     def shell(self) -> Experiment:
@@ -330,7 +284,8 @@ class Design:
             mass = mass * frame.total_mass / mass.sum()
         for prior in priors:
             check_prior(prior, n)
-        return Design(_completed(frame, n), np.array(mass), np.array(stiffness), priors, name=name)
+        frame = dataclasses.replace(frame, stories=n)
+        return Design(frame, np.array(mass), np.array(stiffness), priors, name=name)
 
     @staticmethod
     def of_result(result: Mapping[str, Any], name: str) -> Design:
@@ -354,8 +309,7 @@ class Design:
             for quantity, values in zip(FRAME_QUANTITIES, (mass, stiffness), strict=True)
             for place, (value, std) in enumerate(zip(values, frame[f"{quantity}_std"], strict=True), 1)
         )
-        frame = _completed(Frame(), len(mass))
-        return Design(frame, mass, stiffness, priors, None, (), name, *_effects(result))
+        return Design(Frame(stories=len(mass)), mass, stiffness, priors, None, (), name, *_effects(result))
 
 
 def _place(prior: Prior, n: int) -> slice:
@@ -366,13 +320,6 @@ def _nominal(priors: Sequence[Prior], quantity: str, stories: int) -> Floats | N
     """Read the design values of a quantity, where a prior declares all of them; `stories` is 0 where not declared."""
     values = [prior.suggested(stories) for prior in priors if prior.quantity == quantity]
     return next((each for each in values if each is not None and each.size and not np.any(np.isnan(each))), None)
-
-
-def _completed(frame: Frame, stories: int) -> Frame:
-    """Read the frame with its number of stories, and one height a story."""
-    heights = frame.story_heights
-    whole = heights if heights is None or heights.ndim else np.full(stories, float(heights))
-    return dataclasses.replace(frame, stories=stories, story_heights=whole)
 
 
 def _effects(result: Mapping[str, Any]) -> tuple[tuple[Placed, ...], Floats, Floats]:
@@ -421,21 +368,18 @@ def read_design(
     InputError
         Naming the file and what would be right.
     """
-    if isinstance(source, Experiment) or is_built_in(source):
-        measured = source if isinstance(source, Experiment) else load(source)
+    measured = source if isinstance(source, Experiment) else measurement_of(source)
+    if measured is not None:
         return Design.of_experiment(measured, fresh=fresh, loop=loop, state=state)
-    path = Path(source)
+    path = Path(str(source))
     try:
-        if (loop or state) and measurement_of(path) is None:
+        if loop or state:
             raise InputError("a loop, or a state of the frame, needs a file with measured modes ([[configuration]])")
         if path.suffix.lower() == ".json":
-            return Design.of_result(_parsed(path), path.stem)
-        declared = parse(read_text(path), path)
-        if "configuration" not in declared:
-            return Design.of_file(declared, path.stem)
+            return Design.of_result(read_result(path), path.stem)
+        return Design.of_file(parse(read_text(path), path), path.stem)
     except InputError as error:
         raise error if str(error).startswith(str(path)) else type(error)(f"{path}: {error}") from error
-    return Design.of_experiment(load(path), fresh=fresh, loop=loop, state=state)
 
 
 def measurement_of(source: str | Path) -> Experiment | None:
@@ -452,15 +396,3 @@ def measurement_of(source: str | Path) -> Experiment | None:
     if path.suffix.lower() == ".json" or "configuration" not in parse(read_text(path), path):
         return None
     return load(path)
-
-
-def _parsed(path: Path) -> dict[str, object]:
-    try:
-        found = json.loads(read_text(path))
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{path} is not valid JSON: {error}") from None
-    if not isinstance(found, dict):
-        raise InputError(f"{path} must hold the result of identify or loop, not {checks.shown(found)}")
-    return found

@@ -26,6 +26,7 @@ from cvxshear.util import checks
 from cvxshear.util.typing import Floats, Ints
 
 EXCITATIONS = ("ambient", "shaker", "hammer")
+"""Kinds of records whose noise is known, see `Recorded`."""
 
 HAMMER = 0.35
 """Of the shaker's factor: between blows a hammer's force is known to be zero. From the study
@@ -192,8 +193,4 @@ def band_factors(kappa: float) -> tuple[float, float, float]:
     atan k.
     """
     angle, part = np.arctan(kappa), kappa / (kappa**2 + 1)
-    return (
-        float(2 / np.pi * (angle - part)),
-        float(2 / np.pi * (angle + part - 2 * angle**2 / kappa)),
-        float(angle),
-    )
+    return (float(2 / np.pi * (angle - part)), float(2 / np.pi * (angle + part - 2 * angle**2 / kappa)), float(angle))

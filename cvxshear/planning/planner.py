@@ -24,11 +24,8 @@ from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
 
-GOALS = {
-    "masses": ("floor_mass",),
-    "stiffnesses": ("story_stiffness",),
-    "all": ("floor_mass", "story_stiffness"),
-}
+GOALS = {"masses": ("floor_mass",), "stiffnesses": ("story_stiffness",), "all": ("floor_mass", "story_stiffness")}
+"""What a plan can be for besides effects, with the quantities that it is to determine."""
 
 DECLARED = "declared"
 """In place of a number of tests: those that the file declares."""
@@ -37,6 +34,7 @@ USUAL_MODES = 4
 """Modes that are planned for where nothing says which: as many as ambient tests of buildings commonly give."""
 
 MOST_TESTS = 50
+"""Tests at most: nobody makes more, and the program's time grows with them."""
 
 TURNS = 3
 """Times that floors and masses are chosen, one given the other; the third turn seldom changes anything."""
@@ -177,8 +175,8 @@ def plan(
         if isinstance(tests, str):
             raise InputError(f"tests must be a whole number or {DECLARED!r}, not {checks.shown(tests)}")
         checks.whole(tests, "tests", least=1, most=MOST_TESTS)
-    design = source if isinstance(source, Design) else read_design(
-        source, fresh=fresh or declared, loop=loop, state=state
+    design = (
+        source if isinstance(source, Design) else read_design(source, fresh=fresh or declared, loop=loop, state=state)
     )
     n = design.stories
     number = n if sensors is None else checks.whole(sensors, "sensors", least=1, most=n)
@@ -228,9 +226,7 @@ def _names(design: Design, count: int) -> list[str]:
     return [next(free) for _ in range(count)]
 
 
-def _masses(
-    model: AveragedModel, number: int, count: int, by: Criterion, limits: Limits, solver: str
-) -> list[Floats]:
+def _masses(model: AveragedModel, number: int, count: int, by: Criterion, limits: Limits, solver: str) -> list[Floats]:
     """Choose the masses of so many tests, kg, the lightest first; floors and masses chosen by turns."""
     n = len(limits.floor)
     grid = limits.grid()

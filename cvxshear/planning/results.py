@@ -12,7 +12,7 @@ from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.planning.chances import Chance
 from cvxshear.planning.choice import choose
 from cvxshear.planning.criteria import CRITERIA, criterion_named
-from cvxshear.planning.design import Fitted
+from cvxshear.planning.design import MeasuredFrequency
 from cvxshear.planning.tested_model import AveragedModel, Expected, TestModel
 from cvxshear.util.quantities import listed
 from cvxshear.util.results import InJson, Shown
@@ -158,9 +158,9 @@ class Plan(Shown):
         return self.grid_bound is not None and (self.grid_worst or 0.0) <= (1 + ARBITRARY) * self.grid_bound
 
     @property
-    def misfit(self) -> Fitted | None:
+    def misfit(self) -> MeasuredFrequency | None:
         """The measured frequency that the frame of the plan is farthest from, where that is more than `MISFIT`."""
-        worst = max(self.model.design.fitted(), key=lambda each: abs(each.error), default=None)
+        worst = max(self.model.design.measured_frequencies(), key=lambda each: abs(each.error), default=None)
         return None if worst is None or abs(worst.error) <= MISFIT else worst
 
     @property
@@ -275,25 +275,19 @@ def predicted(plan: Plan) -> Experiment:
 
 
 def _configuration(plan: Plan, name: str, masses: Floats, test: Expected, floors: Ints) -> Configuration:
-    which = plan.model.which
+    which, shapes = plan.model.which, test.shapes[:, floors]
     return Configuration(
         frequencies=test.found.frequencies[which],
-        mode_shapes=test.shapes[:, floors],
+        mode_shapes=shapes,
         name=name,
         state=plan.model.design.state or "",
         added_mass=masses,
         measured_floors=floors + 1,
         modes=which + 1,
         frequency_std=test.frequency_std,
-        mode_shape_std=relative_std(test, floors),
+        # As a file has it: of a mode's largest measured entry.
+        mode_shape_std=test.shape_std[:, floors] / np.max(np.abs(shapes), axis=1, keepdims=True),
     )
-
-
-def relative_std(test: Expected, floors: Ints) -> Floats:
-    """Return the entries' standard deviations, shape (m, n), as a file has them: of a mode's largest measured entry."""
-    largest = np.max(np.abs(test.shapes[:, floors]), axis=1, keepdims=True)
-    result: Floats = test.shape_std[:, floors] / largest
-    return result
 
 
 def write_template(path: str | Path, plan: Plan) -> None:

@@ -31,14 +31,13 @@ from cvxshear.planning.candidates import Candidates
 from cvxshear.util.typing import Bools, Floats, Ints
 
 MIXTURE_ROUNDS = 60
-"""Of looking for what bounds the best choice so far."""
+"""Rounds at most in which mixtures are added that bound the best choice so far; most bounds end before."""
 
 A_ROUND = 4
-"""Windows in which a mixture is added in each."""
+"""Windows in which a mixture is added in each round."""
 
 Hardest = Callable[[Floats], tuple[Floats, Floats]]
 """From covariances, shape (..., s, s): the criterion's variance, (...), and its mixture of the parameters, (..., s)."""
-
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +143,7 @@ def least_of_sum(terms: Sequence[Term], weights: Floats, number: int, width: int
         values[first] += within_window(term, weights, number, first, width, outside)
         slopes += here
         slopes[first : first + width] -= here[first : first + width]
-    return least_sum(values, slopes, number)
+    return path(values, slopes, number, np.add)
 
 
 def least_of_largest(
@@ -174,7 +173,7 @@ def least_of_largest(
     values = np.zeros((count, 2**width))
     added: set[tuple[int, bytes]] = set()
     for _ in range(MIXTURE_ROUNDS):
-        least, chosen = least_largest(values, number)
+        least, chosen = path(values, np.zeros(n), number, np.maximum)
         if least >= enough:
             break
         # The choice within each window, the weights outside of it.
@@ -192,7 +191,7 @@ def least_of_largest(
                 for term in variance(problem, mixtures[place])
             )
             values[place] = np.maximum(values[place], sum(parts))
-    return least_largest(values, number)
+    return path(values, np.zeros(n), number, np.maximum)
 
 
 def within_window(term: Term, weights: Floats, number: int, first: int, width: int, slopes: Floats) -> Floats:
@@ -274,8 +273,8 @@ def patterns(width: int) -> Ints:
     return result
 
 
-def least_sum(values: Floats, slopes: Floats, number: int) -> tuple[float, list[int]]:
-    """Find the least that the windows' values and the chosen candidates' slopes can add up to, and where.
+def path(values: Floats, slopes: Floats, number: int, together: np.ufunc) -> tuple[float, list[int]]:
+    """Find the least that the windows' values and the chosen candidates' slopes can make together, and where.
 
     Parameters
     ----------
@@ -284,17 +283,9 @@ def least_sum(values: Floats, slopes: Floats, number: int) -> tuple[float, list[
     slopes : ndarray, shape (n,)
     number : int
         Candidates that are chosen.
+    together : ufunc
+        `np.add` for the sum of the windows' values, `np.maximum` for the largest of them.
     """
-    return _least(values, slopes, number, np.add)
-
-
-def least_largest(values: Floats, number: int) -> tuple[float, list[int]]:
-    """Find the least that the largest of the windows' values can be, and where; parameters as in `least_sum`."""
-    width = int(values.shape[1]).bit_length() - 1
-    return _least(values, np.zeros(len(values) + width - 1), number, np.maximum)
-
-
-def _least(values: Floats, slopes: Floats, number: int, together: np.ufunc) -> tuple[float, list[int]]:
     every = values.shape[1]
     half, width = every // 2, every.bit_length() - 1
     within = patterns(width)

@@ -20,7 +20,10 @@ from cvxshear.util.quantities import fitting
 from cvxshear.util.results import fields_as_table
 from cvxshear.util.typing import Floats, Json
 
-QUANTITIES = ("floor_mass", "story_stiffness", "story_damping")
+QUANTITY_UNITS = {"floor_mass": "kg", "story_stiffness": "N/m", "story_damping": "N s/m"}
+QUANTITIES = tuple(QUANTITY_UNITS)
+"""Quantities that priors speak of, with their units."""
+
 SIZES = (1.0, 1e2, 1e4, 1e6, 1e8)
 """Sizes of masses (kg), stiffnesses (N/m) and dashpots at which a prior from elsewhere is tried: from bench models to
 towers. What it returns is compared at the size where its residual is smallest, the nearest to what it means."""
@@ -30,8 +33,6 @@ RESIDUAL_STEP = 1e-5
 
 _CHECKED = "_checked_for_stories"
 """Name of the mark on a prior that was checked."""
-
-QUANTITY_UNITS = {"floor_mass": "kg", "story_stiffness": "N/m", "story_damping": "N s/m"}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -72,7 +73,7 @@ class Constraints:
             value = getattr(self, field.name)
             if value is None:
                 continue
-            array = _real(value, f"{where}: its {field.name}")
+            array = checks.real(value, f"{where}: its {field.name}")
             if field.name not in {"h", "b"} and array.shape[-1:] != (size,):
                 raise InputError(
                     f"{where}: its {field.name} has the shape {array.shape}, where the last length must be {size}"
@@ -156,10 +157,6 @@ class Prior(ABC):
         nan on floors or stories that the prior says nothing of; None, the default, where it suggests no value.
         """
         return None
-
-    def redrawn(self, rng: np.random.Generator) -> Prior:
-        """State it as somebody else would who is as sure of it; for studies. Itself by default."""
-        return self
 
     def check(self, stories: int) -> None:  # noqa: B027  (a prior need not override it)
         """Raise `InputError` where the prior does not fit a frame of so many stories."""
@@ -265,23 +262,12 @@ def _evaluated(prior: Prior, x: Floats, name: str) -> tuple[Floats, Floats]:
         raise InputError(f"{name}: residual changes x in place; it must leave it as it is")
     if not isinstance(found, tuple) or len(found) != 2:
         raise InputError(f"{name}: residual must return (r, J), not {checks.shown(found)}")
-    r, J = _real(found[0], f"{name}: r of its residual"), _real(found[1], f"{name}: J of its residual")
+    r, J = checks.real(found[0], f"{name}: r of its residual"), checks.real(found[1], f"{name}: J of its residual")
     if r.ndim != 1 or J.shape != (len(r), len(x)):
         raise InputError(
             f"{name}: residual must return r and J of the shapes (p,) and (p, {len(x)}), not {r.shape} and {J.shape}"
         )
     return r, J
-
-
-def _real(value: object, where: str) -> Floats:
-    """Check an array of real numbers."""
-    try:
-        array = np.asarray(value)
-    except ValueError:
-        array = np.array(None)
-    if array.dtype.kind not in "fiu" or isinstance(value, np.ma.MaskedArray):
-        raise InputError(f"{where} must hold real numbers, not {checks.shown(value)}")
-    return array.astype(float)
 
 
 def _name(prior: Prior) -> str:

@@ -11,6 +11,7 @@ from cvxshear.priors.base import Constraints, Prior, check_quantity
 from cvxshear.util import checks
 
 DIRECTIONS = ("decreasing", "increasing")
+"""Ways in which a quantity can change with height."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -55,12 +54,6 @@ class Nominal(Prior):
     def suggested(self, stories: int) -> Floats:
         """Return the values."""
         return self.values
-
-    def redrawn(self, rng: np.random.Generator) -> Nominal:
-        """Draw the values as another engineer would have them, who is as sure of them; itself where they are exact."""
-        if self.std is None:
-            return self
-        return dataclasses.replace(self, values=self.values * (1 + self.std * rng.standard_normal(len(self.values))))
 
     def check(self, stories: int) -> None:
         """Raise `InputError` where it names floors or stories that a frame of so many stories has not."""

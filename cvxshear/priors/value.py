@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -49,12 +48,6 @@ class Value(Prior):
     def suggested(self, stories: int) -> Floats:
         """Return the value at its floor or story, nan elsewhere."""
         return np.where(np.arange(1, stories + 1) == self.at, self.value, np.nan)
-
-    def redrawn(self, rng: np.random.Generator) -> Value:
-        """Draw the value as somebody else would state it, who is as sure of it; itself where it is exact."""
-        if self.std is None:
-            return self
-        return dataclasses.replace(self, value=self.value * (1 + self.std * rng.standard_normal()))
 
     def check(self, stories: int) -> None:
         """Raise `InputError` where it names a floor or story that a frame of so many stories has not."""

@@ -64,28 +64,16 @@ class LeastSquares:
     @property
     def inequalities(self) -> tuple[Floats, Floats]:
         """G and h with the finite bounds as further rows: first G, then lower, then upper bounds."""
-        rows, sides = [], []
+        rows, sides = [np.zeros((0, self.unknowns))], [np.zeros(0)]
         if self.G is not None and self.h is not None:
             rows.append(self.G)
             sides.append(self.h)
-        eye = np.eye(self.unknowns)
-        if self.lower is not None:
-            finite = np.isfinite(self.lower)
-            rows.append(-eye[finite])
-            sides.append(-self.lower[finite])
-        if self.upper is not None:
-            finite = np.isfinite(self.upper)
-            rows.append(eye[finite])
-            sides.append(self.upper[finite])
-        if not rows:
-            return np.zeros((0, self.unknowns)), np.zeros(0)
+        for bound, sign in ((self.lower, -1.0), (self.upper, 1.0)):
+            if bound is not None:
+                finite = np.isfinite(bound)
+                rows.append(sign * np.eye(self.unknowns)[finite])
+                sides.append(sign * bound[finite])
         return np.concatenate(rows), np.concatenate(sides)
-
-    def value(self, x: Floats) -> float:
-        """|W (R x - s)|^2."""
-        R, s = self.weighted
-        error = R @ x - s
-        return float(error @ error)
 
     def replace(self, **changes: object) -> LeastSquares:
         """Return a copy with some parts replaced."""

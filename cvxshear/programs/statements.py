@@ -59,11 +59,13 @@ def constrained(program: LeastSquares, parts: Sequence[NamedConstraints], origin
     Parameters
     ----------
     program : LeastSquares
+        With equalities of its own or none, and without inequalities and bounds.
     parts : sequence of NamedConstraints
         About origin + x.
     origin : ndarray, shape (n,)
     """
-    G, h, A, b = _shared(program)
+    A, b = ([each] for each in program.equalities)
+    G, h = [np.zeros((0, program.unknowns))], [np.zeros(0)]
     lower, upper = np.full(program.unknowns, -np.inf), np.full(program.unknowns, np.inf)
     for part in parts:
         said = part.constraints
@@ -80,13 +82,6 @@ def constrained(program: LeastSquares, parts: Sequence[NamedConstraints], origin
     return program.replace(
         G=np.concatenate(G), h=np.concatenate(h), A=np.concatenate(A), b=np.concatenate(b), lower=lower, upper=upper
     )
-
-
-def _shared(program: LeastSquares) -> tuple[list[Floats], list[Floats], list[Floats], list[Floats]]:
-    A, b = program.equalities
-    if program.G is None or program.h is None:
-        return [np.zeros((0, program.unknowns))], [np.zeros(0)], [A], [b]
-    return [program.G], [program.h], [A], [b]
 
 
 def softened(
@@ -112,9 +107,7 @@ def softened(
     J = np.concatenate([part[1] for part in soft])
     R, s = program.weighted
     return program.replace(
-        R=np.concatenate([R / row_std, J]),
-        s=np.concatenate([s / row_std, -r if step else J @ at - r]),
-        W=None,
+        R=np.concatenate([R / row_std, J]), s=np.concatenate([s / row_std, -r if step else J @ at - r]), W=None
     )
 
 

@@ -20,7 +20,7 @@ from cvxshear.util.typing import Bools, Floats, Ints
 SEGMENT = 20.0
 """s; long beside the longest delay, short enough that a record has many."""
 LONGEST_DELAY = 2.6
-"""s; longer delays are looked for with the eyes."""
+"""Longest delay, s, that is looked for: two seconds, which loggers started by hand are apart, and room beyond."""
 FASTEST_DRIFT = 1e-3
 """s a second; crystals differ by a tenth of that at most."""
 GROUPS = 12
@@ -247,9 +247,10 @@ def _line(times: Floats, tops: Floats, heights: Floats) -> tuple[float, float, f
     return float(value), float(slope), float(spread[0]), float(spread[1])
 
 
-STEPS = 4001
 LONGEST = 0.05
-"""s; a longer offset is looked for with the eyes."""
+"""Largest offset, s, looked for in the phases of the modes: the phases of the whole band show longer ones before."""
+STEPS = 4001
+"""Offsets tried between the two largest: steps of 25 microseconds turn a mode at 100 Hz by one degree."""
 FOLDED = 0.85
 """Of half the sampling rate, above which what folds back from beyond it turns the phases of a resonance."""
 

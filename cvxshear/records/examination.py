@@ -16,7 +16,7 @@ from cvxshear.records.floors import one_a_floor, turning
 from cvxshear.records.record import Channel, Finding, FrfRecord, Record, TimeRecord
 from cvxshear.records.sick_channels import channel_findings, without_sick, without_spikes
 from cvxshear.records.signals import detrended, impulsive, in_step, only, scaled
-from cvxshear.util.quantities import significant
+from cvxshear.util.quantities import IN_SI, significant
 from cvxshear.util.typing import Floats
 
 SILENT = 6.0
@@ -37,12 +37,6 @@ FEWEST_LINES_BELOW = 3
 """Lines below the first resonance that the signs of a record with base motion are told by."""
 COHERENT_LINE = 0.8
 """Coherence with the base of lines that count."""
-GRAVITY = 9.80665
-ACCELERATION_UNITS = {
-    "g": GRAVITY, "mm/s2": 1e-3, "cm/s2": 1e-2, "mg": 1e-3 * GRAVITY, "in/s2": 0.0254, "ft/s2": 0.3048,
-    "gal": 1e-2,
-}  # fmt: skip
-"""Units of acceleration in m/s2."""
 SAME_RATIO = 0.2
 """Relative; how near a ratio of levels must come to that of two units."""
 
@@ -247,13 +241,10 @@ def _with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
             )
         unit = unit_of(abs(float(value)))
         if unit is not None and abs(value) > CERTAIN_DELAY * spread:
-            factor *= ACCELERATION_UNITS[unit] if value * ACCELERATION_UNITS[unit] else 1.0
+            size = IN_SI["acceleration"][unit]
+            factor *= size
             findings.append(
-                in_unit(
-                    channel,
-                    ACCELERATION_UNITS[unit],
-                    f"it moves {abs(value):.3g} times as much as the base at low frequency",
-                )
+                in_unit(channel, size, f"it moves {abs(value):.3g} times as much as the base at low frequency")
             )
         if factor != 1.0:
             factors[channel.name] = factor
@@ -262,8 +253,14 @@ def _with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
 
 def unit_of(gain: float) -> str | None:
     """Name the unit of a channel that shows so many times what one in m/s2 would; None where it is m/s2 or no unit."""
-    fits = [name for name, size in ACCELERATION_UNITS.items() if abs(np.log(gain * size)) < SAME_RATIO]
-    return fits[0] if fits and abs(np.log(gain)) > 3 * SAME_RATIO else None
+    return None if abs(np.log(gain)) <= 3 * SAME_RATIO else _nearest_unit(1.0 / gain)
+
+
+def _nearest_unit(size: float) -> str | None:
+    """Name the unit of acceleration that is nearest to so many m/s2; None where none is near."""
+    off = {name: abs(np.log(size / each)) for name, each in IN_SI["acceleration"].items()}
+    nearest = min(off, key=lambda name: off[name])
+    return nearest if off[nearest] < SAME_RATIO else None
 
 
 def unit_in_truth(channel: Channel, factor: float) -> str | None:
@@ -271,9 +268,7 @@ def unit_in_truth(channel: Channel, factor: float) -> str | None:
 
     What it was declared in, or m/s2, times the factor.
     """
-    units = {"m/s2": 1.0, **ACCELERATION_UNITS}
-    size = units.get(channel.unit or "m/s2", 1.0) * factor
-    return next((name for name, each in units.items() if abs(np.log(size / each)) < SAME_RATIO), None)
+    return _nearest_unit(IN_SI["acceleration"].get(channel.unit or "m/s2", 1.0) * factor)
 
 
 def in_unit(channel: Channel, factor: float, why: str) -> Finding:

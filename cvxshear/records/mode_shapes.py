@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from cvxshear.measurement.sign_rule import fewest_changes, most_changes
+from cvxshear.measurement.reading import fewest_changes, most_changes
 from cvxshear.records.record import Complexes
 from cvxshear.util.typing import Floats
 
 RULES = ("magnitude", "projection")
+"""Ways to make a complex shape real: each entry's modulus with a sign, or its part along the shape's main axis."""
 
 
 def mac(first: Complexes | Floats, second: Complexes | Floats) -> float:

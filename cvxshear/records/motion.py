@@ -16,6 +16,7 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats, Ints
 
 DRIVEN = ("base", "force")
+"""Kinds of input that are measured, so that a response to them can be predicted."""
 
 
 @dataclass(frozen=True, eq=False)

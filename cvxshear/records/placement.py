@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.records.examination import GRAVITY, in_unit, unit_in_truth
+from cvxshear.records.examination import in_unit, unit_in_truth
 from cvxshear.records.record import Channel, Finding
-from cvxshear.util.quantities import chance, listed
+from cvxshear.util.quantities import STANDARD_GRAVITY, chance, listed
 from cvxshear.util.typing import Floats, Ints
 
 REVERSED = 0.02
@@ -105,7 +105,9 @@ def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> 
     prior += [(Hypothesis("sign", pair), REVERSED**2) for pair in (pairs if count > 4 else ())]
     prior += [(Hypothesis("swapped channels", pair), PRIOR_EXCHANGED / (count - 1)) for pair in pairs]
     prior += [
-        (Hypothesis("unit", (i,), factor), OTHER_UNIT) for i in range(count) for factor in (GRAVITY, 1.0 / GRAVITY)
+        (Hypothesis("unit", (i,), factor), OTHER_UNIT)
+        for i in range(count)
+        for factor in (STANDARD_GRAVITY, 1.0 / STANDARD_GRAVITY)
     ]
     scores = np.array(
         [

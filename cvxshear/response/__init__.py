@@ -3,31 +3,15 @@
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.response.compare import RecordComparison
 from cvxshear.response.damped import DampedModel, Response, response
-from cvxshear.response.damping import IdentifiedDamping, damping_of
 from cvxshear.response.fitted import Fitted, Models
 from cvxshear.response.peaks import FloorSpectra, Peaks, floor_spectra
 from cvxshear.response.predicted import RecordPrediction, Side, predict
 from cvxshear.response.reconstruction import Reconstruction, reconstruct
 from cvxshear.response.sources import models_of_loop
+from cvxshear.response.uncertain import IdentifiedDamping, damping_of
 
 __all__ = [
-    "DampedModel",
-    "Drive",
-    "Fitted",
-    "FloorSpectra",
-    "IdentifiedDamping",
-    "Models",
-    "Motion",
-    "Peaks",
-    "Reconstruction",
-    "RecordComparison",
-    "RecordPrediction",
-    "Response",
-    "Side",
-    "damping_of",
-    "floor_spectra",
-    "models_of_loop",
-    "predict",
-    "reconstruct",
-    "response",
-]
+    "DampedModel", "Drive", "Fitted", "FloorSpectra", "IdentifiedDamping", "Models", "Motion", "Peaks",
+    "Reconstruction", "RecordComparison", "RecordPrediction", "Response", "Side", "damping_of", "floor_spectra",
+    "models_of_loop", "predict", "reconstruct", "response",
+]  # fmt: skip

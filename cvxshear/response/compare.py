@@ -25,10 +25,10 @@ BANDWIDTH_LINES = 8
 """Lines that the half-power bandwidth of a mode is resolved by, where the record is long enough."""
 
 AROUND = 0.1
-"""Of a natural frequency: how far to either side its neighbourhood reaches, unless the next mode is nearer."""
+"""Half width of a mode's neighbourhood, relative to its natural frequency, unless the next mode is nearer."""
 
 COHERENT = 0.6
-"""Mean coherence from which on the excitation is what a floor answers to."""
+"""Mean coherence from which on a floor is taken to answer to the excitation and not to something else."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,8 +156,9 @@ def peak(estimated: Transfer, natural: Floats, mode: int) -> float | None:
 
 
 FALLEN = 0.8
-"""Of a peak's power, below which a transfer function has fallen at another's peak. The top of a damped resonance is
-flat, so that noise and leakage move its largest line by up to ten lines; they leave 0.8 of the power there."""
+"""Share of a peak's power below which a transfer function counts as fallen where another peaks. The top of a damped
+resonance is flat, so that noise and leakage move its largest line by up to ten lines; they leave 0.8 of the power
+there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,14 +237,15 @@ def compared(
     measured_modes : ndarray of int, optional
         The modes that were measured, from 1, of which alone shifts are told; all where not given.
     """
-    if any(drive.responses is None for drive in motion.drives):
+    recorded = [drive.responses for drive in motion.drives if drive.responses is not None]
+    if len(recorded) < len(motion.drives):
         return None
-    whole = [np.isfinite(drive.responses).all(axis=0) for drive in motion.drives if drive.responses is not None]
-    columns = np.flatnonzero((motion.floors <= len(model.M)) & np.all(whole, axis=0))
+    whole = np.all([np.isfinite(each).all(axis=0) for each in recorded], axis=0)
+    columns = np.flatnonzero((motion.floors <= len(model.M)) & whole)
     floors = motion.floors[columns]
     if not floors.size:
         return None
-    measured = [drive.responses[:, columns] for drive in motion.drives if drive.responses is not None]
+    measured = [each[:, columns] for each in recorded]
     predicted = [seen(model, response, floors) for response in responses]
     error = np.concatenate(predicted) - np.concatenate(measured)
     rms_measured, rms_predicted, rms_error = (
@@ -360,9 +362,7 @@ def contradiction(measured: Sequence[Floats], predicted: Sequence[Floats], floor
                 and crossed > own[i] ** 2 + own[j] ** 2 + EXCHANGED
                 and sizes < straight
             ):
-                said.append(
-                    f"floors {floors[i]} and {floors[j]} fit each other's prediction: are they exchanged?"
-                )
+                said.append(f"floors {floors[i]} and {floors[j]} fit each other's prediction: are they exchanged?")
     return "; ".join(said)
 
 
@@ -388,4 +388,4 @@ EXCHANGED = 0.1
 """Gain in squared correlation that an exchange of two channels must bring: neighbouring floors move nearly alike."""
 
 FEWEST_AVERAGED = 5
-"""Lines of the averaged spectra around a mode below which they say nothing of its height."""
+"""Lines of the averaged spectra around a mode below which its height is taken from one piece a run."""

@@ -133,7 +133,7 @@ SMALL = 0.1
 """|s h| below which the differences are taken from their series, before they cancel."""
 
 TERMS = 12
-"""Of that series: |x|^12 over 12! is far below rounding."""
+"""Terms of that series: |x|^12 over 12! is far below rounding."""
 
 
 def hold(s: Complexes, step: float) -> tuple[Complexes, Complexes, Complexes]:

@@ -26,10 +26,10 @@ from cvxshear.util.quantities import ranged
 from cvxshear.util.typing import Bools, Floats, Ints
 
 DEFAULT_STD = 0.2
-"""Relative, of a measured damping ratio whose deviation is not declared: what repeated tests scatter by."""
+"""Relative standard deviation of a measured damping ratio where none is declared: repeated tests scatter by as much."""
 
 ASSUMED_STD = 0.5
-"""Relative, of the damping ratio of a mode that was not measured."""
+"""Relative standard deviation of the damping ratio of a mode that was not measured: modes of one frame differ so."""
 
 
 HIGH = 0.2
@@ -79,11 +79,6 @@ class Ratios:
         return tuple(said)
 
 
-def known(experiment: Experiment) -> bool:
-    """Whether any configuration has damping ratios."""
-    return any(each.damping_ratios is not None for each in experiment.configurations)
-
-
 def damping_ratios(experiment: Experiment, configuration: Configuration) -> Ratios:
     """Return the ratios of a configuration, or of the first that has some where it has none.
 
@@ -118,13 +113,14 @@ def damping_ratios(experiment: Experiment, configuration: Configuration) -> Rati
 
 
 QUANTITY = "story_damping"
+"""Quantity of the priors that speak of the dashpots."""
 
 LOOSE = 10.0
-"""Standard deviation, relative, of the statement that the dashpots are in proportion to the stiffnesses: it decides
-only what neither the ratios nor the priors do."""
+"""Relative standard deviation of the assumption that the dashpots are in proportion to the stiffnesses: it decides only
+what neither the ratios nor the priors do."""
 
 LEAST_RATIO = 1e-3
-"""A ratio measured as smaller is no better known than one of this size."""
+"""Damping ratio below which a measured one is known no better than one of this size."""
 
 DASHPOT_STEPS = 100
 SETTLED_DASHPOTS = 1e-5
@@ -132,16 +128,17 @@ SETTLED_DASHPOTS = 1e-5
 settled."""
 
 LEFT_OPEN = 1e-6
-"""A combination of dashpots that changes the data by less, each in units of its own effect, is left open by them."""
+"""Change of the data, each dashpot in units of its own effect, below which they leave a combination of dashpots
+open."""
+
+UNTOUCHED = 1e-4
+"""Part of a story in the combinations that are left open, below which its own dashpot counts as determined."""
 
 NAMED_SHARE = 0.1
 """Share of the largest entry from which on a story is named as part of a combination."""
 
-MISSED = 2.0
-"""Standard deviations by which a ratio counts as missed."""
-
 ZERO = 1e-9
-"""Of the largest dashpot: a smaller one is zero to within what solvers deliver."""
+"""Dashpot, relative to the largest, below which it is zero to within what solvers deliver."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,14 +153,11 @@ class Dashpots:
         Combinations that the measured ratios and the priors leave open, in words.
     determined : ndarray of bool, shape (N,)
         Which stories take part in none of them.
-    missed : tuple of int
-        Modes whose measured ratio no dashpots of these kinds come near: they would have to be negative.
     """
 
     values: Floats
     open: tuple[str, ...]
     determined: Bools
-    missed: tuple[int, ...]
 
 
 def story_dashpots(
@@ -272,9 +266,8 @@ class _Fit:
         measured, assumed = len(self.seen), len(self.statement)
         exact = [prior.constraints(len(c)).A for prior in self.priors]
         rows = [program.R[:measured], program.R[measured + assumed :], *(A for A in exact if A is not None)]
-        far = np.abs(program.s[:measured]) > MISSED
         c = np.where(c > ZERO * c.max(), c, 0.0)
-        return Dashpots(c, *_left_open(np.concatenate(rows)), tuple((self.seen[far] + 1).tolist()))
+        return Dashpots(c, *_left_open(np.concatenate(rows)))
 
 
 def _statement(real: Modes, seen: Ints, zeta: Floats, stiffness: Floats) -> Floats:
@@ -326,7 +319,7 @@ def _left_open(data: Floats) -> tuple[tuple[str, ...], Bools]:
         order = np.argsort(-direction, kind="stable")
         names = [str(k + 1) for k in order if direction[k] > NAMED_SHARE * direction[order[0]]]
         words.append(f"the dashpots of stories {', '.join(names)}" if len(names) > 1 else f"the dashpot of {names[0]}")
-    return tuple(words), part < 1e-4
+    return tuple(words), part < UNTOUCHED
 
 
 def rayleigh(real: Modes, ratios: Ratios, backend: Backend) -> Floats:

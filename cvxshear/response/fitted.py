@@ -21,11 +21,11 @@ from cvxshear.util.results import InJson, as_json
 from cvxshear.util.typing import Floats, Json
 
 NO_VARIANCE = 1e-12
-"""Eigenvalue of a correlation matrix, relative to the largest, that is rounding."""
+"""Eigenvalue of a correlation matrix, relative to the largest, below which it is rounding."""
 
 
 IMPROBABLE = 0.01
-"""Probability of a residual as large below which the modes speak against the model."""
+"""p-value of the fit's residual below which the modes speak against the model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,21 +196,10 @@ class Models(InJson):
         )
 
 
-def _with_nan(declared: object) -> object:
-    """nan in the shapes again, where null stood for it."""
-    if not isinstance(declared, Mapping):
-        return declared
-    tested = declared.get("configuration")
-    if not isinstance(tested, list):
-        return declared
-    return {**declared, "configuration": [_shapes_with_nan(each) for each in tested]}
-
-
-def _shapes_with_nan(table: object) -> object:
-    if not isinstance(table, Mapping) or not isinstance(table.get("mode_shapes"), list):
-        return table
-    rows = [
-        [math.nan if entry is None else entry for entry in row] if isinstance(row, list) else row
-        for row in table["mode_shapes"]
-    ]
-    return {**table, "mode_shapes": rows}
+def _with_nan(value: object) -> object:
+    """Put nan again where null stands for it in a list: what was not measured."""
+    if isinstance(value, Mapping):
+        return {key: _with_nan(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [math.nan if each is None else _with_nan(each) for each in value]
+    return value

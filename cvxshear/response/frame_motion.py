@@ -33,7 +33,7 @@ MOST_REFITS = 4
 filled in wrongly falls to the missing share of the information each time: a tenth for a tenth of the strong motion."""
 
 SAME_FIT = 0.1
-"""Change of an unknown in its standard deviations at which these rounds end."""
+"""Largest change of an unknown, in its standard deviations, at which these fits end."""
 
 PROBED_SAMPLES = 1000
 """Samples of the strongest motion on which the directions of the frame's uncertainty are compared."""
@@ -137,11 +137,6 @@ class FrameMotion:
             noise=dataclasses.replace(self.noise, sensors=np.delete(self.noise.sensors, channel)),
         )
 
-    @cached_property
-    def period(self) -> float:
-        """Of the identified frame's first mode, s."""
-        return 1.0 / float(self.varied.centre.model.modes.frequencies[0])
-
     def fitted(self, *, detrend: bool) -> tuple[FrameMotion, FittedFrame, list[Smoothed]]:
         """Fit the frame and find its motion.
 
@@ -163,7 +158,7 @@ class FrameMotion:
         if detrend:
             model = errors.dynamics(fitted.p)
             lines = [
-                trend(found.completed - found.states @ model.H.T - np.outer(run.driven, model.direct))
+                trend(found.completed - found.states @ model.H.T - np.outer(run.excitation, model.direct))
                 for run, found in zip(self.recording.runs, smoothed, strict=True)
             ]
             work = dataclasses.replace(self, recording=self.recording.less(lines))
@@ -182,13 +177,8 @@ class FrameMotion:
     @cached_property
     def moves_at_first(self) -> bool:
         """Whether some run begins while the frame moves: its state at the beginning is then found with the motion."""
-        level = self.recording.rms()
-        return any(rms(run.measured[: self._first] / level) > AT_REST for run in self.recording.runs)
-
-    @property
-    def _first(self) -> int:
-        """Samples of the first period of a run."""
-        return max(2, round(self.period * self.recording.sampling_rate))
+        level, first = self.recording.rms(), self.varied.first_samples(self.recording.step)
+        return any(rms(run.measured[:first] / level) > AT_REST for run in self.recording.runs)
 
     def errors(self, smoothed: list[Smoothed] | None, p: Floats | None) -> PredictionErrors:
         """Set up the innovations of the strongest part of each run, gaps and spikes filled in by the smoother."""
@@ -196,7 +186,7 @@ class FrameMotion:
         for place, run in enumerate(self.recording.runs):
             y = np.nan_to_num(run.measured) if smoothed is None else smoothed[place].completed
             start = np.zeros(self.setting.states) if smoothed is None else smoothed[place].states[0]
-            stretches.append(Stretch(run.driven, y, start))
+            stretches.append(Stretch(run.excitation, y, start))
         errors = PredictionErrors(self.varied, self.setting, stretches, self.noise)
         at = np.zeros(errors.size) if p is None else p
         if self.moves_at_first:
@@ -219,11 +209,11 @@ class FrameMotion:
         asked = self.outputs(model.outputs).rows if rows is None else rows
         stationary = np.sqrt(np.maximum(np.sum(model.H @ model.P0 * model.H, axis=1), 1e-300))
         found = []
-        for run, envelope in zip(self.recording.runs, self.recording.envelopes(self.period), strict=True):
-            begins = run.measured[: self._first]
+        for run, envelope in zip(self.recording.runs, self.recording.envelopes(self.varied.period), strict=True):
+            begins = run.measured[: self.varied.first_samples(self.recording.step)]
             moved = rms(begins if np.isfinite(begins).any() else run.measured)
             scale = max(float(envelope[0]), moved / rms(stationary))
-            found.append(smooth(model, Observed(run.driven, run.measured, envelope, scale), asked))
+            found.append(smooth(model, Observed(run.excitation, run.measured, envelope, scale), asked))
         return found
 
     def outputs(self, plain: Outputs) -> Outputs:
@@ -254,10 +244,10 @@ class FrameMotion:
         model, n = fitted.model, len(self.varied.story_stiffness)
         result = []
         for run, found in zip(self.recording.runs, smoothed, strict=True):
-            moved = rows.of(found.states, run.driven)
+            moved = rows.of(found.states, run.excitation)
             std = found.output_std**2
             for sides in directions.sides:
-                std += directions.allowance * self.moved_by(sides, noise, run.driven, found) ** 2
+                std += directions.allowance * self.moved_by(sides, noise, run.excitation, found) ** 2
             np.sqrt(std, out=std)
             std *= wider
             acceleration, displacement, _, force = (moved[:, k * n : (k + 1) * n] for k in range(4))
@@ -270,7 +260,7 @@ class FrameMotion:
                 stds["story_drift_ratio"] = stds["story_drift"] / model.heights
                 stds["overturning_moment"] = std[:, 4 * n]
             base, base_std = (None, None) if self.setting.base_measured else (moved[:, -1], std[:, -1])
-            result.append(ReconstructedRun(run.name, motion, stds, base, base_std, run.measured, run.driven))
+            result.append(ReconstructedRun(run.name, motion, stds, base, base_std, run.measured, run.excitation))
         return result
 
     def moved_by(
@@ -346,7 +336,7 @@ def predicted_responses(model: DampedModel, recording: Recording) -> list[Respon
     """Compute the motion of a frame without a look at the sensors; None where the excitation was not measured."""
     if recording.input == "none":
         return None
-    drives = [Drive(run.driven, recording.force_floor, name=run.name) for run in recording.runs]
+    drives = [Drive(run.excitation, recording.force_floor, name=run.name) for run in recording.runs]
     return [response(model, drive, recording.step) for drive in drives]
 
 

@@ -56,6 +56,7 @@ SCORE_PERIODS = 1.0
 """Fundamental periods over which scores are summed before their scatter is taken: errors of a wrong model hang together
 for about as long."""
 
+
 @dataclass(frozen=True, eq=False)
 class Stretch:
     """One run without gaps.
@@ -189,7 +190,7 @@ class PredictionErrors:
         model : Dynamics
         y : ndarray, shape (samples, m)
         """
-        begins = y[: max(2, round(self._period / self.setting.step))]
+        begins = y[: self.varied.first_samples(self.setting.step)]
         shown = np.sum(model.H @ model.P0 * model.H, axis=1)
         unit = np.sqrt(np.diag(model.P0))
         values, vectors = np.linalg.eigh(model.P0 / np.outer(unit, unit))
@@ -304,7 +305,7 @@ class PredictionErrors:
     def _inflation(self, R: Floats, r: Floats, along: Directions) -> float:
         """How much more the summed scores of the frame's directions scatter than of white innovations."""
         m, rows = len(self.setting.floors), along.columns.shape[1] - (self.size - self.frame.stop)
-        length = m * max(1, round(SCORE_PERIODS * self._period / self.setting.step))
+        length = m * max(1, round(SCORE_PERIODS * self.varied.period / self.setting.step))
         spread, curvature, first = np.zeros((rows, rows)), np.zeros((rows, rows)), 0
         for run in self.stretches:
             blocks = len(run.y) * m // length
@@ -321,10 +322,6 @@ class PredictionErrors:
         if not np.any(curvature):
             return 1.0
         return max(1.0, float(np.mean(np.diag(spread) / np.maximum(np.diag(curvature), 1e-300))))
-
-    @property
-    def _period(self) -> float:
-        return 1.0 / float(self.varied.centre.model.modes.frequencies[0])
 
     def _slopes(self, here: Steady, p: Floats, columns: Floats, whitening: Floats) -> list[_Slope]:
         """Differentiate the filter's matrices along each direction.

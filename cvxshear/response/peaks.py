@@ -2,49 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.response.damped import Response, held
+from cvxshear.response.damped import DampedModel, Response, held
 from cvxshear.util.results import InJson, as_json
 from cvxshear.util.typing import Floats, Json
 
 RESPONSES = {
-    "floor_acceleration": "m/s2",
-    "floor_displacement": "m",
-    "story_drift": "m",
-    "story_drift_ratio": "",
-    "story_shear": "N",
-    "base_shear": "N",
-    "overturning_moment": "N m",
+    "floor_acceleration": "acceleration",
+    "floor_displacement": "displacement",
+    "story_drift": "drift",
+    "story_drift_ratio": "drift_ratio",
+    "story_shear": "story_shear",
+    "base_shear": "base_shear",
+    "overturning_moment": "overturning_moment",
 }
-"""With their units; the last two are one number each, the others one a floor or story."""
+"""Quantities of a response, each with the attribute of `Response` that has it over time; the last two are one number
+each, the others one a floor or story."""
 
 
 def histories(response: Response) -> dict[str, Floats | None]:
     """Every quantity over time, shapes (samples, N) or (samples,); None where it does not apply."""
-    return {
-        "floor_acceleration": response.acceleration,
-        "floor_displacement": response.displacement,
-        "story_drift": response.drift,
-        "story_drift_ratio": response.drift_ratio,
-        "story_shear": response.story_shear,
-        "base_shear": response.base_shear,
-        "overturning_moment": response.overturning_moment,
-    }
-
-
-def largest(responses: Sequence[Response]) -> dict[str, Floats]:
-    """Largest size of each quantity that applies, over all samples of all runs, shape (N,) or (1,)."""
-    result: dict[str, Floats] = {}
-    for response in responses:
-        for name, values in histories(response).items():
-            if values is not None:
-                peak = np.atleast_1d(np.max(np.abs(values), axis=0))
-                result[name] = np.maximum(result[name], peak) if name in result else peak
-    return result
+    return {name: getattr(response, attribute) for name, attribute in RESPONSES.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +52,36 @@ class Peaks:
         return result
 
 
+def peaks_of(runs: Iterable[tuple[Response, Mapping[str, Floats]]]) -> Peaks:
+    """Find the largest size of each quantity that applies, with the deviation of the sample at which it stands.
+
+    Parameters
+    ----------
+    runs : iterable of (Response, dict of str to ndarray)
+        Each with the standard deviations over time that are known, by the names of `RESPONSES`.
+    """
+    values: dict[str, Floats] = {}
+    stds: dict[str, Floats] = {}
+    for moved, deviations in runs:
+        for name, history in histories(moved).items():
+            if history is None:
+                continue
+            columns = history.reshape(len(history), -1)
+            at = np.argmax(np.abs(columns), axis=0)
+            take = np.arange(columns.shape[1])
+            peak = np.abs(columns[at, take])
+            std = np.full(len(peak), np.nan)
+            if name in deviations:
+                std = deviations[name].reshape(columns.shape)[at, take]
+            if name in values:
+                larger = peak > values[name]
+                peak, std = np.where(larger, peak, values[name]), np.where(larger, std, stds[name])
+            values[name], stds[name] = peak, std
+    return Peaks(values, stds)
+
+
 SPECTRUM_LINES = 60
+"""Frequencies of a response spectrum: twelve an octave over five octaves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,11 +101,6 @@ class FloorSpectra(InJson):
     frequencies: Floats
     damping: float
     acceleration: Floats
-
-
-def spectrum_lines(first: float, last: float, rate: float) -> Floats:
-    """Frequencies for a spectrum, Hz: from a fifth of the frame's first to three times its last, as the rate allows."""
-    return np.geomspace(first / 5, max(min(3 * last, rate / 4), first), SPECTRUM_LINES)
 
 
 def floor_spectra(acceleration: Floats, step: float, frequencies: Floats, damping: float = 0.05) -> FloorSpectra:
@@ -120,3 +126,22 @@ def floor_spectra(acceleration: Floats, step: float, frequencies: Floats, dampin
         for floor in np.ascontiguousarray(acceleration.T)
     ]
     return FloorSpectra(frequencies, damping, np.array(peaks))
+
+
+def largest_spectra(model: DampedModel, accelerations: Sequence[Floats], step: float) -> FloorSpectra:
+    """Compute the response spectra of the floors at 5 % damping, the largest over all runs.
+
+    Their frequencies are a fifth of the frame's first to three times its last, as the sampling allows.
+
+    Parameters
+    ----------
+    model : DampedModel
+    accelerations : sequence of ndarray, shape (samples, N)
+        One a run, m/s2.
+    step : float
+        s.
+    """
+    first, last = model.modes.frequencies[[0, -1]]
+    lines = np.geomspace(first / 5, max(min(3 * last, 0.25 / step), first), SPECTRUM_LINES)
+    runs = [floor_spectra(each, step, lines) for each in accelerations]
+    return FloorSpectra(lines, runs[0].damping, np.max([run.acceleration for run in runs], axis=0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,21 +15,24 @@ from cvxshear.measurement.experiment import Configuration
 from cvxshear.records.motion import Motion
 from cvxshear.response.compare import RecordComparison, compared
 from cvxshear.response.damped import Response, response
-from cvxshear.response.damping import IdentifiedDamping, described, parts_of
 from cvxshear.response.fitted import Fitted, Models
-from cvxshear.response.peaks import FloorSpectra, Peaks, floor_spectra, histories, largest, spectrum_lines
-from cvxshear.response.sources import ModelSource, MotionSource, models_of, motion_of, state_of, state_remarks
-from cvxshear.response.uncertain import Damped, UncertainFrame, propagated
-from cvxshear.util.quantities import listed, percent
+from cvxshear.response.peaks import FloorSpectra, Peaks, histories, largest_spectra, peaks_of
+from cvxshear.response.sources import (
+    ModelSource,
+    MotionSource,
+    line_remarks,
+    models_of,
+    motion_of,
+    state_of,
+    state_remarks,
+)
+from cvxshear.response.uncertain import Damped, IdentifiedDamping, UncertainFrame, described, parts_of, propagated
+from cvxshear.util.quantities import listed
 from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats
 
 BANDS = ("floor_acceleration", "story_drift", "story_drift_ratio")
 """Quantities whose deviations are given over time: what is compared with a record, and what owners ask for."""
-
-
-WORTH_A_WORD = 0.01
-"""Size of a line taken off, relative to the rms of its channel, from which on it is said."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,10 +115,8 @@ class RecordPrediction(Shown):
     @cached_property
     def spectra(self) -> FloorSpectra:
         """Response spectra of the floors at 5 % damping, the largest over all runs."""
-        natural = self.after.damped.model.modes.frequencies
-        lines = spectrum_lines(float(natural[0]), float(natural[-1]), self.motion.sampling_rate)
-        runs = [floor_spectra(item.acceleration, self.motion.step, lines) for item in self.after.responses]
-        return FloorSpectra(lines, runs[0].damping, np.max([run.acceleration for run in runs], axis=0))
+        accelerations = [item.acceleration for item in self.after.responses]
+        return largest_spectra(self.after.damped.model, accelerations, self.motion.step)
 
 
 def predict(
@@ -175,11 +177,11 @@ def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Si
     def everything(damped: Damped) -> Floats:
         responses = _responses(damped, motion)
         bands = (item for moved in responses for item in _bands(moved).values())
-        return np.concatenate([parts_of(damped), *largest(responses).values(), *bands])
+        return np.concatenate([parts_of(damped), *_largest(responses).values(), *bands])
 
     centre, std = propagated(frame, everything)
     after = _side(models.after, centre, motion)
-    values = largest(after.responses)
+    values = _largest(after.responses)
     sizes = [len(parts_of(centre)), *(len(item) for item in values.values())]
     sizes += [item.size for moved in after.responses for item in _bands(moved).values()]
     of_damping, *rest = np.split(std, np.cumsum(sizes)[:-1])
@@ -231,6 +233,10 @@ def _bands(moved: Response) -> dict[str, Floats]:
     return {name: values.ravel() for name in BANDS if (values := found[name]) is not None}
 
 
+def _largest(responses: Sequence[Response]) -> dict[str, Floats]:
+    return peaks_of((each, {}) for each in responses).values
+
+
 def _responses(damped: Damped, motion: Motion) -> list[Response]:
     return [response(damped.model, drive, motion.step) for drive in motion.drives]
 
@@ -244,7 +250,7 @@ def _side(fitted: Fitted, damped: Damped, motion: Motion) -> Side:
 
 def _taken_off(recorded: Motion, motion: Motion) -> list[str]:
     """How large the straight lines were that were taken for the sensors' own, where they were worth a word."""
-    largest, where = 0.0, ""
+    found = [(0.0, "")]
     for before, after in zip(recorded.drives, motion.drives, strict=True):
         columns = [("the base motion", before.excitation, after.excitation)] if recorded.input == "base" else []
         if before.responses is not None and after.responses is not None:
@@ -253,15 +259,11 @@ def _taken_off(recorded: Motion, motion: Motion) -> list[str]:
                 for place, floor in enumerate(recorded.floors)
             ]
         for name, old, new in columns:
-            line, rms = np.nanmax(np.abs(old - new)), np.sqrt(np.nanmean(new**2))
-            if rms > 0 and line / rms > largest:
-                largest, where = float(line / rms), name
-    if largest < WORTH_A_WORD:
-        return []
-    return [
-        f"a straight line of up to {percent(largest, 1)} of the rms ({where}) was taken for the sensor's and off; "
-        "--no-detrend leaves it in"
-    ]
+            line, rms = float(np.nanmax(np.abs(old - new))), float(np.sqrt(np.nanmean(new**2)))
+            if rms > 0:
+                found.append((line / rms, name))
+    largest, where = max(found)
+    return line_remarks(largest, f"the rms ({where})")
 
 
 def _remarks(after: Side, motion: Motion) -> list[str]:

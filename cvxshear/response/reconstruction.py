@@ -19,14 +19,14 @@ from scipy import stats
 from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.measurement.experiment import Configuration, Limits
-from cvxshear.response.damped import DampedModel, Response
+from cvxshear.response.damped import DampedModel
 from cvxshear.response.fitted import Fitted
 from cvxshear.response.frame_fit import FittedFrame
 from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses, shown_by
-from cvxshear.response.peaks import FloorSpectra, Peaks, floor_spectra, histories, spectrum_lines
+from cvxshear.response.peaks import FloorSpectra, Peaks, largest_spectra, peaks_of
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
 from cvxshear.response.sensor_checks import SensorCheck, Whiteness, checked, whiteness, widening
-from cvxshear.response.sources import ModelSource, models_of, state_of, state_remarks
+from cvxshear.response.sources import ModelSource, line_remarks, models_of, state_of, state_remarks
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util.quantities import percent, ranged
 from cvxshear.util.results import Shown, as_json
@@ -106,10 +106,7 @@ class Reconstruction(Shown):
     @cached_property
     def spectra(self) -> FloorSpectra:
         """Response spectra of the floors at 5 % damping, the largest over all runs."""
-        natural = self.model.modes.frequencies
-        lines = spectrum_lines(float(natural[0]), float(natural[-1]), self.recording.sampling_rate)
-        runs = [floor_spectra(item.response.acceleration, self.recording.step, lines) for item in self.runs]
-        return FloorSpectra(lines, runs[0].damping, np.max([run.acceleration for run in runs], axis=0))
+        return largest_spectra(self.model, [run.response.acceleration for run in self.runs], self.recording.step)
 
     @cached_property
     def spectra_std(self) -> Floats:
@@ -233,41 +230,19 @@ def reconstruct(
         checks.append(checked(work, fitted, smoothed, channel, predicted))
         advance()
     runs = work.runs(fitted, smoothed, widening(checks))
-    peaks = _peaks([(run.response, run.std) for run in runs])
+    peaks = peaks_of((run.response, run.std) for run in runs)
     passed = None
     if experiment.limits is not None and "story_drift_ratio" in peaks.values:
         ratio, std = peaks.values["story_drift_ratio"], np.maximum(peaks.std["story_drift_ratio"], 1e-300)
         passed = np.asarray(stats.norm.sf(experiment.limits.story_drift[:, None], ratio, std), dtype=np.float64)
     found = Reconstruction(
         work.recording, state, solver.name, frame.fitted, frame.kind, fitted, fitted.model, tuple(runs), peaks,
-        None if predicted is None else _peaks([(item, {}) for item in predicted]), tuple(checks),
+        None if predicted is None else peaks_of((item, {}) for item in predicted), tuple(checks),
         whiteness(work, smoothed), experiment.limits, passed, (),
     )  # fmt: skip
     advance()
     said = state_remarks(experiment, recording, state, named=configuration is not None)
     return dataclasses.replace(found, remarks=(*said, *_remarks(found, recorded)))
-
-
-def _peaks(runs: list[tuple[Response, dict[str, Floats]]]) -> Peaks:
-    """Largest sizes over all runs, with the deviation of the sample at which each stands."""
-    values: dict[str, Floats] = {}
-    stds: dict[str, Floats] = {}
-    for moved, deviations in runs:
-        for name, history in histories(moved).items():
-            if history is None:
-                continue
-            columns = history.reshape(len(history), -1)
-            at = np.argmax(np.abs(columns), axis=0)
-            take = np.arange(columns.shape[1])
-            peak = np.abs(columns[at, take])
-            std = np.full(len(peak), np.nan)
-            if name in deviations:
-                std = deviations[name].reshape(columns.shape)[at, take]
-            if name in values:
-                larger = peak > values[name]
-                peak, std = np.where(larger, peak, values[name]), np.where(larger, std, stds[name])
-            values[name], stds[name] = peak, std
-    return Peaks(values, stds)
 
 
 def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
@@ -278,15 +253,9 @@ def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
     ]
     pairs = zip(recorded.runs, found.recording.runs, strict=True)
     line = max(float(np.nanmax(np.abs(raw.measured - run.measured) / recorded.rms())) for raw, run in pairs)
-    if line > 0.01:
-        said.append(
-            f"a straight line of up to {percent(line, 1)} of a channel's rms was taken for its sensor's and off; "
-            "--no-detrend leaves it in"
-        )
+    said += line_remarks(line, "a channel's rms")
     if found.fitted.covariance is None:
-        said.append(
-            "the measurement tells no noise: the identified stiffnesses are taken as exact"
-        )
+        said.append("the measurement tells no noise: the identified stiffnesses are taken as exact")
     if found.recording.input == "none":
         said.append(
             "nobody measured the base motion: it is estimated with the rest, the frame is taken as identified, and "

@@ -47,19 +47,14 @@ class RecordedRun:
     ----------
     measured : ndarray, shape (samples, m)
         Total accelerations, m/s2; nan where a piece is missing.
-    excitation : ndarray, shape (samples,), optional
-        m/s2 or N; None where nobody measured it.
+    excitation : ndarray, shape (samples,)
+        m/s2 or N; zeros where nobody measured it.
     name : str
     """
 
     measured: Floats
-    excitation: Floats | None
+    excitation: Floats
     name: str
-
-    @property
-    def driven(self) -> Floats:
-        """The excitation, zeros where it is not known, shape (samples,)."""
-        return np.zeros(len(self.measured)) if self.excitation is None else self.excitation
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +96,7 @@ class Recording:
             if not len(there) or not np.any(there != there[0]):
                 raise InputError(f"{self.name}: the channel on floor {floor} shows no motion; leave it out")
         for run in self.runs:
-            if run.excitation is not None and not np.isfinite(run.excitation).all():
+            if not np.isfinite(run.excitation).all():
                 missing = int((~np.isfinite(run.excitation)).sum())
                 raise InputError(
                     f"{self.name}, {run.name}: {missing} samples of the excitation are missing; floors may have gaps, "
@@ -127,7 +122,7 @@ class Recording:
         """Take the straight line off a measured base acceleration."""
         if self.input != "base":
             return self
-        runs = [dataclasses.replace(run, excitation=run.driven - trend(run.driven)) for run in self.runs]
+        runs = [dataclasses.replace(run, excitation=run.excitation - trend(run.excitation)) for run in self.runs]
         return dataclasses.replace(self, runs=tuple(runs))
 
     def lines(self, expected: Sequence[Floats]) -> list[Floats]:
@@ -158,7 +153,7 @@ class Recording:
     def cut(self, parts: Sequence[slice]) -> Recording:
         """Return the recording with one part of each run."""
         runs = [
-            RecordedRun(run.measured[part], None if run.excitation is None else run.excitation[part], run.name)
+            RecordedRun(run.measured[part], run.excitation[part], run.name)
             for run, part in zip(self.runs, parts, strict=True)
         ]
         return dataclasses.replace(self, runs=tuple(runs))
@@ -208,7 +203,7 @@ def recording_of(source: RecordingSource) -> Recording:
                 return _of_motion(Motion.of(source))
             _refuse_other_quantity(source.quantity, source.name)
             record, _ = one_a_floor(source)
-            runs = tuple(RecordedRun(run.responses, None, run.name) for run in record.runs)
+            runs = tuple(RecordedRun(run.responses, np.zeros(run.samples), run.name) for run in record.runs)
             return Recording(runs, record.sampling_rate, record.floors, "none", name=record.name)
         case str() | Path():
             return _of_file(Path(source))
@@ -259,7 +254,7 @@ def _of_file(path: Path) -> Recording:
             for number, rows in enumerate(pieces, 1):
                 part = columns.rows(rows)
                 measured = np.column_stack([_with_gaps(part, group, path) for group in floors.values()])
-                excitation = None
+                excitation = np.zeros(len(measured))
                 if driver is not None:
                     excitation = driver.factor * part.column(driver.column, driver.place or path.name)
                 runs.append(RecordedRun(measured, excitation, name if len(pieces) == 1 else f"{name}, piece {number}"))

@@ -101,7 +101,7 @@ def checked(
     predicted : sequence of Response or None
         Motion without a look at the sensors.
     """
-    whole = [Stretch(run.driven, each.completed, each.states[0])
+    whole = [Stretch(run.excitation, each.completed, each.states[0])
              for run, each in zip(work.recording.runs, smoothed, strict=True)]  # fmt: skip
     parts = [each.strongest(FITTED_SAMPLES) for each in whole]
     other = work.without(channel, parts)
@@ -120,11 +120,11 @@ def checked(
     for number, (run, each, part) in enumerate(zip(other.recording.runs, found, parts, strict=True)):
         variance = each.output_std[:, 0] ** 2 + sigma**2
         for sides in directions.sides:
-            moved = other.moved_by(sides, noise, run.driven, each)[:, place]
+            moved = other.moved_by(sides, noise, run.excitation, each)[:, place]
             variance += directions.allowance[place] * (gain * moved) ** 2
         there = smoothed[number].weights[part, channel] == 1.0
         seen = work.recording.runs[number].measured[part, channel]
-        left.append((each.states @ row + direct * run.driven - seen)[there])
+        left.append((each.states @ row + direct * run.excitation - seen)[there])
         stated.append(variance[there])
         measured.append(seen[there])
         if predicted is not None:

@@ -5,10 +5,9 @@ Over the states x_0, x_1, ... of `Dynamics`, the motion minimizes
     |P0^(-1/2) x_0|^2 + sum |Q^(-1/2) (x_(t+1) - A x_t - B p_t)|^2 + sum w_tj (y_tj - H_j x_t - D_j p_t)^2 / R_j,
 
 whose normal matrix is block tridiagonal. `smooth` eliminates the blocks forward (the Kalman filter) and back (the
-smoother of Bryson and Frazier 1963, which needs no inverse of a covariance); `motion_program` writes the same program
-down for a backend. A missing sample has the weight zero. Huber's loss, which grows linearly beyond `SPIKE` standard
-deviations and so lets no spike pull the motion away, is minimized by weights that are found anew from the residuals
-(iterative reweighting).
+smoother of Bryson and Frazier 1963, which needs no inverse of a covariance). A missing sample has the weight zero.
+Huber's loss, which grows linearly beyond `SPIKE` standard deviations and so lets no spike pull the motion away, is
+minimized by weights that are found anew from the residuals (iterative reweighting).
 """
 
 from __future__ import annotations
@@ -19,9 +18,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy import linalg
 
-from cvxshear.programs import LeastSquares
 from cvxshear.response.dynamics import Dynamics, doubled, recursion, settled_covariance
 from cvxshear.util.typing import Bools, Floats, Ints
 
@@ -47,7 +44,8 @@ NEAR_LIMIT = 0.05
 """Relative difference of a variance from its limit at which the limit is taken: 2.5 % of a deviation."""
 
 LONG = 4 * 64
-"""Samples of constant gain from which on matrix products over blocks are faster than a loop."""
+"""Samples of constant gain, four blocks of a recursion, from which on matrix products over blocks are faster than a
+loop."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +73,6 @@ class Observed:
     def present(self) -> Bools:
         """Which samples were measured, shape (samples, m)."""
         return np.isfinite(self.measured)
-
-    def without(self, channel: int) -> Observed:
-        """Return the run with one channel fewer."""
-        return dataclasses.replace(self, measured=np.delete(self.measured, channel, axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +118,7 @@ class _Gain:
         return result
 
 
-def smooth(model: Dynamics, run: Observed, rows: Floats, *, robust: bool = True) -> Smoothed:
+def smooth(model: Dynamics, run: Observed, rows: Floats) -> Smoothed:
     """Find the motion that minimizes the program of this module, and its standard deviations.
 
     Parameters
@@ -133,18 +127,16 @@ def smooth(model: Dynamics, run: Observed, rows: Floats, *, robust: bool = True)
     run : Observed
     rows : ndarray, shape (outputs, n)
         Linear combinations of the state whose standard deviations are wanted.
-    robust : bool, optional
-        Whether Huber's loss stands in place of the square.
     """
     weights = run.present.astype(np.float64)
     sigma = np.sqrt(model.R)
-    for _ in range(MOST_REWEIGHTINGS if robust else 1):
+    for _ in range(MOST_REWEIGHTINGS):
         gains, which = _gains(model, run, weights)
         states, innovations = _sweeps(model, run, gains, which, weights)
         residual = run.measured - states @ model.H.T - np.outer(run.excitation, model.direct)
         size = np.abs(np.nan_to_num(residual)) / sigma
         found = np.where(run.present, np.minimum(1.0, SPIKE / np.maximum(size, SPIKE)), 0.0)
-        if not robust or np.max(np.abs(found - weights), initial=0.0) <= SAME_WEIGHT:
+        if np.max(np.abs(found - weights), initial=0.0) <= SAME_WEIGHT:
             break
         weights = found
     fitted = states @ model.H.T + np.outer(run.excitation, model.direct)
@@ -343,48 +335,3 @@ class Steady:
         pulled += swept @ self.F.astype(kind)
         x += pulled @ self.P.astype(kind)
         return x
-
-
-def motion_program(model: Dynamics, run: Observed, weights: Floats) -> LeastSquares:
-    """State the program of this module for a backend; its unknowns are the states, one sample after the other.
-
-    Its matrix is block bidiagonal, but a backend of this library takes it as a table: for short records, by which
-    `smooth` is checked.
-
-    Parameters
-    ----------
-    model : Dynamics
-    run : Observed
-    weights : ndarray, shape (samples, m)
-        Of the measured samples; 0 where missing.
-    """
-    samples, n = len(run.excitation), len(model.A)
-    driven = model.driven(run.excitation)
-    scaled: list[Floats] = []
-    sides: list[Floats] = []
-
-    def add(blocks: dict[int, Floats], side: Floats) -> None:
-        row = np.zeros((len(side), samples * n))
-        for at, block in blocks.items():
-            row[:, at * n : (at + 1) * n] = block
-        scaled.append(row)
-        sides.append(side)
-
-    add({0: _whitening(run.start_scale**2 * model.P0)}, np.zeros(n))
-    for t in range(samples - 1):
-        white = _whitening(run.envelope[t] ** 2 * model.Q)
-        add({t + 1: white, t: -white @ model.A}, white @ driven[t])
-    for t in range(samples):
-        own = weights[t] > 0
-        root = np.sqrt(weights[t, own] / model.R[own])
-        side = run.measured[t, own] - model.direct[own] * run.excitation[t]
-        add({t: root[:, None] * model.H[own]}, root * side)
-    return LeastSquares(np.concatenate(scaled), np.concatenate(sides))
-
-
-def _whitening(covariance: Floats) -> Floats:
-    """W with W covariance W' = 1."""
-    unit = 1.0 / np.sqrt(np.diag(covariance))
-    lower = np.linalg.cholesky(covariance * np.outer(unit, unit))
-    result: Floats = linalg.solve_triangular(lower, np.diag(unit), lower=True)
-    return result

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from cvxshear.backends import Backend
 from cvxshear.files.modes import experiment_from_file
 from cvxshear.files.record_file import read_motion
-from cvxshear.files.toml import is_record_file, load, parse, read_text, with_modes_read
+from cvxshear.files.toml import is_record_file, load, parse, read_result, read_text, with_modes_read
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import Closure, close_loop
 from cvxshear.measurement.experiment import Configuration, Experiment
@@ -22,7 +21,7 @@ from cvxshear.response.fitted import Fitted, Models
 from cvxshear.response.recording import Recording
 from cvxshear.util.checks import choice, shown
 from cvxshear.util.errors import InputError, NoScaleError
-from cvxshear.util.quantities import listed
+from cvxshear.util.quantities import listed, percent
 from cvxshear.util.typing import Floats
 
 ModelSource = str | Path | Experiment | Closure | Estimate | Models
@@ -115,11 +114,8 @@ def models_of_loop(closure: Closure, *, mass_known: bool = True) -> Models:
 
 def _of_json(path: Path) -> Models:
     """Read the models from what `loop --json` wrote."""
-    try:
-        declared = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path} is not valid JSON: {error}") from None
-    if not isinstance(declared, dict) or not isinstance(declared.get("model"), dict):
+    declared = read_result(path)
+    if not isinstance(declared.get("model"), dict):
         raise InputError(f"{path} has no key 'model'; write it anew by: cvxshear loop FILE --json {path}")
     return Models.from_dict(declared["model"], f"{path}: model")
 
@@ -219,6 +215,29 @@ def state_remarks(
             "give --configuration"
         ]
     return []
+
+
+WORTH_A_WORD = 0.01
+"""Size of a line taken off, relative to the rms of its channel, from which on it is said: less moves no figure that
+anybody reads."""
+
+
+def line_remarks(size: float, where: str) -> list[str]:
+    """Say how large the straight lines were that were taken for the sensors' own, where they were worth a word.
+
+    Parameters
+    ----------
+    size : float
+        The largest, relative to the rms of its channel.
+    where : str
+        Of which channel the rms is.
+    """
+    if size < WORTH_A_WORD:
+        return []
+    return [
+        f"a straight line of up to {percent(size, 1)} of {where} was taken for its sensor's and off; --no-detrend "
+        "leaves it in"
+    ]
 
 
 def _unused(experiment: Experiment, added: Floats) -> str:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -104,6 +105,15 @@ class VariedFrame:
         measured = max(int(each.modes.max()) for each in frame.fitted.experiment.configurations)
         form = _form(centre.model, measured)
         return VariedFrame(centre, frame.story_stiffness, frame.ratios.values, own, dM, dK, dgain, form)
+
+    @cached_property
+    def period(self) -> float:
+        """Of the identified frame's first mode, s."""
+        return 1.0 / float(self.centre.model.modes.frequencies[0])
+
+    def first_samples(self, step: float) -> int:
+        """Count the samples of the first period of a run that was sampled every `step` seconds."""
+        return max(2, round(self.period / step))
 
     @property
     def sizes(self) -> tuple[int, int, int, int]:
@@ -260,9 +270,7 @@ class FramePrior:
             others, ModalRows.around(frame, varied),
         )  # fmt: skip
 
-    def gaussian(
-        self, changed: Sequence[int], form_std: float, scatter_std: float, *, same: bool = False
-    ) -> Gaussian:
+    def gaussian(self, changed: Sequence[int], form_std: float, scatter_std: float, *, same: bool = False) -> Gaussian:
         """Return the prior with given stories (from 0) changed, and given standard deviations.
 
         Parameters

@@ -15,66 +15,67 @@ import numpy as np
 
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import Reading, repeated_configurations
-from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.screening.results import Finding
-from cvxshear.screening.shear_fit import ShearFrames, odd_starts
+from cvxshear.screening.shear_fit import ROUGH_STEPS, TALLEST_FITTED, ShearFrames, modes_of, odd_starts
 from cvxshear.util.quantities import quantity, significant
 from cvxshear.util.typing import Floats
 
 EARTH = (9.7, 10.0)
-"""m/s2; between the equator and the poles it is 9.78 to 9.83, and often rounded."""
+"""Range (m/s2) of the Earth's gravity: 9.78 to 9.83 between the equator and the poles, and often rounded."""
 
 OTHER_GRAVITIES = ((981.0, "cm/s²"), (9810.0, "mm/s²"), (32.2, "ft/s²"), (386.0, "in/s²"), (1.0, "g"))
+"""The Earth's gravity in other units, with their names."""
 
 HIGHEST_STORY = 25.0
-"""m."""
+"""Story height (m) that no building exceeds: lobbies and plant floors of towers have up to 20 m."""
 
 BUILDING_STORY = 2.3
-"""m; from here on a story is one of a building that people use."""
+"""Story height (m) from which on a story is one of a building: people need as much."""
 
 MODEL_STORY = 0.6
-"""m; up to here it is one of a model in a laboratory."""
+"""Story height (m) up to which a story is one of a model in a laboratory."""
 
 LIGHTEST_FLOOR = 300.0
-"""kg, of a building."""
+"""Mass (kg) that a building's floor exceeds: one square metre of a concrete slab has as much."""
 
 HEAVIEST_MODEL_FLOOR = 3000.0
-"""kg."""
+"""Mass (kg) that no floor of a laboratory's model reaches: it would need a crane of its own."""
 
 HIGHEST_TIMES_FREQUENCY = 200.0
-"""m Hz. A building's first frequency is 46 Hz m over its height (Ellis 1980), within a factor of two or so;
-rad/s would make that 290."""
+"""Largest product (m Hz) of a building's height and first frequency. The mean is 46 (Ellis 1980), within a factor of
+two or so; rad/s would make that 290."""
 
 UNIT_FACTOR_WITHIN = 0.15
-"""Of the logarithm: so near must a ratio be to a factor between units."""
+"""Difference of logarithms within which a ratio is taken for a factor between units."""
 
 STEEP = 0.15
 """Relative deviation of story heights from multiples of the first at which they still look added up."""
 
 SLOWEST = 0.02
-"""Hz; the tallest towers begin at some 0.1 Hz, and long bridges at 0.05 Hz."""
+"""Lowest first frequency (Hz): the tallest towers begin at some 0.1 Hz, and long bridges at 0.05 Hz."""
 
 BEST_LABORATORY_STD = 1e-6
-"""Relative standard deviation; the best counters and interferometers of a laboratory are no better."""
+"""Relative standard deviation below which nothing is measured: the best counters and interferometers of a laboratory
+are no better."""
 
 LARGEST_STD = {"frequency_std": 0.05, "mode_shape_std": 0.3}
-"""Relative standard deviations beyond which nothing is measured any more: percent?"""
+"""Relative standard deviations beyond which nothing is measured any more, so that percent are suspected."""
 
 FACTORS = ((2 * np.pi, "2 pi, as of rad/s"), (60.0, "60, as of cycles a minute"), (1000.0, "1000, as of mHz"))
-"""Factors between units of frequency."""
+"""Factors between units of frequency, with the unit that each would mean."""
 
 ONE_FACTOR_STD = 0.1
 """Standard deviation of the logarithms of the modes' ratios below which they are one factor: what changes a frame
 between two tests changes its modes differently."""
 
 CONTRADICTION = 4.0
-"""Standard deviations between the logarithms of the two totals."""
+"""Standard deviations between the logarithms of the two totals from which on they contradict each other."""
 
 LEAST_CONTRADICTION = 0.3
-"""Of the logarithm: a smaller contradiction is not worth a word."""
+"""Difference of the logarithms of the two totals below which a contradiction is not worth a word."""
 
 POOREST = 0.6
-"""Standard deviation of the logarithm of a total that says nothing."""
+"""Standard deviation of the logarithm of a total from which on it says nothing."""
 
 POOR = 4.0
 """Cost a datum of a fit to which frames with one soft story or heavy floor are tried as well, and above which no shear
@@ -83,15 +84,8 @@ frame is near enough to weigh."""
 VAGUE = 0.05
 """Weight, in the uncertainty of an implied total, of the rows that keep floors and stories alike."""
 
-ROUGH_FIT_STEPS = 8
-"""Steps of those fits."""
-
 UNIT_OFF = 0.5
-"""Of the logarithm: so near must the ratio be to 1000, or its inverse, to look like a unit."""
-
-TALLEST_FITTED = 24
-"""Stories up to which the frame is fitted."""
-
+"""Difference of logarithms within which the ratio of two totals is taken for 1000 or its inverse, a unit."""
 
 _doubt = partial(Finding, refuses=False)
 
@@ -283,14 +277,10 @@ def _over_nominal(experiment: Experiment) -> float | None:
         return None
     logs = [
         np.log(each.frequencies)
-        - np.log(_frequencies(mass + each.added_mass, values["story_stiffness"])[each.modes - 1])
+        - np.log(modes_of(mass + each.added_mass, values["story_stiffness"]).frequencies[each.modes - 1])
         for each in experiment.configurations
     ]
     return float(np.exp(np.median(np.concatenate(logs))))
-
-
-def _frequencies(mass: Floats, stiffness: Floats) -> Floats:
-    return modes(mass_matrix(mass), stiffness_matrix(stiffness)).frequencies
 
 
 def _near(value: float, size: float) -> bool:
@@ -347,13 +337,13 @@ def implied_total(experiment: Experiment) -> tuple[float, float]:
         """Give the floors the added mass, and scale the stiffnesses to the first reading's mean frequency."""
         start = start + np.repeat([np.log(heaviest), 0.0], N)
         mass, stiffness = np.split(np.exp(start), 2)
-        off = readings[0].log_frequencies - np.log(_frequencies(mass + added[0], stiffness)[readings[0].modes])
+        off = readings[0].log_frequencies - np.log(modes_of(mass + added[0], stiffness).frequencies[readings[0].modes])
         return np.asarray(start + np.repeat([0.0, 2 * np.mean(off)], N))
 
     found = problem.nearest(tuned(np.zeros(2 * N)))
     count = sum(reading.count for reading in readings)
     if found.cost > POOR * count:
-        others = (problem.nearest(tuned(start), ROUGH_FIT_STEPS) for start in odd_starts(N))
+        others = (problem.nearest(tuned(start), ROUGH_STEPS) for start in odd_starts(N))
         found = problem.nearest(min((found, *others), key=lambda item: item.cost).theta)
     share = np.exp(found.theta[:N])
     if found.at is None or found.cost > POOR * count:

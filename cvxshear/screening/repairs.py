@@ -150,9 +150,7 @@ def drifts(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
             "mode_shapes are drifts of the stories",
             "add the entries of each mode up from the lowest floor",
             replace(
-                reading,
-                shapes=np.cumsum(reading.shapes, axis=1),
-                noise=np.sqrt(np.cumsum(reading.noise**2, axis=1)),
+                reading, shapes=np.cumsum(reading.shapes, axis=1), noise=np.sqrt(np.cumsum(reading.noise**2, axis=1))
             ),
             1,
         )
@@ -276,4 +274,4 @@ KINDS: tuple[Callable[[Reading, Sequence[Modes]], Iterator[Repair]], ...] = (
     other_orders,
     entry_signs,
 )
-"""Simplest first."""
+"""Kinds of repairs, the simplest first: of two that are alike the first is named."""

@@ -15,19 +15,19 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cvxshear.measurement.declaration import NUMBERS
-from cvxshear.measurement.experiment import Configuration
-from cvxshear.measurement.opened import Measurement, opened
-from cvxshear.measurement.reading import Reading
-from cvxshear.measurement.sign_rule import violations
+from cvxshear.measurement.experiment import Configuration, Measurement, opened
+from cvxshear.measurement.reading import Reading, violations
 from cvxshear.screening.doubts import DOUBT_CHECKS, frequency_units, total_mass
 from cvxshear.screening.repairs import KINDS, Repair
 from cvxshear.screening.results import Finding
 from cvxshear.screening.shear_fit import (
+    ROUGH_STEPS,
+    TALLEST_FITTED,
     NearestFrame,
     distance,
     farthest,
@@ -41,13 +41,16 @@ from cvxshear.screening.shear_fit import (
 )
 from cvxshear.util.errors import InputError
 from cvxshear.util.results import Shown
-from cvxshear.util.typing import Floats, Json
+from cvxshear.util.typing import Floats
+
+if TYPE_CHECKING:
+    from cvxshear.records.record import Finding as RecordFinding
 
 SHOWN_MODES = 3
 """Modes of impossible signs that a finding lists."""
 
 MISTAKEN = 1e-2
-"""Probability that a configuration has a mistake of one kind: of a hundred files one."""
+"""Probability that a configuration has a mistake of one kind: one file in a hundred."""
 
 LEFT_TO_GIVEN = 1e-3
 """Probability of a reading as given, relative to that of its best repair, below which it is refused: a wrong refusal
@@ -57,10 +60,10 @@ SUSPICIOUS = 25.0
 """Cost of a reading as given below which no repair can be that much more probable: it needs 2 log of 1e5."""
 
 RIVAL_COST = 9.0
-"""Repairs whose cost is so near to the best one's are named with it: at least a hundredth as probable."""
+"""Difference of costs up to which a repair is named with the best one: at least a hundredth as probable."""
 
 PLAUSIBLE = 4.0
-"""Cost a datum: where no more than this is left, a repair explains the reading."""
+"""Cost a datum up to which a repair explains the reading."""
 
 UNEXPLAINED = 0.25
 """Share of the cost as given that a repair may leave at most, where that is more."""
@@ -68,32 +71,11 @@ UNEXPLAINED = 0.25
 FITTED = 6
 """Repairs of the least misfit to each reference frame that are fitted."""
 
-ROUGH_STEPS = 8
-"""Steps of a fit that only ranks."""
-
 REFITTED = 6
-"""Of these, the best, which are fitted with each tolerance."""
-
-TALLEST = 24
-"""Stories up to which repairs are tried: there are as many as the square of their number, each a fit."""
+"""Repairs, the best of those fitted, that are fitted again with each tolerance."""
 
 FAR_DATUM = 3.5
-"""Standard deviations, the smaller tolerance included: a reading none of whose data are farther off is let pass."""
-
-
-class Remark(Protocol):
-    """What a record's own diagnostics say, see `cvxshear.records.record`."""
-
-    @property
-    def kind(self) -> str:
-        """What sort of thing is wrong."""
-
-    @property
-    def message(self) -> str:
-        """What is wrong, with the numbers."""
-
-    def to_dict(self) -> Json:
-        """Convert the remark to plain values."""
+"""Standard deviations, the smaller tolerance included, below which no datum of a reading counts as wrong."""
 
 
 MISDECLARED = ("sign", "unit", "swapped channels")
@@ -112,19 +94,19 @@ class Screening(Shown):
         Findings that the file declares to be known and right.
     findings : tuple of Finding
         Mistakes first, then doubts.
-    record : tuple of Remark
+    record : tuple of records.record.Finding
         What the records behind it say of themselves; empty for a measurement file.
     """
 
     name: str
     accepted: tuple[str, ...]
     findings: tuple[Finding, ...]
-    record: tuple[Remark, ...] = ()
+    record: tuple[RecordFinding, ...] = ()
 
     json_keys = "name refused doubtful findings record"
 
     @staticmethod
-    def of(experiment: Measurement, record: Iterable[Remark] = ()) -> Screening:
+    def of(experiment: Measurement, record: Iterable[RecordFinding] = ()) -> Screening:
         """Find what looks wrong in an experiment, and what was said of the records that it comes from."""
         experiment = opened(experiment)
         return Screening(experiment.name, tuple(experiment.frame.accept), screen(experiment), tuple(record))
@@ -177,7 +159,7 @@ def refuse_mistakes(experiment: Measurement, weighed: Collection[str] = ()) -> t
     """
     experiment = opened(experiment)
     found = tuple(
-        dataclasses.replace(item, refuses=item.refuses and not _left_to_the_loop(item, weighed))
+        dataclasses.replace(item, refuses=False) if item.name in NUMBERS and item.configuration in weighed else item
         for item in screen(experiment)
     )
     for item in found:
@@ -187,10 +169,6 @@ def refuse_mistakes(experiment: Measurement, weighed: Collection[str] = ()) -> t
                 f"{where}{item.found}. To mend it: {item.change}; or, if it is right as it is: {item.how_to_accept}"
             )
     return found
-
-
-def _left_to_the_loop(item: Finding, weighed: Collection[str]) -> bool:
-    return item.name in NUMBERS and item.configuration in weighed
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,44 +189,26 @@ class Judged:
     prior_cost: float
 
 
-@dataclass(frozen=True, eq=False)
-class Verdict:
-    """One configuration as it is given, and after each repair that was fitted.
+def judge(reading: Reading) -> tuple[NearestFrame, list[Judged]]:
+    """Compare a reading with shear frames, as given and after single repairs.
 
-    Parameters
-    ----------
+    Returns
+    -------
     given : NearestFrame
-    judged : tuple of Judged
-        The best first; empty where the reading as given needs none.
+        The frame nearest to the reading as given.
+    explaining : list of Judged
+        The repairs that explain the reading, one of which it needs, best first; none where it may stand as given.
     """
-
-    given: NearestFrame
-    judged: tuple[Judged, ...]
-
-    @property
-    def told(self) -> tuple[Judged, ...]:
-        """The repairs that explain the reading, one of which is needed; none where it may stand as given."""
-        if not self.judged:
-            return ()
-        best = self.judged[0]
-        left = max(PLAUSIBLE * best.repair.reading.count, UNEXPLAINED * self.given.cost)
-        if best.cost - best.prior_cost > left or best.cost - self.given.cost > 2 * np.log(LEFT_TO_GIVEN):
-            return ()
-        return tuple(item for item in self.judged if item.cost - best.cost < RIVAL_COST)
-
-
-def judge(reading: Reading) -> Verdict:
-    """Compare a reading with shear frames, as given and after single repairs."""
     begin = starts(reading.stories)
     given = distance(reading, [*begin, *story_starts(reading, begin[:1])])
     if _may_stand(reading, given):
-        return Verdict(given, ())
+        return given, []
     robust = robust_fit(reading, given.theta)
     uneven = odd_starts(reading.stories)
     odd = fit(reading, [*uneven, *story_starts(reading, uneven)], most_steps=ROUGH_STEPS)
     given = min(given, distance(reading, [robust.theta, odd.theta]), key=lambda item: item.cost)
     if _may_stand(reading, given):
-        return Verdict(given, ())
+        return given, []
     references = [*begin, robust.theta]
     frames = [modes_at(theta) for theta in references]
     candidates = [repair for kind in KINDS for repair in kind(reading, frames)]
@@ -259,8 +219,12 @@ def judge(reading: Reading) -> Verdict:
         for place in nearest.tolist()
     }
     order = sorted(first, key=lambda place: first[place].cost)[:REFITTED]
-    judged = [_judged(candidates[place], first[place].theta) for place in order]
-    return Verdict(given, tuple(sorted(judged, key=lambda item: item.cost)))
+    judged = sorted((_judged(candidates[place], first[place].theta) for place in order), key=lambda item: item.cost)
+    best = judged[0]
+    left = max(PLAUSIBLE * best.repair.reading.count, UNEXPLAINED * given.cost)
+    if best.cost - best.prior_cost > left or best.cost - given.cost > 2 * np.log(LEFT_TO_GIVEN):
+        return given, []
+    return given, [item for item in judged if item.cost - best.cost < RIVAL_COST]
 
 
 def _may_stand(reading: Reading, given: NearestFrame) -> bool:
@@ -279,28 +243,30 @@ def mistakes(configuration: Configuration) -> list[Finding]:
         return []
     reading = Reading.of(configuration)
     broken = violations(reading)
-    verdict = judge(reading) if reading.stories <= TALLEST else None
-    if verdict is not None and verdict.told:
-        return [_told(configuration.name, verdict, broken)]
+    tried = reading.stories <= TALLEST_FITTED
+    if tried:
+        given, explaining = judge(reading)
+        if explaining:
+            return [_explained(configuration.name, given, explaining, broken)]
     if not broken:
         return []
-    change = "no single change mends it: look for more than one mistake" if verdict else "look for a mistake"
+    change = "no single change mends it: look for more than one mistake" if tried else "look for a mistake"
     found = "; ".join(broken[:SHOWN_MODES]) + ("; and so on" if len(broken) > SHOWN_MODES else "")
     return [Finding("signs", configuration.name, found, f"{change} in mode_shapes and modes", refuses=True)]
 
 
-def _told(name: str, verdict: Verdict, broken: list[str]) -> Finding:
+def _explained(name: str, given: NearestFrame, explaining: list[Judged], broken: list[str]) -> Finding:
     """Describe a mistake that one change mends, or one of several."""
-    told = verdict.told
-    names = list(dict.fromkeys(item.repair.name for item in told))
+    best = explaining[0]
+    names = list(dict.fromkeys(item.repair.name for item in explaining))
     evidence = broken[0] if broken else "no shear frame has these modes"
-    before, after = (float(np.sqrt(cost)) for cost in (verdict.given.cost, told[0].cost - told[0].prior_cost))
+    before, after = (float(np.sqrt(cost)) for cost in (given.cost, best.cost - best.prior_cost))
     return Finding(
         names[0],
         name,
-        f"{' or '.join(item.repair.found for item in told)}: {evidence} (the nearest frame is {before:.0f} standard "
-        f"deviations away, with the change {after:.0f})",
-        f"{'One of: ' if len(told) > 1 else ''}{'; or '.join(item.repair.change for item in told)}",
+        f"{' or '.join(item.repair.found for item in explaining)}: {evidence} (the nearest frame is {before:.0f} "
+        f"standard deviations away, with the change {after:.0f})",
+        f"{'One of: ' if len(explaining) > 1 else ''}{'; or '.join(item.repair.change for item in explaining)}",
         refuses=True,
         rivals=tuple(names[1:]),
     )

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear import backends
+from cvxshear.data.pairing import scaled
 from cvxshear.fit.domain import Domain
 from cvxshear.fit.expectation import MASS_WIDTH, STIFFNESS_WIDTH
 from cvxshear.fit.gauss_newton import gauss_newton
@@ -40,13 +41,20 @@ FARTHEST_LOG = 14.0
 """Bound on the logarithms of masses and stiffnesses about their start: factors of a million, bearings under a house."""
 
 STARTING_LOG = 3.0
-"""Logarithm: masses and stiffnesses start no farther than this from their mean, unless farther off fits better."""
+"""Largest difference of the logarithms of masses or stiffnesses from their mean at a start, unless farther off fits
+better."""
 
 ODD = 1e-3
 """Stiffness of the one story, and inverse mass of the one floor, of the odd frames that a fit starts from."""
 
 MOST_NEAREST_STEPS = 60
 """Step programs at most, in one fit."""
+
+ROUGH_STEPS = 8
+"""Steps of a fit that only ranks starts or repairs: what is nearer then mostly stays so."""
+
+TALLEST_FITTED = 24
+"""Stories up to which frames are fitted: repairs are as many as the square of their number, each a fit."""
 
 ENOUGH = 3e-2
 """Change of a residual, in standard deviations, of a step that counts as none."""
@@ -58,7 +66,7 @@ ABOUT = 0.1
 """Standard deviation of the logarithm of a frequency under a frame of about the right proportions."""
 
 REWEIGHTINGS = 4
-"""Of the entries, in a robust fit."""
+"""Times that the entries of a robust fit are weighed anew."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,10 +93,14 @@ class NearestFrame:
         return modes_at(self.theta)
 
 
+def modes_of(mass: Floats, stiffness: Floats) -> Modes:
+    """Modes of a frame of these floor masses and story stiffnesses."""
+    return modes(mass_matrix(mass), stiffness_matrix(stiffness))
+
+
 def modes_at(theta: Floats) -> Modes:
     """Modes of the frame whose masses and stiffnesses have these logarithms."""
-    mass, stiffness = np.split(np.exp(theta), 2)
-    return modes(mass_matrix(mass), stiffness_matrix(stiffness))
+    return modes_of(*np.split(np.exp(theta), 2))
 
 
 def starts(stories: int) -> list[Floats]:
@@ -189,38 +201,29 @@ def robust_fit(reading: Reading, at: Floats) -> NearestFrame:
     weights = reading.weights
     found = fit(reading, [at], weights=weights)
     for _ in range(REWEIGHTINGS):
-        off = shape_residual(reading, found.modes, reading.weights)
+        off = shape_residual(reading, found.modes)
         found = fit(reading, [found.theta], weights=weights / np.sqrt(1 + (off / OUTLIER) ** 2))
     return found
 
 
-def shape_residual(reading: Reading, found: Modes, weights: Floats) -> Floats:
+def shape_residual(reading: Reading, found: Modes) -> Floats:
     """Shapes of a frame less those read, each scaled to it by least squares, in standard deviations, shape (m, n)."""
-    psi = weights * found.shapes[np.ix_(reading.modes, reading.floors)]
-    read = weights * reading.scaled
-    residual: Floats = _share(psi, read) * psi - read
+    psi, read, weights = found.shapes[np.ix_(reading.modes, reading.floors)], reading.scaled, reading.weights
+    scale, _ = scaled(read, psi, weights)
+    residual: Floats = weights * (scale[:, None] * psi - read)
     return residual
-
-
-def _share(psi: Floats, read: Floats) -> Floats:
-    """Find the factor on each row of psi that brings it nearest to the row read, shape (m, 1)."""
-    length = np.sum(psi**2, axis=1, keepdims=True)
-    share: Floats = np.sum(psi * read, axis=1, keepdims=True) / np.where(length > 0, length, 1.0)
-    return share
 
 
 def misfit(reading: Reading, found: Modes) -> float:
     """Add up the first two sums above for a frame of only about the right proportions, its scale free."""
     off = np.log(found.frequencies[reading.modes]) - reading.log_frequencies
-    shapes = shape_residual(reading, found, reading.weights)
-    return float(np.sum(((off - off.mean()) / ABOUT) ** 2) + np.sum(shapes**2))
+    return float(np.sum(((off - off.mean()) / ABOUT) ** 2) + np.sum(shape_residual(reading, found) ** 2))
 
 
 def farthest(reading: Reading, found: Modes) -> float:
     """Find the largest difference of a frequency or an entry from those of a frame, in standard deviations."""
     frequency = (np.log(found.frequencies[reading.modes]) - reading.log_frequencies) / reading.frequency_std
-    shapes = shape_residual(reading, found, reading.weights)
-    return float(max(np.max(np.abs(frequency)), np.max(np.abs(shapes))))
+    return float(max(np.max(np.abs(frequency)), np.max(np.abs(shape_residual(reading, found)))))
 
 
 class ShearFrames:
@@ -270,17 +273,14 @@ class ShearFrames:
             found = modes(system.M, system.K)
             if not found.eigenvalues[0] > 0:
                 raise NoModesError("masses and stiffnesses of the frame differ by more than 64 bits resolve")
-            read = weights * reading.scaled
             off = 0.5 * np.log(found.eigenvalues[reading.modes]) - np.log(2 * np.pi) - reading.log_frequencies
-            psi = weights * found.shapes[np.ix_(reading.modes, reading.floors)]
-            share = _share(psi, read)
-            residuals += [off / reading.frequency_std, (share * psi - read).ravel()]
+            psi, read = found.shapes[np.ix_(reading.modes, reading.floors)], reading.scaled
+            scale, unit = scaled(read, psi, weights)
+            residuals += [off / reading.frequency_std, (weights * (scale[:, None] * psi - read)).ravel()]
             if derivatives:
                 dlam, dphi = mode_derivatives(found, system, reading.modes)
                 slopes.append(0.5 * dlam / found.eigenvalues[reading.modes] / reading.frequency_std)
-                d_shape = share * weights * dphi[:, :, reading.floors]
-                length = np.linalg.norm(psi, axis=1, keepdims=True)
-                unit = psi / np.where(length > 0, length, 1.0)
+                d_shape = scale[:, None] * weights * dphi[:, :, reading.floors]
                 d_shape -= unit * np.sum(unit * d_shape, axis=2, keepdims=True)
                 slopes.append(d_shape.reshape(len(value), -1))
         r = np.concatenate([*residuals, self.prior @ theta])

@@ -255,6 +255,17 @@ def table(value: object, where: str, *, rows: int, nan: bool = False, above: flo
     return frozen(np.array(lines))
 
 
+def real(value: object, where: str) -> Floats:
+    """Check what somebody else's code returned: an array of real numbers, of any shape, not all of them finite."""
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        array = np.array(None)
+    if array.dtype.kind not in "fiu" or isinstance(value, np.ma.MaskedArray):
+        raise InputError(f"{where} must hold real numbers, not {shown(value)}")
+    return array.astype(float)
+
+
 def frozen(array: np.ndarray[Any, np.dtype[Scalar]]) -> np.ndarray[Any, np.dtype[Scalar]]:
     """Make an array read-only."""
     array.setflags(write=False)

@@ -18,6 +18,22 @@ DISPLAY_UNITS = {
 }
 """What a unit is in kg, N or m."""
 
+STANDARD_GRAVITY = 9.80665
+"""m/s2, by definition (CGPM 1901): what a sensor's "g" is."""
+
+IN_SI = {
+    "acceleration": {
+        "m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY, "mm/s2": 1e-3, "cm/s2": 1e-2, "gal": 1e-2,
+        "in/s2": 0.0254, "ft/s2": 0.3048,
+    },
+    "velocity": {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "in/s": 0.0254},
+    "displacement": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254},
+    "force": {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605},
+}  # fmt: skip
+CHANNEL_UNITS = {unit: (kind, size) for kind, units in IN_SI.items() for unit, size in units.items()}
+"""Units of a channel: what is measured in it, and what it is in m/s2, m/s, m or N (definitions of the SI and of the
+international foot and pound)."""
+
 TONNES = 1e4
 """Mass from which masses are written in tonnes, kg."""
 

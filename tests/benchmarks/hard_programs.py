@@ -28,8 +28,18 @@ def main(programs=1000, seed=1):
     tally = study(programs, seed)
     table(
         "Hard programs: answers and refusals of all backends together",
-        ["program", "programs", "answers", "refused: ill-conditioned", "refused: solver", "closed form unsuitable",
-         "outside their bound", "constraint missed", "largest error / bound", "largest error / size"],
+        [
+            "program",
+            "programs",
+            "answers",
+            "refused: ill-conditioned",
+            "refused: solver",
+            "closed form unsuitable",
+            "outside their bound",
+            "constraint missed",
+            "largest error / bound",
+            "largest error / size",
+        ],
         [tally[kind].row(kind) for kind in KINDS],
     )
     for kind in KINDS:

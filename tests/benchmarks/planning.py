@@ -24,6 +24,7 @@ from cvxshear.planning.choice import choose, equally_spaced, values_of
 from cvxshear.planning.criteria import CRITERIA, criterion_named
 from cvxshear.planning.planner import GOALS
 from cvxshear.planning.tested_model import AveragedModel, TestModel
+from cvxshear.priors import Value
 
 NOISE = Declared(frequency_std=0.002, mode_shape_std=0.02)
 MODES = 3
@@ -130,7 +131,8 @@ def gaps(frames=60, seed=16, shortest=3, tallest=40):
         for name, by in CRITERIA.items():
             begun = time.process_time()
             found = choose(problem, number, by)
-            yield name, noise, found.value / found.program - 1, found.gap, time.process_time() - begun
+            seconds = time.process_time() - begun
+            yield name, noise, choose(problem, number, by, widths=()).gap, found.gap, seconds
 
 
 def _gap():
@@ -172,11 +174,20 @@ def scatter(planned, samples, seed, *, drawn=False):
         truth = there.model.design.sizes
         test = _noisy_tests(predicted(there), planned.names, rng)
         if not drawn:
-            test = dataclasses.replace(test, priors=tuple(each.redrawn(rng) for each in test.priors))
+            test = dataclasses.replace(test, priors=tuple(redrawn(each, rng) for each in test.priors))
         errors.append((fitted(Misfit(test, ()), design.sizes, solver).theta - truth) / truth)
     expected = np.concatenate([planned.chosen.floor_mass_std, planned.chosen.story_stiffness_std]) / design.sizes
     observed = np.sqrt(np.mean(np.square(errors), axis=0))
     return np.where(expected > 1e-9, observed / expected, np.nan)
+
+
+def redrawn(prior, rng):
+    """A prior as somebody else would state it who is as sure of it; itself where it is exact."""
+    if prior.std is None:
+        return prior
+    if isinstance(prior, Value):
+        return dataclasses.replace(prior, value=prior.value * (1 + prior.std * rng.standard_normal()))
+    return dataclasses.replace(prior, values=prior.values * (1 + prior.std * rng.standard_normal(len(prior.values))))
 
 
 def _on_another_frame(planned, rng):
@@ -186,9 +197,7 @@ def _on_another_frame(planned, rng):
     for prior in design.priors:
         at = slice(0, design.stories) if prior.quantity == "floor_mass" else slice(design.stories, None)
         sizes[at] *= np.maximum(1 + prior.std * rng.standard_normal(design.stories), 0.1)
-    moved = dataclasses.replace(
-        design, floor_mass=sizes[: design.stories], story_stiffness=sizes[design.stories :]
-    )
+    moved = dataclasses.replace(design, floor_mass=sizes[: design.stories], story_stiffness=sizes[design.stories :])
     model = dataclasses.replace(planned.model, design=moved)
     return dataclasses.replace(planned, averaged=AveragedModel((model,)))
 
@@ -208,7 +217,7 @@ def right_verdicts(planned, samples, seed):
         right = 0
         for _ in range(samples):
             test = _noisy_tests(exact, planned.names, rng)
-            test = dataclasses.replace(test, priors=tuple(each.redrawn(rng) for each in test.priors))
+            test = dataclasses.replace(test, priors=tuple(redrawn(each, rng) for each in test.priors))
             evidence = [-fitted(Misfit(test, ()), sizes, solver).chi2 / 2]
             for target, information in zip(targets, own, strict=True):
                 start = np.append(sizes, target.null + target.size)

@@ -138,9 +138,7 @@ def trial(seed, stories, case):
     found = reconstruct(models, motion, leave_out=False)
     predicted = found.predicted_peaks.values["story_drift"] / true - 1
     errors = [side.peaks.values["story_drift"] / true - 1 for side in (alone, found)]
-    peaks = [
-        (side.peaks.values["story_drift"] - true) / side.peaks.std["story_drift"] for side in (alone, found)
-    ]
+    peaks = [(side.peaks.values["story_drift"] - true) / side.peaks.std["story_drift"] for side in (alone, found)]
     over_time = [
         np.mean(np.abs(side.runs[0].response.drift - drift) <= NORMAL_95 * side.runs[0].std["story_drift"], axis=0)
         for side in (alone, found)

@@ -18,11 +18,7 @@ from cvxshear.records.record import TimeRecord
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
 from cvxshear.util.typing import Floats, Json
 
-MAKERS: dict[str, Callable[..., TimeRecord]] = {
-    "hammer": hammer_record,
-    "base": base_record,
-    "ambient": ambient_record,
-}
+MAKERS: dict[str, Callable[..., TimeRecord]] = {"hammer": hammer_record, "base": base_record, "ambient": ambient_record}
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,13 +73,7 @@ class RecordScatter:
 
 
 def scatter(
-    kind: str,
-    *,
-    noise: float,
-    seeds: int,
-    frame: KnownFrame = PAPER_FRAME,
-    method: str | None = None,
-    **options: float,
+    kind: str, *, noise: float, seeds: int, frame: KnownFrame = PAPER_FRAME, method: str | None = None, **options: float
 ) -> RecordScatter:
     """Identify so many simulated records and compare them with the frame they came from.
 

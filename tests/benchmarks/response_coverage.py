@@ -20,7 +20,7 @@ from cvxshear import backends
 from cvxshear.fit.efficient import efficient
 from cvxshear.records.motion import Drive
 from cvxshear.response import DampedModel, Fitted, response
-from cvxshear.response.peaks import largest
+from cvxshear.response.peaks import peaks_of
 from cvxshear.response.uncertain import UncertainFrame, propagated
 from cvxshear.util.parallel import each
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, sampled, shaking
@@ -44,14 +44,14 @@ def uncertain(stories, kind, seed):
 
 
 def peaks(damped, drive):
-    found = largest([response(damped.model, drive, STEP)])
+    found = peaks_of([(response(damped.model, drive, STEP), {})]).values
     return np.concatenate([found[name] for name in QUANTITIES])
 
 
 def true_peaks(stories, drive):
     M, C, K = matrices(*damped_frame(stories))
     model = DampedModel(M, C, K, np.ones(stories))
-    found = largest([response(model, drive, STEP)])
+    found = peaks_of([(response(model, drive, STEP), {})]).values
     return np.concatenate([found[name] for name in QUANTITIES])
 
 

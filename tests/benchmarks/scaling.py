@@ -11,7 +11,7 @@ from cvxshear import Experiment, backends, identify
 from cvxshear.measurement.experiment import Configuration, Frame
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.programs import one_shot_masses
-from cvxshear.programs.normal import digits_lost
+from cvxshear.programs.orthogonality import digits_lost
 from tests.benchmarks.timing import shown, table
 
 SIZES = (3, 10, 30, 100, 300, 1000)

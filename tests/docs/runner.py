@@ -37,9 +37,7 @@ KEPT_IN = "CVXSHEAR_TESTS_KEEP"
 
 FENCE = "```"
 
-IMPORTS_ALONE = {
-    "noise-study.md": "its block takes minutes",
-}
+IMPORTS_ALONE = {"noise-study.md": "its block takes minutes"}
 """Pages whose python blocks stand for more than a test can do: their imports alone are run. A single block is marked
 as such by the word no-run after its fence."""
 

@@ -90,10 +90,7 @@ def test_joint_rotation_of_two_bays():
     """Exact where the inner column is two of the outer: two portals side by side."""
     one_bay = fe.with_turning_joints(building(), 0.4)
     two_bays = replace(
-        one_bay,
-        column_x=(-0.5, 0.0, 0.5),
-        column_share=(0.25, 0.5, 0.25),
-        beam_bending=0.5 * one_bay.beam_bending,
+        one_bay, column_x=(-0.5, 0.0, 0.5), column_share=(0.25, 0.5, 0.25), beam_bending=0.5 * one_bay.beam_bending
     )
     assert_same(modes_with([placed("joint_rotation")], 0.4), sway_modes(two_bays))
 

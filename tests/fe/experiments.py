@@ -224,9 +224,7 @@ def simulated_as_drawn(
     return experiment, truth
 
 
-def placed_at_random(
-    effect: str, stories: int, configurations: int, rng: np.random.Generator
-) -> dict[str, int | None]:
+def placed_at_random(effect: str, stories: int, configurations: int, rng: np.random.Generator) -> dict[str, int | None]:
     """Where an effect sits: anywhere it can be."""
     return _placed(effect, stories, configurations, rng, floor=None, story=None, configuration=None)
 
@@ -264,10 +262,7 @@ def simulated_attachment(
         tests.append(measured(modes, rng, name=_name(number), added=extra))
     declared = {"stories": stories, "story_heights": [HEIGHT] * stories, "total_mass": float(frame.floor_mass.sum())}
     truth = {"mass": mass, "frequency": frequency, "floor_mass": frame.floor_mass}
-    return (
-        {"frame": declared, "configuration": tests},
-        {**truth, "story_stiffness": frame.story_stiffness},
-    )
+    return ({"frame": declared, "configuration": tests}, {**truth, "story_stiffness": frame.story_stiffness})
 
 
 def _drawn(stories: int, rng: np.random.Generator) -> Building:

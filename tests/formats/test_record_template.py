@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import subprocess
 import sys
+from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
@@ -84,14 +85,43 @@ def test_a_column_that_is_no_motion_is_left_out_and_said(values, run, tmp_path):
     assert "# Left out, no motion by its name: temp_degC" in said
 
 
-def test_stamps(values, run, tmp_path):
-    """Dates with times, in steps of 50 ms."""
-    rows = [f"2024-05-01 23:59:{45 + 0.05 * i:06.3f}" if i < 300 else f"2024-05-02 00:00:{0.05 * i - 15:06.3f}"
-            for i in range(len(values))]  # fmt: skip
+CLOCKS = {
+    "one column, ISO": ("Timestamp", "{:%Y-%m-%d %H:%M:%S.%f}"),
+    "one column, twice twelve hours": ("Time", "{:%m/%d/%Y %I:%M:%S.%f %p}"),
+    "a date and a time": ("Date;Time", "{:%Y-%m-%d};{:%H:%M:%S.%f}"),
+    "a date with points and a time": ("Datum;Uhrzeit", "{:%d.%m.%Y};{:%H:%M:%S.%f}"),
+}
+
+
+@pytest.mark.parametrize("kind", CLOCKS)
+def test_stamps(kind, values, run, tmp_path):
+    """Dates and times over midnight, in steps of 50 ms."""
+    header, form = CLOCKS[kind]
+    start = datetime(2024, 5, 1, 23, 59, 45)
+    stamps = [start + timedelta(seconds=0.05 * place) for place in range(len(values))]
     numbers = [";".join(f"{value:.9g}" for value in row[1:]) for row in values]
-    body = "\n".join(f"{stamp};{row}" for stamp, row in zip(rows, numbers, strict=True))
-    (tmp_path / "a.csv").write_text(f"Timestamp;ground;a1;a2;a3\n{body}\n")
+    body = "\n".join(f"{form.format(stamp, stamp)};{row}" for stamp, row in zip(stamps, numbers, strict=True))
+    (tmp_path / "a.csv").write_text(f"{header};ground;a1;a2;a3\n{body}\n")
     check(begun(run, tmp_path, "a.csv")[1], values)
+
+
+def test_a_date_and_a_time_in_a_workbook(values, run, tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.append(["Date", "Time", "ground", "a1", "a2", "a3"])
+    start = datetime(2024, 5, 1, 23, 59, 45)
+    for place, row in enumerate(values.tolist()):
+        stamp = start + timedelta(seconds=0.05 * place)
+        book.active.append([stamp.date(), stamp.time(), *row[1:]])
+    book.save(tmp_path / "a.xlsx")
+    check(begun(run, tmp_path, "a.xlsx")[1], values)
+
+
+@pytest.mark.parametrize("stamp", ["2024-02-31 10:00:00", "25:00:00", "10:61:00"])
+def test_a_stamp_that_is_none(stamp, values, run, tmp_path):
+    (tmp_path / "a.csv").write_text(text(f"t,ground,a1,a2,a3\n{stamp},0,0,0,0\n", values))
+    status, _, err = run("new", "--record", tmp_path / "a.csv", "-o", tmp_path / "r.toml")
+    assert (status, f"line 2 holds {stamp!r}, which is no date or time" in err) == (2, True)
 
 
 def test_milliseconds(values, run, tmp_path):
@@ -117,6 +147,39 @@ def test_no_rate_is_to_be_filled_in(values, run, tmp_path):
     said = (tmp_path / "r.toml").read_text().replace("# sampling_rate = 100.0", "sampling_rate = 20.0")
     (tmp_path / "r.toml").write_text(said)
     check(read_record(tmp_path / "r.toml").record, values)
+
+
+RATES = {"fs": 20.0, "Fs": 20, "dt": 0.05, "sampling_rate": 20.0}
+
+
+@pytest.mark.parametrize("name", RATES)
+@pytest.mark.parametrize("ending", ["mat", "npz"])
+def test_a_rate_as_a_number_of_its_own(ending, name, values, run, tmp_path):
+    write = io.savemat if ending == "mat" else lambda path, arrays: np.savez(path, **arrays)
+    write(tmp_path / f"a.{ending}", {"ground": values[:, 1], "floors": values[:, 2:], name: RATES[name]})
+    said, record = begun(run, tmp_path, f"a.{ending}")
+    check(record, values)
+    assert f'sampling_rate = 20  # Hz, GUESSED from "{name}" in the file' in said
+    # A record file that says nothing of the rate takes it as well.
+    (tmp_path / "b.toml").write_text("\n".join(each for each in said.splitlines() if "sampling_rate" not in each))
+    check(read_record(tmp_path / "b.toml").record, values)
+
+
+def test_several_files_are_the_runs_of_one_record(values, run, tmp_path):
+    for place, part in enumerate((values[:300], values[300:]), 1):
+        (tmp_path / f"hit{place}.csv").write_text(text("t,Hammer [N],a1,a2,a3\n", part))
+    files = [tmp_path / "hit1.csv", tmp_path / "hit2.csv"]
+    assert run("new", "--record", *files, "-o", tmp_path / "r.toml") == (0, "", "")
+    said = (tmp_path / "r.toml").read_text().replace("input_floor = 3", "input_floor = 1", 1)
+    (tmp_path / "r.toml").write_text(said)
+    record = read_record(tmp_path / "r.toml").record
+    assert [(each.floor, each.samples) for each in record.runs] == [(1, 300), (3, 300)]
+    np.testing.assert_allclose(record.runs[1].responses, values[300:, 2:], rtol=1e-6)
+    (tmp_path / "hit2.csv").write_text(text("t,Hammer [N],a1,a2\n", values[:, :4]))
+    status, out, err = run("new", "--record", *files, "-o", tmp_path / "r2.toml")
+    assert (status, out, 'hit2.csv has no column "a3"' in err) == (2, "", True)
+    assert not (tmp_path / "r2.toml").exists()
+    assert run("new", files[0])[0] == 2
 
 
 def compressed(path, values):

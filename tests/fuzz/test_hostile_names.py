@@ -188,7 +188,7 @@ SAMPLES = 1920
 
 def records(folder, names) -> list:
     """Record files of one record, whose name, file and channels are called so."""
-    source = write_records(folder, '\n[frame]\ntotal_mass = 22.5\n')[0]
+    source = write_records(folder, "\n[frame]\ntotal_mass = 22.5\n")[0]
     header, *rows = (folder / "bare.csv").read_text().splitlines()
     text = source.read_text(encoding="utf-8")
     made = []

@@ -125,8 +125,7 @@ def test_a_method_that_cannot_use_the_data_says_so():
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
-    [({"samples": 1}, "samples"), ({"seed": -1}, "seed"), ({"methods": ("best",)}, "method")],
+    ("change", "message"), [({"samples": 1}, "samples"), ({"seed": -1}, "seed"), ({"methods": ("best",)}, "method")]
 )
 def test_a_study_that_is_none_is_refused(change, message):
     with pytest.raises(InputError, match=message):

@@ -17,13 +17,7 @@ from cvxshear.util.errors import InputError
 from tests.frames import chain
 from tests.report.test_figures import assert_readable
 
-OF_RECORDS = (
-    figures.stabilization,
-    figures.functions,
-    figures.coherence,
-    figures.modal_shapes,
-    figures.modal_mac,
-)
+OF_RECORDS = (figures.stabilization, figures.functions, figures.coherence, figures.modal_shapes, figures.modal_mac)
 MASSES = np.array([10.0, 7.5, 5.0])
 STIFFNESSES = np.array([36e3, 24e3, 12e3])
 

@@ -4,18 +4,20 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import linalg
 
 import cvxshear
 from cvxshear import backends
 from cvxshear.fit.efficient import efficient
 from cvxshear.measurement.declaration import Limits
 from cvxshear.modal import Channel, Run, TimeRecord
+from cvxshear.programs import LeastSquares
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.response import DampedModel, Fitted, Models, reconstruct, response
 from cvxshear.response.dynamics import Noise, Setting, doubled, dynamics, recursion, settled_covariance
 from cvxshear.response.innovations import Directions, PredictionErrors, Stretch
 from cvxshear.response.recording import recording_of
-from cvxshear.response.smoother import Observed, Steady, motion_program, smooth
+from cvxshear.response.smoother import Observed, Steady, smooth
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util.errors import InputError
@@ -41,6 +43,38 @@ def three():
     y[20] += 4.0
     y[35:42, 0] = np.nan
     return model, setting, system, Observed(excitation, y, np.repeat([1.0, 2.0], 30), 1.5)
+
+
+def motion_program(model, run, weights):
+    """The program that the smoother solves, as a table; its unknowns are the states, one sample after the other."""
+    samples, n = len(run.excitation), len(model.A)
+    driven = model.driven(run.excitation)
+    scaled, sides = [], []
+
+    def add(blocks, side):
+        row = np.zeros((len(side), samples * n))
+        for at, block in blocks.items():
+            row[:, at * n : (at + 1) * n] = block
+        scaled.append(row)
+        sides.append(side)
+
+    add({0: whitening(run.start_scale**2 * model.P0)}, np.zeros(n))
+    for t in range(samples - 1):
+        white = whitening(run.envelope[t] ** 2 * model.Q)
+        add({t + 1: white, t: -white @ model.A}, white @ driven[t])
+    for t in range(samples):
+        own = weights[t] > 0
+        root = np.sqrt(weights[t, own] / model.R[own])
+        side = run.measured[t, own] - model.direct[own] * run.excitation[t]
+        add({t: root[:, None] * model.H[own]}, root * side)
+    return LeastSquares(np.concatenate(scaled), np.concatenate(sides))
+
+
+def whitening(covariance):
+    """W with W covariance W' = 1."""
+    unit = 1.0 / np.sqrt(np.diag(covariance))
+    lower = np.linalg.cholesky(covariance * np.outer(unit, unit))
+    return linalg.solve_triangular(lower, np.diag(unit), lower=True)
 
 
 def test_the_sweeps_solve_the_program_on_every_backend(three):
@@ -78,8 +112,6 @@ def test_without_noise_the_state_space_model_moves_as_the_modes_do(three):
 
 
 def test_settled_covariances_solve_their_equations(three):
-    from scipy import linalg  # noqa: PLC0415
-
     system = three[2]
     expected = linalg.solve_discrete_lyapunov(system.A, system.Q)
     unit = np.sqrt(np.diag(expected))

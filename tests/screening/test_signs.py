@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from cvxshear import Experiment
-from cvxshear.measurement.reading import Reading
-from cvxshear.measurement.sign_rule import fewest_changes, most_changes, violations
+from cvxshear.measurement.reading import Reading, fewest_changes, most_changes, violations
 from tests.frames import configuration, experiment, modes_of
 
 

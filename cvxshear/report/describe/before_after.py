@@ -21,6 +21,7 @@ def _each(written: Callable[[float | None], str]) -> Writer:
 MODELS = ("shear model", "with effects")
 """The model that the loop began with and the one that it ended with; states may be named "before" and "after"."""
 
+
 def compared_errors(held_out: str) -> Iterator[tuple[str, str, Writer]]:
     """Key in the JSON, label, and how the two values are written, of each error that is compared.
 

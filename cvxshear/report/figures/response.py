@@ -79,9 +79,11 @@ def _floors_left_out(result: RecordPrediction) -> str:
     "history",
     RecordPrediction,
     title="Accelerations over time",
-    caption=lambda result: "Total accelerations of the floors around the strongest motion: predicted (dashed), with "
-    "the band that holds 95\N{NO-BREAK SPACE}% by the deviations of masses, stiffnesses, effects and damping, and, "
-    f"where the record has them, measured.{_floors_left_out(result)}",
+    caption=lambda result: (
+        "Total accelerations of the floors around the strongest motion: predicted (dashed), with "
+        "the band that holds 95\N{NO-BREAK SPACE}% by the deviations of masses, stiffnesses, effects and damping, and, "
+        f"where the record has them, measured.{_floors_left_out(result)}"
+    ),
     alternative="Accelerations of the floors over time, predicted and measured.",
     section="peaks",
     narrow=True,
@@ -198,11 +200,15 @@ def _measured_peaks(axes: Axes, result: RecordPrediction) -> None:
     "transfer",
     RecordPrediction,
     title="Transfer functions",
-    caption=lambda result: "Size of each floor's transfer function: measured, of the shear model, and, where effects "
-    "were added, of the model with effects. All go through the same estimate."
-    + _left_out(
-        len(_compared_floors(result)), len(result.after.comparison.floors), "measured floors",
-        "the table above has the errors of all",
+    caption=lambda result: (
+        "Size of each floor's transfer function: measured, of the shear model, and, where effects "
+        "were added, of the model with effects. All go through the same estimate."
+        + _left_out(
+            len(_compared_floors(result)),
+            len(result.after.comparison.floors),
+            "measured floors",
+            "the table above has the errors of all",
+        )
     ),
     alternative="Sizes of the transfer functions from the excitation to the floors, measured and predicted.",
     section="errors",
@@ -264,8 +270,9 @@ def transfer_functions(result: RecordPrediction) -> Figure:
     "spectra",
     RecordPrediction,
     title="Floor spectra",
-    caption=lambda result: "Peak acceleration of an oscillator on each floor: what equipment there has to bear."
-    + _floors_left_out(result),
+    caption=lambda result: (
+        "Peak acceleration of an oscillator on each floor: what equipment there has to bear." + _floors_left_out(result)
+    ),
     alternative="Response spectra of the floors.",
     section="peaks",
     narrow=True,
@@ -365,9 +372,11 @@ def story_drifts(result: Reconstruction) -> Figure:
     "histories",
     Reconstruction,
     title="Drifts over time",
-    caption=lambda result: "Drifts around the strongest motion, with the band that holds 95\N{NO-BREAK SPACE}%."
-    + _left_out(
-        len(_drawn_stories(result)), len(result.model.M), "stories", "the table of the stories has the peaks of all"
+    caption=lambda result: (
+        "Drifts around the strongest motion, with the band that holds 95\N{NO-BREAK SPACE}%."
+        + _left_out(
+            len(_drawn_stories(result)), len(result.model.M), "stories", "the table of the stories has the peaks of all"
+        )
     ),
     alternative="Drifts of the stories over time.",
     section="frame",
