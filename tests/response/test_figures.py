@@ -103,4 +103,10 @@ def test_the_story_that_the_headline_names_is_drawn():
     assert describe(found).headline.startswith("Story 3 drifted most: ")
     assert "base motion" in describe(found)["findings"].parts[0].text
     assert panel_numbers(figures.reconstructed_histories(found)) == [5, 4, 3, 1]
+    with for_narrow_page():
+        narrow = [entry.draw(found) for entry in figures_of(Reconstruction).values()]
+    assert len(narrow) == 2
+    for drawn in narrow:
+        assert drawn.get_figwidth() <= 3.7
+        assert_readable(drawn)
     assert "1 of 5 stories is not drawn" in figures_of(Reconstruction)["histories"].caption_of(found)
