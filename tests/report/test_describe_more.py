@@ -17,6 +17,7 @@ from cvxshear.response import Drive, Motion, predict
 from cvxshear.screening import Screening
 from cvxshear.util.quantities import Units
 from tests.planning.common import NOISE, slow_covariance, tapered
+from tests.fe.experiments import simulated
 from tests.report.conftest import NASTY
 from tests.response.common import damped_frame, declared, integrated, matrices, pole_ratios, shaking
 
@@ -175,3 +176,17 @@ def test_a_screening_that_found_nothing_says_so_with_what_was_accepted():
     assert "nothing looks wrong" in " ".join(str(found).split())
     assert "accepted beforehand: swapped_sensors" in str(found)
     assert "<img" not in found._repr_html_()
+
+
+@pytest.mark.parametrize(("times", "said"), [(1.0, False), (30.0, True)])
+def test_deviations_that_are_far_too_large_are_said(times, said):
+    """Modes with the noise that is stated, and with stated deviations thirty times as large."""
+    declared, _ = simulated(None, stories=4, configurations=2, rng=np.random.default_rng(5))
+    for each in declared["configuration"]:
+        for key in ("frequency_std", "mode_shape_std"):
+            each[key] = (times * np.asarray(each[key])).tolist()
+    found = cvxshear.identify(cvxshear.Experiment.from_dict(declared))
+    warned = [each.text for each in parts(found, Sentence) if "times smaller than the stated" in each.text]
+    assert len(warned) == said
+    for text in warned:
+        assert float(text.split(" is ")[1].split(" times")[0]) == pytest.approx(times, rel=0.5)
