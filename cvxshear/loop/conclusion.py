@@ -307,7 +307,7 @@ def _rests_on(final: Estimate) -> Iterator[str]:
         yield "nothing that could speak against it: the model has as many parameters as there are data"
         return
     if not final.misfit.open_noises:
-        yield "the declared standard deviations"
+        yield "the stated standard deviations"
         return
     # Not the noise of the misfit, which names no factor where the fit stopped at the default.
     factors = dict(final.noise.noise.factors)
@@ -315,7 +315,7 @@ def _rests_on(final: Estimate) -> Iterator[str]:
         f"{kind.replace('_', ' ')} {factors[kind]:.2g} times the default" for kind in final.misfit.open_noises
     )
     partly = len(final.misfit.open_noises) < len(final.misfit.noises)
-    yield f"{'declared and ' if partly else ''}estimated noise ({listed})"
+    yield f"{'stated and ' if partly else ''}estimated noise ({listed})"
 
 
 def _granted(search: Search, found: ModelClass) -> Iterator[str]:
