@@ -11,6 +11,7 @@ from scipy import linalg, stats
 import cvxshear
 from cvxshear import backends
 from cvxshear.fit.efficient import efficient
+from cvxshear.measurement.declaration import ExpectedEffect
 from cvxshear.response import DampedModel, Fitted
 from cvxshear.response import varied_frame as module
 from cvxshear.response.uncertain import Damped, UncertainFrame
@@ -201,8 +202,15 @@ def test_the_prior_has_what_the_file_expects_of_a_story(uncertain):
     assert np.all(np.sqrt(np.diag(found.identified)) < 0.05)
 
 
-def test_a_file_may_expect_something_else_of_every_story():
+def test_a_file_may_expect_something_else_of_every_story(uncertain):
     said = {"name": "story_change", "size": 0.3, "probability": 0.2}
     there, elsewhere = SimpleNamespace(**said, story=None), SimpleNamespace(**{**said, "size": 0.9}, story=2)
     change = module._expected_change(SimpleNamespace(expected=[elsewhere, there]))
-    assert (float(change.sizes(None)[0]), change.probability) == (0.3, 0.2)
+    assert (float(change.expected_sizes(None)[0]), change.probability) == (0.3, 0.2)
+    experiment = replace(
+        uncertain.fitted.experiment, expected=(ExpectedEffect("story_change", size=0.3, probability=0.2),)
+    )
+    frame = replace(uncertain, fitted=replace(uncertain.fitted, experiment=experiment))
+    found = FramePrior.around(frame, VariedFrame.around(frame), 4)
+    assert found.change_std == 0.3
+    assert (1.0 - found.probability) ** 3 == pytest.approx(0.8)
