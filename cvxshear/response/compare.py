@@ -235,7 +235,7 @@ def compared(
     motion : Motion
         Floors with missing samples are left out.
     measured_modes : ndarray of int, optional
-        The modes that were measured, from 1, of which alone shifts are told; all where not given.
+        The modes that were measured, from 1, whose shifts alone are reported; all where not given.
     """
     recorded = [drive.responses for drive in motion.drives if drive.responses is not None]
     if len(recorded) < len(motion.drives):

@@ -29,7 +29,7 @@ LAGS = 20
 
 @dataclass(frozen=True)
 class SensorCheck:
-    """One sensor's acceleration from all other sensors.
+    """One sensor's acceleration, predicted from all other sensors.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def checked(
     work: FrameMotion, fitted: FittedFrame, smoothed: Sequence[Smoothed], channel: int,
     predicted: Sequence[Response] | None,
 ) -> SensorCheck:  # fmt: skip
-    """One sensor from the others over the strongest part of each run: frame and motion are fitted without it.
+    """Predict one sensor from the others over the strongest part of each run: frame and motion are fitted without it.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def widening(checks: Sequence[SensorCheck]) -> float:
 
 
 def whiteness(work: FrameMotion, smoothed: Sequence[Smoothed]) -> tuple[Whiteness, ...]:
-    """Of the innovations of each floor over all runs.
+    """Test whether the innovations of each floor are white, over all runs.
 
     Parameters
     ----------
