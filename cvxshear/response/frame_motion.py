@@ -35,6 +35,9 @@ filled in wrongly falls to the missing share of the information each time: a ten
 SAME_FIT = 0.1
 """Largest change of an unknown, in its standard deviations, at which these fits end."""
 
+MOVED_ALIKE = 1e-3
+"""Difference of two motions, relative to their rms, that is below the error of any sensor."""
+
 PROBED_SAMPLES = 1000
 """Samples of the strongest motion on which the directions of the frame's uncertainty are compared."""
 
@@ -325,6 +328,28 @@ def predicted_responses(model: DampedModel, recording: Recording) -> list[Respon
         return None
     drives = [Drive(run.excitation, recording.force_floor, name=run.name) for run in recording.runs]
     return [response(model, drive, recording.step) for drive in drives]
+
+
+def readings_of(model: DampedModel, recording: Recording) -> list[Recording]:
+    """List how a measured base motion may have gone between its samples: in straight lines, and band-limited.
+
+    One of them where both move the floors alike.
+
+    Parameters
+    ----------
+    model : DampedModel
+        As identified.
+    recording : Recording
+    """
+    straight = predicted_responses(model, recording)
+    if straight is None or recording.input != "base":
+        return [recording]
+    other = recording.band_limited()
+    smooth_one = predicted_responses(model, other)
+    assert smooth_one is not None, "the base motion was measured"
+    pairs = zip(straight, smooth_one, strict=True)
+    apart = max(rms(a.acceleration - b.acceleration) / rms(a.acceleration) for a, b in pairs)
+    return [recording, other] if apart > MOVED_ALIKE else [recording]
 
 
 def shown_by(model: DampedModel, responses: list[Response] | None, recording: Recording) -> list[Floats]:

@@ -24,7 +24,7 @@ from cvxshear.files.record_tables import (
     tables_of,
 )
 from cvxshear.records.floors import ACROSS, one_a_floor
-from cvxshear.records.motion import Motion, trend
+from cvxshear.records.motion import Motion, band_limited, trend
 from cvxshear.records.record import INPUTS, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
@@ -130,6 +130,11 @@ class Recording:
         if self.input != "base":
             return self
         runs = [dataclasses.replace(run, excitation=run.excitation - trend(run.excitation)) for run in self.runs]
+        return dataclasses.replace(self, runs=tuple(runs))
+
+    def band_limited(self) -> Recording:
+        """Take a measured base acceleration as band-limited between its samples, not as straight lines."""
+        runs = [dataclasses.replace(run, excitation=band_limited(run.excitation)) for run in self.runs]
         return dataclasses.replace(self, runs=tuple(runs))
 
     def lines(self, expected: Sequence[Floats]) -> list[Floats]:
