@@ -54,7 +54,7 @@ def _left_out(experiment: Experiment, concerned: set[str | None]) -> list[tuple[
     """List what is left out, one after the other: a configuration and modes of it."""
     configurations = experiment.configurations
     if len(configurations) > 1:
-        alone = [each for each in configurations if each.state not in concerned and _judged(each, experiment, concerned)]
+        alone = [each for each in configurations if _judged(each, experiment, concerned)]
         return [(each.name, np.ones(len(each.frequencies), dtype=bool)) for each in alone][:MOST_PREDICTIONS]
     (only,) = configurations
     rows = list(np.eye(len(only.frequencies), dtype=bool))
@@ -62,9 +62,9 @@ def _left_out(experiment: Experiment, concerned: set[str | None]) -> list[tuple[
 
 
 def _judged(test: Configuration, experiment: Experiment, concerned: set[str | None]) -> bool:
-    """Whether the other tests can judge one: not those of a single state that has effects of its own to tell as well."""
+    """Whether the other tests can judge one: of a state without effects, and not from one state that has some."""
     states = {each.state for each in experiment.configurations if each is not test}
-    return len(states) > 1 or not states <= concerned
+    return test.state not in concerned and (len(states) > 1 or not states <= concerned)
 
 
 def _prediction_errors(estimate: Estimate, name: str, mask: Bools, fitter: Fitter) -> Errors:
