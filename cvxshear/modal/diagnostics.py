@@ -75,8 +75,9 @@ def left_out(candidates: Sequence[PoleCandidate], chosen: Sequence[PoleCandidate
 
 CLOCK_CERTAIN = 4.5
 """Standard deviations, of a score of blocks, for a clock that is off: one sound record in some hundreds has one."""
-STRAIGHT = 0.7
-"""Of the phases of a channel: where a straight line through the origin leaves more of them, they are no clock's."""
+STRAIGHT = 0.5
+"""Of the phases of a channel: a straight line through the origin must explain three quarters of their squares, or else
+they are no clock's."""
 LEAST_TURN = 1.0
 """Degrees at the highest mode; a clock offset that turns it less changes nothing that is reported."""
 COMPLEX = 5.0
@@ -155,19 +156,15 @@ def clock_findings(result: ModalResult, full: Details) -> list[Finding]:
         turn = float(np.degrees(highest * abs(late)))
         if len(full.frequencies) < 2 or turn < LEAST_TURN or abs(late) < CLOCK_CERTAIN * std:
             continue
-        if name != "input" and left > STRAIGHT * before:
+        if left > STRAIGHT * before:
             continue
-        phases = (
-            f"; phases of {before:.1f} degrees before, {left:.1f} after a straight line over frequency"
-            if name != "input"
-            else ""
-        )
         found.append(
             Finding(
                 "clock offset",
                 f'the clock of "{name}" is {abs(late) * 1e3:.2f} ms {"late" if late > 0 else "early"} '
                 f'(std {significant(std * 1e3, 2)} ms) against that of "{names[full.clocks.reference]}": '
-                f"a phase of {turn:.1f} degrees at the highest mode{phases}",
+                f"a phase of {turn:.1f} degrees at the highest mode; phases of {before:.1f} degrees before, {left:.1f} "
+                "after a straight line over frequency",
                 {
                     "channel": name,
                     "seconds": late,
