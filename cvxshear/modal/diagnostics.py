@@ -9,6 +9,7 @@ import numpy as np
 
 from cvxshear.modal.amplitude import amplitude_findings
 from cvxshear.modal.estimate import Details, Replication
+from cvxshear.modal.frf import FrfSource
 from cvxshear.modal.picking import MOSTLY_ROTATION, PoleCandidate
 from cvxshear.modal.result import OVERLOOKED_KIND, ModalResult
 from cvxshear.records.floors import ROTATES
@@ -85,6 +86,9 @@ COMPLEX = 5.0
 UNRECIPROCAL = 0.02
 """Relative difference of a transfer with its direction that is said: of two sensors and a hammer good to 1 %."""
 OTHER = "not a sway mode that the frame still lacks: torsion, another axis, a local or split mode"
+ALIKE = 0.8
+"""Correlation of the spectra of two hits at one floor: 0.99 in 5 % of noise, and 0.8 where a frequency changes by half
+its bandwidth from one to the other. That of neighboring floors is 0.3 to 0.7 in frames of up to five stories."""
 GAIN_CHANGED = 0.04
 """Change of a channel's gain between two records that is worth a word: twice what calibrations differ by."""
 GAIN_SEEN = 0.15
@@ -110,6 +114,7 @@ def modal_findings(
     found = clock_findings(result, full)
     found += resolution_findings(record, result)
     found += reciprocity_findings(full, setting)
+    found += hit_findings(record, setting)
     found += amplitude_findings(setting, result)
     found += _mode_findings(record, result, setting, wanted)
     shares = [] if turning is None else [turning(frequency) for frequency in result.frequencies.tolist()]
@@ -237,6 +242,31 @@ def reciprocity_findings(full: Details, setting: Replication) -> list[Finding]:
                         "over_all": float(ratio),
                         "by_mode": each.tolist(),
                     },
+                )
+            )
+    return found
+
+
+def hit_findings(record: Record, setting: Replication) -> list[Finding]:
+    """Name hits that the frame answers otherwise than the other hits at the same floor: another floor was hit."""
+    source, found = setting.source, []
+    if isinstance(record, FrfRecord) or not isinstance(source, FrfSource):
+        return []
+    for floor in source.floors.tolist():
+        places = [place for place, item in enumerate(source.spectra) if item.floor == floor]
+        answers = [source.spectra[place].response_force.ravel() for place in places]
+        units = np.array([each / np.linalg.norm(each) for each in answers])
+        # Of hits that are alike most have most others beside them.
+        alike = (units @ units.conj().T).real > ALIKE
+        others = np.flatnonzero(~alike[int(np.argmax(alike.sum(axis=1)))])
+        if others.size:
+            names = listed([f'"{record.runs[places[place]].name}"' for place in others])
+            found.append(
+                Finding(
+                    "hit",
+                    f"the frame answers to {names} otherwise than to the other hits at floor {floor}: was another "
+                    "floor hit, or the hammer turned round? Each [[run]] of the record file says its input_floor",
+                    {"floor": floor, "runs": [record.runs[places[place]].name for place in others]},
                 )
             )
     return found
