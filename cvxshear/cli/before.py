@@ -87,7 +87,8 @@ def new(
         write_file(output, text)
 
 
-MISTAKE_STATUS = 2
+MISTAKE, DOUBT = 2, 3
+"""Statuses of `check`: what the other commands refuse, and what they only warn of."""
 
 
 def check(
@@ -101,7 +102,9 @@ def check(
     ],
     out: JsonOut = None,
 ) -> None:
-    """Tell what looks wrong in a measurement file or a record, before anything is fitted; status 2 for a mistake.
+    """Tell what looks wrong in a measurement file or a record, before anything is fitted.
+
+    Status 2 for a mistake, 3 for a doubt.
 
     Example: cvxshear check paper
     """
@@ -111,8 +114,8 @@ def check(
     experiment, tests = measured([file], accept_swapped=True)
     found = Screening.of(experiment, (item for each in tests for item in each.modes.findings))
     deliver(found.to_dict(), out, lambda: terminal.shown(found), title=experiment.report.title or experiment.name)
-    if found.refused:
-        raise typer.Exit(MISTAKE_STATUS)
+    if found.doubtful:
+        raise typer.Exit(MISTAKE if found.refused else DOUBT)
 
 
 def modes(

@@ -45,7 +45,7 @@ DOUBTS = {
     "time_unit": "frequencies are lower than those of any frame: times in ms, or frequencies in kHz",
     "deviations": "standard deviations are finer than any instrument measures, or look like percent",
     "repeated": "configurations repeat each other to the last digit",
-    "gravity": "gravity is not that of the Earth in m/s2",
+    "gravity": "gravity is not that of the Earth in m/s²",
     "total_mass": "the total mass contradicts what the added masses did to the frequencies",
 }
 """Findings of `check` that are warnings, each with what looks wrong."""
@@ -160,7 +160,7 @@ class Frame(InTable):
         object.__setattr__(self, "accept", accepted)
 
     def _checked_heights(self, heights: object, where: str) -> Floats:
-        """One height a story; a single number, for all stories, stays one until their number is known."""
+        """Check one height a story; a single number, for all stories, stays one until their number is known."""
         if checks.many(heights):
             return checks.vector(heights, where, above=0.0)
         height = checks.number(heights, where, above=0.0)

@@ -119,7 +119,7 @@ class Design:
 
     @property
     def units(self) -> Floats:
-        """The size of each of these, by which derivatives are made relative, shape (2N + e,)."""
+        """Size of each parameter, by which derivatives are made relative, shape (2N + e,)."""
         parameters = [item for placed in self.effects for item in placed.effect.parameters]
         away = [
             abs(value - item.null) or abs(item.start - item.null) or 1.0

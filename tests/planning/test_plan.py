@@ -334,6 +334,7 @@ def test_a_plan_on_measured_modes_expects_the_measured_frequencies_with_what_the
     assert without.misfit.measured in np.concatenate([each["frequencies"] for each in tests])
 
 
+@pytest.mark.usefixtures("shared_loops")
 def test_the_state_that_is_tested_again_is_the_one_asked_for():
     mass, stiffness = [10.0, 10.0, 9.0, 8.0], np.array([24e3, 20e3, 16e3, 10e3])
     softer = stiffness * [1.0, 0.7, 1.0, 1.0]
