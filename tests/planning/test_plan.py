@@ -195,7 +195,7 @@ def test_a_wrong_option_is_refused(file, options, message):
         ("[20.0, 20.0, 18.0, 15.0]", "[20.0, 20.0, 18.0]", "must agree"),
         ("story_heights", "story_height", "did you mean 'story_heights'"),
         ("[[prior]]", "[[priors]]", "unknown key 'priors'"),
-        ("[[prior]]", "[record]\n[[prior]]", "plan with the measurement file that 'cvxshear modes' makes of it"),
+        ("[frame]", "[record]\n[frame]", "plan with the measurement file that 'cvxshear modes' makes of it"),
     ],
 )
 def test_a_wrong_file_of_design_values_is_refused(file, old, new, message):
