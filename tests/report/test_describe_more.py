@@ -16,8 +16,8 @@ from cvxshear.report.describe import Sentence, Table, describe
 from cvxshear.response import Drive, Motion, predict
 from cvxshear.screening import Screening
 from cvxshear.util.quantities import Units
-from tests.planning.common import NOISE, slow_covariance, tapered
 from tests.fe.experiments import simulated
+from tests.planning.common import NOISE, slow_covariance, tapered
 from tests.report.conftest import NASTY
 from tests.response.common import damped_frame, declared, integrated, matrices, pole_ratios, shaking
 
