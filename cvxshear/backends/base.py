@@ -238,7 +238,7 @@ def accurate(program: Assembled, point: Point) -> tuple[Point, Certificate, Floa
     InaccurateError
         Where the answer is wrong.
     IllConditionedError
-        Where no answer can be told to be right.
+        Where nobody can say whether an answer is right.
     """
     certificate = certify(program, point)
     if not max(certificate.dual_residual, certificate.duality_gap) <= NEARLY:

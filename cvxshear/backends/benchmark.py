@@ -92,7 +92,7 @@ class BackendResult:
         `seconds` over that of the closed form on the same programs (on the programs of the same kind without bounds,
         where bounds are active); None where it solves neither.
     tolerance : float or None
-        The loosest accuracy that the solver is told to reach; None where it takes none.
+        The loosest accuracy that the solver is asked to reach; None where it takes none.
     failure : str
         Why a program was not solved; empty where all were.
     """
@@ -154,7 +154,7 @@ def compare(
     repeats : int, optional
         Solves of each program of which the fastest counts.
     tolerance : float, optional
-        Accuracy that the solvers are told to reach, in place of their own settings here. A certificate's limit stays.
+        Accuracy that the solvers are asked to reach, in place of their own settings here. A certificate's limit stays.
     experiment, left_out : str, optional
         As in `Comparison`.
 
@@ -181,7 +181,6 @@ def compare(
 
 
 def _described(kind: str, programs: Sequence[BenchmarkProgram]) -> ProgramKind:
-    conditions = [condition_number(each.program) for each in programs]
     return ProgramKind(
         kind,
         len(programs),
@@ -189,7 +188,7 @@ def _described(kind: str, programs: Sequence[BenchmarkProgram]) -> ProgramKind:
         max(len(each.program.R) for each in programs),
         max(len(each.program.equalities[1]) for each in programs),
         max(len(each.program.inequalities[1]) for each in programs),
-        None if None in conditions else max(value for value in conditions if value is not None),
+        _largest([condition_number(each.program) for each in programs]),
     )
 
 
@@ -216,17 +215,14 @@ def _compared(
     """One row a backend, for the programs of one kind."""
     answers = {backend.name: _Answers.of(backend, programs, repeats) for backend in chosen}
     closed = answers.get("kkt") or _Answers.of(get("kkt"), programs, repeats)
-    if not closed.failure:
-        return [
-            item.result(kind, backend, len(programs), closed.values, closed.seconds, "closed form")
-            for backend, item in zip(chosen, answers.values(), strict=True)
-        ]
-    solved = [item for item in answers.values() if not item.failure]
-    reference = [np.median([item.values[i] for item in solved], axis=0) for i in range(len(programs))] if solved else []
-    free = [BenchmarkProgram(kind, each.program.replace(lower=None, upper=None), each.origin) for each in programs]
-    unit = _Answers.of(get("kkt"), free, repeats).seconds
+    reference, unit, said = closed.values, closed.seconds, "closed form"
+    if closed.failure:
+        solved = [item.values for item in answers.values() if not item.failure]
+        reference, said = [np.median(each, axis=0) for each in zip(*solved, strict=True)], "consensus"
+        free = [BenchmarkProgram(kind, each.program.replace(lower=None, upper=None), each.origin) for each in programs]
+        unit = _Answers.of(get("kkt"), free, repeats).seconds
     return [
-        item.result(kind, backend, len(programs), reference, unit, "consensus")
+        item.result(kind, backend, len(programs), reference, unit, said)
         for backend, item in zip(chosen, answers.values(), strict=True)
     ]
 
@@ -256,28 +252,23 @@ class _Answers:
     def result(
         self, kind: str, backend: Backend, programs: int, reference: list[Floats], unit: float | None, said: str
     ) -> BackendResult:
-        certificates = [item.certificate for item in self.solutions]
+        figures = ("primal_residual", "dual_residual", "duality_gap", "error_bound")
+        certificates = [item.certificate.to_dict() for item in self.solutions]
         iterations = [item.iterations for item in self.solutions]
+        pairs = zip(self.values, [] if self.failure else reference, strict=True)
         return BackendResult(
             kind=kind,
             backend=backend.name,
             programs=programs,
-            difference=None if self.failure else _difference(self.values, reference),
+            difference=_largest([float(np.max(np.abs(a - b) / np.abs(b))) for a, b in pairs]),
             reference=said,
-            primal_residual=_largest([item.primal_residual for item in certificates]),
-            dual_residual=_largest([item.dual_residual for item in certificates]),
-            duality_gap=_largest([item.duality_gap for item in certificates]),
-            error_bound=_largest([item.to_dict()["error_bound"] for item in certificates]),
+            **{name: _largest([each[name] for each in certificates]) for name in figures},
             iterations=None if self.failure or None in iterations else sum(item or 0 for item in iterations),
             seconds=self.seconds,
             relative_time=self.seconds / unit if self.seconds is not None and unit else None,
             tolerance=backend.tolerance,
             failure=self.failure,
         )
-
-
-def _difference(values: Sequence[Floats], reference: Sequence[Floats]) -> float:
-    return max(float(np.max(np.abs(a - b) / np.abs(b))) for a, b in zip(values, reference, strict=True))
 
 
 def _largest(values: Sequence[float | None]) -> float | None:

@@ -80,7 +80,7 @@ class Cvxpy(Backend):
         return type(self)(self._solver, solvers.with_tolerance(self._solver.lower(), self._options, tolerance))
 
     def __reduce__(self) -> tuple[type[Cvxpy], tuple[str, dict[str, Any]]]:
-        """To another process without what was compiled."""
+        """Send the backend to another process without what was compiled."""
         return type(self), (self._solver, self._options)
 
     def answer(self, problem: Canonical) -> Answer:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import dataclasses
 import difflib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -21,9 +20,8 @@ from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
 from cvxshear.backends.certificate import Assembled, Solution
 from cvxshear.backends.qpsolvers_backend import Qpsolvers
-from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS
+from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS, Solver
 from cvxshear.util.errors import InputError, NoSolutionError, UnsuitableError
-from cvxshear.util.results import InJson
 
 DEFINITE = ("daqp", "clarabel")
 SEMIDEFINITE = ("clarabel", "daqp")
@@ -139,43 +137,11 @@ def available() -> list[str]:
     return [*_direct(), *through_cvxpy, *(name for name in _registered if name not in _direct())]
 
 
-@dataclass(frozen=True)
-class ListedBackend(InJson):
-    """A backend that is there, or that could be.
-
-    Parameters
-    ----------
-    name : str
-    solver : str
-        Name of the package that solves; empty for a backend of this library or of the caller.
-    through : str
-        The package that calls it; empty where there is none.
-    installed : bool
-    version : str or None
-        Of the solver; None where it is not installed or does not tell.
-    how_to_get : str
-        The command that installs it; empty where it is.
-    """
-
-    name: str
-    solver: str
-    through: str
-    installed: bool
-    version: str | None
-    how_to_get: str
-
-
-def listed() -> list[ListedBackend]:
+def listed() -> list[Solver]:
     """Every backend that is there, and every one that pip could bring."""
     solvers = {solver.name: solver for solver in (*THROUGH_QPSOLVERS, *THROUGH_CVXPY)}
-    own = [ListedBackend(name, "", "", True, None, "") for name in available() if name not in solvers]
-    return own + [
-        ListedBackend(
-            solver.name, solver.package, solver.through, solver.installed, solver.version,
-            "" if solver.installed else solver.how_to_get,
-        )
-        for solver in sorted(solvers.values(), key=lambda solver: not solver.installed)
-    ]  # fmt: skip
+    own = [Solver(name, "", "", "") for name in available() if name not in solvers]
+    return own + sorted(solvers.values(), key=lambda solver: not solver.installed)
 
 
 def get(backend: str | Backend) -> Backend:

@@ -60,7 +60,7 @@ class Qpsolvers(Backend):
         began = time.perf_counter()
         try:
             with warnings.catch_warnings():
-                # What a solver warns about (an inaccurate solution, an iteration limit) is either told by `found`
+                # What a solver warns about (an inaccurate solution, an iteration limit) is either reported by `found`
                 # or measured by the certificate.
                 warnings.simplefilter("ignore")
                 found = qpsolvers.solve_problem(stated, self.name, initvals=start, **self.options)

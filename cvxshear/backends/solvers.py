@@ -11,11 +11,12 @@ from importlib import metadata, util
 from typing import Any
 
 from cvxshear.backends.base import TIME_LIMIT
+from cvxshear.util.results import InJson
 
 
 @dataclass(frozen=True)
-class Solver:
-    """A solver that qpsolvers or cvxpy can call.
+class Solver(InJson):
+    """A solver that qpsolvers or cvxpy can call; a backend of this library or of the caller has a name alone.
 
     Parameters
     ----------
@@ -34,34 +35,31 @@ class Solver:
     package: str
     through: str = "qpsolvers"
 
+    json_keys = "name solver=package through installed version how_to_get"
+
+    @property
+    def missing(self) -> list[str]:
+        """Packages that must be installed before it can be used."""
+        needed = ((self.through, self.through), (self.package, self.module))
+        return [package for package, module in needed if module and util.find_spec(module) is None]
+
     @property
     def installed(self) -> bool:
         """Whether it, and the package that calls it, are there to be imported."""
-        return _found(self.module) and _found(self.through)
+        return not self.missing
 
     @property
     def version(self) -> str | None:
-        """Its version; None where it is not installed, and where its package does not tell."""
-        return version(self.package)
+        """Version of the solver; None where it is not installed, and where its package has none."""
+        try:
+            return metadata.version(self.package) if self.package else None
+        except metadata.PackageNotFoundError:
+            return None
 
     @property
     def how_to_get(self) -> str:
-        """The command that installs it."""
-        missing = [name for name, module in ((self.through, self.through), (self.package, self.module))
-                   if not _found(module)]  # fmt: skip
-        return f"pip install {' '.join(missing)}"
-
-
-def _found(module: str) -> bool:
-    return util.find_spec(module) is not None
-
-
-def version(package: str) -> str | None:
-    """Return the version of an installed package, None where there is none."""
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return None
+        """The command that installs it; empty where it is."""
+        return f"pip install {' '.join(self.missing)}" if self.missing else ""
 
 
 MODULES = {
@@ -130,8 +128,8 @@ def accurate(solver: str) -> dict[str, Any]:
 
 def loosest(solver: str, options: Mapping[str, Any]) -> float | None:
     """Find the loosest accuracy among a solver's options; None where they have none."""
-    told = [float(options[name]) for name in TOLERANCES.get(solver, {}) if name in options]
-    return max(told, default=None)
+    given = [float(options[name]) for name in TOLERANCES.get(solver, {}) if name in options]
+    return max(given, default=None)
 
 
 def with_tolerance(solver: str, options: Mapping[str, Any], tolerance: float) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cvxshear.cli.before import measured, needs_mass, records_in_json, tables_of
+from cvxshear.cli.before import measured, records_in_json, tables_of
 from cvxshear.cli.checked import input_files
 from cvxshear.cli.output import (
     AuthorOption,
@@ -174,7 +174,7 @@ def loop(
         weighed = [each.name for each in experiment.configurations if found or each.other_modes]
         doubts = refuse_mistakes(experiment, weighed)
         result = close_loop(experiment, effects=names(effects), assume=names(assume) or (), backend=backend, jobs=jobs)
-        models = models_of_loop(result, mass_known=not needs_mass(found))
+        models = models_of_loop(result)
         damping = damping_of(experiment, models.after, backend)
         tried = None if validate is None else predict(models, validate, backend)
     said = {

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cvxshear.cli.before import measured, needs_mass
+from cvxshear.cli.before import measured
 from cvxshear.cli.checked import input_files
 from cvxshear.cli.output import BackendName, JsonOut, Quiet, ReportOut, deliver, names, progress, typed
 from cvxshear.cli.written import CsvOut, FiguresOut, Pictures, SeriesOut, Spreadsheets, XlsxOut, handed_over
@@ -165,15 +165,12 @@ def screened(file: str, backend: str, assume: Sequence[str] = ()) -> tuple[Model
         if assume:
             raise InputError(f"{file} holds a model that the loop ended with; --assume belongs to 'cvxshear loop'")
         return file, None
-    mass_known = True
     try:
         experiment, found = measured([file])
     except NoScaleError:
         # Only forces need the scale of the masses, and the result leaves those out.
-        experiment, mass_known = load_unscaled(file)
-        found = []
+        experiment, found = load_unscaled(file), []
     doubts = refuse_mistakes(experiment, NUMBERS if found else ())
-    if not found and not assume and mass_known:
+    if not found and not assume:
         return experiment, doubts
-    closure = close_loop(experiment, assume=assume, backend=backends.get(backend))
-    return models_of_loop(closure, mass_known=mass_known and not needs_mass(found)), doubts
+    return models_of_loop(close_loop(experiment, assume=assume, backend=backends.get(backend))), doubts

@@ -242,7 +242,7 @@ class Datum(ABC):
         return self
 
     def describe(self, model: Model) -> list[Deviation]:
-        """Its parts, each with its error and deviation; by default one of the whole, with its first, largest error."""
+        """Describe its parts, each with its error and deviation; by default one part, with the first, largest error."""
         r = self.residual(model).r
         deviation = float(np.sqrt(np.mean(r**2))) if r.size else 0.0
         errors = next(iter(self.errors(model).values()), np.zeros(0))
@@ -283,7 +283,7 @@ class Deviation(InJson):
 
     @property
     def label(self) -> str:
-        """Such as 'the frequency of mode 1 of "bare"'."""
+        """Name of the part, such as 'the frequency of mode 1 of "bare"'."""
         if not self.configuration:
             return f'the statement "{self.place}"'
         return f'the {self.noise.replace("_", " ")} of {self.place} of "{self.configuration}"'

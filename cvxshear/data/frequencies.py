@@ -41,12 +41,12 @@ class Frequencies(Datum):
 
     @classmethod
     def of(cls, experiment: Experiment) -> Sequence[Frequencies]:
-        """One a configuration."""
+        """List the frequencies of each configuration."""
         return [cls(each, np.ones(len(each.frequencies), dtype=bool)) for each in experiment.configurations]
 
     @property
     def count(self) -> int:
-        """One a mode."""
+        """Number of modes that count."""
         return int(np.sum(self.kept))
 
     def residual(self, model: Model) -> Residual:
@@ -68,7 +68,7 @@ class Frequencies(Datum):
         return Frequencies(self.tested, self.kept & ~left_out)
 
     def describe(self, model: Model) -> list[Deviation]:
-        """One a mode."""
+        """Describe each mode."""
         errors, r = self.errors(model)["frequency_error"], self.residual(model).r
         modes = self.tested.modes[self.kept]
         return [

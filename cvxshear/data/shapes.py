@@ -42,7 +42,7 @@ class Shapes(Datum):
 
     @classmethod
     def of(cls, experiment: Experiment) -> Sequence[Shapes]:
-        """One a configuration that has a shape."""
+        """List the shapes of each configuration that has one."""
         return [
             cls(each, np.asarray(each.measured.any(axis=1)))
             for each in experiment.configurations
@@ -75,7 +75,7 @@ class Shapes(Datum):
 
     @property
     def floors(self) -> Ints:
-        """That of each entry, mode by mode."""
+        """Floor of each entry, mode by mode."""
         return np.tile(self.tested.measured_floors, int(self.kept.sum()))
 
     @property
@@ -121,7 +121,7 @@ class Shapes(Datum):
         return Shapes(self.tested, self.kept & ~left_out)
 
     def describe(self, model: Model) -> list[Deviation]:
-        """One a mode."""
+        """Describe each mode."""
         z = self.residual(model).r.reshape(int(self.kept.sum()), -1)
         return [
             Deviation(

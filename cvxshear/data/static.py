@@ -33,17 +33,17 @@ class Static(Datum):
 
     @classmethod
     def of(cls, experiment: Experiment) -> Sequence[Static]:
-        """One a static test."""
+        """List the static tests."""
         return [cls(each) for each in experiment.static]
 
     @property
     def count(self) -> int:
-        """One a measured displacement."""
+        """Number of measured displacements."""
         return len(self.floors)
 
     @property
     def floors(self) -> Ints:
-        """Those with a measured displacement."""
+        """Floors with a measured displacement."""
         return np.flatnonzero(self.tested.measured) + 1
 
     def residual(self, model: Model) -> Residual:
@@ -66,7 +66,7 @@ class Static(Datum):
         return {"displacement_error": (u - test.displacement)[known] / np.max(np.abs(test.displacement[known]))}
 
     def describe(self, model: Model) -> list[Deviation]:
-        """One a measured floor."""
+        """Describe each measured floor."""
         errors, r = self.errors(model)["displacement_error"], self.residual(model).r
         return [
             Deviation(self.noise.name, self.tested.name, f"floor {floor}", float(error), float(z))

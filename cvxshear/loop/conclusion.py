@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from cvxshear import backends
 from cvxshear.backends import Backend
@@ -288,8 +288,9 @@ def _candidates(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[C
         else:
             gain = linear.decrease(placed)
             chi2, dof = final.chi2 - gain, final.dof - count
-            confounded = () if linear.told(placed) >= TOLD else linear.confounders(placed, names)
-        p_value = min(1.0, len(fitter.hypotheses) * float(stats.chi2.sf(max(gain, 0.0), count)))
+            if linear.told(placed) < TOLD and posterior.keeps_odds(placed):
+                confounded = linear.confounders(placed, names)
+        p_value = min(1.0, len(fitter.hypotheses) * float(special.chdtrc(count, max(gain, 0.0))))
         probability = posterior.of_effects[placed]
         found.append(Candidate(placed, probability, item.probability, chi2, dof, p_value, confounded))
     order = posterior.ranked(each.placed for each in found)

@@ -202,7 +202,7 @@ class Configuration(InTable):
             )
 
     def _checked_shape_std(self, value: object, count: int, width: int) -> Floats:
-        """One number, one a mode, or one an entry, as one an entry."""
+        """Check one number, one a mode, or one an entry, and return one an entry."""
         where = self._at("mode_shape_std")
         if not width:
             raise InputError(f"{where} is given, but no mode_shapes: leave it out, or give the shapes")

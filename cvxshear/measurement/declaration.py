@@ -160,7 +160,7 @@ class Frame(InTable):
         object.__setattr__(self, "accept", accepted)
 
     def _checked_heights(self, heights: object, where: str) -> Floats:
-        """One height a story; a single number, for all stories, stays one until their number is known."""
+        """Check one height a story; a single number, for all stories, stays one until their number is known."""
         if checks.many(heights):
             return checks.vector(heights, where, above=0.0)
         height = checks.number(heights, where, above=0.0)

@@ -31,7 +31,7 @@ class OtherModes(InTable):
 
     @staticmethod
     def of(declared: object, own: Ints, where: str) -> OtherModes:
-        """One entry of `other_modes`, once it fits the configuration's own modes.
+        """Read one entry of `other_modes`, which must fit the configuration's own modes.
 
         Parameters
         ----------

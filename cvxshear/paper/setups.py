@@ -128,7 +128,7 @@ class Setup(InJson):
         return frequencies * (1.0 + self.frequency_std * rng.standard_normal((samples, len(frequencies)))), noisy
 
     def experiment(self, frequencies: Floats, mode_shapes: Floats) -> Experiment:
-        """One measurement with what is declared of it: the noise, and the total mass.
+        """Make one measurement with what is declared of it: the noise, and the total mass.
 
         Parameters
         ----------

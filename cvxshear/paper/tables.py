@@ -191,12 +191,12 @@ class Row(InJson):
 
     @property
     def distance(self) -> float | None:
-        """The difference in standard deviations of what chance makes of it; None where no chance is involved."""
+        """Difference in standard deviations of what chance makes of it; None where no chance is involved."""
         return None if self.chance is None else self.difference / self.chance
 
     @property
     def verdict(self) -> str:
-        """In words; empty where the paper gives no more than a rough figure."""
+        """How the figures compare, in words; empty where the paper gives no more than a rough one."""
         if self.misprint:
             return MISPRINTED
         if self.distance is not None:

@@ -174,14 +174,14 @@ def values_of(problem: Candidates, choices: Sequence[Sequence[int]], by: Criteri
 
 
 def _affordable(widths: Sequence[int], problem: Candidates) -> list[int]:
-    """Those of the windows whose choices can all be looked at in a few seconds."""
+    """List the windows whose choices can all be looked at in a few seconds."""
     frames, n, d, _ = problem.rows.shape
     work = problem.asked.shape[1] * n * d**2 * frames
     return [width for width in widths if width <= n and 2**width * work <= MOST_WORK]
 
 
 def equally_spaced(floors: int, number: int) -> list[int]:
-    """So many floors at equal distances, the top one among them; zero-based."""
+    """List so many floors at equal distances, the top one among them; zero-based."""
     return [round((place + 1) * floors / number) - 1 for place in range(number)]
 
 

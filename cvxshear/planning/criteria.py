@@ -34,7 +34,7 @@ power, and the bound is computed with all of them."""
 
 @dataclass(frozen=True, eq=False)
 class Reduced:
-    """One frame's candidates in the directions that they tell of.
+    """One frame's candidates in the directions that they determine.
 
     Parameters
     ----------

@@ -76,7 +76,7 @@ class TestNoise(ABC):
 
 @dataclass(frozen=True)
 class Declared(TestNoise):
-    """The same for every mode.
+    """Noise that is the same for every mode.
 
     Parameters
     ----------

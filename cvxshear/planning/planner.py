@@ -323,7 +323,7 @@ def _finished(
     if limits is not None:
         tests = [model.expected(test) for test in limits.grid()]
         grid = choose(model.choices(tests, found[number].chosen, len(masses)), len(masses), by, solver)
-    told = model.of_targets(expected, found[number].chosen) if designed.targets else None
+    information = model.of_targets(expected, found[number].chosen) if designed.targets else None
     return Plan(
         criterion=by.name,
         solver=solver,
@@ -335,7 +335,7 @@ def _finished(
         everywhere=seen[n],
         grid_bound=None if grid is None else grid.bound,
         grid_worst=None if grid is None else grid.worst,
-        apart=() if told is None else chances(designed.targets, told),
+        apart=() if information is None else chances(designed.targets, information),
         averaged=model,
     )
 

@@ -160,7 +160,7 @@ class TestModel:
 
     @cached_property
     def known(self) -> Floats:
-        """The same, and that everything is known a little."""
+        """Rows of `learned`, and of everything being known a little, shape (k + P, P)."""
         return np.concatenate([self.learned, np.eye(len(self.units)) / UNKNOWN_STDS])
 
     def expected(self, added_mass: Floats) -> Expected:

@@ -1,9 +1,9 @@
 """A bound that sees whole sensors: near each parameter every choice of floors is looked at, far from it weights do.
 
 Weights overrate few sensors: half a sensor on every floor sees every story a little, a whole one on every other floor
-does not. But a story's stiffness is told by the floors near it. Let phi be a variance, or the logarithm of one,
-convex in the weights; T a window of neighbouring floors; pi the choice within it; v the weights at which the tangent is
-taken. For every choice w that is pi in T,
+does not. But the floors near a story determine its stiffness. Let phi be a variance, or the logarithm of one, convex in
+the weights; T a window of neighbouring floors; pi the choice within it; v the weights at which the tangent is taken.
+For every choice w that is pi in T,
 
     phi(w) >= phi(pi, v) + sum over k outside T of (d phi / d w_k)(pi, v) (w_k - v_k).
 
@@ -12,11 +12,10 @@ rest put into the constant, this is a number for each pi and one for each floor 
 of a sum of such terms, or of the largest of them, is found exactly along the floors (`path`). Windows of no floor
 would give the tangent bound of the convex program back, and a window of all floors looks at every choice.
 
-Criteria are made of such phi (`Term`), each of them told by few floors. The trace of the covariance is one already.
-Its volume is one by the chain rule: the logarithms of the variances of x_i with x_1, ..., x_(i-1) known add up to log
-det C.
-Known parameters are struck from the information, and the information of one parameter with the rest marginalised is
-concave in the whole information, so each of these logarithms is convex.
+Criteria are made of such phi (`Term`), each of them determined by few floors. The trace of the covariance is one
+already. Its volume is one by the chain rule: the logarithms of the variances of x_i with x_1, ..., x_(i-1) known add up
+to log det C. Known parameters are struck from the information, and the information of one parameter with the rest
+marginalised is concave in the whole information, so each of these logarithms is convex.
 """
 
 from __future__ import annotations
@@ -106,7 +105,7 @@ def log_volume(problem: Candidates, weights: Floats) -> tuple[list[Term], float]
     for base, rows, asked, information in every:
         # As many of the parameters asked for as there are coordinates, where an equality ties some to the others.
         picked = np.sort(linalg.qr(asked.T, mode="r", pivoting=True)[1][:a])
-        # Where among the candidates each parameter is told: the mean place weighed with the slopes of its variance.
+        # Where each parameter is measured best: the mean place weighed with the slopes of its variance.
         slopes = np.sum((rows @ np.linalg.inv(information)[:, :a] @ asked[picked].T) ** 2, axis=1)
         picked = picked[np.argsort(np.arange(len(rows)) @ slopes / slopes.sum(axis=0), kind="stable")]
         square = asked[picked]
@@ -136,9 +135,9 @@ def least_of_sum(terms: Sequence[Term], weights: Floats, number: int, width: int
     values, slopes = np.zeros((n - width + 1, 2**width)), np.zeros(n)
     for term in terms:
         here = term.slopes(weights)
-        told = np.convolve(here, np.ones(width), mode="valid")
+        steepness = np.convolve(here, np.ones(width), mode="valid")
         # Of windows that tell the same, as in a symmetric frame, the first: rounding is not to decide.
-        first = int(np.argmax(told <= told.min() * (1 - 1e-9)))
+        first = int(np.argmax(steepness <= steepness.min() * (1 - 1e-9)))
         outside = np.delete(here, np.s_[first : first + width])
         values[first] += within_window(term, weights, number, first, width, outside)
         slopes += here
@@ -218,9 +217,9 @@ def within_window(term: Term, weights: Floats, number: int, first: int, width: i
     bare[window] = 0.0
     covariance = np.asarray(np.linalg.inv(term.information(bare)), dtype=np.float64)
     near, far = term.rows[window].reshape(-1, p), np.delete(term.rows, window, axis=0).reshape(-1, p)
-    value, told = _every_choice(term.v, near, far, covariance, width)
+    value, with_v = _every_choice(term.v, near, far, covariance, width)
     outside, left = np.delete(weights, window), number - patterns(width).sum(axis=1)
-    steep = -np.sum(told.reshape(len(value), len(outside), d) ** 2, axis=2)
+    steep = -np.sum(with_v.reshape(len(value), len(outside), d) ** 2, axis=2)
     if term.logarithm:
         value, steep = np.log(value), steep / value[:, None]
     value, steep = term.weight * value, term.weight * steep
@@ -250,21 +249,21 @@ def _every_choice(v: Floats, near: Floats, far: Floats, covariance: Floats, widt
     Returns
     -------
     value : ndarray, shape (2^width,)
-    told : ndarray, shape (2^width, f)
+    with_v : ndarray, shape (2^width, f)
     """
     d = len(near) // width
     rows = np.concatenate([near, far])
     # A row each for the window's candidates that are still to come, then for the others.
-    value, told = (v @ covariance @ v)[None], (rows @ covariance @ v)[None]
+    value, with_v = (v @ covariance @ v)[None], (rows @ covariance @ v)[None]
     between = (rows @ covariance @ near.T)[None]
     for _ in range(width):
         own, seen = between[:, :d, :d], between[:, d:, :d]
-        gain = np.linalg.solve(np.eye(d) + own, np.concatenate([told[:, :d, None], between[:, :d, d:]], axis=2))
-        taken = value - np.einsum("ki,ki->k", told[:, :d], gain[:, :, 0])
+        gain = np.linalg.solve(np.eye(d) + own, np.concatenate([with_v[:, :d, None], between[:, :d, d:]], axis=2))
+        taken = value - np.einsum("ki,ki->k", with_v[:, :d], gain[:, :, 0])
         value = np.concatenate([value, taken])
-        told = np.concatenate([told[:, d:], told[:, d:] - (seen @ gain[:, :, :1])[:, :, 0]])
+        with_v = np.concatenate([with_v[:, d:], with_v[:, d:] - (seen @ gain[:, :, :1])[:, :, 0]])
         between = np.concatenate([between[:, d:, d:], between[:, d:, d:] - seen @ gain[:, :, 1:]])
-    return value, told
+    return value, with_v
 
 
 def patterns(width: int) -> Ints:

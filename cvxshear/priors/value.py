@@ -42,7 +42,7 @@ class Value(Prior):
 
     @property
     def fixes_scale(self) -> bool:
-        """Always: one mass or stiffness in absolute terms tells the rest."""
+        """Always true: one mass or stiffness in absolute terms fixes the rest."""
         return True
 
     def suggested(self, stories: int) -> Floats:

@@ -14,7 +14,7 @@ from rich.table import Column
 from rich.table import Table as Grid
 from rich.text import Text
 
-from cvxshear.backends import ListedBackend
+from cvxshear.backends import Solver
 from cvxshear.data import noise_kinds
 from cvxshear.effects import catalogue
 from cvxshear.loop import VERDICTS
@@ -173,13 +173,13 @@ def damping(found: IdentifiedDamping) -> Iterator[RenderableType]:
     yield from _section(damping_section(found))
 
 
-def listed_backends(listed: Sequence[ListedBackend]) -> Iterator[RenderableType]:
+def listed_backends(listed: Sequence[Solver]) -> Iterator[RenderableType]:
     """Which backends are installed, with the version of their solver, and how to get the others."""
     there = plain_table("installed", "backend", "solver", "version", "called by")
     missing = plain_table("not installed", "backend", "how to get it", words=(0, 1))
     for each in listed:
         if each.installed:
-            there.add_row(each.name, each.solver or "this library", each.version or "–", each.through or "–")
+            there.add_row(each.name, each.package or "this library", each.version or "–", each.through or "–")
         else:
             missing.add_row(each.name, each.how_to_get)
     yield there

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import signal
 
 from cvxshear.model.shear import Modes, modes
 from cvxshear.records.motion import Drive
@@ -167,8 +167,8 @@ def _series(x: Complexes, order: int) -> Complexes:
     return result / float(np.prod(np.arange(1, order + 1)))
 
 
-def held(s: Complexes, p: Floats, step: float) -> Complexes:
-    """z at every sample, for every pole.
+def driven_poles(s: Complexes, p: Floats, step: float) -> Complexes:
+    """Solve z' = s z + p for every pole from rest, by the first-order hold.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def held(s: Complexes, p: Floats, step: float) -> Complexes:
     z = np.empty((len(E), len(p)), dtype=np.complex128)
     for row in range(len(E)):
         # The state before the first sample is such that the first output is zero: the frame is at rest.
-        z[row], _ = signal.lfilter(
+        z[row], _ = scipy.signal.lfilter(
             [now[row], before[row]], [1.0, -E[row]], p, zi=np.array([-now[row] * p[0]])
         )  # fmt: skip
     return z
@@ -264,7 +264,7 @@ class Response:
 
     @property
     def drift(self) -> Floats:
-        """Of each story, floor less floor below, shape (samples, N), m."""
+        """Story drifts, each floor less the floor below, shape (samples, N), m."""
         return np.diff(self.displacement, axis=1, prepend=0.0)
 
     @property
@@ -284,7 +284,7 @@ class Response:
 
     @property
     def overturning_moment(self) -> Floats | None:
-        """Of the floors' forces about the base, shape (samples,), N m; weights on displaced floors are not in it."""
+        """Moment of the floors' forces about the base, shape (samples,), N m; without weights on displaced floors."""
         return self.story_force @ self.heights if self.mass_known and self.heights is not None else None
 
 
@@ -308,7 +308,7 @@ def response(model: DampedModel, drive: Drive, step: float) -> Response:
     load = _load(model, drive.floor)
     own = model.poles
     factors = own.weights * (own.shapes.T @ load) / own.scales
-    z = held(own.values, p, step)
+    z = driven_poles(own.values, p, step)
     # u = Re(sum of shapes factors z); its second derivative has s^2 in each term, and a jump at the load itself that
     # for base motion is the ground's own acceleration, which the total one has besides.
     table = own.shapes * factors

@@ -100,12 +100,15 @@ class Dynamics:
 
 @dataclass(frozen=True, eq=False)
 class Outputs:
-    """Rows that turn states into total accelerations, displacements, drifts and story forces of the frame.
+    """Rows that turn states into what a reconstruction reports.
+
+    Total accelerations, displacements, drifts and story forces of the frame, then the overturning moment where story
+    heights are declared, and the base acceleration where it is estimated.
 
     Parameters
     ----------
-    rows : ndarray, shape (4 N, n)
-    direct : ndarray, shape (4 N,)
+    rows : ndarray, shape (outputs, n)
+    direct : ndarray, shape (outputs,)
         Weights of the excitation.
     """
 
@@ -168,8 +171,7 @@ def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     setting : Setting
     """
     N = len(model.M)
-    estimated = not setting.base_measured
-    n = 3 * N + (1 if estimated else 0)
+    estimated, n = not setting.base_measured, setting.states
     T = transformation(N)
     restoring = -np.linalg.solve(model.M, np.hstack([model.K, model.C]))
     missed = np.linalg.solve(model.M, T * setting.story_force)
@@ -199,20 +201,27 @@ def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     at = setting.floors - 1
     return Dynamics(
         A, before, after, Q, total[at] * model.gain[at, None], through[at] * model.gain[at], noise.sensors**2,
-        _outputs(model, total, through, setting.force_floor, n),
+        _outputs(model, total, through, setting),
     )  # fmt: skip
 
 
-def _outputs(model: DampedModel, total: Floats, through: Floats, force_floor: int, n: int) -> Outputs:
-    """Rows of the quantities that a reconstruction reports."""
+def _outputs(model: DampedModel, total: Floats, through: Floats, setting: Setting) -> Outputs:
+    """Rows of the quantities that a reconstruction reports, `total` and `through` those of the accelerations."""
     N = len(model.M)
-    moved = np.eye(N, n)
+    moved = np.eye(N, setting.states)
     above = np.triu(np.ones((N, N)))
-    direct = -above @ model.M @ through
-    if force_floor:
-        direct = direct + above[:, force_floor - 1]
-    rows = np.concatenate([total, moved, np.diff(moved, axis=0, prepend=0.0), -above @ model.M @ total])
-    return Outputs(rows, np.concatenate([through, np.zeros(2 * N), direct]))
+    shear, direct = -above @ model.M @ total, -above @ model.M @ through
+    if setting.force_floor:
+        direct = direct + above[:, setting.force_floor - 1]
+    rows = [total, moved, np.diff(moved, axis=0, prepend=0.0), shear]
+    weights = [through, np.zeros(2 * N), direct]
+    if model.heights is not None:
+        rows.append((model.heights @ shear)[None])
+        weights.append(np.atleast_1d(model.heights @ direct))
+    if not setting.base_measured:
+        rows.append(np.eye(setting.states)[3 * N :])
+        weights.append(np.zeros(1))
+    return Outputs(np.concatenate(rows), np.concatenate(weights))
 
 
 def _van_loan(rates: Floats, density: Floats, step: float) -> tuple[Floats, Floats]:
@@ -280,12 +289,15 @@ SHORT: np.dtype[Any] = np.dtype(np.float32)
 MOST_BLOCKS = 128
 """Blocks that are gone through at once: what they need besides the result stays within a few megabytes."""
 
+LONG = 256
+"""Samples, four blocks, from which on products of large matrices are faster than a loop over the samples."""
+
 BLOCK = 64
 """Samples that one sweep of a linear recursion leaps over at once: about the root of the samples of a long record."""
 
 
 def recursion(F: Floats, inputs: Floats, start: Floats, rows: Floats | None = None) -> Floats:
-    """x_0 = start, x_(t+1) = F x_t + inputs_t by products of large matrices.
+    """x_0 = start, x_(t+1) = F x_t + inputs_t, by products of large matrices where there are many samples.
 
     All blocks of samples are first gone through from zero, side by side; what the state at each block's beginning adds
     follows from powers of F. The precision is that of the inputs.
@@ -304,6 +316,13 @@ def recursion(F: Floats, inputs: Floats, start: Floats, rows: Floats | None = No
     ndarray, shape (samples, n) or (samples, k)
     """
     kind = inputs.dtype
+    if len(inputs) < LONG:
+        states = np.empty((len(inputs), len(F)), dtype=kind)
+        state = start
+        for t, more in enumerate(inputs):
+            states[t] = state
+            state = F @ state + more
+        return states if rows is None else np.asarray(states @ rows.T.astype(kind))
     turned = F.T.astype(kind)
     seen = np.eye(len(F), dtype=kind) if rows is None else rows.T.astype(kind)
     # F'^j seen for all j, then over a whole block.

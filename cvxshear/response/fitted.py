@@ -42,8 +42,6 @@ class Fitted(InJson):
         Of the part that the data determine; None where nothing tells the noise.
     undetermined : tuple of tuple of str
         For each direction that the data leave open, the parameters that take part.
-    mass_known : bool, optional
-        Whether the masses have a scale; not where a total of 1 stands for one that nobody gave.
     misfit : float, optional
         Chi-square a degree of freedom where the modes speak against the model; 1 where they do not.
     lacking : float, optional
@@ -55,14 +53,13 @@ class Fitted(InJson):
     theta: Floats
     covariance: Floats | None
     undetermined: tuple[tuple[str, ...], ...] = ()
-    mass_known: bool = True
     misfit: float = 1.0
     lacking: float = 0.0
 
     json_keys = "effects theta covariance undetermined misfit lacking"
 
     @staticmethod
-    def of(estimate: Estimate, *, mass_known: bool = True) -> Fitted:
+    def of(estimate: Estimate) -> Fitted:
         """Take over an estimate."""
         return Fitted(
             estimate.experiment,
@@ -70,7 +67,6 @@ class Fitted(InJson):
             estimate.theta,
             estimate.uncertainty.covariance(),
             estimate.uncertainty.null_directions,
-            mass_known and not estimate.experiment.frame.total_mass_placeholder,
             *_misfit(estimate),
         )
 
@@ -86,6 +82,11 @@ class Fitted(InJson):
         std = np.concatenate([frame.floor_mass_std, frame.story_stiffness_std])
         covariance = np.nan_to_num(result.correlation) * np.outer(std, std) if np.isfinite(std).all() else None
         return Fitted(result.experiment, (), theta, covariance, result.undetermined)
+
+    @property
+    def mass_known(self) -> bool:
+        """Whether the masses have a scale; not where a total of 1 kg stands for one that nobody gave."""
+        return not self.experiment.frame.total_mass_placeholder
 
     def label_in(self, configuration: Configuration) -> str:
         """Name the model and its effects that act in this configuration."""
@@ -113,7 +114,7 @@ class Fitted(InJson):
         return super().to_dict() | {"effects": effects}
 
     @staticmethod
-    def from_dict(declared: object, experiment: Experiment, where: str, *, mass_known: bool) -> Fitted:
+    def from_dict(declared: object, experiment: Experiment, where: str) -> Fitted:
         """Read the fitted model that `to_dict` wrote.
 
         Raises
@@ -132,10 +133,8 @@ class Fitted(InJson):
             if covariance.shape != (size, size):
                 raise InputError(f"{where}: covariance must have {size} rows of {size} numbers, one a parameter")
         undetermined = tuple(tuple(str(name) for name in names) for names in table["undetermined"])
-        return Fitted(
-            experiment, effects, theta, covariance, undetermined, mass_known, float(table.get("misfit", 1.0)),
-            float(table.get("lacking", 0.0)),
-        )  # fmt: skip
+        misfit, lacking = float(table.get("misfit", 1.0)), float(table.get("lacking", 0.0))
+        return Fitted(experiment, effects, theta, covariance, undetermined, misfit, lacking)
 
 
 def _misfit(estimate: Estimate) -> tuple[float, float]:
@@ -185,14 +184,13 @@ class Models(InJson):
     @staticmethod
     def from_dict(declared: object, where: str) -> Models:
         """Read the models that `to_dict` wrote."""
-        keys = ["experiment", "name", "mass_known", "before", "after"]
-        table = checks.keys(declared, keys, keys, where)
+        keys = ["experiment", "name", "before", "after"]
+        table = checks.keys(declared, [*keys, "mass_known"], keys, where)
         experiment = Experiment.from_dict(_with_nan(table["experiment"]), name=table["name"])
-        known = checks.flag(table["mass_known"], f"{where}: mass_known")
         before = table["before"]
         return Models(
-            None if before is None else Fitted.from_dict(before, experiment, f"{where}: before", mass_known=known),
-            Fitted.from_dict(table["after"], experiment, f"{where}: after", mass_known=known),
+            None if before is None else Fitted.from_dict(before, experiment, f"{where}: before"),
+            Fitted.from_dict(table["after"], experiment, f"{where}: after"),
         )
 
 

@@ -80,7 +80,7 @@ class Answer:
 
 @dataclass(frozen=True, eq=False)
 class FittedFrame:
-    """The frame in the record.
+    """The frame as it was in the record.
 
     Parameters
     ----------
@@ -97,6 +97,8 @@ class FittedFrame:
     converged : bool
     along : Directions
         Along which it was fitted.
+    log_evidence : float
+        Log of the probability of the record, averaged over the answers; that of the fit where the frame stays.
     """
 
     errors: PredictionErrors
@@ -107,10 +109,11 @@ class FittedFrame:
     inflation: float
     converged: bool
     along: Directions
+    log_evidence: float
 
     @cached_property
     def story_probability(self) -> Floats:
-        """That each story changed by itself, shape (N,)."""
+        """Probability that each story changed by itself, shape (N,)."""
         result = np.zeros(self.errors.stories)
         for each in self.answers:
             result[list(each.stories)] += each.probability
@@ -118,17 +121,22 @@ class FittedFrame:
 
     @property
     def factors(self) -> Floats:
-        """On the story stiffnesses, shape (N,)."""
-        return np.exp(self.p[: self.errors.stories])
+        """Story stiffnesses in this record over the identified ones, shape (N,)."""
+        return self.errors.varied.story_factors(self.p[self.errors.frame])[0]
 
     @property
     def factors_std(self) -> Floats:
-        """Their standard deviations, shape (N,)."""
-        return self.factors * np.sqrt(np.diag(self.covariance)[: self.errors.stories])
+        """Standard deviations of the factors, shape (N,): both stiffnesses are uncertain."""
+        varied, frame = self.errors.varied, self.errors.frame
+        _, J = varied.story_factors(self.p[frame])
+        N, D, W, _ = varied.sizes
+        masses = J[:, N + D : N + D + W]
+        identified = np.diag(self.prior.identified) + np.sum(masses**2, axis=1)
+        return np.asarray(np.sqrt(np.sum((J @ self.covariance[frame, frame]) * J, axis=1) + identified))
 
     @property
     def model(self) -> DampedModel:
-        """The frame."""
+        """The frame at the most probable unknowns."""
         return self.errors.model(self.p)
 
 
@@ -207,7 +215,8 @@ def fit_frame(
         still = Gaussian(np.zeros(errors.size), NOISE_STD**2 * np.eye(errors.size), 0.0)
         at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(p, backend, MOST_FIT_STEPS)
         covariance = prior.gaussian(*answer.prior, same=errors.setting.base_measured).covariance
-        return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged, at.posterior.along)
+        along, evidence = at.posterior.along, -0.5 * at.objective
+        return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged, along, evidence)
     if start is None:
         rough = _Posterior(
             errors.shortened(FIRST_SAMPLES, p),
@@ -240,7 +249,7 @@ def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: f
     short = errors.shortened(FIRST_SAMPLES, p, free=False)
     widest = prior.gaussian(range(errors.stories), FORM_STDS[-1], SCATTER_STDS[-1])
     root = np.asarray(np.linalg.cholesky(widest.covariance), dtype=np.float64)
-    return short.told(p, root, least * np.sqrt(short.samples / errors.samples))
+    return short.informed(p, root, least * np.sqrt(short.samples / errors.samples))
 
 
 def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: Backend, steps: int) -> FittedFrame:
@@ -260,7 +269,9 @@ def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: B
     start = np.delete(frame.p, gone)
     if not steps:
         covariance = np.delete(np.delete(frame.covariance, gone, axis=0), gone, axis=1)
-        return FittedFrame(errors, prior, start, covariance, frame.answers, 1.0, True, frame.along)
+        return FittedFrame(
+            errors, prior, start, covariance, frame.answers, 1.0, True, frame.along, frame.log_evidence
+        )
     along = frame.along.without(gone)
     best = frame.answers[0]
     posterior = _Posterior(errors, along, prior.gaussian(*best.prior))
@@ -278,8 +289,18 @@ def _mixed(
         mean, own = _Linear(at.likelihood, at.p, prior.gaussian(*each.prior)).posterior()
         away = mean - at.p
         covariance += each.probability / total * (own + np.outer(away, away))
-    inflation, along = at.likelihood.inflation, at.posterior.along
-    return FittedFrame(errors, prior, at.p, covariance, tuple(answers), inflation, converged, along)
+    inflation, along, evidence = at.likelihood.inflation, at.posterior.along, _log_evidence(at, prior, answers)
+    return FittedFrame(errors, prior, at.p, covariance, tuple(answers), inflation, converged, along, evidence)
+
+
+def _log_evidence(at: _Point, prior: FramePrior, answers: Sequence[Answer]) -> float:
+    """Log of the probability of the record, all answers together: that of the best one over its share."""
+    best = answers[0]
+    linear = _Linear(at.likelihood, at.p, prior.gaussian(*best.prior))
+    own = float(linear.evidences(np.zeros((len(at.p), 0)), [()])[0]) + prior.log_odds * len(best.stories)
+    # The triangle holds what depends on the unknowns; the rest of -2 log likelihood is the same for all of them.
+    rest = at.posterior.errors.objective(at.p) - float(at.likelihood.c @ at.likelihood.c)
+    return own - float(np.log(best.probability)) - 0.5 * rest
 
 
 class _Linear:
@@ -345,7 +366,6 @@ def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answ
     p : ndarray, shape (P,)
     """
     stories = range(len(prior.identified))
-    odds = float(np.log(prior.probability) - np.log1p(-prior.probability))
     scores: dict[tuple[tuple[int, ...], float, float], float] = {}
     changes = prior.change_std * np.eye(len(p), len(stories))
     for std, scatter in itertools.product(FORM_STDS, SCATTER_STDS):
@@ -357,7 +377,7 @@ def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answ
                 pairs = itertools.product(level, stories)
                 grown = sorted({tuple(sorted({*base, story})) for base, story in pairs if story not in base})
             own = {
-                each: float(score) + odds * size
+                each: float(score) + prior.log_odds * size
                 for each, score in zip(grown, linear.evidences(changes, grown), strict=True)
             }
             scores |= {(each, std, scatter): score for each, score in own.items()}

@@ -15,7 +15,7 @@ import numpy as np
 from cvxshear.backends import Backend
 from cvxshear.records.motion import Drive, trend
 from cvxshear.response.damped import DampedModel, Response, response
-from cvxshear.response.dynamics import SHORT, Noise, Outputs, Setting, dynamics
+from cvxshear.response.dynamics import SHORT, Noise, Setting, dynamics
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, fit_frame
 from cvxshear.response.innovations import FIRST_FORCE, FIRST_SENSOR, PredictionErrors, Stretch
 from cvxshear.response.recording import Recording
@@ -34,6 +34,9 @@ filled in wrongly falls to the missing share of the information each time: a ten
 
 SAME_FIT = 0.1
 """Largest change of an unknown, in its standard deviations, at which these fits end."""
+
+MOVED_ALIKE = 1e-3
+"""Difference of two motions, relative to their rms, that is below the error of any sensor."""
 
 PROBED_SAMPLES = 1000
 """Samples of the strongest motion on which the directions of the frame's uncertainty are compared."""
@@ -72,7 +75,7 @@ class ReconstructedRun:
 
 
 @dataclass(frozen=True, eq=False)
-class Directions:
+class FrameDirections:
     """Directions of the frame's uncertainty.
 
     Parameters
@@ -115,7 +118,7 @@ class FrameMotion:
 
     @staticmethod
     def around(frame: UncertainFrame, recording: Recording, backend: Backend, *, free: bool) -> FrameMotion:
-        """Around an identified frame."""
+        """Set up the reconstruction of a recording around an identified frame."""
         varied = VariedFrame.around(frame)
         model = varied.centre.model
         known, level = recording.input != "none", recording.rms()
@@ -129,7 +132,7 @@ class FrameMotion:
         return FrameMotion(frame, varied, recording, setting, noise, backend, free and known)
 
     def without(self, channel: int, parts: list[slice]) -> FrameMotion:
-        """One channel fewer, and of each run a part."""
+        """Leave out one channel, and take a part of each run."""
         return dataclasses.replace(
             self,
             recording=self.recording.without(channel).cut(parts),
@@ -206,7 +209,7 @@ class FrameMotion:
         rows : ndarray, shape (outputs, n), optional
         """
         model = errors.dynamics(p)
-        asked = self.outputs(model.outputs).rows if rows is None else rows
+        asked = model.outputs.rows if rows is None else rows
         stationary = np.sqrt(np.maximum(np.sum(model.H @ model.P0 * model.H, axis=1), 1e-300))
         found = []
         for run, envelope in zip(self.recording.runs, self.recording.envelopes(self.varied.period), strict=True):
@@ -215,19 +218,6 @@ class FrameMotion:
             scale = max(float(envelope[0]), moved / rms(stationary))
             found.append(smooth(model, Observed(run.excitation, run.measured, envelope, scale), asked))
         return found
-
-    def outputs(self, plain: Outputs) -> Outputs:
-        """With the overturning moment, and the base acceleration where it is estimated."""
-        n = len(self.varied.story_stiffness)
-        rows, direct = [plain.rows], [plain.direct]
-        heights = self.varied.centre.model.heights
-        if heights is not None:
-            rows.append((heights @ plain.rows[3 * n :])[None])
-            direct.append(np.atleast_1d(heights @ plain.direct[3 * n :]))
-        if not self.setting.base_measured:
-            rows.append(np.eye(self.setting.states)[3 * n :])
-            direct.append(np.zeros(1))
-        return Outputs(np.concatenate(rows), np.concatenate(direct))
 
     def runs(self, fitted: FittedFrame, smoothed: list[Smoothed], wider: float) -> list[ReconstructedRun]:
         """Every run's motion, its deviations widened by a factor.
@@ -240,7 +230,7 @@ class FrameMotion:
         """
         directions = self.directions(fitted)
         noise = fitted.errors.noise_at(fitted.p)
-        rows = self.outputs(fitted.errors.dynamics(fitted.p).outputs)
+        rows = fitted.errors.dynamics(fitted.p).outputs
         model, n = fitted.model, len(self.varied.story_stiffness)
         result = []
         for run, found in zip(self.recording.runs, smoothed, strict=True):
@@ -277,15 +267,16 @@ class FrameMotion:
             Whose measurements the frames are smoothed to.
         """
         driven, seen = excitation.astype(SHORT), found.completed.astype(SHORT)
-        ends = []
-        for model in sides:
-            moved = dynamics(model, noise, self.setting)
-            states = Steady.of(moved).states(driven, seen, found.states[0])
-            ends.append(self.outputs(moved.outputs).of(states, driven))
-        result: Floats = 0.5 * (ends[0] - ends[1])
+        there, back = (self._motion(model, noise, driven, seen, found.states[0]) for model in sides)
+        result: Floats = 0.5 * (there - back)
         return result
 
-    def directions(self, fitted: FittedFrame, most: int = MOST_DIRECTIONS) -> Directions:
+    def _motion(self, model: DampedModel, noise: Noise, excitation: Floats, y: Floats, start: Floats) -> Floats:
+        """All outputs of a frame that is smoothed to complete measurements, shape (samples, outputs)."""
+        system = dynamics(model, noise, self.setting)
+        return system.outputs.of(Steady.of(system).states(excitation, y, start), excitation)
+
+    def directions(self, fitted: FittedFrame, most: int = MOST_DIRECTIONS) -> FrameDirections:
         """Find the directions of the frame's uncertainty that move its motion most, one standard deviation long.
 
         Parameters
@@ -307,8 +298,7 @@ class FrameMotion:
             return fitted.errors.model(p)
 
         def moved(model: DampedModel) -> Floats:
-            system = dynamics(model, noise, self.setting)
-            return self.outputs(system.outputs).of(Steady.of(system).states(excitation, y, start), excitation)
+            return self._motion(model, noise, excitation, y, start)
 
         centre = moved(fitted.model)
         scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
@@ -319,11 +309,11 @@ class FrameMotion:
         order = np.argsort(-strength)
         carried = np.cumsum(np.maximum(strength[order], 0.0))
         if carried[-1] <= 0:
-            return Directions((), np.ones(len(scale)))
+            return FrameDirections((), np.ones(len(scale)))
         chosen = order[: min(int(np.searchsorted(carried, CARRIED_SHARE * carried[-1])) + 1, most)]
         along = np.sum(np.tensordot(turned[:, chosen].T, slopes, axes=1) ** 2, axis=(0, 1))
         sides = tuple((model_at(turned[:, k]), model_at(-turned[:, k])) for k in chosen)
-        return Directions(sides, np.sum(slopes**2, axis=(0, 1)) / np.maximum(along, 1e-300))
+        return FrameDirections(sides, np.sum(slopes**2, axis=(0, 1)) / np.maximum(along, 1e-300))
 
 
 def rms(values: Floats) -> float:
@@ -340,6 +330,28 @@ def predicted_responses(model: DampedModel, recording: Recording) -> list[Respon
     return [response(model, drive, recording.step) for drive in drives]
 
 
+def readings_of(model: DampedModel, recording: Recording) -> list[Recording]:
+    """List how a measured base motion may have gone between its samples: in straight lines, and band-limited.
+
+    One of them where both move the floors alike.
+
+    Parameters
+    ----------
+    model : DampedModel
+        As identified.
+    recording : Recording
+    """
+    straight = predicted_responses(model, recording)
+    if straight is None or recording.input != "base":
+        return [recording]
+    other = recording.band_limited()
+    smooth_one = predicted_responses(model, other)
+    assert smooth_one is not None, "the base motion was measured"
+    pairs = zip(straight, smooth_one, strict=True)
+    apart = max(rms(a.acceleration - b.acceleration) / rms(a.acceleration) for a, b in pairs)
+    return [recording, other] if apart > MOVED_ALIKE else [recording]
+
+
 def shown_by(model: DampedModel, responses: list[Response] | None, recording: Recording) -> list[Floats]:
     """Return the accelerations of responses at the sensors, one array (samples, m) a run; zeros without responses."""
     at = recording.floors - 1
@@ -349,7 +361,7 @@ def shown_by(model: DampedModel, responses: list[Response] | None, recording: Re
 
 
 def _drift_rms(model: DampedModel, recording: Recording) -> Floats:
-    """Of each story: predicted, or from the first mode scaled to the sensors where the excitation is not known."""
+    """Rms drift of each story: predicted, or of the first mode at the sensors' size if the excitation is unknown."""
     responses = predicted_responses(model, recording)
     if responses is not None:
         return np.asarray(np.sqrt(np.mean(np.concatenate([item.drift for item in responses]) ** 2, axis=0)))

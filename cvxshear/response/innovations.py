@@ -46,8 +46,9 @@ FURTHEST_NOISE = np.log(30.0)
 
 LEAST_MISSED, MOST_MISSED = 2e-3, 0.1
 """Bounds on the missed story forces, relative to the rms story force. A model that misses more than the largest has no
-business in a reconstruction. Less than the least cannot be told from sensors at a third of the floors: with 0.03 % the
-fit of 20-story frames whose beams bend settled there, and only 70 % of the peaks lay within their 95 % bands."""
+business in a reconstruction. Less than the least cannot be distinguished from noise by sensors at a third of the
+floors: with 0.03 % the fit of 20-story frames whose beams bend settled there, and only 70 % of the peaks lay within
+their 95 % bands."""
 
 DIFFERENCE = 1e-5
 """Step of the unknowns by which small matrices are differentiated: rounding and curvature both leave 1e-5 of it."""
@@ -155,7 +156,7 @@ class PredictionErrors:
 
     @property
     def samples(self) -> int:
-        """Of all stretches together."""
+        """Number of samples of all stretches together."""
         return sum(len(each.y) for each in self.stretches)
 
     def shortened(self, most: int, p: Floats, *, free: bool = True) -> PredictionErrors:
@@ -228,7 +229,7 @@ class PredictionErrors:
                 total -= float(pulled @ np.linalg.solve(np.eye(len(pulled)) + free.T @ free, pulled))
         return total
 
-    def told(self, p: Floats, root: Floats, least: float) -> Directions:
+    def informed(self, p: Floats, root: Floats, least: float) -> Directions:
         """Find the directions of the frame on which the record has information; add each level of the noise.
 
         Parameters
@@ -276,11 +277,11 @@ class PredictionErrors:
             x, e = here.predicted(run.excitation, run.y, run.start)
             seen = run.y - np.outer(run.excitation, here.model.direct)
             following = np.append(run.excitation[1:], run.excitation[-1])
-            told = np.column_stack([x, seen, run.excitation, following]).astype(SHORT)
+            signals = np.column_stack([x, seen, run.excitation, following]).astype(SHORT)
             J = np.empty((e.size, len(slopes)), dtype=SHORT)
             for j, slope in enumerate(slopes):
-                moved = recursion(here.F, told @ slope.inputs, at_rest, whitening @ here.model.H)
-                J[:, j] = -(moved + told @ slope.outputs).ravel()
+                moved = recursion(here.F, signals @ slope.inputs, at_rest, whitening @ here.model.H)
+                J[:, j] = -(moved + signals @ slope.outputs).ravel()
             white = e @ whitening.T
             if run.spread is not None:
                 # The state at the beginning goes along with every change of the frame: variable projection.

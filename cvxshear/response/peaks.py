@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.response.damped import DampedModel, Response, held
+from cvxshear.response.damped import DampedModel, Response, driven_poles
 from cvxshear.util.results import InJson, as_json
 from cvxshear.util.typing import Floats, Json
 
@@ -122,7 +122,7 @@ def floor_spectra(acceleration: Floats, step: float, frequencies: Floats, dampin
     s = omega * (-damping + 1j * np.sqrt(1 - damping**2))
     factor = -(s**2) / (1j * s.imag)
     peaks = [
-        np.max(np.abs((factor[:, None] * held(s, floor, step)).real), axis=1)
+        np.max(np.abs((factor[:, None] * driven_poles(s, floor, step)).real), axis=1)
         for floor in np.ascontiguousarray(acceleration.T)
     ]
     return FloorSpectra(frequencies, damping, np.array(peaks))

@@ -18,6 +18,7 @@ from cvxshear.response.damped import Response, response
 from cvxshear.response.fitted import Fitted, Models
 from cvxshear.response.peaks import FloorSpectra, Peaks, histories, largest_spectra, peaks_of
 from cvxshear.response.sources import (
+    WORTH_A_WORD,
     ModelSource,
     MotionSource,
     line_remarks,
@@ -27,7 +28,7 @@ from cvxshear.response.sources import (
     state_remarks,
 )
 from cvxshear.response.uncertain import Damped, IdentifiedDamping, UncertainFrame, described, parts_of, propagated
-from cvxshear.util.quantities import listed
+from cvxshear.util.quantities import listed, percent
 from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats
 
@@ -76,7 +77,7 @@ class RecordPrediction(Shown):
         Of `after`.
     std : tuple of dict of str to ndarray
         Standard deviations over time of `after`, one a run, by the names in `BANDS`; nan where nothing tells the noise.
-        What the frame leaves uncertain alone.
+        What the frame leaves uncertain, and how the base moved between its samples.
     missed : float or None
         Error of the predicted accelerations of the measured floors, over their size, beyond these deviations; None
         where the record has none to compare with.
@@ -174,17 +175,23 @@ def predict(
 def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Side | None) -> RecordPrediction:
     """Predict by the final model, with everything's standard deviations from one propagation."""
 
-    def everything(damped: Damped) -> Floats:
-        responses = _responses(damped, motion)
+    def everything(damped: Damped, driven: Motion = motion) -> Floats:
+        responses = _responses(damped, driven)
         bands = (item for moved in responses for item in _bands(moved).values())
         return np.concatenate([parts_of(damped), *_largest(responses).values(), *bands])
 
     centre, std = propagated(frame, everything)
+    # Nobody saw how the base moved between its samples: in straight lines, or as a band-limited motion does.
+    between = everything(centre, motion.band_limited()) - everything(centre)
+    std = np.hypot(std, between)
     after = _side(models.after, centre, motion)
     values = _largest(after.responses)
     sizes = [len(parts_of(centre)), *(len(item) for item in values.values())]
     sizes += [item.size for moved in after.responses for item in _bands(moved).values()]
-    of_damping, *rest = np.split(std, np.cumsum(sizes)[:-1])
+    parts = np.cumsum(sizes)[:-1]
+    of_damping, *rest = np.split(std, parts)
+    of_samples = zip(values.values(), np.split(between, parts)[1:], strict=False)
+    unseen = max(float(np.max(np.abs(change) / np.maximum(peak, 1e-300))) for peak, change in of_samples)
     bands = iter(rest[len(values) :])
     damping = described(frame, centre, of_damping)
     over_time = tuple(
@@ -202,7 +209,7 @@ def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Si
         damping=damping,
         std=over_time,
         missed=missed,
-        remarks=(*damping.remarks, *_remarks(after, motion)),
+        remarks=(*damping.remarks, *_between_samples(unseen), *_remarks(after, motion)),
     )
 
 
@@ -264,6 +271,16 @@ def _taken_off(recorded: Motion, motion: Motion) -> list[str]:
                 found.append((line / rms, name))
     largest, where = max(found)
     return line_remarks(largest, f"the rms ({where})")
+
+
+def _between_samples(unseen: float) -> list[str]:
+    """Say by how much it matters how the base moved between its samples, where that is worth a word."""
+    if unseen < WORTH_A_WORD:
+        return []
+    return [
+        f"between its samples the base motion is taken as straight lines; were it band-limited, peaks would be up to "
+        f"{percent(unseen, 1)} larger, which the deviations include: a record at a higher rate tells"
+    ]
 
 
 def _remarks(after: Side, motion: Motion) -> list[str]:

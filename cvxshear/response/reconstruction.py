@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from cvxshear import backends
 from cvxshear.backends import Backend
@@ -22,7 +22,7 @@ from cvxshear.measurement.experiment import Configuration, Limits
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.fitted import Fitted
 from cvxshear.response.frame_fit import FittedFrame
-from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses, shown_by
+from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses, readings_of, shown_by
 from cvxshear.response.peaks import FloorSpectra, Peaks, largest_spectra, peaks_of
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
 from cvxshear.response.sensor_checks import SensorCheck, Whiteness, checked, whiteness, widening
@@ -110,7 +110,7 @@ class Reconstruction(Shown):
 
     @cached_property
     def spectra_std(self) -> Floats:
-        """Of the spectra, shape (N, lines): relative, that of the floor's peak acceleration at every frequency."""
+        """Standard deviations of the spectra, shape (N, lines): relatively those of the floors' peak accelerations."""
         peak = self.peaks.values["floor_acceleration"]
         relative: Floats = self.peaks.std["floor_acceleration"] / np.where(peak > 0, peak, 1.0)
         return self.spectra.acceleration * relative[:, None]
@@ -209,21 +209,24 @@ def reconstruct(
     experiment = models.after.experiment
     state = state_of(experiment, recording, configuration)
     frame = UncertainFrame.of(models.after, state, damping, solver)
-    done, parts = itertools.count(1), 3 + (len(recording.floors) if leave_out else 0)
+    identified = frame.at(np.zeros(frame.size)).model
+    if detrend:
+        recording = recording.without_base_line()
+    readings = readings_of(identified, recording)
+    done, parts = itertools.count(1), 2 + len(readings) + (len(recording.floors) if leave_out else 0)
 
     def advance() -> None:
         if progress is not None:
             progress(next(done), parts)
 
-    identified = frame.at(np.zeros(frame.size)).model
-    if detrend:
-        recording = recording.without_base_line()
-    predicted = predicted_responses(identified, recording)
-    if detrend:
-        recording = recording.less(recording.lines(shown_by(identified, predicted, recording)))
-    work = FrameMotion.around(frame, recording, solver, free=fit)
-    advance()
-    work, fitted, smoothed = work.fitted(detrend=detrend)
+    fits = []
+    for reading in readings:
+        predicted = predicted_responses(identified, reading)
+        lines = reading.lines(shown_by(identified, predicted, reading)) if detrend else None
+        work = FrameMotion.around(frame, reading if lines is None else reading.less(lines), solver, free=fit)
+        fits.append((predicted, *work.fitted(detrend=detrend)))
+        advance()
+    predicted, work, fitted, smoothed = max(fits, key=lambda each: each[2].log_evidence)
     advance()
     checks = []
     for channel in range(len(recording.floors)) if leave_out and len(recording.floors) > 1 else ():
@@ -234,7 +237,7 @@ def reconstruct(
     passed = None
     if experiment.limits is not None and "story_drift_ratio" in peaks.values:
         ratio, std = peaks.values["story_drift_ratio"], np.maximum(peaks.std["story_drift_ratio"], 1e-300)
-        passed = np.asarray(stats.norm.sf(experiment.limits.story_drift[:, None], ratio, std), dtype=np.float64)
+        passed = np.asarray(special.ndtr((ratio - experiment.limits.story_drift[:, None]) / std), dtype=np.float64)
     found = Reconstruction(
         work.recording, state, solver.name, frame.fitted, frame.kind, fitted, fitted.model, tuple(runs), peaks,
         None if predicted is None else peaks_of((item, {}) for item in predicted), tuple(checks),
@@ -242,7 +245,21 @@ def reconstruct(
     )  # fmt: skip
     advance()
     said = state_remarks(experiment, recording, state, named=configuration is not None)
+    if len(fits) > 1:
+        said.append(_said_of_readings([each[2].log_evidence for each in fits]))
     return dataclasses.replace(found, remarks=(*said, *_remarks(found, recorded)))
+
+
+def _said_of_readings(evidences: Sequence[float]) -> str:
+    """Say how the base motion was taken to go between its samples, and what speaks for that."""
+    straight, band_limited = evidences
+    taken, other = "band-limited", "straight lines"
+    if straight > band_limited:
+        taken, other = other, taken
+    return (
+        f"between its samples the base motion is taken as {taken}: that makes what the floors did more probable than "
+        f"{other} would (odds 10^{abs(straight - band_limited) / np.log(10):.0f})"
+    )
 
 
 def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
@@ -283,7 +300,7 @@ def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
     if coloured:
         said.append(
             f"the innovations of floor {ranged([each.floor for each in coloured])} are not white: the model misses a "
-            "part of the motion there, and the deviations of the frame were widened for it "
-            f"(by {np.sqrt(found.frame.inflation):.1f}); another kind of damping may describe it better (--damping)"
+            f"part of the motion there, and the deviations of the frame are {np.sqrt(found.frame.inflation):.2g} times "
+            "those of white innovations; another kind of damping may describe it better (--damping)"
         )
     return said

@@ -24,7 +24,7 @@ from cvxshear.files.record_tables import (
     tables_of,
 )
 from cvxshear.records.floors import ACROSS, one_a_floor
-from cvxshear.records.motion import Motion, trend
+from cvxshear.records.motion import Motion, band_limited, trend
 from cvxshear.records.record import INPUTS, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
@@ -50,11 +50,14 @@ class RecordedRun:
     excitation : ndarray, shape (samples,)
         m/s2 or N; zeros where nobody measured it.
     name : str
+    floor : int, optional
+        Where a measured force acts.
     """
 
     measured: Floats
     excitation: Floats
     name: str
+    floor: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +73,6 @@ class Recording:
         Ascending.
     input : str
         "base", "force", or "none" where the ground was not measured.
-    force_floor : int
-        0 but for a force.
     added_mass : ndarray, shape (N,), optional
         kg.
     state : str, optional
@@ -82,7 +83,6 @@ class Recording:
     sampling_rate: float
     floors: Ints
     input: str
-    force_floor: int = 0
     added_mass: Floats | None = None
     state: str | None = None
     name: str = "record"
@@ -90,6 +90,8 @@ class Recording:
     def __post_init__(self) -> None:
         if not len(self.floors):
             raise InputError(f"{self.name}: no floor's acceleration was recorded; a reconstruction needs one at least")
+        if len({run.floor for run in self.runs}) > 1:
+            raise InputError(f"{self.name}: the force acts on several floors; reconstruct these runs one by one")
         together = np.concatenate([run.measured for run in self.runs])
         for column, floor in enumerate(self.floors):
             there = together[np.isfinite(together[:, column]), column]
@@ -104,6 +106,11 @@ class Recording:
                 )
 
     @property
+    def force_floor(self) -> int:
+        """Where a measured force acts; 0 but for a force."""
+        return self.runs[0].floor
+
+    @property
     def step(self) -> float:
         """Time between samples, s."""
         return 1.0 / self.sampling_rate
@@ -114,7 +121,7 @@ class Recording:
         return sum(len(run.measured) for run in self.runs) / self.sampling_rate
 
     def rms(self) -> Floats:
-        """Of each channel, shape (m,), m/s2."""
+        """Compute the root mean square of each channel, shape (m,), m/s2."""
         square: Floats = np.nanmean(np.concatenate([run.measured for run in self.runs]) ** 2, axis=0)
         return np.sqrt(square)
 
@@ -123,6 +130,11 @@ class Recording:
         if self.input != "base":
             return self
         runs = [dataclasses.replace(run, excitation=run.excitation - trend(run.excitation)) for run in self.runs]
+        return dataclasses.replace(self, runs=tuple(runs))
+
+    def band_limited(self) -> Recording:
+        """Take a measured base acceleration as band-limited between its samples, not as straight lines."""
+        runs = [dataclasses.replace(run, excitation=band_limited(run.excitation)) for run in self.runs]
         return dataclasses.replace(self, runs=tuple(runs))
 
     def lines(self, expected: Sequence[Floats]) -> list[Floats]:
@@ -153,7 +165,7 @@ class Recording:
     def cut(self, parts: Sequence[slice]) -> Recording:
         """Return the recording with one part of each run."""
         runs = [
-            RecordedRun(run.measured[part], run.excitation[part], run.name)
+            dataclasses.replace(run, measured=run.measured[part], excitation=run.excitation[part])
             for run, part in zip(self.runs, parts, strict=True)
         ]
         return dataclasses.replace(self, runs=tuple(runs))
@@ -213,18 +225,12 @@ def recording_of(source: RecordingSource) -> Recording:
 def _of_motion(motion: Motion) -> Recording:
     runs = []
     for drive in motion.drives:
-        if drive.responses is None:
-            raise InputError(
-                f"{motion.name}: no floor's acceleration was recorded; a reconstruction needs one at least"
-            )
-        runs.append(RecordedRun(drive.responses, drive.excitation, drive.name))
-    places = {drive.floor for drive in motion.drives}
-    if len(places) > 1:
-        raise InputError(f"{motion.name}: the force acts on several floors; reconstruct these runs one by one")
+        nothing = np.full((drive.samples, len(motion.floors)), np.nan)
+        measured = nothing if drive.responses is None else drive.responses
+        runs.append(RecordedRun(measured, drive.excitation, drive.name, drive.floor))
     return Recording(
-        tuple(runs), motion.sampling_rate, motion.floors, motion.input, places.pop(), motion.added_mass, motion.state,
-        motion.name,
-    )  # fmt: skip
+        tuple(runs), motion.sampling_rate, motion.floors, motion.input, motion.added_mass, motion.state, motion.name
+    )
 
 
 def _refuse_other_quantity(quantity: str, name: str) -> None:
@@ -242,31 +248,28 @@ def _of_file(path: Path) -> Recording:
         channels = channels_of(table["channel"], declared, path, lines)
         driver = driver_of(channels, kind)
         floors = _by_floor([item for item in channels if item is not driver and item.responds])
-        runs, rates, places = [], [], set()
+        runs, rates = [], []
         for run in runs_of(table, declared):
             columns = columns_of(run, declared, path)
             # Jumps of the clock and the ends asked for part the file; what a floor misses does not.
             pieces, rate, _ = pieces_of(columns, [], declared, run, path)
             rates.append((rate, columns.source))
             name = str(run.get("name", Path(run["file"]).name))
-            if driver is not None:
-                places.add(_force_floor(run, declared, driver) if kind == "force" else 0)
+            floor = 0 if driver is None or kind != "force" else _force_floor(run, declared, driver)
             for number, rows in enumerate(pieces, 1):
                 part = columns.rows(rows)
                 measured = np.column_stack([_with_gaps(part, group, path) for group in floors.values()])
                 excitation = np.zeros(len(measured))
                 if driver is not None:
                     excitation = driver.factor * part.column(driver.column, driver.place or path.name)
-                runs.append(RecordedRun(measured, excitation, name if len(pieces) == 1 else f"{name}, piece {number}"))
+                called = name if len(pieces) == 1 else f"{name}, piece {number}"
+                runs.append(RecordedRun(measured, excitation, called, floor))
         refuse_two_rates(rates)
-        if len(places) > 1:
-            raise InputError("the force acts on several floors; reconstruct these runs one by one")
         added = added_mass_of(table, path)
         state = None if table.get("state") is None else checks.text(table["state"], "state")
         return Recording(
             tuple(runs), rates[0][0], np.array(list(floors), dtype=np.int64),
-            kind if kind in ("base", "force") else "none", places.pop() if places else 0,
-            None if added is None else np.array(added), state,
+            kind if kind in ("base", "force") else "none", None if added is None else np.array(added), state,
             checks.text(declared.get("name", path.stem), "record: name"),
         )  # fmt: skip
 

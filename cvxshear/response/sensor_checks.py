@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from cvxshear.response.damped import Response
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, refitted
@@ -29,7 +29,7 @@ LAGS = 20
 
 @dataclass(frozen=True)
 class SensorCheck:
-    """One sensor's acceleration from all other sensors.
+    """One sensor's acceleration, predicted from all other sensors.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def checked(
     work: FrameMotion, fitted: FittedFrame, smoothed: Sequence[Smoothed], channel: int,
     predicted: Sequence[Response] | None,
 ) -> SensorCheck:  # fmt: skip
-    """One sensor from the others over the strongest part of each run: frame and motion are fitted without it.
+    """Predict one sensor from the others over the strongest part of each run: frame and motion are fitted without it.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def widening(checks: Sequence[SensorCheck]) -> float:
 
 
 def whiteness(work: FrameMotion, smoothed: Sequence[Smoothed]) -> tuple[Whiteness, ...]:
-    """Of the innovations of each floor over all runs.
+    """Test whether the innovations of each floor are white, over all runs.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def whiteness(work: FrameMotion, smoothed: Sequence[Smoothed]) -> tuple[Whitenes
         found.append(
             Whiteness(
                 int(floor), float(np.sqrt(power / count)), float(correlation[at]),
-                float(lags[at]) * work.recording.step, float(stats.chi2.sf(statistic, len(lags))),
+                float(lags[at]) * work.recording.step, float(special.chdtrc(len(lags), statistic)),
                 int(np.sum((weights > 0) & (weights < 1))), int(np.sum(weights == 0)),
             )
         )  # fmt: skip

@@ -43,10 +43,6 @@ their limit is taken as soon as they are near it, so that long records need neit
 NEAR_LIMIT = 0.05
 """Relative difference of a variance from its limit at which the limit is taken: 2.5 % of a deviation."""
 
-LONG = 4 * 64
-"""Samples of constant gain, four blocks of a recursion, from which on matrix products over blocks are faster than a
-loop."""
-
 
 @dataclass(frozen=True, eq=False)
 class Observed:
@@ -217,13 +213,8 @@ def _sweeps(model: Dynamics, run: Observed, gains: list[_Gain], which: Ints, wei
         gain = gains[at]
         F = gain.transition
         inputs = driven[first:last] + y[first:last] @ gain.K.T
-        if last - first >= LONG:
-            predicted[first:last] = recursion(F, inputs, x)
-            x = F @ predicted[last - 1] + inputs[-1]
-        else:
-            for t in range(first, last):
-                predicted[t] = x
-                x = F @ x + inputs[t - first]
+        predicted[first:last] = recursion(F, inputs, x)
+        x = F @ predicted[last - 1] + inputs[-1]
     innovations = np.empty_like(y)
     pulled = np.empty((samples, n))
     for first, last, at in stretches:
@@ -236,16 +227,10 @@ def _sweeps(model: Dynamics, run: Observed, gains: list[_Gain], which: Ints, wei
     r = np.zeros(n)
     for first, last, at in reversed(stretches):
         F = gains[at].transition
-        back = F.T
-        if last - first >= LONG:
-            swept = recursion(back, pulled[first:last][::-1], r)[::-1]
-            # swept holds what follows each sample; its own pull is still to be added.
-            multipliers[first:last] = swept @ back.T + pulled[first:last]
-            r = multipliers[first]
-        else:
-            for t in range(last - 1, first - 1, -1):
-                r = pulled[t] + back @ r
-                multipliers[t] = r
+        # What follows each sample; its own pull is still to be added.
+        swept = recursion(F.T, pulled[first:last][::-1], r)[::-1]
+        multipliers[first:last] = swept @ F + pulled[first:last]
+        r = multipliers[first]
     states = predicted
     for first, last, at in stretches:
         states[first:last] += multipliers[first:last] @ gains[at].P
@@ -288,7 +273,7 @@ def _deviations(rows: Floats, gains: list[_Gain], which: Ints) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Steady:
-    """The smoother of a model whose noise and sensors never change, in whose place it is as good but for the ends.
+    """The smoother of a model whose noise and sensors never change: as good but for the ends of a record.
 
     Parameters
     ----------

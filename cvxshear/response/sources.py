@@ -65,27 +65,19 @@ def _of_file(source: str | Path, backend: Backend) -> Models:
     """Read the models of a measurement file, a record file, or what `loop --json` wrote."""
     if Path(source).suffix.lower() == ".json":
         return _of_json(Path(source))
-    if not is_record_file(source):
-        experiment, mass_known = load_unscaled(source)
-        return models_of_loop(close_loop(experiment, backend=backend), mass_known=mass_known)
-    return models_of_loop(close_loop(experiment_from_file(source), backend=backend))
+    experiment = experiment_from_file(source) if is_record_file(source) else load_unscaled(source)
+    return models_of_loop(close_loop(experiment, backend=backend))
 
 
-def load_unscaled(path: str | Path) -> tuple[Experiment, bool]:
-    """Read a measurement file that need not tell how heavy the frame is.
+def load_unscaled(path: str | Path) -> Experiment:
+    """Read a measurement file that need not tell how heavy the frame is: a total of 1 kg stands in then.
 
     Parameters
     ----------
     path : str or Path
-
-    Returns
-    -------
-    experiment : Experiment
-        Of a total mass of 1 kg where nothing tells it.
-    mass_known : bool
     """
     try:
-        return load(path), True
+        return load(path)
     except NoScaleError:
         path = Path(path)
         declared = dict(with_modes_read(parse(read_text(path), path), path.parent))
@@ -95,21 +87,12 @@ def load_unscaled(path: str | Path) -> tuple[Experiment, bool]:
         declared["frame"] = {
             **frame, "total_mass": 1.0, "total_mass_placeholder": True, "accept": sorted(accepted)
         }  # fmt: skip
-        return Experiment.from_dict(declared, name=path.stem), False
+        return Experiment.from_dict(declared, name=path.stem)
 
 
-def models_of_loop(closure: Closure, *, mass_known: bool = True) -> Models:
-    """Return the models that a closed loop began and ended with.
-
-    Parameters
-    ----------
-    closure : Closure
-    mass_known : bool, optional
-        False where a total mass of 1 kg stands for one that nobody gave.
-    """
-    return Models(
-        Fitted.of(closure.before.estimate, mass_known=mass_known), Fitted.of(closure.estimate, mass_known=mass_known)
-    )
+def models_of_loop(closure: Closure) -> Models:
+    """Return the models that a closed loop began and ended with."""
+    return Models(Fitted.of(closure.before.estimate), Fitted.of(closure.estimate))
 
 
 def _of_json(path: Path) -> Models:

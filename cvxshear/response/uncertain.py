@@ -74,7 +74,7 @@ class UncertainFrame:
 
     @staticmethod
     def of(fitted: Fitted, configuration: Configuration, kind: str | None, backend: Backend) -> UncertainFrame:
-        """With the damping ratios that the experiment declares, and its kind of damping where none is named."""
+        """Take the damping ratios that the experiment declares, and its kind of damping where none is named."""
         experiment = fitted.experiment
         named = experiment.damping.kind if kind is None else checks.choice(kind, DAMPING_KINDS, "damping")
         return UncertainFrame(fitted, configuration, damping_ratios(experiment, configuration), named, backend)
@@ -91,7 +91,7 @@ class UncertainFrame:
 
     @property
     def story_stiffness(self) -> Floats:
-        """Of this state at the fitted parameters, shape (N,), N/m."""
+        """Story stiffnesses of this state at the fitted parameters, shape (N,), N/m."""
         return self._state(self.configuration, self.fitted.theta).story_stiffness
 
     def undamped(self, theta: Floats) -> DampedModel:

@@ -89,7 +89,7 @@ class VariedFrame:
 
     @staticmethod
     def around(frame: UncertainFrame) -> VariedFrame:
-        """Around the most probable values of an uncertain frame."""
+        """Set up the variations around the most probable values of an uncertain frame."""
         centre = frame.at(np.zeros(frame.size))
         if frame.kind == "modal":
             own = frame.ratios.std
@@ -108,7 +108,7 @@ class VariedFrame:
 
     @cached_property
     def period(self) -> float:
-        """Of the identified frame's first mode, s."""
+        """Period of the identified frame's first mode, s."""
         return 1.0 / float(self.centre.model.modes.frequencies[0])
 
     def first_samples(self, step: float) -> int:
@@ -128,6 +128,27 @@ class VariedFrame:
         stiffness = np.sum((own.shapes @ self.dK) * own.shapes, axis=2) / own.eigenvalues
         square: Floats = np.mean(masses**2, axis=1) + np.mean(stiffness**2, axis=1)
         return np.asarray(np.sqrt(np.maximum(square, 1e-8)), dtype=np.float64)
+
+    def story_factors(self, unknowns: Floats) -> tuple[Floats, Floats]:
+        """Return each story's stiffness over the identified one, and its derivatives by the unknowns.
+
+        Story i resists a unit displacement of the floors i to N, as one, by the sum of K over those floors.
+
+        Parameters
+        ----------
+        unknowns : ndarray, shape (N + D + W + X,)
+
+        Returns
+        -------
+        factors : ndarray, shape (N,)
+        J : ndarray, shape (N, N + D + W + X)
+        """
+        N, D = self.sizes[:2]
+        own = np.exp(unknowns[:N])
+        moved = np.concatenate([self.dK, self.form])
+        above = np.cumsum(np.cumsum(moved[:, ::-1, ::-1], axis=1), axis=2)[:, ::-1, ::-1]
+        shares = np.diagonal(above, axis1=1, axis2=2).T / self.story_stiffness[:, None]
+        return own + shares @ unknowns[N + D :], np.hstack([np.diag(own), np.zeros((N, D)), shares])
 
     def model(self, unknowns: Floats) -> DampedModel:
         """Build the frame of given unknowns: logarithms, logarithms, standard deviations, and e_ij.
@@ -269,6 +290,11 @@ class FramePrior:
             frame.conditional_stiffness(), size, probability, varied.own_std, varied.sizes, varied.nuisance_share,
             others, ModalRows.around(frame, varied),
         )  # fmt: skip
+
+    @property
+    def log_odds(self) -> float:
+        """Logarithm of the odds that one story changed."""
+        return float(np.log(self.probability) - np.log1p(-self.probability))
 
     def gaussian(self, changed: Sequence[int], form_std: float, scatter_std: float, *, same: bool = False) -> Gaussian:
         """Return the prior with given stories (from 0) changed, and given standard deviations.

@@ -1,4 +1,4 @@
-"""Declarations that look wrong, where something declared or measured besides speaks against them.
+"""What looks wrong, and declarations that do because something declared or measured besides speaks against them.
 
 Nothing in the frequencies and shapes of one test alone says in which unit they are. What does is stated with each
 function. Whether a declared total mass is right, the added masses say: they lower the frequencies the more, the lighter
@@ -8,17 +8,17 @@ own: that of the shear frame nearest to all of them together, its scale free.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from functools import partial
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import Reading, repeated_configurations
-from cvxshear.screening.results import Finding
 from cvxshear.screening.shear_fit import ROUGH_STEPS, TALLEST_FITTED, ShearFrames, modes_of, odd_starts
 from cvxshear.util.quantities import quantity, significant
-from cvxshear.util.typing import Floats
+from cvxshear.util.results import InJson
+from cvxshear.util.typing import Floats, Json
 
 EARTH = (9.7, 10.0)
 """Range (m/s2) of the Earth's gravity: 9.78 to 9.83 between the equator and the poles, and often rounded."""
@@ -87,7 +87,51 @@ VAGUE = 0.05
 UNIT_OFF = 0.5
 """Difference of logarithms within which the ratio of two totals is taken for 1000 or its inverse, a unit."""
 
-_doubt = partial(Finding, refuses=False)
+
+@dataclass(frozen=True)
+class Finding(InJson):
+    """One thing that looks wrong, and what to change.
+
+    Parameters
+    ----------
+    name : str
+        The word that `[frame] accept = [...]` takes.
+    configuration : str or None
+        Where it was found; None where it concerns the whole file.
+    found : str
+        What is there, a sentence.
+    change : str
+        What to change, a sentence.
+    refuses : bool
+        Whether nothing is to be fitted before it is changed or accepted; else it is a warning.
+    rivals : tuple of str, optional
+        Names of other mistakes that `change` proposes as well; to accept one of them is to accept the finding.
+    """
+
+    name: str
+    configuration: str | None
+    found: str
+    change: str
+    refuses: bool
+    rivals: tuple[str, ...] = ()
+
+    def accepted(self, names: Collection[str]) -> bool:
+        """Whether it is among these names."""
+        return any(name in names for name in (self.name, *self.rivals))
+
+    @property
+    def how_to_accept(self) -> str:
+        """The line of the measurement file that lets it pass."""
+        return f'[frame] accept = ["{self.name}"]'
+
+
+def in_json(found: Iterable[Finding] | None) -> Json:
+    """List what the findings add to a result's JSON; nothing where nobody looked for any."""
+    return {} if found is None else {"warnings": [item.to_dict() for item in found]}
+
+
+def _doubt(name: str, found: str, change: str, configuration: str | None = None) -> Finding:
+    return Finding(name, configuration, found, change, refuses=False)
 
 
 def gravity(experiment: Experiment) -> Iterator[Finding]:
@@ -96,10 +140,8 @@ def gravity(experiment: Experiment) -> Iterator[Finding]:
     if EARTH[0] <= value <= EARTH[1]:
         return
     unit = next((f" (that would be {unit})" for size, unit in OTHER_GRAVITIES if _near(value, size)), "")
-    yield _doubt(
-        "gravity", None, f"gravity = {value:g} m/s² is not the Earth's{unit}",
-        "write it in m/s², 9.81, or leave it out",
-    )  # fmt: skip
+    said = f"gravity = {value:g} m/s² is not the Earth's{unit}"
+    yield _doubt("gravity", said, "write it in m/s², 9.81, or leave it out")
 
 
 def heights(experiment: Experiment) -> Iterator[Finding]:
@@ -107,10 +149,8 @@ def heights(experiment: Experiment) -> Iterator[Finding]:
     found = experiment.frame.story_heights
     if found is None or found.max() <= HIGHEST_STORY:
         return
-    yield _doubt(
-        "heights", None, f"story_heights of up to {found.max():g} m look like mm or cm",
-        "write story_heights in m",
-    )  # fmt: skip
+    said = f"story_heights of up to {found.max():g} m look like mm or cm"
+    yield _doubt("heights", said, "write story_heights in m")
 
 
 def masses(experiment: Experiment) -> Iterator[Finding]:
@@ -125,12 +165,8 @@ def masses(experiment: Experiment) -> Iterator[Finding]:
         unit = "g"
     else:
         return
-    yield _doubt(
-        "masses", None,
-        f"floors of {quantity(floor, 'kg', 3)} each under stories of {significant(height, 3)} m look like masses in "
-        f"{unit}",
-        "write masses in kg",
-    )  # fmt: skip
+    weights = f"floors of {quantity(floor, 'kg', 3)} each under stories of {significant(height, 3)} m"
+    yield _doubt("masses", f"{weights} look like masses in {unit}", "write masses in kg")
 
 
 def angular_frequency(experiment: Experiment) -> Iterator[Finding]:
@@ -149,10 +185,8 @@ def angular_frequency(experiment: Experiment) -> Iterator[Finding]:
         said = f"a first frequency of {significant(lowest, 3)} Hz is high for a building of {height} m"
     else:
         return
-    yield _doubt(
-        "angular_frequency", None, f"{said}: they look like rad/s",
-        "write frequencies in Hz, the angular ones divided by 2 pi",
-    )  # fmt: skip
+    change = "write frequencies in Hz, the angular ones divided by 2 pi"
+    yield _doubt("angular_frequency", f"{said}: they look like rad/s", change)
 
 
 def added_up(experiment: Experiment) -> Iterator[Finding]:
@@ -162,22 +196,17 @@ def added_up(experiment: Experiment) -> Iterator[Finding]:
         return
     multiples = found / found[0] / np.arange(1, len(found) + 1)
     if np.max(np.abs(multiples - 1)) < STEEP:
-        yield _doubt(
-            "elevations", None, f"story_heights grow from {found[0]:g} to {found[-1]:g} m as elevations of floors do",
-            "write the height of each story, not the sum of those below",
-        )  # fmt: skip
+        said = f"story_heights grow from {found[0]:g} to {found[-1]:g} m as elevations of floors do"
+        yield _doubt("elevations", said, "write the height of each story, not the sum of those below")
 
 
 def slow(experiment: Experiment) -> Iterator[Finding]:
     """No structure swings once a minute."""
     lowest = min(float(each.frequencies[0]) for each in experiment.configurations)
     if lowest < SLOWEST:
-        yield _doubt(
-            "time_unit", None,
-            f"a first frequency of {significant(lowest, 3)} Hz is lower than that of any frame: it looks like time in "
-            "milliseconds, or frequencies in kHz",
-            "write frequencies in Hz, and times in s",
-        )  # fmt: skip
+        said = f"a first frequency of {significant(lowest, 3)} Hz is lower than that of any frame"
+        unit = "it looks like time in milliseconds, or frequencies in kHz"
+        yield _doubt("time_unit", f"{said}: {unit}", "write frequencies in Hz, and times in s")
 
 
 def deviations(experiment: Experiment) -> Iterator[Finding]:
@@ -207,17 +236,15 @@ def deviations(experiment: Experiment) -> Iterator[Finding]:
 
 def _deviation(configuration: str | None, said: str) -> Finding:
     change = "write relative standard deviations, 0.01 for 1 %, or leave them out"
-    return _doubt("deviations", configuration, said, change)
+    return _doubt("deviations", said, change, configuration)
 
 
 def repeats(experiment: Experiment) -> Iterator[Finding]:
     """Two tests never agree to the last digit."""
     for names in repeated_configurations(experiment):
         listed = ", ".join(f'"{name}"' for name in names)
-        yield _doubt(
-            "repeated", names[1], f"configurations {listed} repeat each other to the last digit",
-            "leave all but one of them out: a copy is no further test",
-        )  # fmt: skip
+        said = f"configurations {listed} repeat each other to the last digit"
+        yield _doubt("repeated", said, "leave all but one of them out: a copy is no further test", names[1])
 
 
 def frequency_units(experiment: Experiment) -> Iterator[Finding]:
@@ -292,7 +319,7 @@ def total_mass(experiment: Experiment) -> Iterator[Finding]:
     if experiment.frame.total_mass_placeholder:
         said = f"total_mass = {experiment.frame.total_mass:g} stands for one that nobody gave: masses and stiffnesses "
         change = "write total_mass in kg, and take total_mass_placeholder out"
-        yield _doubt("total_mass", None, f"{said}are relative to it", change)
+        yield _doubt("total_mass", f"{said}are relative to it", change)
         return
     declared = experiment.frame.known_total
     different = {tuple(each.added_mass) for each in experiment.configurations}
@@ -309,10 +336,10 @@ def total_mass(experiment: Experiment) -> Iterator[Finding]:
     unit = next((unit for unit, factor in (("g", 1e3), ("t", 1e-3)) if abs(off - np.log(factor)) < UNIT_OFF), None)
     if unit is not None:
         change = "write total_mass (or floor_masses) in kg"
-        yield _doubt("masses", None, f"{said}: it looks like {unit}", change)
+        yield _doubt("masses", f"{said}: it looks like {unit}", change)
         return
     change = "check total_mass (or floor_masses, without the added mass) and each added_mass"
-    yield _doubt("total_mass", None, said, change)
+    yield _doubt("total_mass", said, change)
 
 
 def implied_total(experiment: Experiment) -> tuple[float, float]:

@@ -30,9 +30,9 @@ def models(name):
     """
     with tempfile.TemporaryDirectory() as folder:
         _, declared = modes_from_file(mini_table(Path(folder), name))
-    declared["frame"] |= {"story_heights": 1.0, "total_mass": 1.0}
+    declared["frame"] |= {"story_heights": 1.0, "total_mass": 1.0, "total_mass_placeholder": True}
     experiment = cvxshear.Experiment.from_dict(declared, name=name)
-    return models_of_loop(cvxshear.close_loop(experiment, effects=["joint_rotation"]), mass_known=False)
+    return models_of_loop(cvxshear.close_loop(experiment, effects=["joint_rotation"]))
 
 
 @functools.cache

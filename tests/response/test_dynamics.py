@@ -10,6 +10,7 @@ from cvxshear.response.dynamics import Noise, Setting, dynamics, recursion, sett
 from tests.frames import chain
 
 MASS, STIFFNESS = np.array([4.0, 3.0, 2.0]), np.array([900.0, 700.0, 500.0])
+HEIGHTS = np.array([3.0, 2.8, 2.5])
 GAIN, STORY_FORCE, STEP = np.array([1.0, 1.1, 0.9]), np.array([5.0, 3.0, 2.0]), 0.03
 NOISE = Noise(np.array([0.1, 0.2]), 0.04, 0.7)
 CASES = {"base": (0, True), "force": (2, True), "unknown ground": (0, False)}
@@ -17,7 +18,8 @@ CASES = {"base": (0, True), "force": (2, True), "unknown ground": (0, False)}
 
 def frame():
     M, K = chain(MASS, STIFFNESS)
-    return SimpleNamespace(M=M, K=K, C=0.02 * M + 0.003 * K + np.diag([0.0, 0.4, 0.0]), gain=GAIN)
+    C = 0.02 * M + 0.003 * K + np.diag([0.0, 0.4, 0.0])
+    return SimpleNamespace(M=M, K=K, C=C, gain=GAIN, heights=HEIGHTS)
 
 
 def setting(case):
@@ -70,7 +72,8 @@ def test_sensors_and_outputs_show_what_the_equations_say(case):
     np.testing.assert_allclose(found.R, [0.01, 0.04])
     acting = p * (np.arange(1, 4) == force_floor)
     story = [np.sum((acting - MASS * total)[i:]) for i in range(3)]
-    expected = [*total, *x[:3], *np.diff(x[:3], prepend=0.0), *story]
+    # The moment about the base where heights are known, and the ground's acceleration where it is estimated.
+    expected = [*total, *x[:3], *np.diff(x[:3], prepend=0.0), *story, HEIGHTS @ story, *x[9:]]
     np.testing.assert_allclose(found.outputs.of(x[None], np.array([p]))[0], expected)
 
 
@@ -93,7 +96,7 @@ def test_the_noise_has_the_deviations_that_were_asked_for(case):
     np.testing.assert_allclose(settled_covariance(found), settled, rtol=1e-5, atol=1e-10)
 
 
-@pytest.mark.parametrize("samples", [1, 63, 64, 65, 200, 64 * 128 + 70])
+@pytest.mark.parametrize("samples", [1, 200, 256, 319, 320, 321, 64 * 128 + 70])
 @pytest.mark.parametrize("rows", [None, np.array([[1.0, 0.0, 2.0]])])
 def test_a_recursion_by_blocks_is_the_one_sample_by_sample(samples, rows):
     rng = np.random.default_rng(samples)

@@ -54,11 +54,12 @@ def test_evidence_and_posterior_are_those_of_a_normal_distribution(seed):
 def test_answers_have_the_probabilities_of_all_sets_of_stories_forms_and_scatters(seed):
     """Odds of 0.07 a changed story; every size of the form's errors, and of the scatter, as probable as another."""
     at, p = drawn(seed)
-    prior = SimpleNamespace(identified=np.eye(STORIES), change_std=CHANGE, probability=PROBABILITY, gaussian=gaussian)
+    log_odds = np.log(PROBABILITY / (1 - PROBABILITY))
+    prior = SimpleNamespace(identified=np.eye(STORIES), change_std=CHANGE, log_odds=log_odds, gaussian=gaussian)
     found = possible_answers(at, prior, p)
     logs = {
         (stories, std, scatter): log_density(at, p, gaussian(stories, std, scatter)) - 30.0 * std
-        + size * np.log(PROBABILITY / (1 - PROBABILITY))
+        + size * log_odds
         for size in range(STORIES + 1)
         for stories in itertools.combinations(range(STORIES), size)
         for std, scatter in itertools.product(FORM_STDS, SCATTER_STDS)

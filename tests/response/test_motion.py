@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from cvxshear.records.motion import band_limited
 from cvxshear.report.handover import state_space
 from cvxshear.response import DampedModel, Drive, Motion, floor_spectra, response
 from cvxshear.response.damped import SMALL, hold
@@ -46,6 +47,30 @@ def test_one_mass_under_a_ramp():
     found = response(of, Drive(3.0 * time, floor=1), 0.05)
     np.testing.assert_allclose(found.displacement[:, 0], 3.0 / 50 * (time - np.sin(5 * time) / 5), atol=1e-12)
     np.testing.assert_allclose(found.acceleration[:, 0], 3.0 / 2 * np.sin(5 * time) / 5, atol=1e-11)
+
+
+def test_samples_of_a_band_limited_motion_move_an_oscillator_as_its_harmonics_do():
+    """Against the steady state; straight lines between the samples themselves lose 1 - sinc(f h)^2 of each harmonic."""
+    omega, ratio, time = 2 * np.pi * 12.0, 0.05, STEP * np.arange(4000)
+    of = DampedModel(np.array([[1.0]]), np.array([[2 * ratio * omega]]), np.array([[omega**2]]), np.ones(1))
+    expected, excitation = np.zeros(4000), np.zeros(4000)
+    for frequency, phase in ((5.0, 0.3), (11.0, 1.1), (20.0, 2.0)):
+        w = 2 * np.pi * frequency
+        transmitted = (omega**2 + 2j * ratio * omega * w) / (omega**2 - w**2 + 2j * ratio * omega * w)
+        excitation += np.cos(w * time + phase)
+        expected += (transmitted * np.exp(1j * (w * time + phase))).real
+    middle = slice(2000, 3800)
+    errors = [
+        np.max(np.abs(response(of, Drive(samples), STEP).acceleration[:, 0] - expected)[middle])
+        for samples in (band_limited(excitation), excitation)
+    ]
+    assert errors[0] < 1e-3 * np.max(np.abs(expected))
+    assert errors[1] > 0.03 * np.max(np.abs(expected))
+
+
+def test_white_samples_are_no_band_limited_motion():
+    white = np.random.default_rng(0).standard_normal(6000)
+    assert np.sqrt(np.mean((band_limited(white) - white) ** 2)) < 0.02
 
 
 def test_the_hold_goes_over_into_its_series_without_a_step():

@@ -219,6 +219,38 @@ def test_base_motion_that_nobody_measured_is_estimated(softened):
     assert np.corrcoef(base, motion.drives[0].excitation)[0, 1] > 0.7
 
 
+@pytest.mark.parametrize(("finer", "taken"), [(1, "straight lines"), (8, "band-limited")])
+def test_the_floors_tell_how_the_ground_moved_between_its_samples(finer, taken):
+    """Either way of moving is found from the floors, and the drifts are right; the other way misses them."""
+    models, motion, drift, _ = study.setting(3, "soft", 2, finer)
+    found = reconstruct(models, motion, leave_out=False)
+    (said,) = [remark for remark in found.remarks if remark.startswith("between its samples")]
+    assert f"is taken as {taken}:" in said
+    true, peaks = np.abs(drift).max(axis=0), found.peaks
+    assert np.all(np.abs(peaks.values["story_drift"] - true) < 2.5 * peaks.std["story_drift"])
+    np.testing.assert_allclose(peaks.values["story_drift"], true, rtol=0.01)
+
+
+def test_story_factors_are_stiffnesses_over_the_identified_ones(softened):
+    """By every unknown that moves a stiffness: masses, which scale all, and errors of the form among them."""
+    _, _, _, _, found = softened
+    errors, p = found.frame.errors, found.frame.p
+    T = np.eye(3) - np.eye(3, k=1)
+
+    def stories(unknowns):
+        resists = np.linalg.inv(T) @ errors.varied.model(unknowns).K @ np.linalg.inv(T).T
+        return np.diag(resists) / errors.varied.story_stiffness
+
+    at = p[errors.frame]
+    factors, J = errors.varied.story_factors(at)
+    np.testing.assert_allclose(factors, stories(at), rtol=1e-12)
+    np.testing.assert_allclose(found.frame.factors, factors)
+    for column, step in zip(J.T, 1e-6 * np.eye(len(at)), strict=True):
+        np.testing.assert_allclose(column, (stories(at + step) - stories(at - step)) / 2e-6, atol=1e-7)
+    in_record = np.diag(J @ found.frame.covariance[errors.frame, errors.frame] @ J.T)
+    assert np.all(found.frame.factors_std**2 > in_record)
+
+
 def test_limits_have_probabilities(softened):
     models, motion, drift, _, _ = softened
     ratio = np.abs(drift).max(axis=0) / 3.5
