@@ -88,7 +88,7 @@ def new(
 
 
 MISTAKE, DOUBT = 2, 3
-"""Statuses of `check`: what the other commands refuse, and what they only warn of."""
+"""Statuses of `check`: what the other commands refuse; with --strict what they only warn of."""
 
 
 def check(
@@ -101,10 +101,9 @@ def check(
         ),
     ],
     out: JsonOut = None,
+    strict: Annotated[bool, typer.Option("--strict", help="Status 3 where a doubt is open.")] = False,
 ) -> None:
-    """Tell what looks wrong in a measurement file or a record, before anything is fitted.
-
-    Status 2 for a mistake, 3 for a doubt.
+    """Tell what looks wrong in a measurement file or a record, before anything is fitted; status 2 for a mistake.
 
     Example: cvxshear check paper
     """
@@ -114,7 +113,7 @@ def check(
     experiment, tests = measured([file], accept_swapped=True)
     found = Screening.of(experiment, (item for each in tests for item in each.modes.findings))
     deliver(found.to_dict(), out, lambda: terminal.shown(found), title=experiment.report.title or experiment.name)
-    if found.doubtful:
+    if found.refused or (strict and found.doubtful):
         raise typer.Exit(MISTAKE if found.refused else DOUBT)
 
 

@@ -67,7 +67,8 @@ def test_a_doubt_stands_above_the_result(run, tmp_path):
     declared, _ = simulated(None, stories=3, configurations=1, rng=np.random.default_rng(1))
     declared["frame"]["gravity"] = 981.0
     write_measurement(tmp_path / "test.toml", declared)
-    assert run("check", tmp_path / "test.toml")[0] == 3
+    assert run("check", tmp_path / "test.toml")[0] == 0
+    assert run("check", tmp_path / "test.toml", "--strict")[0] == 3
     status, out, _ = run("identify", tmp_path / "test.toml")
     assert status == 0
     assert out.startswith("WARNING: gravity = 981 m/s² is not the Earth's")
