@@ -62,6 +62,20 @@ def test_clock_offset_is_found_and_corrected(record):
     np.testing.assert_allclose(again.mode_shapes, identify_modes(record).mode_shapes, atol=2e-3)
 
 
+@pytest.mark.parametrize("late", [0, 1, 2])
+def test_a_late_channel_is_told_whichever_the_phases_are_counted_from(late):
+    """Also the one that all modes move most, which phases without an input are compared with."""
+    eigenvalues = 2j * np.pi * np.array([2.0, 6.0, 9.0])
+    shapes = np.array([[0.4, 0.8, 1.0], [1.0, 0.7, -0.6], [-0.7, 1.0, -0.4]])
+    seconds = np.where(np.arange(3) == late, 0.004, 0.0)
+    turned = shapes * np.exp(-1j * eigenvalues.imag[:, None] * seconds)
+    told = offsets(eigenvalues, turned)
+    assert told.reference != late
+    np.testing.assert_allclose(told.seconds, seconds, atol=1e-9)
+    np.testing.assert_allclose(told.unexplained, 0.0, atol=1e-6)
+    assert told.before[late] > 5.0
+
+
 def test_clock_offset_of_the_input(record):
     late = in_step(record, {"input": (-0.012, 0.0)})
     [finding] = found(identify_modes(late), "clock offset")
