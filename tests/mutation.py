@@ -418,7 +418,7 @@ def survivors(some, known, limit, say=print):
                 failed, tests = None, tests_of(mutant, known)
             if failed is None:
                 left.append(mutant)
-            else:
+            elif failed:
                 sound.add(failed)
             what = f"NOT FOUND by {len(tests)} tests" if failed is None else f"found by {failed.rpartition('::')[2]}"
             say(f"{what}: {mutant.module}:{mutant.line} {mutant.words[:100]} ({time.monotonic() - began:.0f} s)")
