@@ -275,7 +275,7 @@ class Design:
         mass = frame.floor_masses if frame.floor_masses is not None else _nominal(priors, "floor_mass", frame.stories)
         n = len(stiffness)
         if mass is None and frame.total_mass is not None:
-            mass = np.full(n, frame.total_mass / n)
+            mass = np.ones(n)
         if mass is None:
             raise InputError(
                 "no floor mass is expected: declare frame: floor_masses or total_mass, or a nominal prior of floor_mass"
