@@ -98,6 +98,17 @@ def run(capsys):
     return call
 
 
+@pytest.fixture
+def shared_loops(monkeypatch):
+    """The loop of a measurement is closed once for all commands of the tests that ask for this."""
+    import cvxshear.planning.design  # noqa: PLC0415 - loaded by the tests that need it
+    import cvxshear.response.sources  # noqa: PLC0415
+    from tests.closed import close_loop  # noqa: PLC0415
+
+    for place in (cvxshear, cvxshear.planning.design, cvxshear.response.sources):
+        monkeypatch.setattr(place, "close_loop", close_loop)
+
+
 def needed(reason):
     """What a skipped test would need, as its reason says."""
     reason = reason.removeprefix("Skipped: ")

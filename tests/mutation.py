@@ -403,8 +403,14 @@ def survivors(some, known, limit, say=print):
                 path.write_text(mutated(before, mutant))
                 failed = first_failure(folder, tests, limit)
                 path.write_text(before)
-                if not failed or failed in sound or first_failure(folder, (failed,), limit) is None:
+                if failed is None or failed in sound:
                     break
+                # A process that ends without a word has found the change only where it does not end so without it.
+                alone = first_failure(folder, (failed,) if failed else tests, limit)
+                if alone is None:
+                    break
+                if not failed:
+                    raise SystemExit(f"without any change the tests of {mutant.module} end before their time: {alone}")
                 say(f"left out, since it fails without any change: {failed}")
                 known = [each for each in known if not (each.name.startswith(failed) or failed.startswith(each.name))]
                 failed, tests = None, tests_of(mutant, known)

@@ -12,6 +12,8 @@ from cvxshear import __version__, backends
 from cvxshear.cli import app
 from tests.frames import EXAMPLES
 
+pytestmark = pytest.mark.usefixtures("shared_loops")
+
 THREE = str(EXAMPLES / "three_story.toml")
 
 

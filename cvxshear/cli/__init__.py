@@ -17,7 +17,8 @@ from cvxshear.util.errors import CvxshearError, InputError, LostProcessError, No
 
 STATUSES = (
     "Exit status: 0 done, whatever the verdict; 1 no solution was found, or standard output could not be written; "
-    "2 wrong input, or 'check' found a mistake; 3 'loop --strict' and a verdict other than adequate or explained; "
+    "2 wrong input, or 'check' found a mistake; 3 'check --strict' and a doubt, or 'loop --strict' and a verdict other "
+    "than adequate or explained; "
     "130 interrupted."
 )
 

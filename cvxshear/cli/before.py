@@ -87,7 +87,8 @@ def new(
         write_file(output, text)
 
 
-MISTAKE_STATUS = 2
+MISTAKE, DOUBT = 2, 3
+"""Statuses of `check`: what the other commands refuse; with --strict what they only warn of."""
 
 
 def check(
@@ -100,6 +101,7 @@ def check(
         ),
     ],
     out: JsonOut = None,
+    strict: Annotated[bool, typer.Option("--strict", help="Status 3 where a doubt is open.")] = False,
 ) -> None:
     """Tell what looks wrong in a measurement file or a record, before anything is fitted; status 2 for a mistake.
 
@@ -111,8 +113,8 @@ def check(
     experiment, tests = measured([file], accept_swapped=True)
     found = Screening.of(experiment, (item for each in tests for item in each.modes.findings))
     deliver(found.to_dict(), out, lambda: terminal.shown(found), title=experiment.report.title or experiment.name)
-    if found.refused:
-        raise typer.Exit(MISTAKE_STATUS)
+    if found.refused or (strict and found.doubtful):
+        raise typer.Exit(MISTAKE if found.refused else DOUBT)
 
 
 def modes(

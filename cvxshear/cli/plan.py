@@ -21,7 +21,7 @@ def plan(
     file: Annotated[
         str,
         typer.Argument(
-            help="Design values ([frame] and nominal priors in TOML), a measurement file, a result's JSON, or 'paper'.",
+            help="Design values (a frame and nominal priors in TOML), a measurement file, a result's JSON, or 'paper'.",
             metavar="FILE",
             callback=input_files,
         ),

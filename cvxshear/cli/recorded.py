@@ -33,7 +33,7 @@ DampingKind = Annotated[
 ]
 StateName = Annotated[
     str | None,
-    typer.Option("--configuration", help="Which tested state; that with the record's added mass where not given."),
+    typer.Option("--configuration", help="Which test or state; the one with the record's added mass where not given."),
 ]
 Assumed = Annotated[
     str | None, typer.Option("--assume", help="Effects that are in the model from the start.", metavar="NAME,...")

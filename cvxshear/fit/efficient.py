@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from cvxshear import backends
 from cvxshear.backends import Backend
@@ -130,7 +130,7 @@ class Estimate:
         Where no degree of freedom is left bounds may hold the model back: the residual is then compared with one.
         """
         if self.dof <= 0:
-            return not self.misfit.open_noises and self.fit.at.chi2 > float(stats.chi2.isf(RESIDUAL_LEVEL, 1))
+            return not self.misfit.open_noises and self.fit.at.chi2 > float(special.chdtri(1, RESIDUAL_LEVEL))
         return self.p_value is not None and self.p_value < RESIDUAL_LEVEL
 
     @property
@@ -147,7 +147,7 @@ class Estimate:
             if (kind := self.misfit.noises.get(item.key)) is not None:
                 own = at.unknown[: at.measured] == place
                 squares[own] *= max(1.0, noise.of(item.key) * kind.default / kind.largest) ** 2
-        return float(stats.chi2.sf(squares.sum(), self.dof))
+        return float(special.chdtrc(self.dof, squares.sum()))
 
     @cached_property
     def quality(self) -> Quality:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from cvxshear.data import Datum, Model, noise_kinds
 from cvxshear.util.results import InJson
@@ -88,5 +88,5 @@ def quality(data: Sequence[Datum], models: Sequence[Model], chi2: float, dof: in
     for figure in (each for kind in noise_kinds().values() for each in kind.figures):
         values = np.concatenate(found.get(figure.errors, [np.zeros(0)]))
         errors[figure.key] = float(figure.statistic(values)) if values.size else None
-    p_value = float(stats.chi2.sf(chi2, dof)) if declared and dof > 0 else None
+    p_value = float(special.chdtrc(dof, chi2)) if declared and dof > 0 else None
     return Quality(errors, chi2, dof, p_value)

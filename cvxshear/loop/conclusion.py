@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from cvxshear import backends
 from cvxshear.backends import Backend
@@ -288,8 +288,9 @@ def _candidates(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[C
         else:
             gain = linear.decrease(placed)
             chi2, dof = final.chi2 - gain, final.dof - count
-            confounded = () if linear.told(placed) >= TOLD else linear.confounders(placed, names)
-        p_value = min(1.0, len(fitter.hypotheses) * float(stats.chi2.sf(max(gain, 0.0), count)))
+            if linear.told(placed) < TOLD and posterior.keeps_odds(placed):
+                confounded = linear.confounders(placed, names)
+        p_value = min(1.0, len(fitter.hypotheses) * float(special.chdtrc(count, max(gain, 0.0))))
         probability = posterior.of_effects[placed]
         found.append(Candidate(placed, probability, item.probability, chi2, dof, p_value, confounded))
     order = posterior.ranked(each.placed for each in found)
@@ -306,7 +307,7 @@ def _rests_on(final: Estimate) -> Iterator[str]:
         yield "nothing that could speak against it: the model has as many parameters as there are data"
         return
     if not final.misfit.open_noises:
-        yield "the declared standard deviations"
+        yield "the stated standard deviations"
         return
     # Not the noise of the misfit, which names no factor where the fit stopped at the default.
     factors = dict(final.noise.noise.factors)
@@ -314,7 +315,7 @@ def _rests_on(final: Estimate) -> Iterator[str]:
         f"{kind.replace('_', ' ')} {factors[kind]:.2g} times the default" for kind in final.misfit.open_noises
     )
     partly = len(final.misfit.open_noises) < len(final.misfit.noises)
-    yield f"{'declared and ' if partly else ''}estimated noise ({listed})"
+    yield f"{'stated and ' if partly else ''}estimated noise ({listed})"
 
 
 def _granted(search: Search, found: ModelClass) -> Iterator[str]:

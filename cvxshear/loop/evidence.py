@@ -19,7 +19,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import integrate, optimize, special, stats
+from scipy import integrate, optimize, special
 
 from cvxshear.effects import Placed
 from cvxshear.effects.composition import slices
@@ -117,7 +117,8 @@ def _program(estimate: Estimate) -> LeastSquares:
 def _log_constant(placed: Placed, expectation: Expectation) -> float:
     """Logarithm of the constant of an effect's prior, times sqrt(2 pi) for each parameter, as in Laplace's integral."""
     value = 0.0
-    prior = stats.norm if placed.effect.common_size else stats.t(placed.effect.tail)
+    tail, normal = placed.effect.tail, placed.effect.common_size
+    peak = -0.5 * np.log(2 * np.pi) if normal else -0.5 * np.log(tail) - special.betaln(0.5 * tail, 0.5)
     for item, std in zip(placed.effect.parameters, expectation.of(placed), strict=True):
         if np.isinf(std) and np.isinf(item.upper - item.lower):
             # Nothing is expected of it at all, as may be of what was assumed and is in every set.
@@ -126,8 +127,9 @@ def _log_constant(placed: Placed, expectation: Expectation) -> float:
         if np.isinf(std):
             value -= np.log(item.upper - item.lower)
         else:
-            below, above = (item.lower - item.null) / std, (item.upper - item.null) / std
-            value += prior.logpdf(0.0) - np.log(std) - np.log(prior.cdf(above) - prior.cdf(below))
+            ends = (np.array([item.lower, item.upper]) - item.null) / std
+            below, above = special.ndtr(ends) if normal else special.stdtr(tail, ends)
+            value += peak - np.log(std) - np.log(above - below)
     return float(value)
 
 

@@ -182,6 +182,10 @@ class Posterior:
         """Return the logarithm of an effect's prior odds."""
         return float(np.log(self._prior[placed]) - np.log1p(-self._prior[placed]))
 
+    def keeps_odds(self, placed: Placed) -> bool:
+        """Tell whether the data left an effect's odds about as they were."""
+        return placed in self._kept_odds
+
     def untold(self) -> list[Placed]:
         """Effects whose odds the data left about as they were, though they are, or were, even or better."""
         return [

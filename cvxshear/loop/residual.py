@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from cvxshear.data import Datum, Deviation, Model
 from cvxshear.fit.efficient import Estimate
@@ -48,13 +48,13 @@ def where_it_sits(estimate: Estimate) -> list[str]:
     found = [
         (abs(part.deviations), _said(part))
         for part in parts
-        if stats.chi2.sf(part.deviations**2 * part.entries, part.entries) < level
+        if special.chdtrc(part.entries, part.deviations**2 * part.entries) < level
     ]
     rows = len([part for part in parts if part.entries > 1]) or 1
     found += [
         (deviation, f"floor {floor} ({deviation:.1f} standard deviations, root mean square)")
         for floor, deviation in floors.items()
-        if stats.chi2.sf(deviation**2 * rows, rows) < level
+        if special.chdtrc(rows, deviation**2 * rows) < level
     ]
     return [text for _, text in sorted(found, key=lambda item: -item[0])]
 

@@ -45,7 +45,7 @@ DOUBTS = {
     "time_unit": "frequencies are lower than those of any frame: times in ms, or frequencies in kHz",
     "deviations": "standard deviations are finer than any instrument measures, or look like percent",
     "repeated": "configurations repeat each other to the last digit",
-    "gravity": "gravity is not that of the Earth in m/s2",
+    "gravity": "gravity is not that of the Earth in m/s²",
     "total_mass": "the total mass contradicts what the added masses did to the frequencies",
 }
 """Findings of `check` that are warnings, each with what looks wrong."""

@@ -28,6 +28,7 @@ import copy
 import itertools
 import warnings
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -47,6 +48,9 @@ MOST_UNKNOWNS = 0.1
 
 LARGEST_GROWTH = 1.002
 """A sample; a lightly damped pole may come out that much unstable by chance."""
+
+PANEL = 16
+"""Columns that LAPACK takes at a time; the time hardly depends on it."""
 
 
 def lags_for(stories: int, outputs: int, samples: int) -> int:
@@ -84,13 +88,21 @@ class Triangles:
     Parameters
     ----------
     pieces : sequence of array, shape (k, k)
+        Upper triangular.
     """
 
     def __init__(self, pieces: Sequence[Floats]) -> None:
         self.pieces = list(pieces)
-        # Of the blocks before each, and after: without one block, two triangles make the whole, not all but one.
-        self._before = list(itertools.accumulate(self.pieces, _joined))
-        self._after = list(itertools.accumulate(reversed(self.pieces), _joined))[::-1]
+
+    @cached_property
+    def _before(self) -> list[Floats]:
+        """Up to each block, and it; with `_after`, two triangles make the whole without one block, not all but one."""
+        return list(itertools.accumulate(self.pieces, _joined))
+
+    @cached_property
+    def _after(self) -> list[Floats]:
+        """From each block on."""
+        return list(itertools.accumulate(reversed(self.pieces), _joined))[::-1]
 
     def together(self, keep: Bools | None) -> Floats:
         """Return the triangle of all blocks, or of those kept."""
@@ -105,7 +117,10 @@ class Triangles:
 
 
 def _joined(first: Floats, second: Floats) -> Floats:
-    return _triangle(np.vstack([first, second]))
+    """Triangle of two one above the other, which LAPACK makes without a look at their zeros."""
+    size = len(first)
+    triangle: Floats = linalg.lapack.dtpqrt(size, min(PANEL, size), first, second)[0]
+    return triangle
 
 
 class OkidSource(Source):
@@ -152,7 +167,7 @@ class OkidSource(Source):
         other.lags, other._latest = self.lags // 2, None
         width = self.inputs + other.lags * (self.inputs + self.outputs)
         columns = np.r_[:width, -self.outputs : 0]
-        other._triangles = Triangles([piece[:, columns] for piece in self._triangles.pieces])
+        other._triangles = Triangles([_triangle(piece[:, columns]) for piece in self._triangles.pieces])
         return other
 
     def _regressed(self, keep: Bools | None) -> Floats:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from cvxshear.modal.frf import (
     FrfSource,
@@ -314,7 +314,7 @@ def covariance(setting: Replication, full: Details, seed: int) -> tuple[Floats, 
             result, how = _widened(result, disturbed(setting, full, seed)), f"{how}, at least {SURROGATES} surrogates'"
         else:
             # 95 % of the errors are to lie within 1.96 of deviations that are themselves estimates from so many pieces.
-            factor = stats.t.isf(0.025, freedom) / stats.norm.isf(0.025)
+            factor = special.stdtrit(freedom, 0.025) / special.ndtri(0.025)
             result = result * np.outer(factor, factor)
         bias = _bias(setting, full)
         if bias is not None:

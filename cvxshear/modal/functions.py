@@ -11,7 +11,7 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
+import scipy
 
 from cvxshear.modal.frf import Spectra, hit_spectra, table_spectra
 from cvxshear.records.record import Complexes, FrfRecord, Record, TimeRecord
@@ -175,8 +175,8 @@ def _segment(record: TimeRecord, highest: float) -> int:
 def _welch(columns: Floats, reference: int, rate: float, segment: int) -> tuple[Complexes, Floats]:
     """Cross-spectra of all columns with one, and their own spectra, each of shape (lines, columns)."""
     part = min(segment, len(columns))
-    _, cross = signal.csd(columns[:, [reference]], columns, rate, nperseg=part, nfft=segment, axis=0)
-    _, power = signal.welch(columns, rate, nperseg=part, nfft=segment, axis=0)
+    _, cross = scipy.signal.csd(columns[:, [reference]], columns, rate, nperseg=part, nfft=segment, axis=0)
+    _, power = scipy.signal.welch(columns, rate, nperseg=part, nfft=segment, axis=0)
     return np.asarray(cross), np.asarray(power)
 
 

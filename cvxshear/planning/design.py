@@ -140,7 +140,8 @@ class Design:
 
     def shell(self) -> Experiment:
         """Make an experiment that holds the frame's dimensions for the forward model; its masses are those expected."""
-        frame = dataclasses.replace(self.frame, floor_masses=self.floor_mass, total_mass=None)
+        # The states that the file names are those of its tests, not of the one that is planned.
+        frame = dataclasses.replace(self.frame, floor_masses=self.floor_mass, total_mass=None, reference=None)
         return Experiment(frame, (self.blank(np.zeros(self.stories)),))
 
     def blank(self, added_mass: Floats, name: str = "planned test") -> Configuration:
@@ -255,6 +256,10 @@ class Design:
         InputError
             Where no design values are declared.
         """
+        if "record" in declared:
+            raise InputError(
+                "a record file holds no design values: plan with the measurement file that 'cvxshear modes' makes of it"
+            )
         table = checks.keys(declared, ["frame", "prior"], ["prior"], "a file of design values")
         frame = Frame.from_dict(table.get("frame") or {})
         items = table["prior"]

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from cvxshear.records.record import Complexes, TimeRecord
 from cvxshear.records.signals import impulsive
@@ -191,7 +191,7 @@ def band_clock(segments: Segments, first: int, second: int) -> BandClock:
         return BandClock(float(grid[place]), 0.0, step, np.inf, agreement, chance, float(grid[place]))
     middle, slope, std, slope_std = _line(around[sound], tops[sound], heights[sound])
     slope_std = float(np.hypot(slope_std, STEADY / segments.rate / half))
-    certain = float(stats.t.isf(DRIFT_CHANCE, max(int(np.count_nonzero(sound)) - 2, 1)))
+    certain = -float(special.stdtrit(max(int(np.count_nonzero(sound)) - 2, 1), DRIFT_CHANCE))
     if abs(slope) < certain * slope_std or abs(slope) * half < DRIFT_SHORTEST / segments.rate:
         return BandClock(middle, 0.0, std, slope_std, agreement, chance, middle)
     start = middle - slope * float(np.average(times, weights=weights))

@@ -9,7 +9,7 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from scipy import signal
+import scipy
 
 from cvxshear.records.clocks import BandClock, Segments, band_clock
 from cvxshear.records.floors import one_a_floor, turning
@@ -308,8 +308,8 @@ def floor_over_base(record: TimeRecord) -> tuple[Floats, Floats] | None:
         assert run.excitation is not None
         both = np.column_stack([run.excitation, run.responses])
         weight = run.samples
-        frequencies, each = signal.csd(both[:, [0]], both, rate, nperseg=length, axis=0)
-        _, own = signal.welch(both, rate, nperseg=length, axis=0)
+        frequencies, each = scipy.signal.csd(both[:, [0]], both, rate, nperseg=length, axis=0)
+        _, own = scipy.signal.welch(both, rate, nperseg=length, axis=0)
         cross, power, base = cross + weight * each[:, 1:], power + weight * own[:, 1:], base + weight * own[:, [0]]
     transfer, coherence = cross / base, np.abs(cross) ** 2 / (base * power)
     usual = np.median(np.abs(transfer[2:]), axis=0)

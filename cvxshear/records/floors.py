@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from scipy import signal
+import scipy
 
 from cvxshear.records.record import Channel, Finding, Record, Run, TimeRecord
 from cvxshear.records.signals import AnyRecord, only, scaled, with_responses
@@ -94,8 +94,8 @@ def turning(record: TimeRecord) -> Callable[[float], float] | None:
         for group in groups:
             values = run.responses[:, group]
             middle = (values @ center_weights(record, group)[0])[:, None]
-            mean += run.samples * signal.welch(middle, rate, nperseg=length, axis=0)[1].mean(axis=1)
-            apart += run.samples * signal.welch(values - middle, rate, nperseg=length, axis=0)[1].mean(axis=1)
+            mean += run.samples * scipy.signal.welch(middle, rate, nperseg=length, axis=0)[1].mean(axis=1)
+            apart += run.samples * scipy.signal.welch(values - middle, rate, nperseg=length, axis=0)[1].mean(axis=1)
 
     def share(frequency: float) -> float:
         near = np.abs(lines - frequency) <= max(2 * lines[1], NEARBY * frequency)

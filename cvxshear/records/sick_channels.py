@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy import linalg, ndimage, signal
+import scipy
+from scipy import linalg, ndimage
 
 from cvxshear.records.clocks import mains_lines
 from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord
@@ -272,7 +273,7 @@ def _held(values: Floats, where: str, name: str) -> Finding | None:
 def _drift(values: Floats, where: str, name: str) -> Finding | None:
     tenth = max(1, len(values) // 10)
     change = float(values[-tenth:].mean() - values[:tenth].mean())
-    around = signal.detrend(values)
+    around = scipy.signal.detrend(values)
     level = float(around.std())
     # The mean of a tenth scatters by itself; only a change well beyond that is a drift.
     pieces = [float(part.mean()) for part in np.array_split(around, 20)]
@@ -288,7 +289,7 @@ def _drift(values: Floats, where: str, name: str) -> Finding | None:
 
 
 def _aliased(values: Floats, where: str, name: str, rate: float) -> Finding | None:
-    _, power = signal.welch(values, fs=rate, nperseg=min(1024, len(values)))
+    _, power = scipy.signal.welch(values, fs=rate, nperseg=min(1024, len(values)))
     top = power[int(0.9 * len(power)) :]
     below = power[int(0.7 * len(power)) : int(0.9 * len(power))]
     share = float(top.sum() / power.sum()) if power.sum() > 0 else 0.0
@@ -308,7 +309,7 @@ def _humming(values: Floats, where: str, name: str, rate: float) -> Finding | No
     length = min(len(values), int(20 * rate)) // 2 * 2
     if length < 4 * rate:
         return None
-    frequencies, power = signal.welch(values, fs=rate, nperseg=length)
+    frequencies, power = scipy.signal.welch(values, fs=rate, nperseg=length)
     lines = mains_lines(length, rate)
     # Hum that folds to 0 Hz cannot be told from an offset or a drift.
     lines = lines[lines > 1]

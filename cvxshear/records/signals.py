@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy import signal
+import scipy
 
 from cvxshear.records.record import Channel, FrfRecord, Run, TimeRecord
 from cvxshear.util.errors import InputError
@@ -29,7 +29,7 @@ def impulsive(run: Run) -> bool:
 
 def detrended(record: TimeRecord) -> TimeRecord:
     """Remove mean and straight-line drift."""
-    return _mapped(record, lambda values: signal.detrend(values, axis=0), record.sampling_rate)
+    return _mapped(record, lambda values: scipy.signal.detrend(values, axis=0), record.sampling_rate)
 
 
 def decimated(record: TimeRecord) -> TimeRecord:
@@ -42,7 +42,7 @@ def decimated(record: TimeRecord) -> TimeRecord:
     if min(run.samples for run in record.runs) < 40 * factor:
         raise InputError(f"the record is too short to be decimated to its band up to {record.band[1]:g} Hz; widen it")
     return _mapped(
-        record, lambda values: signal.decimate(values, factor, ftype="fir", axis=0), record.sampling_rate / factor
+        record, lambda values: scipy.signal.decimate(values, factor, ftype="fir", axis=0), record.sampling_rate / factor
     )
 
 

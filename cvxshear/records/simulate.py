@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, signal
+import scipy
+from scipy import linalg
 
 from cvxshear.records.record import Channel, Run, TimeRecord
 from cvxshear.util.typing import Floats
@@ -63,15 +64,16 @@ class KnownFrame:
         inverse = np.diag(1 / np.asarray(self.masses))
         system = np.block([[np.zeros((count, count)), np.eye(count)], [-inverse @ self.stiffness, -inverse @ damper]])
         load = np.vstack([np.zeros((count, count)), inverse])
-        a, b, c, d, _ = signal.cont2discrete((system, load, system[count:], inverse), step, method="foh")
-        # The modes of the discrete system decouple, so each is one recursive filter.
+        a, b, c, d, _ = scipy.signal.cont2discrete((system, load, system[count:], inverse), step, method="foh")
+        # The modes of the discrete system decouple, so each is one recursive filter; of a conjugate pair one will do.
         values, vectors = np.linalg.eig(a)
-        drive = forces @ np.linalg.solve(vectors, b.astype(complex)).T
-        output = forces @ d.T
-        for place, value in enumerate(values):
-            state = signal.lfilter([0.0, 1.0], [1.0, -value], drive[:, place])
-            output = output + np.real(np.outer(state, c @ vectors[:, place]))
-        return np.asarray(output)
+        one = values.imag >= 0.0
+        weights = np.where(values.imag > 0.0, 2.0, 1.0)[one]
+        drive = forces @ np.linalg.solve(vectors, b.astype(complex))[one].T
+        for place, value in enumerate(values[one]):
+            drive[:, place] = scipy.signal.lfilter([0.0, 1.0], [1.0, -value], drive[:, place])
+        out = weights * (c @ vectors[:, one])
+        return np.asarray(forces @ d.T + drive.real @ out.real.T - drive.imag @ out.imag.T)
 
 
 PAPER_FRAME = KnownFrame(np.array([10.0, 7.5, 5.0]), np.array([1800.0, 1200.0, 600.0]), 0.01)
@@ -153,8 +155,8 @@ def ambient_record(
 
 def _white(count: int, random: np.random.Generator) -> Floats:
     """Noise that is white up to 0.8 of half the record's sampling rate, of unit standard deviation."""
-    lowpass = signal.butter(6, 0.8 / OVERSAMPLING, output="sos")
-    values = signal.sosfiltfilt(lowpass, random.standard_normal(count))
+    lowpass = scipy.signal.butter(6, 0.8 / OVERSAMPLING, output="sos")
+    values = scipy.signal.sosfiltfilt(lowpass, random.standard_normal(count))
     return np.asarray(values / values.std())
 
 
@@ -170,7 +172,7 @@ def _sensed(
     values: Floats, noise: float, random: np.random.Generator, floor: int, name: str, *, driven: bool = True
 ) -> Run:
     """Filter against aliasing, sample and disturb; the first column is the input where there is one."""
-    sampled = signal.decimate(values, OVERSAMPLING, ftype="fir", axis=0)
+    sampled = scipy.signal.decimate(values, OVERSAMPLING, ftype="fir", axis=0)
     disturbed = sampled + noise * sampled.std(axis=0) * random.standard_normal(sampled.shape)
     if not driven:
         return Run(disturbed, name=name)

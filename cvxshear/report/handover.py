@@ -13,6 +13,7 @@ from scipy import io
 from cvxshear.data import Deviation
 from cvxshear.files.spreadsheets import Cell, Sheet, workbook
 from cvxshear.fit.misfit import Misfit
+from cvxshear.report.describe.before_after import MODELS
 from cvxshear.response import Fitted, RecordPrediction
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.uncertain import Damped
@@ -107,9 +108,9 @@ def _modes(result: RecordPrediction) -> Sheet:
 
 
 def _residuals(result: RecordPrediction) -> Sheet:
-    """Tabulate the error of each part of the measurement, relative and in standard deviations, before and after."""
+    """Tabulate the error of each part of the measurement, relative and in standard deviations, for each model."""
     sides = [side.fitted for side in (result.before, result.after) if side is not None]
-    words = ["before", "after"][-len(sides) :]
+    words = MODELS if len(sides) == len(MODELS) else MODELS[bool(result.after.fitted.effects) :][:1]
     measures = ["relative error", "standard deviations off"]
     header = ("configuration", "part", "quantity", *(f"{measure}, {word}" for measure in measures for word in words))
     rows: list[tuple[Cell, ...]] = []

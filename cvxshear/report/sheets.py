@@ -12,7 +12,7 @@ from cvxshear.loop import Closure
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.methods import Identification
 from cvxshear.modal import ModalResult
-from cvxshear.report.describe.before_after import compared_errors
+from cvxshear.report.describe.before_after import MODELS, compared_errors
 from cvxshear.util.typing import Json
 
 FRAME = ("floor / story", "floor mass, kg", "floor mass std, kg", "story stiffness, N/m", "story stiffness std, N/m")
@@ -35,7 +35,7 @@ def sheets_of_identification(result: Identification) -> list[Sheet]:
 
 
 def sheets_of_closure(result: Closure) -> list[Sheet]:
-    """Tabulate the identified frame, the effects added, the errors before and after, and the modes."""
+    """Tabulate the identified frame, the effects added, the errors of both models, and the modes."""
     said = result.to_dict()
     words = {key: label for key, label, _ in compared_errors("predicted from the rest")}
     errors: list[tuple[Cell, ...]] = [
@@ -44,7 +44,7 @@ def sheets_of_closure(result: Closure) -> list[Sheet]:
     return [
         Sheet("frame", FRAME, list(_frame_rows(said["frame"]))),
         Sheet("effects", ("effect", "floor", "story", "configuration", "parameter", "value", "std"), _effects(said)),
-        Sheet("errors", ("error", "before", "after"), errors),
+        Sheet("errors", ("error", *MODELS), errors),
         _frequencies(result.experiment, said["predictions"]),
     ]
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
+import scipy
 
 from cvxshear.records.motion import Motion
 from cvxshear.response.damped import Complexes, DampedModel, Response
@@ -82,11 +82,11 @@ def transfer(excitations: Sequence[Floats], responses: Sequence[Floats], rate: f
     power: Floats | float = 0.0
     frequencies = np.zeros(0)
     for f, y in zip(excitations, responses, strict=True):
-        frequencies, own = signal.welch(f, rate, nperseg=length)
+        frequencies, own = scipy.signal.welch(f, rate, nperseg=length)
         weight = len(f)
         force = force + weight * own
-        power = power + weight * signal.welch(y, rate, nperseg=length, axis=0)[1]
-        cross = cross + weight * signal.csd(f[:, None], y, rate, nperseg=length, axis=0)[1]
+        power = power + weight * scipy.signal.welch(y, rate, nperseg=length, axis=0)[1]
+        cross = cross + weight * scipy.signal.csd(f[:, None], y, rate, nperseg=length, axis=0)[1]
     # Lines that nothing drives have no transfer function; 0 / 0 stands for it.
     with np.errstate(divide="ignore", invalid="ignore"):
         functions = np.asarray(cross) / np.asarray(force)[:, None]
@@ -309,7 +309,7 @@ def _around_modes(
         for side in (measured, predicted)
     ]
     # The excitation's own lines may be nearly empty; weighed by them, the functions are the responses' spectra.
-    shaken = np.array([signal.detrend(f[:length]) * np.hanning(length) for f in excitations])
+    shaken = np.array([scipy.signal.detrend(f[:length]) * np.hanning(length) for f in excitations])
     weights = np.sum(np.abs(np.fft.rfft(shaken, axis=1)) ** 2, axis=0)
     for mode in few:
         near = around(finer[0].frequencies, natural, int(mode))

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import signal
 
 from cvxshear.model.shear import Modes, modes
 from cvxshear.records.motion import Drive
@@ -187,7 +187,7 @@ def driven_poles(s: Complexes, p: Floats, step: float) -> Complexes:
     z = np.empty((len(E), len(p)), dtype=np.complex128)
     for row in range(len(E)):
         # The state before the first sample is such that the first output is zero: the frame is at rest.
-        z[row], _ = signal.lfilter(
+        z[row], _ = scipy.signal.lfilter(
             [now[row], before[row]], [1.0, -E[row]], p, zi=np.array([-now[row] * p[0]])
         )  # fmt: skip
     return z

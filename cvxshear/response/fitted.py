@@ -93,7 +93,7 @@ class Fitted(InJson):
         names = listed([placed.label for placed in self.effects if placed.acts_on(configuration)])
         if names:
             return f"shear model with {names}"
-        return "shear model, its effects in other states only" if self.effects else "shear model"
+        return "shear model (the effects found sit in other states)" if self.effects else "shear model"
 
     @cached_property
     def root(self) -> Floats:

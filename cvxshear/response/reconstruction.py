@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from cvxshear import backends
 from cvxshear.backends import Backend
@@ -237,7 +237,7 @@ def reconstruct(
     passed = None
     if experiment.limits is not None and "story_drift_ratio" in peaks.values:
         ratio, std = peaks.values["story_drift_ratio"], np.maximum(peaks.std["story_drift_ratio"], 1e-300)
-        passed = np.asarray(stats.norm.sf(experiment.limits.story_drift[:, None], ratio, std), dtype=np.float64)
+        passed = np.asarray(special.ndtr((ratio - experiment.limits.story_drift[:, None]) / std), dtype=np.float64)
     found = Reconstruction(
         work.recording, state, solver.name, frame.fitted, frame.kind, fitted, fitted.model, tuple(runs), peaks,
         None if predicted is None else peaks_of((item, {}) for item in predicted), tuple(checks),

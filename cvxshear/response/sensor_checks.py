@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from cvxshear.response.damped import Response
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, refitted
@@ -163,7 +163,7 @@ def whiteness(work: FrameMotion, smoothed: Sequence[Smoothed]) -> tuple[Whitenes
         found.append(
             Whiteness(
                 int(floor), float(np.sqrt(power / count)), float(correlation[at]),
-                float(lags[at]) * work.recording.step, float(stats.chi2.sf(statistic, len(lags))),
+                float(lags[at]) * work.recording.step, float(special.chdtrc(len(lags), statistic)),
                 int(np.sum((weights > 0) & (weights < 1))), int(np.sum(weights == 0)),
             )
         )  # fmt: skip

@@ -133,8 +133,8 @@ def state_of(experiment: Experiment, record: Motion | Recording, name: str | Non
     experiment : Experiment
     record : Motion or Recording
     name : str, optional
-        Of a configuration. Where none is given: one of the record's state with the record's added mass; without such,
-        the only configuration, or the state with the record's added mass on it.
+        Of a configuration, or of a state: its configuration with the record's added mass then. Where none is given:
+        that of the record's state; without such, the only configuration, or the one with the record's added mass.
 
     Raises
     ------
@@ -147,10 +147,13 @@ def state_of(experiment: Experiment, record: Motion | Recording, name: str | Non
         raise InputError(f"{record.name} speaks of floor {highest}, the frame has {experiment.stories} stories")
     configurations = experiment.configurations
     if name is not None:
-        choice(name, [each.name for each in configurations], "configuration")
-        return next(each for each in configurations if each.name == name)
-    if record.state is not None and (record.state in experiment.states or len(experiment.states) > 1):
-        configurations = tuple(each for each in configurations if each.state == record.state)
+        names = {each.name: each for each in configurations}
+        choice(name, [*names, *(state for state in experiment.states if state not in names)], "configuration")
+        if name in names:
+            return names[name]
+    state = record.state if name is None else name
+    if state is not None and (state in experiment.states or len(experiment.states) > 1):
+        configurations = tuple(each for each in configurations if each.state == state)
         if not configurations:
             known = listed([f'"{state}"' for state in experiment.states])
             raise InputError(

@@ -23,7 +23,7 @@ from cvxshear.util.typing import Floats, Json
 EARTH = (9.7, 10.0)
 """Range (m/s2) of the Earth's gravity: 9.78 to 9.83 between the equator and the poles, and often rounded."""
 
-OTHER_GRAVITIES = ((981.0, "cm/s2"), (9810.0, "mm/s2"), (32.2, "ft/s2"), (386.0, "in/s2"), (1.0, "g"))
+OTHER_GRAVITIES = ((981.0, "cm/s²"), (9810.0, "mm/s²"), (32.2, "ft/s²"), (386.0, "in/s²"), (1.0, "g"))
 """The Earth's gravity in other units, with their names."""
 
 HIGHEST_STORY = 25.0
@@ -140,8 +140,8 @@ def gravity(experiment: Experiment) -> Iterator[Finding]:
     if EARTH[0] <= value <= EARTH[1]:
         return
     unit = next((f" (that would be {unit})" for size, unit in OTHER_GRAVITIES if _near(value, size)), "")
-    said = f"gravity = {value:g} m/s2 is not the Earth's{unit}"
-    yield _doubt("gravity", said, "write it in m/s2, 9.81, or leave it out")
+    said = f"gravity = {value:g} m/s² is not the Earth's{unit}"
+    yield _doubt("gravity", said, "write it in m/s², 9.81, or leave it out")
 
 
 def heights(experiment: Experiment) -> Iterator[Finding]:

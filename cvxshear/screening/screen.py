@@ -77,6 +77,10 @@ FAR_DATUM = 3.5
 """Standard deviations, the smaller tolerance included, below which no datum of a reading counts as wrong."""
 
 
+MISDECLARED = ("sign", "unit", "swapped channels")
+"""Kinds of remarks on a record that a change of its file settles; all others are of the record itself."""
+
+
 @dataclass(frozen=True, repr=False)
 class Screening(Shown):
     """What `check` shows of a file.
@@ -98,7 +102,7 @@ class Screening(Shown):
     findings: tuple[Finding, ...]
     record: tuple[RecordFinding, ...] = ()
 
-    json_keys = "name refused findings record"
+    json_keys = "name refused doubtful findings record"
 
     @staticmethod
     def of(experiment: Measurement, record: Iterable[RecordFinding] = ()) -> Screening:
@@ -110,6 +114,11 @@ class Screening(Shown):
     def refused(self) -> bool:
         """Whether nothing is to be fitted before something is changed or accepted."""
         return any(item.refuses for item in self.findings)
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether a doubt is open, or a record contradicts what its file declares of a sensor."""
+        return bool(self.findings) or any(item.kind in MISDECLARED for item in self.record)
 
 
 def screen(experiment: Measurement) -> tuple[Finding, ...]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import dataclasses
 import functools
 import hashlib
 import inspect
@@ -173,11 +174,17 @@ def once(function: Callable[P, R]) -> Callable[P, R]:
 
         given = signature.bind(*args, **kwargs)
         given.apply_defaults()
-        registered = [each.name for each in catalogue()], sorted(_kinds)
-        try:
-            key = pickle.dumps((function.__name__, sorted(given.arguments.items()), registered))
-        except (pickle.PicklingError, AttributeError, TypeError):
+        if any(isinstance(each, str | os.PathLike) and os.path.exists(each) for each in given.arguments.values()):
+            # A file of the same name may hold something else next time.
             return function(*args, **kwargs)
+        registered = [each.name for each in catalogue()], sorted(_kinds)
+        written = io.BytesIO()
+        try:
+            values = {name: tuple(each) if isinstance(each, list) else each for name, each in given.arguments.items()}
+            Fields(written).dump((function.__name__, sorted(values.items()), registered))
+        except (pickle.PicklingError, AttributeError, TypeError, ValueError):
+            return function(*args, **kwargs)
+        key = written.getvalue()
         if key not in made:
             made[key] = kept(hashlib.sha256(key).hexdigest(), functools.partial(function, *args, **kwargs))
         return made[key]
@@ -189,6 +196,19 @@ def effects_of_the_package() -> dict[str, object]:
     from cvxshear.effects import catalogue, open_classes  # noqa: PLC0415
 
     return {each.name: each for each in (*catalogue(), *open_classes())}
+
+
+class Fields(pickle.Pickler):
+    """Writes equal things alike, whatever has been computed of them and whichever of their parts are one object."""
+
+    def __init__(self, file: io.BytesIO) -> None:
+        super().__init__(file)
+        self.fast = True
+
+    def reducer_override(self, obj: object) -> object:
+        if dataclasses.is_dataclass(obj) and not isinstance(obj, type):
+            return type(obj), tuple(getattr(obj, each.name) for each in dataclasses.fields(obj) if each.init)
+        return NotImplemented
 
 
 class Writer(pickle.Pickler):
@@ -223,10 +243,19 @@ def kept(name: str, make: Callable[[], R]) -> R:
     return result
 
 
-def main(arguments: list[str]) -> None:
+def share() -> None:
+    """From here on this process closes loops and draws reports once, see `once`."""
     import cvxshear.loop  # noqa: PLC0415
 
     cvxshear.close_loop = cvxshear.loop.close_loop = once(cvxshear.loop.close_loop)
+    # What imports the loop does so after this.
+    from cvxshear.report import html  # noqa: PLC0415
+
+    html.drawings, html.compare_backends = once(html.drawings), once(html.compare_backends)
+
+
+def main(arguments: list[str]) -> None:
+    share()
     examples, *pages = [Path(argument).resolve() for argument in arguments]
     results = {}
     for page in pages:

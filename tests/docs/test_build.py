@@ -10,8 +10,18 @@ from pathlib import Path
 
 import pytest
 
+from tests.docs import runner
+
 ROOT = Path(__file__).parents[2]
 NEEDED = ("sphinx", "myst_parser", "numpydoc", "furo", "latex2mathml", "matplotlib")
+
+BUILD = f"""
+import runpy, sys
+runpy.run_path({runner.__file__!r})["share"]()
+from sphinx.cmd.build import main
+sys.exit(main(sys.argv[1:]))
+"""
+"""As `python -m sphinx`, but loops that pages of `test_blocks` close as well are closed once."""
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +38,7 @@ def site(tmp_path_factory):
     for name in ("CHANGELOG.md", "README.md"):
         shutil.copy(ROOT / name, folder)
     found = subprocess.run(
-        [sys.executable, "-P", "-m", "sphinx", "-W", "-q", "-b", "html", "docs", "build/docs"],
+        [sys.executable, "-P", "-c", BUILD, "-W", "-q", "-b", "html", "docs", "build/docs"],
         cwd=folder,
         capture_output=True,
         text=True,

@@ -59,11 +59,12 @@ def written(declared, path):
     return path
 
 
-@pytest.mark.parametrize("seed", [105, 106])
-def test_commands_end_in_results_or_in_words(seed, run, tmp_path):
+@pytest.mark.parametrize(("seed", "report"), [(105, True), (106, False)])
+def test_commands_end_in_results_or_in_words(seed, report, run, tmp_path):
     """A soft prior, configurations without shapes, a single sensor."""
     path = written(odd(seed), tmp_path / "odd.toml")
-    for command in (["check"], ["identify"], ["plan"], ["loop", "--report", tmp_path / "report.html"]):
+    written_to = ["--report", tmp_path / "report.html"] if report else []
+    for command in (["check"], ["identify"], ["plan"], ["loop", *written_to]):
         status, out, err = run(command[0], path, *command[1:])
         assert status in (0, 1, 2)
         assert "Traceback" not in out + err

@@ -69,6 +69,16 @@ def test_a_record_with_a_mistake_is_status_two(record, tmp_path, capsys):
     assert not (tmp_path / "never.toml").exists()
 
 
+def test_check_asks_about_a_sensor_that_its_file_has_the_wrong_way(record, capsys):
+    record.write_text(record.read_text().replace("floor = 2\n", "floor = 2\nsign = -1\n"))
+    status, shown = run(capsys, "check", str(record))
+    assert status == 3
+    assert "RECORD: sign" in shown.out
+    assert json.loads(run(capsys, "check", str(record), "--json", "-")[1].out)["doubtful"]
+    # What `modes` puts right stops no other command.
+    assert run(capsys, "modes", str(record))[0] == 0
+
+
 def test_check_takes_a_record_and_says_what_its_diagnostics_say(record, capsys):
     status, shown = run(capsys, "check", str(record), "--json", "-")
     assert status == 0, shown.err

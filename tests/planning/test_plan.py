@@ -195,6 +195,7 @@ def test_a_wrong_option_is_refused(file, options, message):
         ("[20.0, 20.0, 18.0, 15.0]", "[20.0, 20.0, 18.0]", "must agree"),
         ("story_heights", "story_height", "did you mean 'story_heights'"),
         ("[[prior]]", "[[priors]]", "unknown key 'priors'"),
+        ("[[prior]]", "[record]\n[[prior]]", "plan with the measurement file that 'cvxshear modes' makes of it"),
     ],
 )
 def test_a_wrong_file_of_design_values_is_refused(file, old, new, message):
@@ -333,13 +334,16 @@ def test_a_plan_on_measured_modes_expects_the_measured_frequencies_with_what_the
     assert without.misfit.measured in np.concatenate([each["frequencies"] for each in tests])
 
 
+@pytest.mark.usefixtures("shared_loops")
 def test_the_state_that_is_tested_again_is_the_one_asked_for():
     mass, stiffness = [10.0, 10.0, 9.0, 8.0], np.array([24e3, 20e3, 16e3, 10e3])
     softer = stiffness * [1.0, 0.7, 1.0, 1.0]
     known = {"rng": np.random.default_rng(4), "frequency_noise": 0.001, "shape_noise": 0.01}
     before, after = (configuration(mass, each, **known) for each in (stiffness, softer))
     tests = [{**before, "name": "sound"}, {**after, "name": "damaged"}]
-    of = cvxshear.Experiment.from_dict(experiment(mass, stiffness, *tests))
+    declared = experiment(mass, stiffness, *tests)
+    declared["frame"]["reference"] = "sound"
+    of = cvxshear.Experiment.from_dict(declared)
     for state, table in (("sound", before), ("damaged", after)):
         found = plan(of, modes=2, loop=True, state=state)
         expected = [each.frequency for each in found.expected_modes]

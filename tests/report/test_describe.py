@@ -236,7 +236,7 @@ def test_the_noise_is_told_in_percent_and_as_a_factor(paper, unexplained):
     said = terminal.text(paper)
     factor, std = (paper.noise.to_dict()["mode_shape"][key] for key in ("factor", "std"))
     assert f"{factor:.2f} ± {std:.2f} % (estimated: {factor:.2f} ± {std:.2f} times the default)" in said
-    assert "noise of frequencies  as declared" in terminal.text(unexplained)
+    assert "noise of frequencies  as stated" in terminal.text(unexplained)
 
 
 def test_a_fit_that_did_not_converge_is_said_wherever_its_numbers_are_shown(paper):

@@ -16,6 +16,7 @@ from cvxshear.report.describe import Sentence, Table, describe
 from cvxshear.response import Drive, Motion, predict
 from cvxshear.screening import Screening
 from cvxshear.util.quantities import Units
+from tests.fe.experiments import simulated
 from tests.planning.common import NOISE, slow_covariance, tapered
 from tests.report.conftest import NASTY
 from tests.response.common import damped_frame, declared, integrated, matrices, pole_ratios, shaking
@@ -126,7 +127,7 @@ def test_what_a_plan_leaves_open_is_called_so():
 def test_a_prediction_is_described_by_its_peaks_and_errors(predicted, shaken):
     total, relative = shaken[3]
     shown = table(predicted, "prediction-peaks")
-    assert shown.head[1:4] == ("acceleration, m/s2", "displacement, mm", "drift, mm")
+    assert shown.head[1:4] == ("acceleration, m/s²", "displacement, mm", "drift, mm")
     drift = np.diff(np.column_stack([np.zeros(len(relative)), relative]), axis=1)
     # The base's row, with its moment, has no cell in these columns.
     for at, values in ((1, total), (2, 1e3 * relative), (3, 1e3 * drift)):
@@ -142,8 +143,11 @@ def test_a_prediction_is_described_by_its_peaks_and_errors(predicted, shaken):
     for row, exact in zip(reversed(rows), damped_frame(3)[2], strict=True):
         found, std = map(float, row.cells[1].split(" ± "))
         assert abs(found - exact) < 2 * std < 0.5 * exact
-    said = describe(predicted).headline
-    assert said == "three stories (configuration 1) under base motion of shaken: 4.0 s at 100 Hz"
+    most = np.argmax(np.max(np.abs(drift), axis=0))
+    assert describe(predicted).headline.startswith(f"Story {most + 1} drifts most: ")
+    assert "the measured accelerations of floors 1, 2, 3 are missed by " in describe(predicted).headline
+    said = parts(predicted, Sentence)[0].text
+    assert said.startswith("three stories (configuration 1) under base motion of shaken: 4.0 s at 100 Hz, by the ")
 
 
 def test_the_damping_of_a_frame_describes_itself(predicted):
@@ -172,3 +176,17 @@ def test_a_screening_that_found_nothing_says_so_with_what_was_accepted():
     assert "nothing looks wrong" in " ".join(str(found).split())
     assert "accepted beforehand: swapped_sensors" in str(found)
     assert "<img" not in found._repr_html_()
+
+
+@pytest.mark.parametrize(("times", "said"), [(1.0, False), (30.0, True)])
+def test_deviations_that_are_far_too_large_are_said(times, said):
+    """Modes with the noise that is stated, and with stated deviations thirty times as large."""
+    declared, _ = simulated(None, stories=4, configurations=2, rng=np.random.default_rng(5))
+    for each in declared["configuration"]:
+        for key in ("frequency_std", "mode_shape_std"):
+            each[key] = (times * np.asarray(each[key])).tolist()
+    found = cvxshear.identify(cvxshear.Experiment.from_dict(declared))
+    warned = [each.text for each in parts(found, Sentence) if "times smaller than the stated" in each.text]
+    assert len(warned) == said
+    for text in warned:
+        assert float(text.split(" is ")[1].split(" times")[0]) == pytest.approx(times, rel=0.5)

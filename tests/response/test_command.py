@@ -19,6 +19,8 @@ from cvxshear.response.sources import models_of
 from tests.modal.shared import csv
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
 
+pytestmark = pytest.mark.usefixtures("shared_loops")
+
 RECORD = """
 added_mass = [0, 0, 0]
 

@@ -12,6 +12,7 @@ from cvxshear.records.motion import Drive, Motion
 from cvxshear.report import figures
 from cvxshear.report.describe import describe
 from cvxshear.report.figures.figure_table import figures_of
+from cvxshear.report.figures.style import for_narrow_page
 from cvxshear.response import (
     DampedModel,
     Fitted,
@@ -46,6 +47,10 @@ def prediction(request):
 @pytest.mark.parametrize("draw", DRAWN, ids=lambda draw: draw.__name__)
 def test_figures_are_readable(prediction, draw):
     assert_readable(draw(prediction))
+    with for_narrow_page():
+        drawn = draw(prediction)
+    assert drawn.get_figwidth() <= 3.7
+    assert_readable(drawn)
 
 
 def test_figures_without_measured_floors(prediction):
@@ -98,4 +103,10 @@ def test_the_story_that_the_headline_names_is_drawn():
     assert describe(found).headline.startswith("Story 3 drifted most: ")
     assert "base motion" in describe(found)["findings"].parts[0].text
     assert panel_numbers(figures.reconstructed_histories(found)) == [5, 4, 3, 1]
+    with for_narrow_page():
+        narrow = [entry.draw(found) for entry in figures_of(Reconstruction).values()]
+    assert len(narrow) == 2
+    for drawn in narrow:
+        assert drawn.get_figwidth() <= 3.7
+        assert_readable(drawn)
     assert "1 of 5 stories is not drawn" in figures_of(Reconstruction)["histories"].caption_of(found)

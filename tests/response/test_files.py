@@ -182,8 +182,8 @@ def test_the_spreadsheet_holds_the_errors_of_both_models(three, tmp_path):
     write_model(tmp_path / "frame.xlsx", predict(Models(before, after), motion))
     head, *rows = openpyxl.load_workbook(tmp_path / "frame.xlsx")["residuals"].iter_rows(values_only=True)
     assert head == (
-        "configuration", "part", "quantity", "relative error, before", "relative error, after",
-        "standard deviations off, before", "standard deviations off, after",
+        "configuration", "part", "quantity", "relative error, shear model", "relative error, with effects",
+        "standard deviations off, shear model", "standard deviations off, with effects",
     )  # fmt: skip
     (tested,) = fitted.experiment.configurations
     parts = [(tested.name, f"mode {mode}", what) for what in ("frequency", "mode shape") for mode in (1, 2, 3)]

@@ -18,6 +18,7 @@ from cvxshear.report.describe import describe
 from cvxshear.report.series_files import series
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
 from cvxshear.response.compare import peak
+from cvxshear.response.sources import state_of
 from cvxshear.util.errors import InputError
 from tests.benchmarks.response_coverage import coverage, linear_over_sampled
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
@@ -161,6 +162,10 @@ def test_the_state_follows_the_added_mass(frame):
     motion = Motion.of(recorded(heavier), added.tolist())
     found = predict(estimate, motion, detrend=False)
     assert found.configuration.name == "3 kg added"
+    # A state names its tests: the one with the record's added mass is taken.
+    table = frame[0].to_dict()
+    table["configuration"] = [{**each, "state": "frame"} for each in table["configuration"]]
+    assert state_of(cvxshear.Experiment.from_dict(table), motion, "frame").name == "3 kg added"
     np.testing.assert_allclose(found.after.comparison.nrmse, 0, atol=1e-5)
     with pytest.raises(InputError, match="configuration must be one of configuration 1, not 'other'"):
         predict(estimate, motion, configuration="other")

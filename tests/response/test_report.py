@@ -115,6 +115,7 @@ def test_no_part_of_a_report_without_a_record(closed, comparison):
     assert "prediction" not in Page(render(closed, COMMAND, comparison)).ids
 
 
+@pytest.mark.usefixtures("shared_loops")
 def test_commands_write_it(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     mass, stiffness, dashpots = damped_frame(2)

@@ -26,7 +26,7 @@ def test_nothing_looks_wrong_with_the_paper(run):
     assert (status, out, err) == (0, "paper: nothing looks wrong\n", "")
     said = json.loads(run("check", "paper", "--json", "-")[1])
     about = said.pop("about")
-    assert said == {"name": "paper", "refused": False, "findings": [], "record": []}
+    assert said == {"name": "paper", "refused": False, "doubtful": False, "findings": [], "record": []}
     assert (about["cvxshear"], [file["name"] for file in about["files"]]) == (cvxshear.__version__, ["paper"])
 
 
@@ -68,14 +68,15 @@ def test_a_doubt_stands_above_the_result(run, tmp_path):
     declared["frame"]["gravity"] = 981.0
     write_measurement(tmp_path / "test.toml", declared)
     assert run("check", tmp_path / "test.toml")[0] == 0
+    assert run("check", tmp_path / "test.toml", "--strict")[0] == 3
     status, out, _ = run("identify", tmp_path / "test.toml")
     assert status == 0
-    assert out.startswith("WARNING: gravity = 981 m/s2 is not the Earth's")
+    assert out.startswith("WARNING: gravity = 981 m/s² is not the Earth's")
     (warning,) = json.loads(run("identify", tmp_path / "test.toml", "--json", "-")[1])["warnings"]
     assert warning["name"] == "gravity"
     status, out, _ = run("plan", tmp_path / "test.toml")
     assert status == 0
-    assert out.startswith("WARNING: gravity = 981 m/s2 is not the Earth's")
+    assert out.startswith("WARNING: gravity = 981 m/s² is not the Earth's")
     assert json.loads(run("plan", tmp_path / "test.toml", "--json", "-")[1])["warnings"] == [warning]
 
 

@@ -19,7 +19,7 @@ from cvxshear.report.describe.headline import (
     numbers_in_words,
     verdict_of,
 )
-from cvxshear.report.describe.identified import frame_table, in_words
+from cvxshear.report.describe.identified import frame_table, generous_noise, in_words
 from cvxshear.report.describe.measured import declared, measured_modes, units_for
 from cvxshear.report.describe.vocabulary import (
     Block,
@@ -276,7 +276,7 @@ def limits_section(result: Closure) -> Section:
 def _limits(result: Closure) -> Iterator[str]:
     for names in result.estimate.uncertainty.null_directions:
         yield f"Not determined: {in_words(names)}."
-    for text in result.information:
+    for text in (*generous_noise(result.estimate.quality), *result.information):
         yield f"{capital(text)}."
     for name, lacking in result.not_considered.items():
         yield f"{capital(name.replace('_', ' '))} was not looked for: that needs {lacking.replace('_', ' ')}."
@@ -298,7 +298,7 @@ def open_questions(result: Closure) -> tuple[str, ...]:
     if in_doubt(result):
         said.append("The numbers of the measured modes are in question.")
     said += [f"Not determined: {in_words(names)}." for names in result.estimate.uncertainty.null_directions]
-    said += [f"{capital(text)}." for text in result.information]
+    said += [f"{capital(text)}." for text in (*generous_noise(result.estimate.quality), *result.information)]
     more = len(said) - MOST_QUESTIONS
     return (*said[:MOST_QUESTIONS], *([f"{more} more below."] if more > 0 else []))
 

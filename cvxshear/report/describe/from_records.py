@@ -20,7 +20,7 @@ from cvxshear.report.describe.vocabulary import (
 )
 from cvxshear.screening import Finding, Screening
 from cvxshear.util.errors import InputError
-from cvxshear.util.quantities import AUTOMATIC, Units, capital, counted, listed, percent, percents, ranged, with_stds
+from cvxshear.util.quantities import AUTOMATIC, Units, capital, counted, listed, percent, ranged, with_std, with_stds
 from cvxshear.util.typing import Floats
 
 METHOD_WORDS = {
@@ -73,21 +73,18 @@ def _modes_headline(result: ModalResult) -> str:
 
 
 def _table(result: ModalResult) -> Table:
-    # A ratio of nothing at all is one that nobody gave, and so is a standard deviation.
-    damping, spread = (
-        [value or None for value in each.tolist()] for each in (result.damping_ratios, result.damping_std)
-    )
+    frequencies = zip(result.frequencies.tolist(), result.written_frequency_std.tolist(), strict=True)
+    damping = zip(result.damping_ratios.tolist(), result.damping_std.tolist(), strict=True)
     rows = columns(
         [str(mode) for mode in result.modes],
-        [f"{frequency:.4f}" for frequency in result.frequencies],
-        percents(result.written_frequency_std.tolist()),
-        percents(damping),
-        percents(spread),
+        [with_std(value, value * std, factor=1.0) for value, std in frequencies],
+        # A ratio of nothing at all is one that nobody gave.
+        [with_std(value, std, factor=0.01) if value else "–" for value, std in damping],
         [f"{value:.4f}" for value in result.phase_collinearity.tolist()],
         [f"{value:.1f}°" for value in result.lost_phase],
     )
-    head = ("mode", "frequency, Hz", "std", "damping", "std", "MPC", "lost phase")
-    title = "Modes. MPC: phase collinearity, 1 where all floors move in step; lost phase: 0° where they do"
+    head = ("mode", "frequency, Hz", "damping, %", "MPC", "lost phase")
+    title = "Modes ± standard deviation. MPC: phase collinearity, 1 where all floors move in step; lost phase: 0° then"
     return Table("identified-modes", title, head, rows)
 
 

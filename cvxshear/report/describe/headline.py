@@ -67,12 +67,12 @@ def _facts(result: Closure) -> Iterator[tuple[str, str]]:
     for kind in result.estimate.misfit.noises.values():
         name, estimated = f"noise of {kind.plural}", result.noise.of(kind.name)
         if estimated is None:
-            yield name, "as declared"
+            yield name, "as stated"
             continue
         factor, std = estimated["factor"], estimated["std"]
         (size, size_std), unit = kind.sized(factor, std)
         partly = any(datum.noise == kind and datum.declared for datum in result.estimate.misfit.data)
-        where = ", where it is not declared" if partly else ""
+        where = ", where it is not stated" if partly else ""
         yield name, f"{with_std(size, size_std, unit)} (estimated: {with_std(factor, std)} times the default{where})"
 
 
@@ -144,7 +144,7 @@ def headline(result: Closure) -> str:
 def _within(result: Closure) -> str:
     if result.estimate.dof <= 0:
         return "exactly, as it has as many parameters as there are data"
-    return f"within {noise_in_words(result) or 'the declared noise'}"
+    return f"within {noise_in_words(result) or 'the stated noise'}"
 
 
 def _doubt(result: Closure) -> str:

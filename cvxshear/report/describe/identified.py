@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
 from cvxshear.data import Frequencies, noise_kinds
+from cvxshear.fit.quality import Quality
 from cvxshear.methods import Identification, IdentifiedFrame, SingleIdentification
 from cvxshear.report.describe import vocabulary
 from cvxshear.report.describe.measured import declared, units_for
@@ -167,7 +169,24 @@ def _damping_parts(result: IdentifiedDamping) -> Iterator[Block]:
 
 
 RULED_OUT = 1e-3
-"""Probability of a chi-square so large below which the model is said to be ruled out."""
+"""Probability of a chi-square so large below which the model is said to be ruled out; of one so small, the noise."""
+
+
+def generous_noise(fit: Quality) -> Iterator[str]:
+    """Say where the residual is smaller than the stated noise lets expect.
+
+    Parameters
+    ----------
+    fit : Quality
+    """
+    if fit.p_value is None or fit.p_value <= 1 - RULED_OUT:
+        return
+    size = significant(math.sqrt(fit.dof / max(fit.chi2, 1e-9)), 2)
+    yield (
+        f"the residual is {size} times smaller than the stated standard deviations let expect (chi-square "
+        f"{significant(fit.chi2)}, {counted(fit.dof, 'degree')} of freedom): these are too large, and with them those "
+        "of masses and stiffnesses, or they hold errors that all these data share, as those that 'modes' writes do"
+    )
 
 
 @describe.register
@@ -192,13 +211,13 @@ def _line(result: Identification) -> str:
 
 
 def _headline(result: Identification) -> str:
-    """Whose frame it is and how it was found; a warning before it where the declared noise rules the model out."""
+    """Whose frame it is and how it was found; a warning before it where the stated noise rules the model out."""
     how = f"method {result.method}, backend {result.backend}"
     fit = result.parts[0].fit
     if not result.joint or fit.p_value is None or fit.p_value >= RULED_OUT:
         return f"{result.experiment.name}: {how}"
     return (
-        f"RULED OUT: with the declared noise a shear frame would hardly give these data (chi-square "
+        f"RULED OUT: with the stated noise a shear frame would hardly give these data (chi-square "
         f"{significant(fit.chi2)} on {counted(fit.dof, 'degree')} of freedom, {equals(fit.p_value)}): the "
         "masses and stiffnesses below are those of a wrong model, and their standard deviations too small. 'cvxshear "
         f"loop' on the same file looks for what the model lacks. ({result.experiment.name}: {how})"
@@ -214,6 +233,7 @@ def part_section(result: Identification, part: SingleIdentification, place: int,
         *how_it_ended(part),
         *([] if part.mass_matrix is None else [_matrix(part.mass_matrix, place, units)]),
         Sentence(_fit(part)),
+        *(Sentence(f"{capital(text)}.", "warning") for text in generous_noise(part.fit)),
     ]
     return Section(f"part-{place}", title, tuple(parts))
 

@@ -94,11 +94,11 @@ def _test(each: Configuration, mass: tuple[float, str]) -> Row:
 
 
 def _noise(each: Configuration) -> str:
-    """Whether the standard deviations of what was measured are declared."""
-    declared = [each.frequency_std is not None]
+    """Whether the standard deviations of what was measured are stated, by whoever wrote the file or by `modes`."""
+    stated = [each.frequency_std is not None]
     if each.measured.any():
-        declared.append(each.mode_shape_std is not None)
-    return "declared" if all(declared) else "partly declared" if any(declared) else "not declared"
+        stated.append(each.mode_shape_std is not None)
+    return "stated" if all(stated) else "partly stated" if any(stated) else "not stated"
 
 
 def _added(mass: Floats, factor: float, unit: str) -> str:
@@ -129,7 +129,7 @@ def _modes(each: Configuration, place: int, units: Units) -> Iterator[Block]:
     # Floor by floor, but where a single one says it.
     single = np.count_nonzero(each.added_mass) < 2
     added = _added(each.added_mass, factor, unit) if single else listed(each.added_mass, unit, factor)
-    doubt = "" if _noise(each) == "declared" else " Standard deviations that are not declared are the default's."
+    doubt = "" if _noise(each) == "stated" else " Standard deviations that are not stated are the default's."
     yield Sentence(f"{each.name}. Added mass: {added}.{doubt}")
     largest = np.max(np.abs(np.where(each.measured, each.mode_shapes, 0.0)), axis=1, keepdims=True, initial=0.0)
     scale = np.where(largest > 0, largest, 1.0)

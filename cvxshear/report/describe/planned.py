@@ -7,8 +7,8 @@ import numpy as np
 from cvxshear.planning.chances import SUFFICES
 from cvxshear.planning.design import UNKNOWN_STD
 from cvxshear.planning.results import Outlook, Plan
-from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, describe, plain_rows
-from cvxshear.util.quantities import AUTOMATIC, Units, counted, percent, significant
+from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, columns, describe, plain_rows
+from cvxshear.util.quantities import AUTOMATIC, Units, counted, percent, percents, significant
 from cvxshear.util.typing import Floats
 
 PROVEN = 1e-9
@@ -86,26 +86,26 @@ def grid(result: Plan) -> list[Sentence]:
         return [Sentence("Every choice of added masses gives the same within 1 %: the masses named are arbitrary.")]
     return [
         Sentence(
-            "With these sensors no tests with the masses of a grid (nothing, each floor alone, all floors, either "
-            f"half; at the limit and at half of it) are below {_value(result.grid_bound)}."
+            "With these sensors, masses of the limit or half of it on one floor, on all floors or on either half reach "
+            f"{_value(result.grid_bound)} at best; what lies between was tried, too."
         )
     ]
 
 
 def expected_modes(result: Plan) -> Table:
-    """Tabulate the modes of the first test, and how well they will be known."""
-    rows = plain_rows(
-        (
-            str(each.mode),
-            significant(each.frequency),
-            percent(each.frequency_std, 4),
-            percent(each.mode_shape_std, 3),
-            percent(each.damping_std, 1),
-        )
-        for each in result.expected_modes
+    """Tabulate the modes of the first test, and how well they will be known where that differs from mode to mode."""
+    modes = result.expected_modes
+    given = (
+        ("mode", [str(each.mode) for each in modes]),
+        ("frequency, Hz", [significant(each.frequency) for each in modes]),
+        ("std of it", percents([each.frequency_std for each in modes])),
+        ("std of a shape's entry", percents([each.mode_shape_std for each in modes])),
+        ("std of damping", percents([each.damping_std for each in modes])),
     )
-    head = ("mode", "frequency, Hz", "std", "std of a shape's entry", "std of damping")
-    return Table("expected-modes", f"expected modes ({result.names[0]})", head, rows)
+    # What is one number for all modes stands in the sentence about the noise.
+    shown = [(name, cells) for name, cells in given if name == "mode" or len(set(cells)) > 1]
+    title = f"expected modes ({result.names[0]})"
+    return Table("expected-modes", title, tuple(name for name, _ in shown), columns(*(cells for _, cells in shown)))
 
 
 def added_masses(result: Plan, units: Units) -> Table:
@@ -144,8 +144,8 @@ def conclusions(result: Plan) -> list[Sentence]:
     """Whether the tests suffice, in words, one sentence an effect."""
     return [
         Sentence(
-            f"{each.label}: these tests {'can' if each.suffices else 'cannot'} show it; the right verdict comes with "
-            f"{percent(each.probability, 0)} probability, {percent(SUFFICES, 0)} are needed"
+            f"{each.label}: these tests {'can' if each.suffices else 'are not enough to'} show it; the right verdict "
+            f"comes with {percent(each.probability, 0)} probability, {percent(SUFFICES, 0)} are needed"
         )
         for each in result.apart
         if each.size is not None

@@ -14,6 +14,7 @@ from cvxshear.util.quantities import (
     AUTOMATIC,
     Units,
     capital,
+    chance,
     percent,
     probability,
     ranged,
@@ -32,10 +33,9 @@ CERTAINLY_PASSED = 0.95
 """Probability from which on a limit counts as passed, and below whose complement as not."""
 
 PEAKS = (
-    ("floor_acceleration", "acceleration", "m/s2"),
+    ("floor_acceleration", "acceleration", "m/s²"),
     ("floor_displacement", "displacement", "m"),
     ("story_drift", "drift", "m"),
-    ("story_drift_ratio", "drift ratio", ""),
     ("story_shear", "shear", "N"),
 )
 """Quantities with a value a floor or story, their words and units."""
@@ -44,7 +44,7 @@ PEAKS = (
 @describe.register
 def _prediction(result: RecordPrediction, units: Units = AUTOMATIC) -> Document:
     model = result.after.fitted.label_in(result.configuration)
-    how = f"by the {model}, {result.damping.kind} damping, backend {result.backend}"
+    how = f"{_driven(result)}, by the {model}, {result.damping.kind} damping, backend {result.backend}"
     sections = [Section("how", "", (Sentence(how),))]
     if result.after.comparison is not None:
         before = None if result.otherwise_before is None else result.otherwise_before.comparison
@@ -54,10 +54,29 @@ def _prediction(result: RecordPrediction, units: Units = AUTOMATIC) -> Document:
         damping_section(result.damping),
         Section("remarks", "", tuple(Sentence(remark, "warning") for remark in result.remarks)),
     ]
-    return Document(result.after.fitted.experiment.name, _headline(result), tuple(sections))
+    return Document(result.after.fitted.experiment.name, capital("; ".join(_predicted(result))), tuple(sections))
 
 
-def _headline(result: RecordPrediction) -> str:
+def _predicted(result: RecordPrediction) -> Iterator[str]:
+    """Say which story drifts most, and by how much the motion that was measured is missed."""
+    yield _largest_drift(result.peaks)
+    if (beside := result.after.comparison) is not None:
+        least, most = (percent(float(each), 1) for each in (beside.nrmse.min(), beside.nrmse.max()))
+        floors = f"floor{'s' if len(beside.floors) > 1 else ''} {ranged(beside.floors.tolist())}"
+        off = least if least == most else f"{least.removesuffix(' %')} to {most}"
+        yield f"the measured accelerations of {floors} are missed by {off} (root mean square over time)"
+
+
+def _largest_drift(found: Peaks) -> str:
+    """Say which story has the largest peak drift, and how large it is."""
+    ratios = "story_drift_ratio" in found.values
+    name, factor, unit = ("story_drift_ratio", 0.01, "% of its height") if ratios else ("story_drift", 1e-3, "mm")
+    top = int(np.argmax(found.values[name]))
+    size = with_std(float(found.values[name][top]), float(found.std[name][top]), unit, factor=factor)
+    return f"story {top + 1} drifts most: {size}"
+
+
+def _driven(result: RecordPrediction) -> str:
     """Which frame, in which state, under what."""
     motion = result.motion
     seconds = sum(drive.samples for drive in motion.drives) / motion.sampling_rate
@@ -92,28 +111,28 @@ def _errors(side: RecordComparison, at: int, modes: int) -> Iterator[str]:
     yield from (percent(float(value), 1) for value in side.frf_error[at, :modes])
 
 
-def peaks(found: Peaks, skipped: str = "") -> Table:
-    """Largest values at every floor and story, the top first, but for a quantity that stands elsewhere."""
+def peaks(found: Peaks) -> Iterator[Sentence | Table]:
+    """Largest values at every floor and story, the top first, and the moment; drift ratios stand in another table."""
     values, std = found.values, found.std
     head, columns = ["floor / story"], []
     for name, word, unit in PEAKS:
-        if name in values and name != skipped:
+        if name in values:
             factor, prefixed = (1e-3, "mm") if unit == "m" else scaled(values[name].tolist(), unit)
             head.append(f"{word}, {prefixed}" if unit else word)
             columns.append([
-                with_std(float(value), float(deviation), factor=factor if unit else 1.0)
+                with_std(float(value), float(deviation), factor=factor)
                 for value, deviation in zip(values[name], std[name], strict=True)
             ])  # fmt: skip
     rows = [Row((str(floor), *cells)) for floor, cells in enumerate(zip(*columns, strict=True), 1)]
+    yield Table("prediction-peaks", "peaks ± standard deviation", tuple(head), tuple(reversed(rows)))
     if "overturning_moment" in values:
         moment = with_std(float(values["overturning_moment"][0]), float(std["overturning_moment"][0]), "N m")
-        rows.insert(0, Row(("base", *([""] * (len(columns) - 1)), f"moment {moment}")))
-    return Table("prediction-peaks", "peaks ± standard deviation", tuple(head), tuple(reversed(rows)))
+        yield Sentence(f"overturning moment at the base: {moment}")
 
 
 def _peak_parts(result: RecordPrediction) -> Iterator[Sentence | Table]:
     """Tables of the peaks, and what their deviations hold."""
-    yield peaks(result.peaks, skipped="story_drift_ratio")
+    yield from peaks(result.peaks)
     yield from _drift_ratios(result.peaks)
     if result.after.fitted.covariance is None:
         return
@@ -150,7 +169,7 @@ def _reconstruction(result: Reconstruction, units: Units = AUTOMATIC) -> Documen
     sections = (
         Section("findings", "", (Sentence(_reconstructed(result)),)),
         *checks,
-        Section("motion", "What the stories did", (stories(result), peaks(result.peaks, skipped="story_drift_ratio"))),
+        Section("motion", "What the stories did", (stories(result), *peaks(result.peaks))),
         Section("frame", "The frame in this record", tuple(_frame_parts(result))),
         Section("evidence", "Sensors", (whiteness(result),)),
         Section("remarks", "", tuple(Sentence(remark, "warning") for remark in result.remarks)),
@@ -172,15 +191,7 @@ def _reconstructed(result: Reconstruction) -> str:
 
 def _findings(result: Reconstruction) -> Iterator[str]:
     """Say what an owner asks: which story drifted most, against which limit, and whether the building is the same."""
-    name = "story_drift_ratio" if "story_drift_ratio" in result.peaks.values else "story_drift"
-    values, std = result.peaks.values[name], result.peaks.std[name]
-    top = int(np.argmax(values))
-    size = (
-        f"{with_std(100 * float(values[top]), 100 * float(std[top]), '% of its height', factor=1.0)}"
-        if name == "story_drift_ratio"
-        else with_std(1000 * float(values[top]), 1000 * float(std[top]), "mm", factor=1.0)
-    )
-    yield f"story {top + 1} drifted most: {size}"
+    yield _largest_drift(result.peaks).replace("drifts", "drifted")
     if result.limits is not None and result.passed is not None:
         for limit, word, chances in zip(result.limits.story_drift, result.limits.names, result.passed, strict=True):
             sure = [int(story) + 1 for story in np.flatnonzero(chances >= CERTAINLY_PASSED)]
@@ -194,8 +205,8 @@ def _findings(result: Reconstruction) -> Iterator[str]:
             factor, deviation = float(result.frame.factors[story - 1]), float(result.frame.factors_std[story - 1])
             word = "softer" if factor < 1 else "stiffer"
             size = with_std(100 * abs(factor - 1), 100 * deviation, "%", factor=1.0)
-            chance = float(result.frame.story_probability[story - 1])
-            yield f"story {story} was {size} {word} than identified (probability {percent(min(chance, 0.999), 1)})"
+            probable = chance(float(result.frame.story_probability[story - 1]))
+            yield f"story {story} was {size} {word} than identified ({probable} probable)"
     elif result.recording.input != "none":
         mean = float(np.mean(result.frame.factors)) - 1
         word = "softer" if mean < 0 else "stiffer"
@@ -236,10 +247,10 @@ def stories(result: Reconstruction) -> Table:
             str(story + 1), with_std(float(values[story]), float(std[story]), factor=factor),
             significant(predicted, 3),
             with_std(float(result.frame.factors[story]), float(result.frame.factors_std[story]), factor=1.0),
-            percent(float(result.frame.story_probability[story]), 1),
+            chance(float(result.frame.story_probability[story])),
         ]  # fmt: skip
         if result.passed is not None:
-            cells += [percent(float(each[story]), 1) for each in result.passed]
+            cells += [chance(float(each[story])) for each in result.passed]
         rows.append(tuple(cells))
     return Table("reconstructed-stories", "peak drift ± standard deviation", tuple(head), plain_rows(rows))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -42,6 +43,7 @@ POLES: dict[str, dict[str, Any]] = {
     alternative="Poles over model order; the modes are in the table above.",
     applies=lambda *results: all(result.sweep is not None for result in results),
     needs="an order sweep: modes that were identified from a record here",
+    narrow=True,
 )
 def stabilization(*results: ModalResult) -> Figure:
     """Poles over model order: all of them, the stable ones, and those the modes rest on.
@@ -61,7 +63,7 @@ def stabilization(*results: ModalResult) -> Figure:
         Where a result holds no order sweep.
     """
     most = max(len(result.frequencies) for result in results)
-    figure = style.new_figure(max(style.PAGE_WIDTH, LABEL_WIDTH * most + 1.4), 3.4 * len(results) + 0.5)
+    figure = style.new_figure(max(style.page_width(), LABEL_WIDTH * most + 1.4), 3.4 * len(results) + 0.5)
     for axes, result in zip(style.panels(figure, len(results), 1), results, strict=True):
         if result.sweep is None:
             raise InputError(f"{result.name}: not identified from a record here, so there is no order sweep to draw")
@@ -75,8 +77,9 @@ def stabilization(*results: ModalResult) -> Figure:
         _labels(axes, result, top, figure.get_figwidth() - 1.0)
         axes.set_xlabel("frequency, Hz")
         axes.set_ylabel("model order (states)", y=0.5 / (1 + BAND))
-        axes.set_title(f"{style.letters(result.name)}: {method_in_words(result)}")
-    style.legend(figure, figure.axes[0], 4)
+        title = f"{style.letters(result.name)}: {method_in_words(result)}"
+        axes.set_title("\n".join(textwrap.wrap(title, 40)) if style.narrow_page() else title)
+    style.legend(figure, figure.axes[0])
     return figure
 
 

@@ -161,6 +161,7 @@ def modal_shapes(*results: ModalResult) -> Figure:
     caption="The modes against one another: values beside the diagonal that are not small mean that the sensors "
     "hardly distinguish two modes.",
     alternative="Matrix of the modal assurance criterion of every mode with every other.",
+    narrow=True,
 )
 def modal_mac(*results: ModalResult) -> Figure:
     """Draw the modal assurance criterion of the modes of each record with one another.
@@ -178,7 +179,7 @@ def modal_mac(*results: ModalResult) -> Figure:
     for result in results:
         table = np.array([[mac_of(one, other) for other in result.mode_shapes] for one in result.mode_shapes])
         matrices.append((result.name, table, result.modes.tolist(), result.modes.tolist()))
-    return _matrices(matrices, 3, "mode", "mode")
+    return _matrices(matrices, 1 if style.narrow_page() else 3, "mode", "mode")
 
 
 def _facing(result: ModalResult, shape: Floats, facing: dict[int, tuple[ModalResult, Floats]], mode: int) -> Floats:
@@ -193,12 +194,12 @@ def _panel(axes: Axes, result: ModalResult, row: int, shape: Floats, stories: in
     axes.axvline(0, color="#C8C8C8", lw=0.5)
     axes.plot(np.concatenate([[0.0], shape]), heights, color=style.AFTER, lw=1.2)
     known = "assumed" not in result.uncertainty
-    style.error_bars(axes, shape, result.floors, result.mode_shape_std[row] if known else None)
+    style.error_bars(axes, shape, result.floors, result.written_entry_std[row] if known else None)
     axes.axhline(0, color=style.GREY, lw=0.8)
     axes.set_xlim(-1.3, 1.3)
     axes.set_xticks([-1, 0, 1])
     axes.set_ylim(0, 1.07 * stories)
     axes.yaxis.set_major_locator(MaxNLocator(6, integer=True))
-    std = f" ± {percents([float(result.frequency_std[row])])[0]}" if known else ""
+    std = f" ± {percents([float(result.written_frequency_std[row])])[0]}" if known else ""
     title = f"{style.letters(result.name, 18)}\nmode {result.modes[row]}\n{result.frequencies[row]:#.4g} Hz{std}"
     axes.set_title(title, fontsize=7)

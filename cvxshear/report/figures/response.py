@@ -14,7 +14,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 
 from cvxshear.report.figures import style
 from cvxshear.report.figures.figure_table import figure
-from cvxshear.report.figures.style import AFTER, BEFORE, GREY, MEASURED, PAGE_WIDTH, new_figure, panels
+from cvxshear.report.figures.style import AFTER, BEFORE, GREY, MEASURED, new_figure, page_width, panels
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.response.compare import seen
 from cvxshear.util.errors import InputError
@@ -86,6 +86,7 @@ def _floors_left_out(result: RecordPrediction) -> str:
     ),
     alternative="Accelerations of the floors over time, predicted and measured.",
     section="peaks",
+    narrow=True,
 )
 def response_histories(result: RecordPrediction) -> Figure:
     """Accelerations of the floors over time around the strongest, predicted with a 95 % band, and measured.
@@ -104,7 +105,7 @@ def response_histories(result: RecordPrediction) -> Figure:
     run, window = _strongest(sizes, model.modes.frequencies[0], result.motion.sampling_rate)
     drive = result.motion.drives[run]
     time = result.after.responses[run].time[window]
-    figure = new_figure(PAGE_WIDTH, 1.35 * len(floors) + 0.9)
+    figure = new_figure(page_width(), 1.35 * len(floors) + 0.9)
     for axes, floor in zip(panels(figure, len(floors), 1, sharex=True, sharey=True), floors, strict=True):
         own = np.array([floor])
         if drive.responses is not None and floor in result.motion.floors:
@@ -144,6 +145,7 @@ def _band(axes: Axes, time: Floats, value: Floats, half: Floats, **look: Any) ->
     caption="Peaks over the height with error bars that hold 95\N{NO-BREAK SPACE}%; circles are measured.",
     alternative="Peaks over the height; the numbers are in the table above.",
     section="peaks",
+    narrow=True,
 )
 def response_peaks(result: RecordPrediction) -> Figure:
     """Peaks of acceleration, drift and, where masses have a scale, shear over the height, with 95 % error bars.
@@ -158,8 +160,9 @@ def response_peaks(result: RecordPrediction) -> Figure:
     """
     shown = [each for each in PROFILES if each[0] in result.peaks.values]
     n = len(result.after.damped.model.M)
-    figure = new_figure(PAGE_WIDTH, min(1.6 + 0.32 * n, 6.0))
-    every = panels(figure, len(shown), len(shown), sharey=True)
+    columns = 1 if style.narrow_page() else len(shown)
+    figure = new_figure(page_width(), min(1.6 + 0.32 * n, 6.0) * len(shown) / columns)
+    every = panels(figure, len(shown), columns, sharey=True)
     for axes, (name, word, unit) in zip(every, shown, strict=True):
         values, std = result.peaks.values[name], result.peaks.std[name]
         factor, label = (1e-3, unit) if unit == "mm" else scaled(values.tolist(), unit)
@@ -169,7 +172,8 @@ def response_peaks(result: RecordPrediction) -> Figure:
         axes.set_xlabel(f"{word}, {label}")
         axes.set_xlim(left=0)
         axes.grid(visible=True, axis="x")
-    every[0].set_ylabel("floor / story")
+    for axes in every[::columns]:
+        axes.set_ylabel("floor / story")
     every[0].yaxis.set_major_locator(MaxNLocator(min(n, 12), integer=True))
     every[0].set_ylim(0.5, n + 0.5)
     style.legend(figure, every[0], left=True)
@@ -210,6 +214,7 @@ def _measured_peaks(axes: Axes, result: RecordPrediction) -> None:
     section="errors",
     applies=lambda result: result.after.comparison is not None,
     needs="measured accelerations of floors",
+    narrow=True,
 )
 def transfer_functions(result: RecordPrediction) -> Figure:
     """Sizes of the transfer functions from the excitation to the floors: measured and predicted.
@@ -238,7 +243,7 @@ def transfer_functions(result: RecordPrediction) -> Figure:
     natural = result.after.damped.model.modes.frequencies
     shown = (after.measured.frequencies > 0.3 * natural[0]) & (after.measured.frequencies < 1.4 * natural[-1])
     lines = after.measured.frequencies[shown]
-    figure = new_figure(PAGE_WIDTH, 1.5 * len(floors) + 0.9)
+    figure = new_figure(page_width(), 1.5 * len(floors) + 0.9)
     for axes, floor in zip(panels(figure, len(floors), 1, sharex=True, sharey=True), floors, strict=True):
         column = int(np.flatnonzero(after.floors == floor)[0])
         curves = [(after.measured, MEASURED, "-", "measured"), (after.predicted, AFTER, "--", "predicted")]
@@ -270,6 +275,7 @@ def transfer_functions(result: RecordPrediction) -> Figure:
     ),
     alternative="Response spectra of the floors.",
     section="peaks",
+    narrow=True,
 )
 def floor_spectra(result: RecordPrediction) -> Figure:
     """Response spectra of the floors.
@@ -284,7 +290,7 @@ def floor_spectra(result: RecordPrediction) -> Figure:
     """
     floors = _floors(result)
     spectra = result.spectra
-    figure = new_figure(PAGE_WIDTH, 3.2)
+    figure = new_figure(page_width(), 3.2)
     axes = figure.subplots()
     for floor, look in zip(floors, style.looks(len(floors)), strict=True):
         look = {**look, "marker": "", "label": f"floor {floor}"}  # noqa: PLW2901
@@ -304,11 +310,12 @@ def floor_spectra(result: RecordPrediction) -> Figure:
     "drifts",
     Reconstruction,
     title="Drift of every story",
-    caption="Left: the frame, each story coloured by its peak drift, with its standard deviation; * marks a story that "
-    "changed, triangles the floors with sensors. Right: the same with bars that hold 95\N{NO-BREAK SPACE}%, the "
-    "prediction that looks at no sensor, and the limits.",
+    caption="The frame, each story coloured by its peak drift, with its standard deviation; * marks a story that "
+    "changed, triangles the floors with sensors. Beside or below it the same with bars that hold "
+    "95\N{NO-BREAK SPACE}%, the prediction that looks at no sensor, and the limits.",
     alternative="The frame with the peak drift of each story; the numbers are in the table of the stories.",
     section="findings",
+    narrow=True,
 )
 def story_drifts(result: Reconstruction) -> Figure:
     """Draw the frame with its stories coloured by peak drift, and the peaks with 95 % bars beside it.
@@ -326,8 +333,9 @@ def story_drifts(result: Reconstruction) -> Figure:
     peaks, std = (factor * each[name] for each in (result.peaks.values, result.peaks.std))
     heights = result.model.heights if result.model.heights is not None else np.ones(len(peaks))
     levels = np.concatenate([[0.0], np.cumsum(heights)])
-    figure = new_figure(PAGE_WIDTH, float(np.clip(0.32 * len(peaks), 2.4, 8.0)) + 0.9)
-    left, right = panels(figure, 2, 2, sharey=True)
+    columns = 1 if style.narrow_page() else 2
+    figure = new_figure(page_width(), (float(np.clip(0.32 * len(peaks), 2.4, 8.0)) + 0.9) * 2 / columns)
+    left, right = panels(figure, 2, columns, sharey=True)
     colours = matplotlib.colormaps["viridis_r"]
     sensors = set(result.recording.floors.tolist())
     for story, (low, high) in enumerate(pairwise(levels)):
@@ -372,6 +380,7 @@ def story_drifts(result: Reconstruction) -> Figure:
     ),
     alternative="Drifts of the stories over time.",
     section="frame",
+    narrow=True,
 )
 def reconstructed_histories(result: Reconstruction) -> Figure:
     """Drifts of the stories over time around the strongest motion, with 95 % bands.
@@ -388,7 +397,7 @@ def reconstructed_histories(result: Reconstruction) -> Figure:
     run, window = _strongest(sizes, result.model.modes.frequencies[0], result.recording.sampling_rate)
     moved, std = result.runs[run].response, result.runs[run].std["story_drift"]
     stories = _drawn_stories(result)
-    figure = new_figure(PAGE_WIDTH, 1.35 * len(stories) + 0.9)
+    figure = new_figure(page_width(), 1.35 * len(stories) + 0.9)
     for axes, story in zip(panels(figure, len(stories), 1, sharex=True), stories, strict=True):
         drift, band = 1000 * moved.drift[window, story - 1], 1000 * SIDES * std[window, story - 1]
         _band(axes, moved.time[window], drift, band, label="reconstructed")

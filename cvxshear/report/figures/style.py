@@ -200,7 +200,7 @@ def legend(figure: Figure, axes: Axes, columns: int | None = None, *, left: bool
     """Put the legend of one panel's lines on the whole figure, in one row where the columns are not said."""
     handles, labels = axes.get_legend_handles_labels()
     place: Any = "outside upper left" if left else "outside upper center"
-    figure.legend(handles, labels, loc=place, ncols=columns or max(len(labels), 1))
+    figure.legend(handles, labels, loc=place, ncols=columns or (2 if narrow_page() else max(len(labels), 1)))
 
 
 def looks(count: int) -> list[dict[str, Any]]:
