@@ -18,8 +18,7 @@ from cvxshear.util.errors import (
     NoSolutionError,
     UnsuitableError,
 )
-from cvxshear.util.reader import read_by
-from cvxshear.util.results import shown_by
+from cvxshear.util.later import name_module
 from cvxshear.version import __version__ as __version__
 
 if TYPE_CHECKING:
@@ -34,8 +33,8 @@ if TYPE_CHECKING:
     from cvxshear.priors import Prior
     from cvxshear.response import predict, reconstruct
 
-shown_by("cvxshear.report.terminal")
-read_by("cvxshear.files.modes")
+name_module("show", "cvxshear.report.terminal")
+name_module("read", "cvxshear.files.modes")
 
 __all__ = [
     "Closure",

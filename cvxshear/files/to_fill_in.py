@@ -142,10 +142,10 @@ def _listed(values: Floats | np.ndarray, shown: str) -> str:
 
 TIME = re.compile(r"(time|zeit|uhrzeit|t|temps|tiempo|timestamp|date|datetime|elapsed|stamp|seconds)\b", re.IGNORECASE)
 GROUND = re.compile(
-    r"ground|base\b|basement|table|platform|input|boden|tisch\b|fundament|sol\b|floor ?0\b", re.IGNORECASE
+    r"ground|base\b|basement|table|platform|input|boden|tisch\b|fundament|sol\b|floor ?0\b|\bg[lf]\b", re.IGNORECASE
 )
 FORCE = re.compile(r"force|hammer|impact|shaker|load ?cell|kraft", re.IGNORECASE)
-ROOF = re.compile(r"roof|\btop\b|dach|toit", re.IGNORECASE)
+ROOF = re.compile(r"roof|\btop\b|\brfl?\b|dach|toit", re.IGNORECASE)
 NO_MOTION = re.compile(
     r"temp|humid|batt|status|comment|\bsample|\bindex\b|\bcount|\bn[or]\b\.?$|\bdat(?:e|um)\b", re.IGNORECASE
 )
@@ -263,6 +263,7 @@ def record_template(data: str | Path | Sequence[str | Path], folder: str | Path 
         if NO_MOTION.search(each) and each != time
     ]
     return _blank("record.toml").format(
+        masses=", ".join(["0.0"] * top),
         file=printable(path.name) + (f" and {len(others)} more" if others else ""),
         name=toml_line("x", named_after(path))[4:], kind=kind, why=why, rate=rate,
         source="" if others else toml_line("file", os.path.relpath(path, folder)) + "\n",

@@ -20,7 +20,7 @@ from cvxshear.priors import Prior, check_prior
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError, NoScaleError
-from cvxshear.util.reader import experiment_in
+from cvxshear.util.later import ask
 from cvxshear.util.results import Shown, as_table
 from cvxshear.util.typing import Json, T
 
@@ -325,5 +325,5 @@ def opened(source: Measurement) -> Experiment:
     if not isinstance(source, str | Path):
         needed = "an Experiment, the path of its file or the name of a built-in example"
         raise InputError(f"{needed} is needed, not {checks.shown(source)}")
-    found: Experiment = experiment_in(source)
+    found: Experiment = ask("read", "experiment_from_file", source)
     return found

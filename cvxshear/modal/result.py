@@ -13,7 +13,8 @@ from scipy.optimize import nnls
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.picking import Sweep
 from cvxshear.records.record import Complexes, Finding
-from cvxshear.util.results import Shown, data_frame, shown
+from cvxshear.util.later import ask
+from cvxshear.util.results import Shown, data_frame
 from cvxshear.util.typing import Floats, Ints, Json
 
 if TYPE_CHECKING:
@@ -233,7 +234,7 @@ class ModalResult(Shown):
         InputError
             Where matplotlib has no interactive backend, or the result holds no order sweep.
         """
-        return shown("picked", self, record_file)
+        return ask("show", "picked", self, record_file)
 
     def configuration(self, *, added_mass: Sequence[float] | None = None, state: str | None = None) -> Json:
         """Write the table `[[configuration]]` of a measurement file that these modes make."""

@@ -6,13 +6,13 @@ How a result is shown is asked of whoever has said how: a result itself knows no
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import math
 from collections.abc import Mapping, Sequence
 from enum import Enum
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from cvxshear.util.errors import InputError
+from cvxshear.util.later import ask
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -142,34 +142,18 @@ def data_frame(columns: Mapping[str, Sequence[object]]) -> pd.DataFrame:
     return pd.DataFrame(dict(columns))
 
 
-_home: list[str] = []
-
-
-def shown_by(module: str) -> None:
-    """Name the module that shows results; it is imported when a result is first looked at.
-
-    Parameters
-    ----------
-    module : str
-        With `line_of` (a result in a short line), `text` (its tables), `notebook_html` (the same for a notebook, or
-        None), `drawn` (one of its figures, by name; the first where the name is empty) and `picked` (the diagram in
-        which poles are chosen).
-    """
-    _home[:] = [module]
-
-
 class Shown(InJson):
     """A result that a prompt shows in a line, `print` as tables, a notebook as HTML and `to_dict` as JSON."""
 
     def __repr__(self) -> str:
-        return str(shown("line_of", self)) if _home else object.__repr__(self)
+        return str(ask("show", "line_of", self))
 
     def __str__(self) -> str:
-        return str(shown("text", self)) if _home else object.__repr__(self)
+        return str(ask("show", "text", self))
 
     def _repr_html_(self) -> str | None:
         """Show a result in a notebook."""
-        found: str | None = shown("notebook_html", self) if _home else None
+        found: str | None = ask("show", "notebook_html", self)
         return found
 
     def figure(self, name: str = "") -> Any:
@@ -190,24 +174,4 @@ class Shown(InJson):
         InputError
             Where there is no figure of that name, the result does not hold what it shows, or matplotlib is missing.
         """
-        return shown("drawn", self, name)
-
-
-def shown(name: str, *given: Any) -> Any:
-    """Ask the module that shows results for one of its functions, and return what that makes.
-
-    Parameters
-    ----------
-    name : str
-        The function of that module.
-    *given : object
-        The result, and what the function takes besides.
-
-    Raises
-    ------
-    InputError
-        Where no module has been named for it.
-    """
-    if not _home:
-        raise InputError("nobody has said how this result is drawn")
-    return getattr(importlib.import_module(_home[0]), name)(*given)
+        return ask("show", "drawn", self, name)

@@ -49,6 +49,7 @@ HEADS = {
         {"separator": ";"},
         1e-2,
     ),
+    "levels of a building": ("time,GL,1F,2F,RF\ns,gal,gal,gal,gal\n", {}, 1e-2),
     "units at the ends": ("time_s,table_x_mg,ch1_x_mg,ch2_x_mg,ch3_x_mg\n", {}, 1e-3 * GRAVITY),
 }
 

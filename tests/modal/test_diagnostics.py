@@ -43,6 +43,14 @@ def test_a_sound_record_is_left_alone(record):
     assert not kinds(identify_modes(hammer_record(PAPER_FRAME, 0, noise=0.01, hits=2))) & QUIET
 
 
+def test_hits_at_another_floor_than_is_said_are_named():
+    record = hammer_record(PAPER_FRAME, 3, noise=0.03, floors=(2, 3), hits=3)
+    wrong = tuple(dataclasses.replace(run, floor=3) if run.name == "hit 2 at floor 2" else run for run in record.runs)
+    [finding] = found(identify_modes(dataclasses.replace(record, runs=wrong)), "hit")
+    assert finding.numbers == {"floor": 3, "runs": ["hit 2 at floor 2"]}
+    assert "hit" not in kinds(identify_modes(record))
+
+
 def test_clock_offset_is_found_and_corrected(record):
     late = in_step(record, {"floor2": (-0.008, 0.0)})
     result = identify_modes(late)

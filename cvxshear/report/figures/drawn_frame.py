@@ -138,14 +138,7 @@ def _findings_alternative(result: Closure) -> str:
 def findings(result: Closure) -> Figure:
     """Draw the frame of each state to scale, with what was found at its place, its size, probability and rivals.
 
-    Parameters
-    ----------
-    result : Closure
-
-    Returns
-    -------
-    Figure
-        One panel a state in which something was found, beside one of the frame itself.
+    One panel a state in which something was found, beside one of the frame itself.
     """
     states = _shown_states(result)
     narrow = style.narrow_page()
@@ -329,14 +322,7 @@ def _tie(axes: Axes, low: int, high: int, z: Floats, at: _Columns, *, sure: bool
 def frame(result: Closure | Identification) -> Figure:
     """Draw the identified frame: heights to scale, slabs by the masses, columns by the stiffnesses.
 
-    Parameters
-    ----------
-    result : Closure or Identification
-        Of an identification of each configuration by itself every one has its panel.
-
-    Returns
-    -------
-    Figure
+    Of an identification of each configuration by itself every one has its panel.
     """
     frames = _frames(result)
     rows, columns = style.grid_of(len(frames), 2)

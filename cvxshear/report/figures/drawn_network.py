@@ -31,16 +31,7 @@ MOST_LEVELS = 9
     narrow=True,
 )
 def springs(result: Closure) -> Figure:
-    """Fill the matrix of springs between levels of the effect that has them.
-
-    Parameters
-    ----------
-    result : Closure
-
-    Returns
-    -------
-    Figure
-    """
+    """Fill the matrix of springs between levels of the effect that has them."""
     item, places = networks(result)[0]
     values, stds = np.full((2, result.experiment.stories + 1, result.experiment.stories + 1), np.nan)
     for (low, high), name in zip(places, item.parameters, strict=True):

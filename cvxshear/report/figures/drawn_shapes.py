@@ -155,14 +155,7 @@ HALF_WIDTH = 0.16
 def shapes(result: Closure) -> Figure:
     """Every measured mode with its error bars, the final model's as a displaced frame, and the first model's as a line.
 
-    Parameters
-    ----------
-    result : Closure
-
-    Returns
-    -------
-    Figure
-        One panel a configuration and measured mode.
+    One panel a configuration and measured mode.
     """
     before, after = mode_shapes(result.before.estimate), mode_shapes(result.estimate)
     most = max(len(each.frequencies) for each in result.experiment.configurations)

@@ -6,6 +6,7 @@ added by `figure`, which stands above the function that draws it, in this packag
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -97,12 +98,23 @@ def figure(
 
     def entered(draw: Callable[..., Figure]) -> Callable[..., Figure]:
         drawn = styled(draw)
+        drawn.__doc__ = _documented(draw, results)
         entry = FigureEntry(name, drawn, title, caption, alternative, section, applies, needs, narrow)
         for result in results:
             _TABLE.setdefault(result, {})[name] = entry
         return drawn
 
     return entered
+
+
+def _documented(draw: Callable[..., Figure], results: tuple[type, ...]) -> str:
+    """Write the docstring of a function that draws, with what all of them take and return."""
+    said = inspect.getdoc(draw) or ""
+    if "Parameters\n---" in said:
+        return said
+    several = inspect.getfullargspec(draw).varargs is not None
+    taken = f"{'*results' if several else 'result'} : {' or '.join(each.__name__ for each in results)}"
+    return f"{said}\n\nParameters\n----------\n{taken}\n\nReturns\n-------\nFigure"
 
 
 def figures_of(result: type) -> dict[str, FigureEntry]:

@@ -51,14 +51,7 @@ TICKS = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999)
 def ranking(result: Closure) -> Figure:
     """Draw the probability of each effect before the data and with them, on an axis of log odds.
 
-    Parameters
-    ----------
-    result : Closure
-
-    Returns
-    -------
-    Figure
-        What was added above, what else was looked for below.
+    What was added above, what else was looked for below.
     """
     added = {item.placed for item in result.effects}
     mine = [item for item in result.candidates if item.placed in added]
@@ -156,14 +149,7 @@ def residual(result: Closure) -> Figure:
 
     Both are counted in the noise of the final model.
 
-    Parameters
-    ----------
-    result : Closure
-
-    Returns
-    -------
-    Figure
-        One panel a kind of data.
+    One panel a kind of data.
     """
     pairs = list(zip(by_part(result.before.estimate), by_part(result.estimate), strict=True))
     kinds = list(dict.fromkeys(after.noise for _, after in pairs))

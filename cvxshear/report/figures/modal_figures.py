@@ -44,14 +44,7 @@ MAC_ROUNDING = 1e-12
 def mac(result: Closure | Identification) -> Figure:
     """Draw the MAC matrix of each configuration.
 
-    Parameters
-    ----------
-    result : Closure or Identification
-
-    Returns
-    -------
-    Figure
-        One panel a configuration; dark is 0, light is 1, also in black and white.
+    One panel a configuration; dark is 0, light is 1, also in black and white.
     """
     modes = {each.name: each.modes.tolist() for each in result.experiment.configurations}
     every = list(range(1, result.experiment.stories + 1))
@@ -122,14 +115,7 @@ def written(value: float, digits: int) -> str:
 def modal_shapes(*results: ModalResult) -> Figure:
     """Draw the shapes of identified modes, one panel a record and mode, with one standard deviation on either side.
 
-    Parameters
-    ----------
-    *results : ModalResult
-
-    Returns
-    -------
-    Figure
-        Largest entry 1; a mode that several records hold faces one way in all of them.
+    Largest entry 1; a mode that several records hold faces one way in all of them.
     """
     most = max(len(result.frequencies) for result in results)
     fitting = 2 if style.narrow_page() else SHAPES_A_ROW
@@ -166,14 +152,7 @@ def modal_shapes(*results: ModalResult) -> Figure:
 def modal_mac(*results: ModalResult) -> Figure:
     """Draw the modal assurance criterion of the modes of each record with one another.
 
-    Parameters
-    ----------
-    *results : ModalResult
-
-    Returns
-    -------
-    Figure
-        One panel a record; beside the diagonal it is near 0 where the sensors distinguish the modes.
+    One panel a record; beside the diagonal it is near 0 where the sensors distinguish the modes.
     """
     matrices = []
     for result in results:

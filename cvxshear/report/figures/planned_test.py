@@ -34,16 +34,7 @@ TEST_WIDTH = 0.9
     section="tests",
 )
 def plan(result: Plan) -> Figure:
-    """Draw the frame of each test with its added masses and sensors, and accuracy against number of sensors.
-
-    Parameters
-    ----------
-    result : Plan
-
-    Returns
-    -------
-    Figure
-    """
+    """Draw the frame of each test with its added masses and sensors, and accuracy against number of sensors."""
     shown = min(len(result.tests), MOST_SHOWN)
     n = result.model.design.stories
     frames = max(2.2, TEST_WIDTH * shown + 0.8)

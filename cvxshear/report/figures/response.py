@@ -89,16 +89,7 @@ def _floors_left_out(result: RecordPrediction) -> str:
     narrow=True,
 )
 def response_histories(result: RecordPrediction) -> Figure:
-    """Accelerations of the floors over time around the strongest, predicted with a 95 % band, and measured.
-
-    Parameters
-    ----------
-    result : RecordPrediction
-
-    Returns
-    -------
-    Figure
-    """
+    """Accelerations of the floors over time around the strongest, predicted with a 95 % band, and measured."""
     floors = _floors(result)
     model = result.after.damped.model
     sizes = [np.abs(item.acceleration) for item in result.after.responses]
@@ -148,16 +139,7 @@ def _band(axes: Axes, time: Floats, value: Floats, half: Floats, **look: Any) ->
     narrow=True,
 )
 def response_peaks(result: RecordPrediction) -> Figure:
-    """Peaks of acceleration, drift and, where masses have a scale, shear over the height, with 95 % error bars.
-
-    Parameters
-    ----------
-    result : RecordPrediction
-
-    Returns
-    -------
-    Figure
-    """
+    """Peaks of acceleration, drift and, where masses have a scale, shear over the height, with 95 % error bars."""
     shown = [each for each in PROFILES if each[0] in result.peaks.values]
     n = len(result.after.damped.model.M)
     columns = 1 if style.narrow_page() else len(shown)
@@ -278,16 +260,7 @@ def transfer_functions(result: RecordPrediction) -> Figure:
     narrow=True,
 )
 def floor_spectra(result: RecordPrediction) -> Figure:
-    """Response spectra of the floors.
-
-    Parameters
-    ----------
-    result : RecordPrediction
-
-    Returns
-    -------
-    Figure
-    """
+    """Response spectra of the floors."""
     floors = _floors(result)
     spectra = result.spectra
     figure = new_figure(page_width(), 3.2)
@@ -318,16 +291,7 @@ def floor_spectra(result: RecordPrediction) -> Figure:
     narrow=True,
 )
 def story_drifts(result: Reconstruction) -> Figure:
-    """Draw the frame with its stories coloured by peak drift, and the peaks with 95 % bars beside it.
-
-    Parameters
-    ----------
-    result : Reconstruction
-
-    Returns
-    -------
-    Figure
-    """
+    """Draw the frame with its stories coloured by peak drift, and the peaks with 95 % bars beside it."""
     name = "story_drift_ratio" if "story_drift_ratio" in result.peaks.values else "story_drift"
     factor, unit = (100.0, "% of height") if name == "story_drift_ratio" else (1000.0, "mm")
     peaks, std = (factor * each[name] for each in (result.peaks.values, result.peaks.std))
@@ -383,16 +347,7 @@ def story_drifts(result: Reconstruction) -> Figure:
     narrow=True,
 )
 def reconstructed_histories(result: Reconstruction) -> Figure:
-    """Drifts of the stories over time around the strongest motion, with 95 % bands.
-
-    Parameters
-    ----------
-    result : Reconstruction
-
-    Returns
-    -------
-    Figure
-    """
+    """Drifts of the stories over time around the strongest motion, with 95 % bands."""
     sizes = [np.abs(item.response.drift) for item in result.runs]
     run, window = _strongest(sizes, result.model.modes.frequencies[0], result.recording.sampling_rate)
     moved, std = result.runs[run].response, result.runs[run].std["story_drift"]

@@ -273,14 +273,7 @@ DRAWN_AS_NOTHING = 1e-17
 def backend_differences(comparison: Comparison) -> Figure:
     """Each backend's largest difference from the reference, and its time over that of the closed form.
 
-    Parameters
-    ----------
-    comparison : Comparison
-
-    Returns
-    -------
-    Figure
-        One row a backend, one marker a kind of program; a program that a backend does not take has none.
+    One row a backend, one marker a kind of program; a program that a backend does not take has none.
     """
     names = list(dict.fromkeys(row.backend for row in comparison.rows))
     kinds = list(dict.fromkeys(row.kind for row in comparison.rows))
