@@ -158,6 +158,9 @@ def assumed(experiment: Experiment, assume: Sequence[str | Placed]) -> tuple[Pla
             )
         places = effect.places(experiment)
         if len(places) > 1:
-            raise InputError(f"effect {each} can sit at {len(places)} places; assume it as Placed(effect, Place(...))")
+            raise InputError(
+                f"effect {each} can sit at {len(places)} places; which one is said in Python: "
+                "close_loop(assume=[Placed(effect, Place(...))])"
+            )
         result.append(Placed(effect, places[0]))
     return tuple(result)

@@ -71,7 +71,7 @@ def test_a_record_with_a_mistake_is_status_two(record, tmp_path, capsys):
 
 def test_check_asks_about_a_sensor_that_its_file_has_the_wrong_way(record, capsys):
     record.write_text(record.read_text().replace("floor = 2\n", "floor = 2\nsign = -1\n"))
-    status, shown = run(capsys, "check", str(record))
+    status, shown = run(capsys, "check", str(record), "--strict")
     assert status == 3
     assert "RECORD: sign" in shown.out
     assert json.loads(run(capsys, "check", str(record), "--json", "-")[1].out)["doubtful"]
