@@ -75,6 +75,10 @@ def _floors_left_out(result: RecordPrediction) -> str:
     return _left_out(len(_floors(result)), total, "floors", "the table of peaks has all")
 
 
+HISTORY_TICKS = 4
+"""Steps between the ticks of a history at most: its panels are little more than an inch high."""
+
+
 @figure(
     "history",
     RecordPrediction,
@@ -107,6 +111,8 @@ def response_histories(result: RecordPrediction) -> Figure:
         _band(axes, time, after, band, ls="--", label="predicted")
         axes.set_title(f"floor {floor}")
         axes.set_ylabel("m/s²")
+        # A number of its own: matplotlib's depends on the settings under which a figure is drawn in the end.
+        axes.yaxis.set_major_locator(MaxNLocator(HISTORY_TICKS))
     axes.set_xlabel("time, s")
     style.legend(figure, axes, left=True)
     return figure
