@@ -262,10 +262,7 @@ class Design:
             )
         table = checks.keys(declared, ["frame", "prior"], ["prior"], "a file of design values")
         frame = Frame.from_dict(table.get("frame") or {})
-        items = table["prior"]
-        if not isinstance(items, list):
-            raise InputError("[prior] must be a list of tables: write [[prior]], in double brackets")
-        priors = tuple(Prior.from_dict(item) for item in items)
+        priors = tuple(Prior.from_dict(item) for _, item in checks.tables(table, "prior"))
         stiffness = _nominal(priors, "story_stiffness", frame.stories)
         if stiffness is None:
             raise InputError(
