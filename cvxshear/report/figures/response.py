@@ -106,8 +106,8 @@ def response_histories(result: RecordPrediction) -> Figure:
         band = SIDES * np.abs(model.gain[floor - 1]) * result.std[run]["floor_acceleration"][window, floor - 1]
         _band(axes, time, after, band, ls="--", label="predicted")
         axes.set_title(f"floor {floor}")
-        axes.set_ylabel("m/s²")
-    axes.set_xlabel("time, s")
+        axes.set_ylabel("" if style.narrow_page() else "m/s²")
+    axes.set_xlabel("time, s; accelerations in m/s²" if style.narrow_page() else "time, s")
     style.legend(figure, axes, left=True)
     return figure
 
@@ -357,8 +357,8 @@ def reconstructed_histories(result: Reconstruction) -> Figure:
         drift, band = 1000 * moved.drift[window, story - 1], 1000 * SIDES * std[window, story - 1]
         _band(axes, moved.time[window], drift, band, label="reconstructed")
         axes.set_title(f"story {story}")
-        axes.set_ylabel("mm")
-    axes.set_xlabel("time, s")
+        axes.set_ylabel("" if style.narrow_page() else "mm")
+    axes.set_xlabel("time, s; drifts in mm" if style.narrow_page() else "time, s")
     style.legend(figure, axes, left=True)
     return figure
 
