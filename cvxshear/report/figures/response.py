@@ -126,6 +126,8 @@ def _band(axes: Axes, time: Floats, value: Floats, half: Floats, **look: Any) ->
     if np.isfinite(half).all():
         axes.fill_between(time, value - half, value + half, color=AFTER, alpha=0.25, lw=0, label="95 % band")
     axes.plot(time, value, color=AFTER, lw=1.0, **look)
+    # As many numbers whatever room they have: the layout is found before they are chosen anew.
+    axes.yaxis.set_major_locator(MaxNLocator(4))
     axes.grid(visible=True, axis="y")
 
 
