@@ -9,7 +9,7 @@ from cvxshear.effects import Place, Placed, Scale, named
 from cvxshear.fit.efficient import fitted
 from cvxshear.fit.expectation import MASS_WIDTH, STIFFNESS_WIDTH, Expectation
 from cvxshear.fit.misfit import WIDTH, Misfit
-from cvxshear.loop.evidence import log_evidence, log_interval, log_normal_between
+from cvxshear.loop.evidence import _log_constant, log_evidence, log_interval, log_normal_between
 from tests.frames import chain, configuration, experiment
 
 MASS, STIFFNESS = np.array([11.0, 9.0]), np.array([24e3, 20e3])
@@ -242,3 +242,17 @@ def test_a_frame_a_thousand_times_as_heavy_and_stiff_has_the_same_odds():
         found.append({tuple(placed.label for placed in each.effects): each.probability for each in loop.models})
     assert len(found[0]) > 2
     assert found[1] == pytest.approx(found[0], rel=1e-5)
+
+
+@pytest.mark.parametrize("placed", [SPRING, GAIN, put("story_change", story=1), put("wrong_prior")])
+def test_the_constant_of_a_prior_is_that_of_its_density_between_its_bounds(placed):
+    """Student's t of four degrees of freedom, cut off; a normal distribution where one size is common to several."""
+    said, value = Expectation(SCALE), 0.0
+    for item, size in zip(placed.effect.parameters, said.of(placed), strict=True):
+        scaled = stats.norm(item.null, size) if placed.effect.common_size else stats.t(4, item.null, size)
+        ends = np.clip([item.lower, item.upper], item.null - 400 * size, item.null + 400 * size)
+        inside = sum(
+            integrate.quad(scaled.pdf, *each, limit=200)[0] for each in ((ends[0], item.null), (item.null, ends[1]))
+        )
+        value += np.log(scaled.pdf(item.null) / inside * np.sqrt(2 * np.pi))
+    assert _log_constant(placed, said) == pytest.approx(value, abs=1e-6)

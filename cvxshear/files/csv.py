@@ -177,8 +177,8 @@ def _header(
     fitting: list[tuple[int, tuple[str, ...]]] = []
     for number, line in reversed(before[-3:]):
         cells = _split(line.lstrip().removeprefix("#").strip("\r\n"), separator)
-        # Whoever ends each line with a separator ends all of them so.
-        if cells is None or len(cells) != count:
+        # Whoever ends each line with a separator ends all of them so; a quotation mark that is left begins a name.
+        if cells is None or len(cells) != count or any('"' in cell for cell in cells):
             break
         fitting.append((number, tuple(cell.strip() for cell in cells)))
     named = [(n, cells) for n, cells in fitting if not all(_is_number(each.replace(",", ".") or "0") for each in cells)]

@@ -9,7 +9,7 @@ from cvxshear.effects import compose
 from cvxshear.fit.efficient import Estimate, fitted_with
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.fitter import Fitter
-from cvxshear.measurement.experiment import Experiment
+from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model.shear import mode_derivatives, modes
 from cvxshear.util.errors import CvxshearError
 from cvxshear.util.typing import Bools
@@ -31,8 +31,8 @@ def held_out_frequency_errors(before: Estimate, after: Estimate, fitter: Fitter)
     """Largest |predicted / measured - 1| over the same frequencies left out in turn, by either model.
 
     Each configuration's frequencies are predicted from the others, or each mode's from the other modes where there is
-    one configuration. An effect that concerns one state cannot be judged by the others, nor the others by tests of such
-    states alone, nor a frequency that the rest does not determine under both models.
+    one configuration. An effect that concerns one state cannot be judged by the others, nor another by tests of one
+    such state, nor a frequency that the rest does not determine under both models.
 
     Returns
     -------
@@ -54,14 +54,17 @@ def _left_out(experiment: Experiment, concerned: set[str | None]) -> list[tuple[
     """List what is left out, one after the other: a configuration and modes of it."""
     configurations = experiment.configurations
     if len(configurations) > 1:
-        alone = [each for each in configurations if each.state not in concerned]
-        if len(alone) < 2:
-            # From tests of states with effects of their own, whose sizes they would have to tell as well.
-            return []
+        alone = [each for each in configurations if _judged(each, experiment, concerned)]
         return [(each.name, np.ones(len(each.frequencies), dtype=bool)) for each in alone][:MOST_PREDICTIONS]
     (only,) = configurations
     rows = list(np.eye(len(only.frequencies), dtype=bool))
     return [(only.name, row) for row in rows][:MOST_PREDICTIONS] if len(only.frequencies) > 1 else []
+
+
+def _judged(test: Configuration, experiment: Experiment, concerned: set[str | None]) -> bool:
+    """Whether the other tests can judge one: of a state without effects, and not from one state that has some."""
+    states = {each.state for each in experiment.configurations if each is not test}
+    return test.state not in concerned and (len(states) > 1 or not states <= concerned)
 
 
 def _prediction_errors(estimate: Estimate, name: str, mask: Bools, fitter: Fitter) -> Errors:

@@ -6,7 +6,7 @@ Every object is frozen and its arrays are read-only, so a result can refer to th
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -196,14 +196,16 @@ class Experiment(Shown):
         frame = Frame.from_dict({} if table.get("frame") is None else table["frame"], elsewhere=tested_keys)
         configurations = tuple(
             Configuration.from_dict(item, name=f"configuration {place}", elsewhere=frame_keys)
-            for place, item in _tables(table, "configuration")
+            for place, item in checks.tables(table, "configuration")
         )
         priors = []
-        for place, item in _tables(table, "prior"):
+        for place, item in checks.tables(table, "prior"):
             with _named(place):
                 priors.append(Prior.from_dict(item))
-        static = tuple(StaticTest.from_dict(item, name=f"static test {at}") for at, item in _tables(table, "static"))
-        expected = tuple(ExpectedEffect.from_dict(item, f"effect {at}") for at, item in _tables(table, "effect"))
+        static = tuple(
+            StaticTest.from_dict(item, name=f"static test {at}") for at, item in checks.tables(table, "static")
+        )
+        expected = tuple(ExpectedEffect.from_dict(item, f"effect {at}") for at, item in checks.tables(table, "effect"))
         damping = Damping() if table.get("damping") is None else Damping.from_dict(table["damping"])
         report = Heading() if table.get("report") is None else Heading.from_dict(table["report"])
         limits = None if table.get("limits") is None else Limits.from_dict(table["limits"])
@@ -287,18 +289,6 @@ def _named(place: int) -> Iterator[None]:
         yield
     except InputError as error:
         raise type(error)(f"prior {place}: {error}") from error
-
-
-def _tables(declared: Mapping[str, object], key: str) -> list[tuple[int, object]]:
-    """Return what stands below the headers `[[key]]`, each with its number."""
-    value = declared.get(key)
-    if value is None:
-        return []
-    if isinstance(value, Mapping):
-        raise InputError(f"[{key}] must be a list of tables: write [[{key}]], in double brackets")
-    if not isinstance(value, list | tuple):
-        raise InputError(f"{key} must be a list of tables, each below [[{key}]], not {checks.shown(value)}")
-    return list(enumerate(value, 1))
 
 
 Measurement = str | Path | Experiment

@@ -274,10 +274,8 @@ class SubspaceSource(Source):
         self.groups, self.energies = self._observer.groups, self._observer.energies
         self._triangles = Triangles([_triangle(_data(u, y, rows)) for u, y in pieces])
 
-    def rougher(self) -> SubspaceSource | None:
-        """Use half the observer's lags for the residues; None under base motion, which scales no mode."""
-        if not self._observer.floor:
-            return None
+    def rougher(self) -> SubspaceSource:
+        """Use half the observer's lags for the residues, which scale the modes and tell the clock of the input."""
         other = copy.copy(self)
         other._observer = self._observer.rougher()
         return other

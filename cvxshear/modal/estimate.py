@@ -154,6 +154,11 @@ def surrogate(residual: Floats, random: np.random.Generator) -> Floats:
     return np.fft.irfft(spectrum * phase[:, None], n=len(residual), axis=0)
 
 
+BIAS_LEFT = 1.0 / 3.0
+"""Bias of an observer over what half its lags change, which is three times as much where the bias falls with the square
+of the lags (Richardson's extrapolation); that of the damping ratio of a frame's highest modes does."""
+NO_CHANGE = 1e-9
+"""Change of a parameter, relative or of an entry of at most 1, that is rounding."""
 SURROGATES = 20
 """Noisy copies of the fit: standard deviations from 20 of them are known to a sixth of themselves."""
 FEW_PIECES = 6
@@ -318,13 +323,16 @@ def covariance(setting: Replication, full: Details, seed: int) -> tuple[Floats, 
             result = result * np.outer(factor, factor)
         bias = _bias(setting, full)
         if bias is not None:
-            result, how = result + np.outer(bias, bias), f"{how}, and what half the observer's lags change"
+            result = result + np.outer(bias, bias)
+            # Under base motion the observer tells the clock of the input and nothing else.
+            if np.max(np.abs(bias[: -len(full.clocks.seconds)])) > NO_CHANGE:
+                how += ", and a third of what half the observer's lags change"
         return result, how, lost
     return disturbed(setting, full, seed), f"{SURROGATES} surrogates of the residual", 0
 
 
 def _bias(setting: Replication, full: Details) -> Floats | None:
-    """Find what a rougher approximation of the same data changes in `full.vector()`; None where there is none."""
+    """Find the bias of `full.vector()` by what a rougher approximation of the same data changes; None without one."""
     rougher = setting.source.rougher()
     if rougher is None:
         return None
@@ -333,7 +341,7 @@ def _bias(setting: Replication, full: Details) -> Floats | None:
     if values is None:
         return None
     part = details(other, values, None, full)
-    return None if (part.scales is None) != (full.scales is None) else part.vector() - full.vector()
+    return None if (part.scales is None) != (full.scales is None) else BIAS_LEFT * (part.vector() - full.vector())
 
 
 def _widened(spread: Floats, other: Floats) -> Floats:

@@ -216,13 +216,25 @@ class FrfSource(Source):
         return np.array([item.force_force.sum() for item in self.spectra])
 
     def factor(self, keep: Bools | None = None) -> Floats:
-        """Left factor of the responses' block Hankel matrix; of products of different hits where there are any."""
-        sequence = self.impulse(keep).sequence
+        """Left factor of the responses' block Hankel matrix; of products of different hits where there are any.
+
+        A floor at which a hit is left out counts as much as with all its hits: counted less, the noise of its hits
+        would seem to matter less than it does in the whole.
+        """
+        used = np.ones(len(self.spectra), dtype=np.bool_) if keep is None else keep
+        at = np.array([item.floor for item in self.spectra])
+        impulse = self.impulse(keep)
         if self._own is None:
-            return left_factor(markov_hankel(sequence, self._start))
-        together = [_product(markov_hankel(each[:, :, None], self._start)) for each in np.moveaxis(sequence, 2, 0)]
-        own = self._own if keep is None else self._own[keep]
-        values, vectors = linalg.eigh(np.sum(together, axis=0) - own.sum(axis=0))
+            shares = [
+                self.weights[used & (at == floor)].sum() / self.weights[at == floor].sum() for floor in impulse.driven
+            ]
+            return left_factor(markov_hankel(impulse.sequence / shares, self._start))
+        total = np.zeros(self._own.shape[1:])
+        for floor, sequence in zip(impulse.driven, np.moveaxis(impulse.sequence, 2, 0), strict=True):
+            left = used & (at == floor)
+            different = _product(markov_hankel(sequence[:, :, None], self._start)) - self._own[left].sum(axis=0)
+            total += different * _pairs(self.weights[at == floor]) / _pairs(self.weights[left])
+        values, vectors = linalg.eigh(total)
         positive = values > 0
         return np.asarray((vectors[:, positive] * np.sqrt(values[positive]))[:, ::-1])
 
@@ -248,6 +260,11 @@ class FrfSource(Source):
 
 def _product(hankel: Floats) -> Floats:
     return np.asarray(hankel @ hankel.T)
+
+
+def _pairs(energies: Floats) -> float:
+    """Sum of the products of the energies of different hits."""
+    return float(energies.sum() ** 2 - np.sum(energies**2))
 
 
 class ImpulseSource(Source):

@@ -262,10 +262,7 @@ class Design:
             )
         table = checks.keys(declared, ["frame", "prior"], ["prior"], "a file of design values")
         frame = Frame.from_dict(table.get("frame") or {})
-        items = table["prior"]
-        if not isinstance(items, list):
-            raise InputError("[prior] must be a list of tables: write [[prior]], in double brackets")
-        priors = tuple(Prior.from_dict(item) for item in items)
+        priors = tuple(Prior.from_dict(item) for _, item in checks.tables(table, "prior"))
         stiffness = _nominal(priors, "story_stiffness", frame.stories)
         if stiffness is None:
             raise InputError(
@@ -275,7 +272,7 @@ class Design:
         mass = frame.floor_masses if frame.floor_masses is not None else _nominal(priors, "floor_mass", frame.stories)
         n = len(stiffness)
         if mass is None and frame.total_mass is not None:
-            mass = np.full(n, frame.total_mass / n)
+            mass = np.ones(n)
         if mass is None:
             raise InputError(
                 "no floor mass is expected: declare frame: floor_masses or total_mass, or a nominal prior of floor_mass"

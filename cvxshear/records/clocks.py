@@ -142,6 +142,12 @@ class Segments:
             float(1.0 / np.sqrt(2.0 * max(many, 1.0))),
         )
 
+    def agreed(self, first: int, second: int, seconds: float) -> float:
+        """Find how far the lines of two clocks agree in phase if the first is late by so much: 1 where all do."""
+        squares, weights, _, _ = self.agreement(first, second)
+        turn = np.exp(4j * np.pi * np.arange(squares.shape[1]) * self.rate / self.length * seconds)
+        return float(np.sum((squares.sum(axis=0) * turn).real) / max(float(weights.sum()), 1e-300))
+
 
 def _window(length: int, *, decaying: bool) -> Floats:
     """Hann's window, its rise cut to a tenth where what comes first is loudest, shape (length, 1)."""
@@ -265,7 +271,7 @@ class Offsets:
         Positive where a channel's record is late, against the clock that is nearest to all the others; the
         channels in order of floor, then the input where its clock is seen.
     unexplained : array, shape (clocks,)
-        Root mean square angle, degrees, that the offset leaves, over the modes, weighted as the fit.
+        Root mean square angle to the clock that the offsets count from, degrees, that the offset leaves over the modes.
     before : array, shape (clocks,)
         The same angle without the offset.
     reference : int
@@ -320,15 +326,16 @@ def offsets(
         floor = int(np.argmax(np.min(np.abs(shapes), axis=0)))
         phasors = shapes * np.conj(shapes[:, [floor]])
     phasors = phasors / np.maximum(np.linalg.norm(phasors, axis=1, keepdims=True), 1e-300)
-    fitted = [_slope(omega, column) for column in phasors.T]
-    seconds = np.array([item[0] for item in fitted])
-    left = np.array([item[1] for item in fitted])
-    before = np.array([_angle(column, np.zeros(len(omega))) for column in phasors.T])
+    seconds = np.array([_slope(omega, column) for column in phasors.T])
     if participations is not None:
-        seconds, left, before = np.append(seconds, 0.0), np.append(left, 0.0), np.append(before, 0.0)
+        seconds, phasors = np.append(seconds, 0.0), np.column_stack([phasors, np.ones(len(omega))])
     if reference is None:
         reference = int(np.argmin(np.sum(np.abs(seconds[:, None] - seconds[None, :]), axis=1)))
-    return Offsets(seconds - seconds[reference], left, before, reference)
+    seconds = seconds - seconds[reference]
+    between = phasors * np.conj(phasors[:, [reference]])
+    before = [_angle(column, np.zeros(len(omega))) for column in between.T]
+    left = [_angle(column, omega * each) for column, each in zip(between.T, seconds, strict=True)]
+    return Offsets(seconds, np.array(left), np.array(before), reference)
 
 
 def undone(eigenvalues: Complexes, shapes: Complexes, seconds: Floats) -> Complexes:
@@ -337,8 +344,8 @@ def undone(eigenvalues: Complexes, shapes: Complexes, seconds: Floats) -> Comple
     return np.asarray(shapes * turn)
 
 
-def _slope(omega: Floats, phasors: Complexes) -> tuple[float, float]:
-    """Find the offset that makes the phasors most nearly real, the smallest of several that do, and what is left."""
+def _slope(omega: Floats, phasors: Complexes) -> float:
+    """Find the offset that makes the phasors most nearly real, the smallest of several that do."""
     longest = min(LONGEST, 0.5 * np.pi / float(omega.min()))
     grid = np.linspace(-longest, longest, STEPS)
     turned = phasors[None, :] * np.exp(1j * grid[:, None] * omega[None, :])
@@ -350,7 +357,7 @@ def _slope(omega: Floats, phasors: Complexes) -> tuple[float, float]:
         angle = np.angle(now * np.where(now.real < 0, -1.0, 1.0))
         weight = np.abs(phasors) ** 2
         start -= float(np.sum(weight * omega * angle) / np.sum(weight * omega**2))
-    return float(start), _angle(phasors, omega * start)
+    return float(start)
 
 
 def _angle(phasors: Complexes, turn: Floats) -> float:

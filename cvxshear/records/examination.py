@@ -27,6 +27,9 @@ AGREED = 0.25
 """Agreement of a channel's phases with the others' from which on its clock can be told."""
 LATE = 0.5
 """Samples; a delay of less is left to the phases of the modes, which tell it finer."""
+IN_STEP = 0.6
+"""Agreement of phases without a delay, over that with it, from which on the delay may be chance: of few modes, which
+nearly agree at many delays. Delays of half a sample and more leave a third at most."""
 CERTAIN_DELAY = 4.0
 """Standard deviations of a delay that is taken out."""
 SIGNIFICANT_DRIFT = 5.0
@@ -127,6 +130,8 @@ def _in_step(record: TimeRecord) -> tuple[TimeRecord, list[Finding], dict[str, t
         if i == right or (abs(middle - zero[2]) < max(limit, CERTAIN_DELAY * std) and not slope):
             continue
         if not slope and not _confirmed(segments, i, right, middle - zero[2], 2 * limit, clocks):
+            continue
+        if not slope and segments.agreed(i, right, 0.0) > IN_STEP * segments.agreed(i, right, middle - zero[2]):
             continue
         wrong[clocks[i]] = (start - zero[0], slope)
         findings.append(_late(clocks[i], clocks[right], middle - zero[2], start - zero[0], slope, std, against, i))

@@ -30,6 +30,8 @@ STUCK_SHARE = 0.02
 """Share of a record; a channel that sticks for longer is left out."""
 SPIKE_DEVIATIONS = 10.0
 """Local deviations; noise has 5 at most in a record of an hour, and what the frame does the other channels show too."""
+OUT_OF_MOTION = 2.0
+"""Times the root mean square of the samples around it that a spike differs from what the model makes of them."""
 MANY_SPIKES = 0.02
 """Share of the samples; more is no accident."""
 AR_ORDER = 24
@@ -116,7 +118,9 @@ def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
             if values.std() > 0:
                 off[:, column] = _interpolation_errors(values - values.mean())
                 scale[:, column] = _local_scale(off[:, column])
-        ratio = np.abs(off) / scale
+        # Where motion is loud a model of the whole record errs by more than beside it: a spike stands out of both.
+        loud = np.sqrt(ndimage.uniform_filter1d((cleaned - cleaned.mean(axis=0)) ** 2, 2 * AR_ORDER + 1, axis=0))
+        ratio = np.where(np.abs(off) > OUT_OF_MOTION * loud, np.abs(off) / scale, 0.0)
         near = ndimage.maximum_filter1d(ratio, 5, axis=0)
         now = (ratio > SPIKE_DEVIATIONS) & (ratio >= ndimage.maximum_filter1d(ratio, 2 * AR_ORDER + 1, axis=0))
         for hit in np.flatnonzero(now.any(axis=0)).tolist():

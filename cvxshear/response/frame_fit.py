@@ -269,9 +269,7 @@ def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: B
     start = np.delete(frame.p, gone)
     if not steps:
         covariance = np.delete(np.delete(frame.covariance, gone, axis=0), gone, axis=1)
-        return FittedFrame(
-            errors, prior, start, covariance, frame.answers, 1.0, True, frame.along, frame.log_evidence
-        )
+        return FittedFrame(errors, prior, start, covariance, frame.answers, 1.0, True, frame.along, frame.log_evidence)
     along = frame.along.without(gone)
     best = frame.answers[0]
     posterior = _Posterior(errors, along, prior.gaussian(*best.prior))

@@ -284,7 +284,7 @@ class FramePrior:
     def around(frame: UncertainFrame, varied: VariedFrame, others: int) -> FramePrior:
         """Take what was identified, and what is expected of a story that changed."""
         change = _expected_change(frame.fitted.experiment)
-        size = float(change.sizes(None)[0])  # type: ignore[arg-type]  # this effect's size needs no scale of the frame
+        size = float(change.expected_sizes(None)[0])  # type: ignore[arg-type]  # this effect's size needs no scale of the frame
         probability = 1.0 - (1.0 - change.probability) ** (1.0 / frame.fitted.experiment.stories)
         return FramePrior(
             frame.conditional_stiffness(), size, probability, varied.own_std, varied.sizes, varied.nuisance_share,

@@ -89,6 +89,18 @@ def keys(
     return table
 
 
+def tables(declared: Mapping[str, object], key: str) -> list[tuple[int, object]]:
+    """Return what stands below the headers `[[key]]`, each with its number."""
+    value = declared.get(key)
+    if value is None:
+        return []
+    if isinstance(value, Mapping):
+        raise InputError(f"[{key}] must be a list of tables: write [[{key}]], in double brackets")
+    if not isinstance(value, list | tuple):
+        raise InputError(f"{key} must be a list of tables, each below [[{key}]], not {shown(value)}")
+    return list(enumerate(value, 1))
+
+
 def _hint(key: object, known: Collection[str], elsewhere: Mapping[str, str]) -> str:
     """Say what to do about a key that nothing knows."""
     if isinstance(key, str) and key in elsewhere:

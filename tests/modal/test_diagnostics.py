@@ -43,6 +43,14 @@ def test_a_sound_record_is_left_alone(record):
     assert not kinds(identify_modes(hammer_record(PAPER_FRAME, 0, noise=0.01, hits=2))) & QUIET
 
 
+def test_hits_at_another_floor_than_is_said_are_named():
+    record = hammer_record(PAPER_FRAME, 3, noise=0.03, floors=(2, 3), hits=3)
+    wrong = tuple(dataclasses.replace(run, floor=3) if run.name == "hit 2 at floor 2" else run for run in record.runs)
+    [finding] = found(identify_modes(dataclasses.replace(record, runs=wrong)), "hit")
+    assert finding.numbers == {"floor": 3, "runs": ["hit 2 at floor 2"]}
+    assert "hit" not in kinds(identify_modes(record))
+
+
 def test_clock_offset_is_found_and_corrected(record):
     late = in_step(record, {"floor2": (-0.008, 0.0)})
     result = identify_modes(late)
@@ -52,6 +60,20 @@ def test_clock_offset_is_found_and_corrected(record):
     again = identify_modes(late, correct_clocks=True)
     assert [f.message.endswith("; corrected") for f in found(again, "clock offset")] == [True]
     np.testing.assert_allclose(again.mode_shapes, identify_modes(record).mode_shapes, atol=2e-3)
+
+
+@pytest.mark.parametrize("late", [0, 1, 2])
+def test_a_late_channel_is_told_whichever_the_phases_are_counted_from(late):
+    """Also the one that all modes move most, which phases without an input are compared with."""
+    eigenvalues = 2j * np.pi * np.array([2.0, 6.0, 9.0])
+    shapes = np.array([[0.4, 0.8, 1.0], [1.0, 0.7, -0.6], [-0.7, 1.0, -0.4]])
+    seconds = np.where(np.arange(3) == late, 0.004, 0.0)
+    turned = shapes * np.exp(-1j * eigenvalues.imag[:, None] * seconds)
+    told = offsets(eigenvalues, turned)
+    assert told.reference != late
+    np.testing.assert_allclose(told.seconds, seconds, atol=1e-9)
+    np.testing.assert_allclose(told.unexplained, 0.0, atol=1e-6)
+    assert told.before[late] > 5.0
 
 
 def test_clock_offset_of_the_input(record):

@@ -224,6 +224,47 @@ def test_between_two_records_a_gain_is_a_cable_and_damage_is_not(gain, lost, nam
     assert [item.numbers["floor"] for item in found] == ([3] if named else [])
 
 
+def cabled(factors, *, floors=5, modes=5, hurt=1.0):
+    """What is found between the modes of a frame and those with factors on entries, mode by mode at another scale."""
+    stiffnesses = np.full(5, 8e5)
+    frequencies, shapes = KnownFrame(np.full(5, 1e3), stiffnesses, 0.01).modes()
+    stiffnesses[2] *= hurt
+    others, changed = KnownFrame(np.full(5, 1e3), stiffnesses, 0.01).modes()
+    changed = changed * factors * np.array([1.0, -2.0, 0.5, 3.0, 1.0])[:, None]
+    before = from_arrays(frequencies, shapes, name="before")
+    after = from_arrays(others[:modes], changed[:modes, 5 - floors :], floors=list(range(6 - floors, 6)), name="after")
+    return cables_changed(before, after)
+
+
+ROWS = np.linspace(1.0, 1.4, 5)[:, None]
+
+
+@pytest.mark.parametrize(
+    ("factors", "keys", "expected"),
+    [
+        ([1, 1, 1, 1, 1], {}, None),
+        ([1, 1, 1.2, 1, 1], {}, (3, 1.2, "floor 3 reads 1.200 times as much")),
+        ([1, 1, 1, 1, 0.7], {"floors": 3}, (5, 0.7, "floor 5 reads 0.700 times as much")),
+        ([1, -1, 1, 1, 1], {}, (2, -1.0, 'floor 2 is reversed in "after" as against "before"')),
+        ([1, 1, 1.2, 1, 1], {"modes": 2}, (3, 1.2, "floor 3")),
+        # Less than an instrument drifts by; two at a time; another factor in each mode; damage.
+        ([1, 1, 1.02, 1, 1], {}, None),
+        ([1, 1, 1.2, 1.1, 1], {}, None),
+        (np.where(np.arange(5) == 2, ROWS, 1.0), {}, None),
+        ([1, 1, 1, 1, 1], {"hurt": 0.6}, None),
+        # Too little to tell from.
+        ([1, 1, 1, 1, 1.2], {"floors": 2}, None),
+        ([1, 1, 1, 1, 1.2], {"modes": 1}, None),
+    ],
+)
+def test_a_cable_changes_one_channel_by_one_factor_in_every_mode(factors, keys, expected):
+    found = cabled(np.array(factors), **keys)
+    assert len(found) == (expected is not None)
+    for item in found:
+        assert (item.numbers["floor"], item.numbers["gain"]) == (expected[0], pytest.approx(expected[1]))
+        assert item.message.startswith(expected[2])
+
+
 def test_records_from_arrays_and_tables():
     pandas = pytest.importorskip("pandas")
     record = base_record(PAPER_FRAME, 0, noise=0.01, duration=60.0)

@@ -12,6 +12,7 @@ from scipy import integrate
 import cvxshear
 from cvxshear.modal import Channel, Run, TimeRecord, identify_modes
 from cvxshear.modal.estimate import jackknife
+from cvxshear.modal.prepare import source_of
 from cvxshear.records.mode_shapes import possible_changes, sign_changes
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
 from tests.benchmarks.records import scatter
@@ -49,6 +50,17 @@ def test_integration_agrees_with_a_general_solver():
     )
     expected = np.array([acceleration(t, x) for t, x in zip(solved.t, solved.y.T, strict=True)])
     np.testing.assert_allclose(PAPER_FRAME.accelerations(forces, step)[::50], expected, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("hits", [2, 4])
+def test_a_floor_that_loses_a_hit_counts_as_much_as_before(hits):
+    """Without noise the hits left give the same matrix, but for the blows' places between two samples."""
+    record = hammer_record(PAPER_FRAME, 2, noise=0.0, floors=(1, 3), hits=hits)
+    source = source_of(record, "era")
+    whole = source.factor()
+    for left_out in range(len(record.runs)):
+        part = source.factor(np.arange(len(record.runs)) != left_out)
+        np.testing.assert_allclose(part @ part.T, whole @ whole.T, atol=0.02 * np.abs(whole @ whole.T).max())
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.05])

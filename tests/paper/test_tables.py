@@ -6,6 +6,7 @@ from scipy import linalg
 
 from cvxshear import backends
 from cvxshear.paper import steel_frame, tables, three_story
+from cvxshear.paper.scatter import NoiseStudy, Scatter
 from cvxshear.paper.tables import MISPRINTED, TO_THE_DIGIT, same_digits
 
 MASS, STIFFNESS = np.array([10.0, 7.5, 5.0]), np.array([1800.0, 1200.0, 600.0])
@@ -117,3 +118,34 @@ def test_berman_written_out(case):
         else:
             assert same_digits(M[i - 1, j - 1], printed)
     check_stiffness("berman", case, stiffnesses(phi, M, eigenvalues))
+
+
+def test_errors_of_the_mean_and_variations_are_those_of_errors_that_can_be_counted(monkeypatch):
+    """Four samples, off by b + s, b - s, b + s and b - s: their mean is b, their standard deviation s sqrt(4 / 3)."""
+    shift, spread = np.array([4e-3, 5e-4, -2e-3, 0.0, 1e-3, -7e-4]), np.linspace(1e-3, 6e-3, 6)
+    deviation = 100 * spread * np.sqrt(4 / 3)
+
+    def study(setups, methods, samples, seed):
+        errors = shift + spread * np.array([1, -1, 1, -1])[:, None]
+        scatters = [Scatter(each, methods[0], each.truth * (1 + errors), None, each.truth, 0.0) for each in setups]
+        return NoiseStudy(tuple(scatters), 4, seed, "kkt")
+
+    monkeypatch.setattr(three_story, "noise_study", study)
+    means, variations = three_story.noise_sections([4], 1)
+    chance = deviation * np.sqrt(1 / 100 + 1 / 4)
+    distances = []
+    for first, printed in enumerate(tables.TABLE_3.values()):
+        mine = means.rows[6 * first : 6 * first + 6]
+        np.testing.assert_allclose([row.recomputed for row in mine], 100 * shift, atol=1e-12)
+        np.testing.assert_allclose([row.std_error for row in mine], deviation / 2)
+        np.testing.assert_allclose([row.chance for row in mine], chance)
+        distances += list(np.abs(np.array(printed, dtype=float) - 100 * shift) / chance)
+    beyond, farthest = sum(each > 1.96 for each in distances), max(distances)
+    assert f"of {len(distances)} printed errors {beyond} lie more than 1.96 standard errors" in means.notes[0]
+    assert f"({0.05 * len(distances):.1f} expected by chance), the farthest {farthest:.1f}." in means.notes[0]
+    assert f"Chance {'explains' if farthest < 3.5 else 'does not explain'} the printed figures." in means.notes[0]
+    assert f"beyond three standard errors: m1 +0.40 ± {deviation[0] / 2:.2f} %." in means.notes[1]
+    np.testing.assert_allclose([row.recomputed for row in variations.rows], deviation / (1 + shift))
+    np.testing.assert_allclose([row.std_error for row in variations.rows], deviation / (1 + shift) / np.sqrt(8))
+    enlarged = deviation[5] / (1 + shift[5]) / (100 * tables.FIGURE_6_SIGMA)
+    assert f"For k3 it is, {enlarged:.1f} times." in variations.notes[0]

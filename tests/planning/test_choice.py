@@ -8,6 +8,7 @@ from scipy.optimize import check_grad
 
 from cvxshear.planning.choice import choose, equally_spaced, exchanged, relaxed, values_of
 from cvxshear.planning.criteria import CRITERIA, criterion_named
+from cvxshear.planning.planner import Limits
 from cvxshear.util.errors import InputError
 from tests.benchmarks.planning import OTHERS, beside_others, floors_of, random_frame
 from tests.planning.common import exhaustive, frame_model, tapered
@@ -117,3 +118,25 @@ def test_an_unknown_criterion_or_solver_is_refused():
         criterion_named("G")
     with pytest.raises(InputError, match="solver must be one of clarabel, scs"):
         relaxed(floors(4, 2), 2, criterion_named("D"), "osqp")
+
+
+def test_a_test_weighs_no_more_than_each_floor_and_all_together_can_carry():
+    limits = Limits(np.array([10.0, 4.0, 6.0]), 12.0)
+    grid = np.array(limits.grid())
+    assert np.all(grid <= limits.floor)
+    assert np.all(grid.sum(axis=1) <= 12.0 + 1e-9)
+    for wanted in (
+        [0, 0, 0],
+        [10, 0, 0],
+        [5, 0, 0],
+        [0, 4, 0],
+        [0, 0, 6],
+        [6, 2.4, 3.6],
+        [5, 2, 3],
+        [0, 4, 6],
+        [0, 2, 3],
+    ):
+        assert np.sum(np.all(np.isclose(grid, wanted), axis=1)) == 1, wanted
+    # Whole percents of the heaviest, and no floor beyond its own limit.
+    np.testing.assert_allclose(limits.practical(np.array([3.3337, 4.004, 0.5049])), [3.3, 4.0, 0.5])
+    np.testing.assert_allclose(limits.practical(np.array([9.996, 4.0, 6.0])), np.array([10.0, 4.0, 6.0]) * 0.6)

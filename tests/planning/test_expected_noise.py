@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
-from cvxshear.planning.expected_noise import BAND_WIDTH, Declared, Recorded, band_factors
+from cvxshear.planning.expected_noise import BAND_WIDTH, SAMPLES_A_PERIOD, Declared, Recorded, band_factors
 from cvxshear.records.simulate import PAPER_FRAME
 from cvxshear.util.errors import InputError
 
@@ -56,6 +56,36 @@ def test_the_laws_are_what_simulated_records_scatter_by(kind, duration, frequenc
     for law, seen in zip(expected, (frequency, entries), strict=True):
         ratio = np.array(seen) / (100 * law)
         assert np.all((ratio > 0.55) & (ratio < 1.5)), ratio
+
+
+@pytest.mark.parametrize("kind", ["shaker", "hammer", "ambient"])
+def test_entries_scatter_by_the_spectra_about_their_resonance(kind):
+    """Noise of the sensors, and of ambient records the other modes, beside what a resonance shows of itself.
+
+    Integrals of the resonance are numerical, and so are the derivatives of the entries over the largest one.
+    """
+    zeta, duration, noise = 0.02, 700.0, 0.04
+    found = paper_modes()
+    phi, f, m = found.shapes, found.frequencies, PAPER_FRAME.masses
+    _, stds = Recorded(kind, duration, damping=zeta, noise=noise).of(found, m, WHICH)
+    joint = np.outer(phi @ m, phi @ m) if kind == "shaker" else phi @ phi.T
+    # (1 / 2)^2 / (x^2 + zeta^2), x the distance from the resonance over its frequency.
+    power = quad(lambda x: 0.25 / (x**2 + zeta**2), -np.inf, np.inf)[0]
+    channels = sum(phi[j] ** 2 * joint[j, j] * power * f[j] for j in range(3))
+    inside = quad(lambda u: 0.5 / (1 + u**2), -BAND_WIDTH, BAND_WIDTH)[0]
+    for mode, std in enumerate(stds):
+        spread = np.diag(noise**2 * channels / (SAMPLES_A_PERIOD * f[2] / 2))
+        for other in {0, 1, 2} - {mode} if kind == "ambient" else ():
+            r = f[mode] / f[other]
+            gain = abs(r**2 / (1 - r**2 + 2j * zeta * r)) ** 2
+            left = joint[other, other] * (1 - joint[mode, other] ** 2 / (joint[mode, mode] * joint[other, other]))
+            spread += gain * left * np.outer(phi[other], phi[other])
+        spread *= zeta / (joint[mode, mode] * duration * f[mode] * inside)
+        top = np.argmax(np.abs(phi[mode]))
+        step = 1e-6 * np.eye(3)
+        slopes = [(phi[mode] + each) / (phi[mode] + each)[top] - phi[mode] / phi[mode][top] for each in step]
+        turn = np.array(slopes).T / 1e-6
+        assert std == pytest.approx(np.sqrt(np.mean(np.diag(turn @ spread @ turn.T))), rel=1e-4)
 
 
 def test_a_record_that_is_too_short_is_refused():

@@ -195,7 +195,7 @@ def test_a_wrong_option_is_refused(file, options, message):
         ("[20.0, 20.0, 18.0, 15.0]", "[20.0, 20.0, 18.0]", "must agree"),
         ("story_heights", "story_height", "did you mean 'story_heights'"),
         ("[[prior]]", "[[priors]]", "unknown key 'priors'"),
-        ("[[prior]]", "[record]\n[[prior]]", "plan with the measurement file that 'cvxshear modes' makes of it"),
+        ("[frame]", "[record]\n[frame]", "plan with the measurement file that 'cvxshear modes' makes of it"),
     ],
 )
 def test_a_wrong_file_of_design_values_is_refused(file, old, new, message):
@@ -305,7 +305,7 @@ def test_the_probability_that_a_test_must_reach_is_printed_with_sizes_in_their_u
 
 def test_what_no_tests_of_the_grid_can_beat_is_printed_as_that(file, run):
     out = run("plan", file, "--modes", "2", "--added-mass", "10", "--tests", "2")[1]
-    assert "no tests with the masses of a grid" in out
+    assert "masses of the limit or half of it" in out
 
 
 def test_a_plan_on_measured_modes_expects_the_measured_frequencies_with_what_the_loop_found():
@@ -351,6 +351,16 @@ def test_the_state_that_is_tested_again_is_the_one_asked_for():
         assert predicted(found).configurations[-1].state == state
     with pytest.raises(InputError, match="state must be one of"):
         plan(of, loop=True, state="broken")
+
+
+def test_a_measurement_that_leaves_the_frame_open_is_not_planned_for():
+    """Two frequencies of four stories; at most four of the eight unknowns are named."""
+    mass, stiffness = [10.0, 10.0, 9.0, 8.0], [24e3, 20e3, 16e3, 10e3]
+    table = configuration(mass, stiffness, modes=[1, 2])
+    del table["mode_shapes"], table["mode_shape_std"], table["measured_floors"]
+    with pytest.raises(InputError, match=r"does not determine .*declare design values") as refused:
+        plan(cvxshear.Experiment.from_dict(experiment(mass, stiffness, table)))
+    assert len(re.findall(r"[mk]\d|(?:floor|story)[ _]\w+ \d", str(refused.value))) == 4
 
 
 def test_a_loop_needs_a_measurement_and_a_result_without_heights_says_so(file, tmp_path):

@@ -95,6 +95,52 @@ def test_the_sweeps_solve_the_program_on_every_backend(three):
         np.testing.assert_allclose(found.output_std[t], np.sqrt(np.diag(rows @ block @ rows.T)), rtol=1e-6)
 
 
+def kalman(system, run, weights):
+    """States and covariances by Kalman's filter and the sweep back of Rauch, Tung and Striebel, sample by sample."""
+    driven = system.driven(run.excitation)
+    x, P = np.zeros(len(system.A)), run.start_scale**2 * system.P0
+    told, foretold = [], []
+    for t, row in enumerate(run.measured):
+        foretold.append((x, P))
+        own = weights[t] > 0
+        H, e = system.H[own], row[own] - system.direct[own] * run.excitation[t] - system.H[own] @ x
+        gain = np.linalg.solve(H @ P @ H.T + np.diag(system.R[own] / weights[t, own]), H @ P).T
+        x, P = x + gain @ e, P - gain @ H @ P
+        told.append((x, P))
+        x, P = system.A @ x + driven[t], system.A @ P @ system.A.T + run.envelope[t] ** 2 * system.Q
+    states, covariances = [told[-1][0]], [told[-1][1]]
+    for (x, P), (after, spread) in zip(told[-2::-1], foretold[:0:-1], strict=True):
+        back = np.linalg.solve(spread, system.A @ P).T
+        states.insert(0, x + back @ (states[0] - after))
+        covariances.insert(0, P + back @ (covariances[0] - spread) @ back.T)
+    return np.array(states), np.array(covariances)
+
+
+def test_long_stretches_are_smoothed_as_sample_by_sample(three):
+    """Where gains have settled they are taken as constant, and sweeps go by blocks."""
+    model, _, system, _ = three
+    samples = 1500
+    excitation = shaking(samples, STEP)
+    exact = response(model, Drive(excitation), STEP).acceleration[:, [0, 2]] * model.gain[[0, 2]]
+    y = exact + np.array([0.05, 0.08]) * np.random.default_rng(2).standard_normal((samples, 2))
+    y[700, 1] += 5.0
+    y[900:1250, 0] = np.nan
+    run = Observed(excitation, y, np.repeat([1.0, 2.0, 0.5], 500), 2.0)
+    found = smooth(system, run, system.outputs.rows)
+    states, covariances = kalman(system, run, found.weights)
+    np.testing.assert_allclose(
+        found.states / np.abs(states).max(axis=0), states / np.abs(states).max(axis=0), atol=1e-4
+    )
+    rows = system.outputs.rows
+    std = np.sqrt(np.einsum("oi,tij,oj->to", rows, covariances, rows))
+    # The limit of a covariance is taken within a twentieth.
+    np.testing.assert_allclose(found.output_std, std, rtol=0.025)
+    assert np.sqrt(np.mean((found.output_std / std - 1.0) ** 2)) < 2e-3
+    filled = states @ system.H.T + np.outer(excitation, system.direct)
+    np.testing.assert_allclose(found.completed[900:1250, 0], filled[900:1250, 0], atol=1e-3)
+    np.testing.assert_allclose(found.completed[:600], y[:600], atol=1e-9)
+
+
 def test_without_noise_the_state_space_model_moves_as_the_modes_do(three):
     model, setting, system, _ = three
     excitation = shaking(300, STEP, seed=2)

@@ -75,6 +75,10 @@ def _floors_left_out(result: RecordPrediction) -> str:
     return _left_out(len(_floors(result)), total, "floors", "the table of peaks has all")
 
 
+HISTORY_TICKS = 4
+"""Steps between the ticks of a history at most: its panels are little more than an inch high."""
+
+
 @figure(
     "history",
     RecordPrediction,
@@ -106,8 +110,10 @@ def response_histories(result: RecordPrediction) -> Figure:
         band = SIDES * np.abs(model.gain[floor - 1]) * result.std[run]["floor_acceleration"][window, floor - 1]
         _band(axes, time, after, band, ls="--", label="predicted")
         axes.set_title(f"floor {floor}")
-        axes.set_ylabel("" if style.narrow_page() else "m/s²")
-    axes.set_xlabel("time, s; accelerations in m/s²" if style.narrow_page() else "time, s")
+        axes.set_ylabel("m/s²")
+        # A number of its own: matplotlib's depends on the settings under which a figure is drawn in the end.
+        axes.yaxis.set_major_locator(MaxNLocator(HISTORY_TICKS))
+    axes.set_xlabel("time, s")
     style.legend(figure, axes, left=True)
     return figure
 
@@ -126,8 +132,6 @@ def _band(axes: Axes, time: Floats, value: Floats, half: Floats, **look: Any) ->
     if np.isfinite(half).all():
         axes.fill_between(time, value - half, value + half, color=AFTER, alpha=0.25, lw=0, label="95 % band")
     axes.plot(time, value, color=AFTER, lw=1.0, **look)
-    # As many numbers whatever room they have: the layout is found before they are chosen anew.
-    axes.yaxis.set_major_locator(MaxNLocator(4))
     axes.grid(visible=True, axis="y")
 
 
@@ -359,8 +363,8 @@ def reconstructed_histories(result: Reconstruction) -> Figure:
         drift, band = 1000 * moved.drift[window, story - 1], 1000 * SIDES * std[window, story - 1]
         _band(axes, moved.time[window], drift, band, label="reconstructed")
         axes.set_title(f"story {story}")
-        axes.set_ylabel("" if style.narrow_page() else "mm")
-    axes.set_xlabel("time, s; drifts in mm" if style.narrow_page() else "time, s")
+        axes.set_ylabel("mm")
+    axes.set_xlabel("time, s")
     style.legend(figure, axes, left=True)
     return figure
 

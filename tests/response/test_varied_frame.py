@@ -1,0 +1,216 @@
+"""How a frame may differ in a record: matrices by their modes, and its prior from independent normal numbers."""
+
+import itertools
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import linalg, stats
+
+import cvxshear
+from cvxshear import backends
+from cvxshear.fit.efficient import efficient
+from cvxshear.measurement.declaration import ExpectedEffect
+from cvxshear.response import DampedModel, Fitted
+from cvxshear.response import varied_frame as module
+from cvxshear.response.uncertain import Damped, UncertainFrame
+from cvxshear.response.varied_frame import FramePrior, ModalRows, VariedFrame
+from tests.frames import chain
+from tests.response.common import damped_frame, declared, matrices, pole_ratios
+
+SIZES = (3, 2, 2, 4)
+"""Stories, damping factors, directions of masses and effects, errors of the form."""
+
+
+@pytest.mark.parametrize("changed", [(), (1,), (0, 2)])
+@pytest.mark.parametrize("same", [False, True])
+def test_the_prior_is_conditioned_on_the_modes_like_any_normal_numbers(changed, same):
+    """Everything is a sum of independent normal numbers w; the modes show some of them with errors of one."""
+    rng = np.random.default_rng(3)
+    root = 0.01 * rng.standard_normal((3, 3))
+    own, share = np.array([0.3, 0.2]), np.array([0.02, 0.05])
+    measured = ModalRows(20.0 * rng.standard_normal((7, 9)), rng.standard_normal(7))
+    prior = FramePrior(root @ root.T, 0.4, 0.1, own, SIZES, share, 2, measured)
+    form_std, scatter = 0.03, 0.003
+    found = prior.gaussian(changed, form_std, scatter, same=same)
+
+    nuisances = np.sqrt(1.0 + form_std**2 / share**2 / 2)
+    shift = 0.0 if same else 1.0
+    story = [
+        root, shift * 0.15 * np.ones((3, 1)), shift * scatter * np.eye(3),
+        shift * 0.4 * np.eye(3)[:, list(changed)],
+    ]  # fmt: skip
+    damping = [np.diag(own), shift * 0.5 * np.ones((2, 1))]
+    rest = np.diag([*nuisances, *np.full(4, form_std)])
+    unknowns = linalg.block_diag(np.hstack(story), np.hstack(damping), rest, np.eye(2))
+    tested = linalg.block_diag(root, rest)
+    numbers = np.hstack([tested[:, :3], np.zeros((9, unknowns.shape[1] - 3 - 6 - 2)), tested[:, 3:], np.zeros((9, 2))])
+    seen = measured.J @ numbers
+    posterior = np.linalg.inv(np.eye(len(seen.T)) + seen.T @ seen)
+    np.testing.assert_allclose(found.mean, unknowns @ posterior @ seen.T @ measured.data, atol=1e-12)
+    np.testing.assert_allclose(found.covariance, unknowns @ posterior @ unknowns.T, atol=1e-12)
+    density = stats.multivariate_normal.logpdf(measured.data, np.zeros(7), np.eye(7) + seen @ seen.T)
+    assert found.evidence == pytest.approx(density + 3.5 * np.log(2 * np.pi), rel=1e-9)
+
+
+def centre(kind):
+    """A frame of three stories with damping of a kind, and its dashpots, factors or ratios."""
+    mass, stiffness, dashpots = damped_frame(3)
+    M, C, K = matrices(mass, stiffness, dashpots)
+    if kind == "rayleigh":
+        C = 0.4 * M + 1e-3 * K
+        return Damped(DampedModel(M, C, K, np.ones(3)), None, np.array([0.4, 1e-3])), stiffness, np.zeros(3)
+    if kind == "story":
+        return Damped(DampedModel(M, C, K, np.ones(3)), SimpleNamespace(values=dashpots)), stiffness, np.zeros(3)
+    return Damped(DampedModel(M, C, K, np.ones(3))), stiffness, np.array([0.01, 0.02, 0.03])
+
+
+def varied(kind, **more):
+    damped, stiffness, ratios = centre(kind)
+    none = {"dM": np.zeros((1, 3, 3)), "dK": np.zeros((1, 3, 3)), "dgain": np.zeros((1, 3))}
+    frame = VariedFrame(
+        damped, stiffness, ratios, np.ones(2 if kind == "rayleigh" else 3), form=np.zeros((0, 3, 3)), **none
+    )
+    return replace(frame, **more)
+
+
+@pytest.mark.parametrize("kind", ["story", "rayleigh", "modal"])
+def test_factors_and_directions_change_what_they_say(kind):
+    rng = np.random.default_rng(5)
+    damped, stiffness, ratios = centre(kind)
+    M, K = damped.model.M, damped.model.K
+    dM, form = np.diag([0.3, -0.2, 0.1])[None], 50.0 * (K @ K / 1e5)[None]
+    frame = varied(kind, dM=dM, dK=0.01 * K[None], dgain=np.array([[0.0, 0.1, 0.0]]), form=form)
+    assert frame.sizes == (3, 2 if kind == "rayleigh" else 3, 1, 1)
+    story, damping = 0.2 * rng.standard_normal(3), 0.3 * rng.standard_normal(frame.sizes[1])
+    found = frame.model(np.array([*story, *damping, 0.7, 0.02]))
+    np.testing.assert_allclose(found.M, M + 0.7 * dM[0])
+    np.testing.assert_allclose(found.K, chain(np.ones(3), stiffness * np.exp(story))[1] + 0.007 * K + 0.02 * form[0])
+    np.testing.assert_allclose(found.gain, [1.0, 1.07, 1.0])
+    if kind == "story":
+        expected = chain(np.ones(3), damped_frame(3)[2] * np.exp(damping))[1]
+    elif kind == "rayleigh":
+        expected = 0.4 * np.exp(damping[0]) * found.M + 1e-3 * np.exp(damping[1]) * found.K
+    else:
+        expected = found.C
+        np.testing.assert_allclose(pole_ratios(found.M, found.C, found.K), ratios * np.exp(damping))
+    np.testing.assert_allclose(found.C, expected)
+
+
+def test_errors_of_the_form_couple_the_modes_they_name():
+    """Between mass-normalized modes e_ij omega_i omega_j, and of a mode beyond the measured ones more."""
+    mass, stiffness, dashpots = damped_frame(8)
+    M, C, K = matrices(mass, stiffness, dashpots)
+    form = module._form(DampedModel(M, C, K, np.ones(8)), 6)
+    squares, shapes = linalg.eigh(K, M)
+    between = shapes.T @ form @ shapes / np.sqrt(np.outer(squares, squares))
+    expected = []
+    for i, j in [*((mode, mode) for mode in range(8)), *itertools.combinations(range(6), 2)]:
+        entry = np.zeros((8, 8))
+        entry[i, j] = entry[j, i] = max(1, i + 2 - 6)
+        expected.append(entry)
+    np.testing.assert_allclose(np.abs(between), expected, atol=1e-9)
+
+
+def test_the_share_of_a_direction_is_what_it_changes_of_masses_and_of_eigenvalues():
+    M, K = centre("modal")[0].model.M, centre("modal")[0].model.K
+    dM, dK = np.array([0.03 * M, 0.0 * M]), np.array([0.04 * K, 1e-9 * K])
+    frame = varied("modal", dM=dM, dK=dK, dgain=np.zeros((2, 3)))
+    np.testing.assert_allclose(frame.nuisance_share, [0.05, 1e-4])
+
+
+def test_the_first_samples_are_those_of_a_period():
+    frame = varied("modal")
+    M, K = frame.centre.model.M, frame.centre.model.K
+    period = 2 * np.pi / np.sqrt(linalg.eigvalsh(K, M)[0])
+    assert frame.first_samples(period / 40.2) == 40
+    assert frame.first_samples(2 * period) == 2
+
+
+@pytest.mark.parametrize("noise", ["additive", "multiplicative"])
+@pytest.mark.parametrize("said", [True, False])
+def test_modes_are_told_from_their_frequencies_and_from_shapes_at_their_best_scale(noise, said):
+    mass, stiffness, _ = damped_frame(4)
+    M, K = chain(mass, stiffness)
+    squares, shapes = linalg.eigh(K, M)
+    gain = np.array([1.0, 1.1, 1.0, 0.9])
+    rng = np.random.default_rng(2)
+    configuration = declared(mass, stiffness, [0.01] * 4, rng=rng)["configuration"][0]
+    seen = np.array(configuration["mode_shapes"])
+    seen[1, :] = np.nan
+    seen[2, [0, 3]] = np.nan
+    test = SimpleNamespace(
+        frequencies=np.array(configuration["frequencies"]), modes=np.arange(1, 5), measured_floors=np.arange(1, 5),
+        mode_shapes=seen, mode_shape_noise=noise,
+        frequency_std=0.003 if said else None, mode_shape_std=np.array([0.01, 0.02, 0.03, 0.04]) if said else None,
+    )  # fmt: skip
+    found = module._standardized(test, DampedModel(M - np.eye(4), 0 * K, K, gain), np.ones(4))
+    expected = list(np.log(2 * np.pi * test.frequencies / np.sqrt(squares)) / (0.003 if said else 0.005))
+    for mode in (0, 2, 3):
+        there = np.isfinite(seen[mode])
+        row = seen[mode, there]
+        std = (test.mode_shape_std[mode] if said else 0.02) * (
+            np.abs(row) if noise == "multiplicative" else np.abs(row).max()
+        )
+        entry = (shapes[:, mode] * gain)[there] / std
+        scale = np.linalg.lstsq(entry[:, None], row / std, rcond=None)[0]
+        expected += list(row / std - scale * entry)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def uncertain():
+    mass, stiffness, dashpots = damped_frame(3)
+    M, C, K = matrices(mass, stiffness, dashpots)
+    table = declared(mass, stiffness, pole_ratios(M, C, K), rng=np.random.default_rng(1))
+    solver = backends.get("auto")
+    experiment = cvxshear.Experiment.from_dict(table)
+    return UncertainFrame.of(Fitted.of(efficient(experiment, solver)), experiment.configurations[0], None, solver)
+
+
+def test_what_the_modes_say_is_linear_in_small_changes(uncertain):
+    """Unknown by unknown, the change of frequencies and shapes is that of an eigenvalue problem."""
+    frame = VariedFrame.around(uncertain)
+    rows = ModalRows.around(uncertain, frame)
+    N, D, W, X = frame.sizes
+    assert (N, W > 0, X) == (3, True, 6)
+    assert rows.J.shape == (len(rows.data), N + W + X)
+    # At the fit what is left has the size that its errors were declared with.
+    assert 0.01 < float(np.mean(rows.data**2)) < 3.0
+    measured = uncertain.configuration
+    for place, step in ((0, 1e-4), (2, 1e-4), (N, 1e-2), (N + W, 1e-4), (N + W + X - 1, 1e-4)):
+        z = np.zeros(N + W + X)
+        z[place] = step
+        model = frame.model(np.concatenate([z[:N], np.zeros(D), z[N:]]))
+        frequencies = np.sqrt(linalg.eigvalsh(model.K, model.M)) / (2 * np.pi)
+        left = np.log(measured.frequencies / frequencies) / 0.002
+        np.testing.assert_allclose(rows.data[:3] - rows.J[:3, place] * step, left, atol=2e-3)
+
+
+def test_the_prior_has_what_the_file_expects_of_a_story(uncertain):
+    frame = VariedFrame.around(uncertain)
+    found = FramePrior.around(uncertain, frame, 4)
+    usual = cvxshear.effects.named(["story_change"])[0]
+    assert found.change_std == pytest.approx(float(usual.sizes(None)[0]))
+    assert (1.0 - found.probability) ** 3 == pytest.approx(1.0 - usual.probability)
+    # The frame is of modal damping, whose ratios were declared to a tenth.
+    np.testing.assert_allclose(found.own_damping, np.full(3, 0.1))
+    assert (found.sizes, found.others) == (frame.sizes, 4)
+    np.testing.assert_allclose(found.nuisance_share, frame.nuisance_share)
+    # Masses known, stiffnesses of no smaller deviation than the fit has.
+    assert np.all(np.sqrt(np.diag(found.identified)) < 0.05)
+
+
+def test_a_file_may_expect_something_else_of_every_story(uncertain):
+    said = {"name": "story_change", "size": 0.3, "probability": 0.2}
+    there, elsewhere = SimpleNamespace(**said, story=None), SimpleNamespace(**{**said, "size": 0.9}, story=2)
+    change = module._expected_change(SimpleNamespace(expected=[elsewhere, there]))
+    assert (float(change.expected_sizes(None)[0]), change.probability) == (0.3, 0.2)
+    experiment = replace(
+        uncertain.fitted.experiment, expected=(ExpectedEffect("story_change", size=0.3, probability=0.2),)
+    )
+    frame = replace(uncertain, fitted=replace(uncertain.fitted, experiment=experiment))
+    found = FramePrior.around(frame, VariedFrame.around(frame), 4)
+    assert found.change_std == 0.3
+    assert (1.0 - found.probability) ** 3 == pytest.approx(0.8)
