@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,13 +19,14 @@ from scipy import special
 from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.measurement.experiment import Configuration, Limits
-from cvxshear.response.damped import DampedModel
+from cvxshear.response.damped import DampedModel, Response
 from cvxshear.response.fitted import Fitted
 from cvxshear.response.frame_fit import FittedFrame
 from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses, readings_of, shown_by
 from cvxshear.response.peaks import FloorSpectra, Peaks, largest_spectra, peaks_of
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
 from cvxshear.response.sensor_checks import SensorCheck, Whiteness, checked, whiteness, widening
+from cvxshear.response.smoother import Smoothed
 from cvxshear.response.sources import ModelSource, line_remarks, models_of, state_of, state_remarks
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util.quantities import percent, ranged
@@ -219,14 +220,15 @@ def reconstruct(
         if progress is not None:
             progress(next(done), parts)
 
-    fits = []
-    for reading in readings:
-        predicted = predicted_responses(identified, reading)
-        lines = reading.lines(shown_by(identified, predicted, reading)) if detrend else None
-        work = FrameMotion.around(frame, reading if lines is None else reading.less(lines), solver, free=fit)
-        fits.append((predicted, *work.fitted(detrend=detrend)))
-        advance()
-    predicted, work, fitted, smoothed = max(fits, key=lambda each: each[2].log_evidence)
+    def fits() -> Iterator[_Fit]:
+        for reading in readings:
+            predicted = predicted_responses(identified, reading)
+            lines = reading.lines(shown_by(identified, predicted, reading)) if detrend else None
+            work = FrameMotion.around(frame, reading if lines is None else reading.less(lines), solver, free=fit)
+            yield predicted, *work.fitted(detrend=detrend)
+            advance()
+
+    (predicted, work, fitted, smoothed), evidences = _most_probable(fits())
     advance()
     checks = []
     for channel in range(len(recording.floors)) if leave_out and len(recording.floors) > 1 else ():
@@ -245,21 +247,36 @@ def reconstruct(
     )  # fmt: skip
     advance()
     said = state_remarks(experiment, recording, state, named=configuration is not None)
-    if len(fits) > 1:
-        said.append(_said_of_readings([each[2].log_evidence for each in fits]))
+    if len(evidences) > 1:
+        said.append(_said_of_readings(*evidences))
     return dataclasses.replace(found, remarks=(*said, *_remarks(found, recorded)))
 
 
-def _said_of_readings(evidences: Sequence[float]) -> str:
+_Fit = tuple[list[Response] | None, FrameMotion, FittedFrame, list[Smoothed]]
+"""A prediction, the motion as it was set up, the frame, and its motion."""
+
+
+def _most_probable(fits: Iterator[_Fit]) -> tuple[_Fit, list[float]]:
+    """Return the most probable fit, and the log evidence of each; long records fill the memory, so one is kept."""
+    best = next(fits)
+    evidences = [best[2].log_evidence]
+    for other in fits:
+        evidences.append(other[2].log_evidence)
+        if evidences[-1] > best[2].log_evidence:
+            best = other
+    return best, evidences
+
+
+def _said_of_readings(straight: float, band_limited: float) -> str:
     """Say how the base motion was taken to go between its samples, and what speaks for that."""
-    straight, band_limited = evidences
     taken, other = "band-limited", "straight lines"
-    if straight > band_limited:
+    if straight >= band_limited:
         taken, other = other, taken
-    return (
-        f"between its samples the base motion is taken as {taken}: that makes what the floors did more probable than "
-        f"{other} would (odds 10^{abs(straight - band_limited) / np.log(10):.0f})"
-    )
+    odds = abs(straight - band_limited) / np.log(10)
+    speaks = f"that makes what the floors did more probable than {other} would (odds 10^{odds:.0f})"
+    if odds < 1:
+        speaks = f"the floors hardly tell that from {other}; a record at a higher rate would"
+    return f"between its samples the base motion is taken as {taken}: {speaks}"
 
 
 def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
