@@ -132,7 +132,10 @@ PIPED = [["identify"], ["loop", "--effects", "ground_spring"], ["check"], ["plan
 
 
 WAITING = 120
-"""Seconds after which a command that reads a pipe again is taken to wait for ever, and a process to outlive another."""
+"""Seconds after which a command that reads a pipe again is taken to wait for ever, and others to begin."""
+
+OUTLIVING = 2
+"""Seconds that no process may outlive its parent by, as `cvxshear.util.parallel` promises."""
 
 
 @contextlib.contextmanager
@@ -309,7 +312,7 @@ def _ended_by(found, ending):
     out, err = found.communicate(timeout=WAITING)
     if ending == "SIGINT":
         assert (found.returncode, out, err) == (130, "", "")
-    assert within(WAITING, lambda: not alive(found.pid)), alive(found.pid)
+    assert within(OUTLIVING, lambda: not alive(found.pid)), alive(found.pid)
 
 
 def within(seconds, true):

@@ -117,8 +117,7 @@ def _direct() -> dict[str, Backend]:
 
 @cache
 def _through_cvxpy(name: str) -> Backend:
-    # cvxpy takes a second to import, so it is, only when one of its backends is asked for.
-    from cvxshear.backends.cvxpy_backend import Cvxpy  # noqa: PLC0415
+    from cvxshear.backends.cvxpy_backend import Cvxpy  # noqa: PLC0415 - cvxpy takes a second to import
 
     return Cvxpy(name.removeprefix("cvxpy-").upper())
 

@@ -50,8 +50,8 @@ class Qpsolvers(Backend):
         return other
 
     def answer(self, problem: Canonical) -> Answer:
-        # It imports every solver that is installed, and most of what this library does needs none of them.
-        import qpsolvers  # noqa: PLC0415
+        # Most of what this library does needs no solver.
+        import qpsolvers  # noqa: PLC0415 - imports every solver that is installed
 
         stated = self._stated(problem)
         # Solvers that cannot begin at a point pass over it.

@@ -2,11 +2,12 @@
 
 A set is expanded by what the linearised model at its fit promises of each further effect, of each pair, and of all
 that it would take one after the other; where an open class stands in it, its conspicuous entries are tried as causes.
-The best set comes first: it is pruned, expanded, and regrouped, which puts one cause, or several where nothing simple
-explains, in the place of a whole group of effects. Then the rest of the beam is expanded, the best sets visited; and
-at last each of the best with one effect taken out, which exchanges that effect for another. As there are finitely many
-sets and none is fitted or expanded twice, it ends; at the latest when its budget is spent, but for the neighbors of
-the best sets.
+The best set comes first: it is pruned and expanded. Where nothing simple explains, or an open class has to, effects
+that bring a motion of their own, and causes alone from the shear model on, are looked at next. Then the best set is
+regrouped, which puts one cause, or several where nothing simple explains, in the place of a whole group of effects.
+Then the rest of the beam is expanded, the best sets visited; and at last each of the best with one effect taken out,
+which exchanges that effect for another. As there are finitely many sets and none is fitted or expanded twice, it ends;
+at the latest when its budget is spent, but for the neighbors of the best sets.
 """
 
 from __future__ import annotations

@@ -204,7 +204,8 @@ def band_limited(samples: Floats) -> Floats:
     samples : ndarray, shape (samples,)
     """
     lines, power = signal.welch(samples - trend(samples), nperseg=min(SPECTRUM_SAMPLES, len(samples)))
-    noise = np.median(power[lines > 0.5 * NOISE_FROM])
+    # The lines of a few samples may end before that; the last one has to do then.
+    noise = np.median(power[lines >= min(0.5 * NOISE_FROM, lines[-1])])
     above = np.clip(1.0 - NOISE_SCATTER * noise / np.maximum(power, np.finfo(float).tiny), 0.0, 1.0)
     margin = min(MARGIN_SAMPLES, len(samples) - 1)
     mirrored = np.pad(samples, margin, mode="reflect", reflect_type="odd")

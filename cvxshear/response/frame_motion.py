@@ -347,8 +347,8 @@ def readings_of(model: DampedModel, recording: Recording) -> list[Recording]:
     other = recording.band_limited()
     smooth_one = predicted_responses(model, other)
     assert smooth_one is not None, "the base motion was measured"
-    pairs = zip(straight, smooth_one, strict=True)
-    apart = max(rms(a.acceleration - b.acceleration) / rms(a.acceleration) for a, b in pairs)
+    motion, moved = (np.concatenate([each.acceleration for each in runs]) for runs in (straight, smooth_one))
+    apart = rms(moved - motion) / rms(motion)
     return [recording, other] if apart > MOVED_ALIKE else [recording]
 
 

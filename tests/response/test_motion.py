@@ -68,6 +68,16 @@ def test_samples_of_a_band_limited_motion_move_an_oscillator_as_its_harmonics_do
     assert errors[1] > 0.03 * np.max(np.abs(expected))
 
 
+@pytest.mark.parametrize("samples", [1, 2, 3, 5, 9, 50])
+def test_pieces_of_any_length_and_a_still_ground_stay_finite(samples):
+    """Warnings are errors; of so few lines, and of zeros, nothing is divided by zero."""
+    for motion in (np.zeros(samples), np.ones(samples), np.sin(np.arange(samples))):
+        found = band_limited(motion)
+        assert found.shape == motion.shape
+        assert np.isfinite(found).all()
+    np.testing.assert_array_equal(band_limited(np.zeros(samples)), 0.0)
+
+
 def test_white_samples_are_no_band_limited_motion():
     white = np.random.default_rng(0).standard_normal(6000)
     assert np.sqrt(np.mean((band_limited(white) - white) ** 2)) < 0.02
