@@ -97,10 +97,6 @@ class Recording:
             there = together[np.isfinite(together[:, column]), column]
             if not len(there) or not np.any(there != there[0]):
                 raise InputError(f"{self.name}: the channel on floor {floor} shows no motion; leave it out")
-        if self.input != "none" and all(np.ptp(run.excitation) == 0 for run in self.runs):
-            raise InputError(
-                f'{self.name}: the input channel shows no motion; input = "none" has the base motion estimated'
-            )
         for run in self.runs:
             if not np.isfinite(run.excitation).all():
                 missing = int((~np.isfinite(run.excitation)).sum())

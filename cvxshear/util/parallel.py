@@ -83,6 +83,9 @@ def each(
             logger.debug("%d of %d done", len(results), len(todo))
             if progress is not None:
                 progress(len(results), len(todo))
+    except KeyboardInterrupt:
+        _let_managers_end_in_silence()
+        raise
     except BrokenProcessPool:
         raise LostProcessError(
             f"one of the processes was ended from outside, after {len(results)} of {len(todo)} things were done; where "
@@ -91,6 +94,17 @@ def each(
     finally:
         _drop(parts)
     return results
+
+
+def _let_managers_end_in_silence() -> None:
+    """Print no traceback of loky's managing thread: it may still look for a task that was given up."""
+    hook = threading.excepthook
+
+    def said(args: Any) -> None:
+        if args.thread is None or "ExecutorManager" not in args.thread.name:
+            hook(args)
+
+    threading.excepthook = said
 
 
 def _drop(parts: Any) -> None:
