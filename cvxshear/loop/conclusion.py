@@ -24,7 +24,7 @@ from cvxshear.loop.next_test import next_test
 from cvxshear.loop.numbering import OVERLOOKED, NumberingProbability
 from cvxshear.loop.posterior import RIVAL, Posterior
 from cvxshear.loop.residual import where_it_sits
-from cvxshear.loop.results import AddedEffect, Candidate, Closure, EffectSet, Step, parameters_of, stds_of
+from cvxshear.loop.results import AddedEffect, Candidate, Closure, EffectSet, Step
 from cvxshear.loop.search import Search, fits_alike
 from cvxshear.util.errors import NoModesError, NoSolutionError
 from cvxshear.util.quantities import listed
@@ -216,18 +216,20 @@ def _in_noise_of(final: Estimate, effects: Sequence[Placed], fitter: Fitter) -> 
 
 
 def _added(posterior: Posterior, final: Estimate, placed: Placed) -> AddedEffect:
-    parameters, std = parameters_of(final, placed), stds_of(final, placed)
+    values, errors = final.theta[final.own(placed)], posterior.deviations_about(final, placed)
+    names = [item.name for item in placed.effect.parameters]
+    parameters = dict(zip(names, values.tolist(), strict=True))
+    std = {name: None if np.isnan(error) else float(error) for name, error in zip(names, errors, strict=True)}
     if placed.effect.rescales:
         factor = final.noise.of(placed.label) or {}
         parameters, std = {"factor": factor["factor"]}, {"factor": factor["std"]}
     units = placed.units(final.experiment)
-    own = final.own(placed)
     return AddedEffect(
         placed,
         posterior.of_effects[placed],
         parameters,
         std,
-        placed.effect.phrase(placed.place, final.theta[own], final.std[own], final.scale, units),
+        placed.effect.phrase(placed.place, values, errors, final.scale, units),
         tuple(posterior.rivals(placed)),
         tuple(_remarks(final, placed)),
     )
@@ -331,7 +333,8 @@ def _granted(search: Search, found: ModelClass) -> Iterator[str]:
     invariances = search.invariances(found)
     untold = defaultdict[str, list[str]](list)
     for placed in said:
-        alike = [other for other in candidates if other.place.state == placed.place.state and other.effect.kind != OPEN]
+        # Not all that is done to single stories or floors of the state, whose sum it is.
+        alike = [other for other in said if other.place.state == placed.place.state]
         if invariances.untold(placed, alike):
             untold[placed.effect.granted].append(str(placed.place.state))
     for statement, names in untold.items():
