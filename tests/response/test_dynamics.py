@@ -24,7 +24,7 @@ def frame():
 
 def setting(case):
     force_floor, measured = CASES[case]
-    return Setting(np.array([1, 3]), STEP, force_floor, measured, 6.0, 2.5, STORY_FORCE)
+    return Setting(np.array([1, 3]), STEP, force_floor, measured, 6.0, 2.5, STORY_FORCE, frame().M)
 
 
 def slope(case, x, p):
