@@ -47,7 +47,8 @@ class AttachedMass(Effect):
 
     Expected size: 15 % of a floor's mass; tuned dampers weigh 1 to 5 % of the whole frame, tanks and machines 5 to 20 %
     of a floor (Soong and Dargush, Passive Energy Dissipation Systems). Any frequency among those that were measured
-    is as probable. Such things can be seen, so one frame in fifty has one that nobody thought of.
+    is as probable. Such things can be seen, so one frame in fifty has one that nobody thought of; dampers and tanks
+    stand where the frame moves most, so that the top floor is as probable as all the others together.
     """
 
     name = "attached_mass"
@@ -83,6 +84,9 @@ class AttachedMass(Effect):
         # The smaller of two masses, where a fit from the larger one steps over the place.
         starts += [(size * mass.start, part * highest) for part in AMONG_THE_HIGHEST for size in (1.0, 0.5)]
         return tuple((size, float(min(place, frequency.upper))) for size, place in starts)
+
+    def weight(self, place: Place, experiment: Experiment) -> float:
+        return float(max(1, experiment.stories - 1)) if place.floor == experiment.stories else 1.0
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         system = state.system

@@ -334,6 +334,10 @@ class Effect(ABC):
         states = list(experiment.changed_states) if "state" in self.sits_at else [None]
         return [Place(floor, story, state) for floor in floors for story in levels for state in states]
 
+    def weight(self, place: Place, experiment: Experiment) -> float:
+        """How probable it is at a place in relation to others; the same everywhere by default."""
+        return 1.0
+
 
 @dataclass(frozen=True)
 class Placed(InJson):

@@ -9,6 +9,7 @@ import pytest
 from cvxshear.effects import Effect, Parameter, Place, Placed, Scale, catalogue, compose, named, register
 from cvxshear.effects import registry as registry_module
 from cvxshear.effects.state import STAGES
+from cvxshear.loop.hypotheses import hypotheses
 from cvxshear.measurement.experiment import Experiment, Frame
 from cvxshear.util.errors import InputError, NoModesError
 from tests.effects.common import ADDED, HEIGHTS, MASS, NAMES, STIFFNESS, composed, experiment, modes_with, placed, theta
@@ -427,6 +428,18 @@ def test_an_effect_brings_its_own_size_and_probability():
     assert (other.probability, other.expected_sizes(scale)[0]) == (0.3, 0.02)
     with pytest.raises(InputError, match=r"must lie between 0 and 1, not 1\.5"):
         gain.expecting(probability=1.5)
+
+
+def test_the_probability_of_an_effect_is_that_of_being_anywhere():
+    """None anywhere has the probability of none at each place; a tank is on the roof in every second frame with one."""
+    of = experiment()
+    for name, floors in (("ground_spring", [2, 3, 4]), ("attached_mass", [1, 2, 3, 4])):
+        found = hypotheses(of, [one(name)])
+        assert [item.placed.place.floor for item in found] == floors
+        assert np.prod([1 - item.probability for item in found]) == pytest.approx(1 - one(name).probability, rel=1e-12)
+    lower, roof = [item.probability for item in found[:3]], found[3].probability
+    assert roof == pytest.approx(1 - np.sqrt(0.98), rel=1e-12)
+    assert lower == pytest.approx([1 - 0.98 ** (1 / 6)] * 3, rel=1e-12)
 
 
 SCALE = Scale(10.0, 2e4, np.full(4, 0.4))
