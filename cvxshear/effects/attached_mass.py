@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 from collections.abc import Sequence
 from typing import Self
@@ -74,9 +73,7 @@ class AttachedMass(Effect):
         frequency = Parameter(
             "frequency", "Hz", lower=SLOWEST * lowest, upper=FASTEST * highest, null=start, start=start
         )
-        own = copy.copy(self)
-        own.parameters = (mass, frequency)
-        return own
+        return self.having((mass, frequency))
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
@@ -92,13 +89,12 @@ class AttachedMass(Effect):
         return float(max(1, experiment.stories - 1)) if place.floor == experiment.stories else 1.0
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        assert place.floor is not None
         system = state.system
         motions, stories = len(system.K), len(state.story_stiffness)
         mass = float(values[0] + LEAST_MASS * np.mean(state.floor_mass))
         square = float((2 * np.pi * values[1]) ** 2)
         d = np.zeros(motions + 1)
-        d[-1], d[place.floor - 1] = 1.0, -1.0
+        d[-1], d[place.floor_index] = 1.0, -1.0
         unit = np.outer(d, d)
         by_mass = np.zeros(len(system.dM))
         by_mass[own.start] = 1.0
