@@ -5,10 +5,11 @@ With displacements u against the ground, velocities v and relative deviations f 
     u' = v,   v' = M^-1 (-K u - C v + load p(t)) + M0^-1 T diag(d) f,   f' = -alpha f + white noise,
 
 where M0 and d_i = k_i (rms drift of story i) are those of the identified frame and each f_i has the standard deviation
-s. What is missed counts as accelerations: it is the same for a frame all of whose masses and stiffnesses are larger. A model that is wrong by a few percent
-of a story's stiffness misses a force in proportion to that story's drift, which changes as slowly as the frame
-vibrates: so the process noise acts between floors and its corner frequency alpha is that of the first mode. White noise
-on the floors would be neither. Where nobody measured the ground, its acceleration is one more state of this kind.
+s. What is missed counts as accelerations: it is the same for a frame all of whose masses and stiffnesses are larger. A
+model that is wrong by a few percent of a story's stiffness misses a force in proportion to that story's drift, which
+changes as slowly as the frame vibrates: so the process noise acts between floors and its corner frequency alpha is that
+of the first mode. White noise on the floors would be neither. Where nobody measured the ground, its acceleration is one
+more state of this kind.
 
 The known excitation is a straight line between samples (first-order hold) and the noise is integrated over a step
 (Van Loan 1978), so that no step is too long.
