@@ -13,7 +13,7 @@ from scipy import io
 from cvxshear.data import Deviation
 from cvxshear.files.spreadsheets import Cell, Sheet, workbook
 from cvxshear.fit.misfit import Misfit
-from cvxshear.report.describe.before_after import MODELS
+from cvxshear.report.describe.consequences import MODELS
 from cvxshear.response import Fitted, RecordPrediction
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.uncertain import Damped
