@@ -141,34 +141,8 @@ def with_motions(base: Estimate, fitter: Fitter, best: ModelClass) -> list[FitPr
     ]
     assert best.estimate is not None, "a best set has a fit"
     most = np.inf if best.improbable else NEAR_ENOUGH * best.estimate.fit.at.objective
-    reached = base.fit.at.J @ base.free_directions
-    left = np.array([_after_a_step(proposal, base, reached) for proposal in proposals])
+    left = np.array([_after_a_step(proposal) for proposal in proposals])
     return [proposals[i] for i in np.argsort(left, kind="stable")[:MOTIONS] if left[i] <= most]
-
-
-def _after_a_step(proposal: FitProposal, base: Estimate, reached: Floats) -> float:
-    """Return the objective that the linearised model has after one step from a start.
-
-    The frame's derivatives are those at the fit that it starts from: the mass is a small one there.
-
-    Parameters
-    ----------
-    proposal : FitProposal
-    base : Estimate
-    reached : ndarray, shape (d, f)
-        What the free directions of that fit do to its residuals, orthonormal.
-    """
-    try:
-        at = proposal.misfit.evaluate(proposal.starts[0], by=slice(len(base.theta), None))
-    except NoModesError:
-        return np.inf
-    # What is expected of the effect itself comes between its data and what is expected of the frame.
-    of_frame = base.fit.at.known
-    rows = np.insert(reached, [of_frame] * (at.known - of_frame), 0.0, axis=0)
-    own = at.J - rows @ (rows.T @ at.J)
-    left = at.r - rows @ (rows.T @ at.r)
-    left = left - own @ np.linalg.lstsq(own, left, rcond=None)[0]
-    return float(left @ left)
 
 
 def from_frames(starts: Sequence[tuple[Set, Floats]], base: Estimate, fitter: Fitter) -> list[FitProposal]:
@@ -187,10 +161,10 @@ def from_frames(starts: Sequence[tuple[Set, Floats]], base: Estimate, fitter: Fi
         plain = fitter.proposal(base, (*fitter.assumed, *held))
         start = np.concatenate([frame, plain.starts[-1][len(frame) :]])
         proposals.append(dataclasses.replace(plain, starts=(start,)))
-    return sorted(proposals, key=_after_a_free_step)[:FROM_FRAMES]
+    return sorted(proposals, key=_after_a_step)[:FROM_FRAMES]
 
 
-def _after_a_free_step(proposal: FitProposal) -> float:
+def _after_a_step(proposal: FitProposal) -> float:
     """Return the objective that the linearised model has after one step of all parameters from a start."""
     try:
         at = proposal.misfit.evaluate(proposal.starts[0])
