@@ -38,18 +38,17 @@ def test_a_sound_record_comes_back_as_it_went_in(kind):
 @pytest.mark.parametrize("fault", ["delay", "drift", "dead", "stuck", "saturated", "spikes"])
 def test_a_fault_of_one_channel_is_named(kind, fault):
     """Before any mode is looked for; delays and drifts to a tenth of a sample, from the size that was put in."""
-    if (fault, kind) == ("drift", "free_decay"):
-        pytest.skip("three releases have too few stretches of motion for a drift to be told from their scatter")
-    case = next(
-        case for seed in range(60, 90) if abs((case := case_of(seed, kind, fault)).size) > 0.05 or fault != "delay"
-    )
+    least = {"delay": 0.05, "drift": 100.0}.get(fault, -1.0)
+    case = next(case for seed in range(60, 90) if abs((case := case_of(seed, kind, fault)).size) > least)
     found = [item for item in examined(case.record).findings if item.numbers.get("channel") in case.channels]
     assert {item.kind for item in found} & set(NAMED_BY[fault])
     first = next(item for item in found if item.kind in NAMED_BY[fault])
     if fault == "delay":
         assert first.numbers["seconds"] == pytest.approx(case.size, abs=0.15 / case.record.sampling_rate)
     if fault == "drift":
-        assert 1e6 * first.numbers["drift"] == pytest.approx(case.size, abs=5.0)
+        # Three releases have few stretches of motion: what is stated says how well they tell it.
+        within = 3e6 * first.numbers["drift_std"] if kind == "free_decay" else 5.0
+        assert 1e6 * first.numbers["drift"] == pytest.approx(case.size, abs=within)
 
 
 @pytest.mark.parametrize("kind", INPUTS)
