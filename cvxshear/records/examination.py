@@ -187,7 +187,7 @@ def _drifting(name: str, reference: str, start: float, slope: float, std: float)
     return Finding(
         "clock drift",
         f'the clock of "{name}" runs {"slow" if slope > 0 else "fast"} by {1e6 * abs(slope):.1f} ppm '
-        f'(std {significant(1e6 * std, 2)}), {1e3 * abs(start):.2f} ms {"late" if start > 0 else "early"} against that '
+        f"(std {significant(1e6 * std, 2)}), {1e3 * abs(start):.2f} ms {'late' if start > 0 else 'early'} against that "
         f'of "{reference}" at the start of the record; taken out',
         {"channel": name, "seconds": start, "drift": slope, "drift_std": std, "corrected": True},
     )

@@ -277,6 +277,55 @@ def test_records_from_arrays_and_tables():
     assert named.sampling_rate == pytest.approx(20.0)
 
 
+STEPS = np.arange(400) / 50.0
+
+
+@pytest.mark.parametrize(
+    ("index", "columns", "rate", "found"),
+    [
+        (lambda pd: pd.date_range("2024-03-31 01:59", periods=400, freq="20ms", tz="Europe/Berlin"), "ab", None, 50.0),
+        (lambda pd: (STEPS + 600.0).astype(np.float32), "ab", None, 50.0),
+        (lambda pd: STEPS, [("acc", 1), ("acc", 2)], None, 50.0),
+        (lambda pd: STEPS[::-1], "ab", 50.0, "goes from 7.98 s to 7.96 s; it must ascend"),
+        (lambda pd: STEPS, "ab", 100.0, "sampling_rate = 100 Hz, but the table's time ticks at 50 Hz"),
+        (lambda pd: 0.0 * STEPS, "ab", None, "goes from 0 s to 0 s"),
+        (lambda pd: np.where(STEPS == 0.1, np.nan, STEPS), "ab", None, "time is missing at sample 6"),
+        (lambda pd: STEPS, "aa", None, 'has the column "a" 2 times'),
+    ],
+)
+def test_times_and_names_of_a_data_frame(index, columns, rate, found):
+    pandas = pytest.importorskip("pandas")
+    values = np.random.default_rng(0).standard_normal((400, 2)).astype(np.float32)
+    table = pandas.DataFrame(values, index=index(pandas), columns=list(columns))
+    if isinstance(found, str):
+        with pytest.raises(InputError, match=found):
+            TimeRecord.of(table, sampling_rate=rate)
+        return
+    record = TimeRecord.of(table, floors={table.columns[1]: 2}, sampling_rate=rate)
+    assert record.sampling_rate == pytest.approx(found, rel=1e-5)
+    np.testing.assert_array_equal(record.runs[0].responses[:, 0], values[:, 1])
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "quantity"),
+    [("g", 9.80665, "acceleration"), ("mm s-2", 1e-3, "acceleration"), ("cm/s", 1e-2, "velocity"), ("apple", None, "")],
+)
+def test_units_of_a_table(unit, factor, quantity):
+    pandas = pytest.importorskip("pandas")
+    table = pandas.DataFrame(np.random.default_rng(0).standard_normal((400, 2)), index=STEPS, columns=["a", "ground"])
+    table.attrs["units"] = unit
+    if factor is None:
+        with pytest.raises(InputError, match='units = "apple" of the table is none of m/s2'):
+            TimeRecord.of(table)
+        return
+    record = TimeRecord.of(table, excitation="ground")
+    assert record.quantity == quantity
+    np.testing.assert_allclose(record.runs[0].responses[:, 0], factor * table["a"])
+    np.testing.assert_allclose(record.runs[0].excitation, factor * table["ground"])
+    with pytest.raises(InputError, match="none of quantity"):
+        TimeRecord.of(table, quantity="displacement")
+
+
 class DataArray:
     """What of xarray's class is read: values, dims, and coords whose entries have values."""
 
