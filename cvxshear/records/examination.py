@@ -24,7 +24,8 @@ SILENT = 6.0
 LEAST_AGREEMENT, MOST_CHANCE = 0.08, 0.55
 """Bounds of that limit: hum has a little in common with everything; few lines leave much to chance."""
 AGREED = 0.25
-"""Agreement of a channel's phases with the others' from which on its clock can be told."""
+"""Agreement of a channel's phases with the others' from which on its clock can be told; half of what is usual in the
+record where that is less."""
 LATE = 0.5
 """Samples; a delay of less is left to the phases of the modes, which tell it finer."""
 IN_STEP = 0.6
@@ -107,16 +108,19 @@ def _in_step(record: TimeRecord) -> tuple[TimeRecord, list[Finding], dict[str, t
     plain = np.array([[_in_common(segments, i, j) for j in range(len(clocks))] for i in range(len(clocks))])
     reference = int(np.argmax(np.median(plain, axis=0) if len(clocks) > 3 else plain.sum(axis=0)))
     against = {i: band_clock(segments, i, reference) for i in range(len(clocks)) if i != reference}
-    heard = [item.agreement for item in against.values() if item.agreement > AGREED]
-    if len(heard) < len(against) / 2:
+    limits = {i: min(max(SILENT * item.chance, LEAST_AGREEMENT), MOST_CHANCE) for i, item in against.items()}
+    # Sampled far beyond its highest mode a frame has much of its band where forces of the wind move each floor alone.
+    usual = float(np.median(np.delete(plain[reference], reference)))
+    agreed = min(AGREED, usual / 2)
+    heard_by = {i: item for i, item in against.items() if item.agreement > max(agreed, limits[i])}
+    if len(heard_by) < len(against) / 2:
         # Nothing is sure where most have little in common: a few sine waves, a record of noise.
         return record, [], {}
-    limits = {i: min(max(SILENT * item.chance, LEAST_AGREEMENT), MOST_CHANCE) for i, item in against.items()}
     silent = [i for i, item in against.items() if item.agreement < limits[i] and names[i : i + 1]]
     findings = [_silent(record, i, against[i]) for i in silent]
-    heard_by = {reference: BandClock(0.0, 0.0, 1.0, 0.0)}
-    heard_by |= {i: item for i, item in against.items() if item.agreement > AGREED}
-    drifts = {i: _drift(segments, i, heard_by) for i in heard_by}
+    heard_by[reference] = BandClock(0.0, 0.0, 1.0, 0.0)
+    # Where most of the band is not in common, the search over drifts finds one in its noise.
+    drifts = {i: _drift(segments, i, heard_by) if usual > AGREED else (0.0, np.inf) for i in heard_by}
     # The clock that is nearest to all others counts as right, of those that do not drift.
     middles = {i: item.middle for i, item in heard_by.items()}
     right = min(
