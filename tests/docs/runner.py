@@ -244,10 +244,13 @@ def kept(name: str, make: Callable[[], R]) -> R:
 
 
 def share() -> None:
-    """From here on this process closes loops and draws reports once, see `once`."""
+    """From here on this process closes loops, identifies modes and draws reports once, see `once`."""
+    import cvxshear.files.modes  # noqa: PLC0415
     import cvxshear.loop  # noqa: PLC0415
+    import cvxshear.modal  # noqa: PLC0415
 
     cvxshear.close_loop = cvxshear.loop.close_loop = once(cvxshear.loop.close_loop)
+    cvxshear.files.modes.identify_modes = cvxshear.modal.identify_modes = once(cvxshear.modal.identify_modes)
     # What imports the loop does so after this.
     from cvxshear.report import html  # noqa: PLC0415
 
