@@ -1,13 +1,14 @@
-"""Loops that tests of several files, or pages of the documentation, look at: closed once."""
+"""Loops, and modes of records, that tests of several files, or pages of the documentation, look at: found once."""
 
 import numpy as np
 
 import cvxshear
+from cvxshear import modal
 from cvxshear.loop import Closure
 from tests.docs.runner import once
 from tests.fe.experiments import simulated
 
-close_loop = once(cvxshear.close_loop)
+close_loop, identify_modes = once(cvxshear.close_loop), once(modal.identify_modes)
 
 
 def built_in(name: str) -> Closure:

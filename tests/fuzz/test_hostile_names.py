@@ -279,7 +279,6 @@ PLACED = (*WORST, "=1+1", '=HYPERLINK("http://x.y","z")', "＠A1", "a\n=1+1", '"
 """What drawings, pages, tables, scripts and terminals stumble over, for the four places of a prediction."""
 
 
-
 @pytest.mark.parametrize("start", range(4))
 def test_predict(start, run, tmp_path):
     """The frame's file and configuration, the record, its state and a channel have a name to themselves."""
