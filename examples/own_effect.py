@@ -15,16 +15,12 @@ class Brace(Effect):
     source = "linear spring between two floors"
     stage = "spring"
     parameters = (Parameter("b", "N/m", lower=0.0),)
+    usual, usual_in = 0.1, "story_stiffness"
 
     def apply(self, state, place, values, own):
         e = np.zeros(len(state.story_stiffness))
         e[0], e[2] = 1.0, -1.0
-        dK = state.system.dK.copy()
-        dK[own] += np.outer(e, e)
-        return state.with_stiffness(state.system.K + values[0] * np.outer(e, e), dK)
-
-    def sizes(self, scale):
-        return np.array([0.1 * scale.story_stiffness])
+        return state.plus_stiffness(values, [np.outer(e, e)], own)
 
 
 def measured(added):

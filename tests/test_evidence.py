@@ -8,6 +8,7 @@ from cvxshear import Experiment, backends, close_loop
 from cvxshear.effects import Place, Placed, Scale, named
 from cvxshear.fit.efficient import fitted
 from cvxshear.fit.expectation import MASS_WIDTH, STIFFNESS_WIDTH, Expectation
+from cvxshear.fit.gauss_newton import Accuracy
 from cvxshear.fit.misfit import WIDTH, Misfit
 from cvxshear.loop.evidence import _log_constant, log_evidence, log_interval, log_normal_between
 from tests.frames import chain, configuration, experiment
@@ -157,7 +158,7 @@ def measured(seed, *, spring=0.0, total=1.0, undeclared=False, tests=3):
 def fit(of, effect):
     effects = () if effect is None else (effect,)
     start = np.concatenate([MASS * of.frame.total_mass / MASS.sum(), STIFFNESS, *(each.start for each in effects)])
-    return fitted(Misfit(of, effects, expectation=Expectation(SCALE)), start, backends.get("auto"), 1e-9)
+    return fitted(Misfit(of, effects, expectation=Expectation(SCALE)), start, backends.get("auto"), Accuracy(1e-9))
 
 
 CASES = {

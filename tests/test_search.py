@@ -80,10 +80,10 @@ def fits(monkeypatch):
     counted = Counter()
     plain = fitter_module._fitted
 
-    def counting(proposal, backend, tolerance):
-        if tolerance == fitter_module.ROUGH:
+    def counting(proposal, backend, accuracy):
+        if accuracy == fitter_module.ROUGH:
             counted[proposal.misfit.widened, frozenset(proposal.effects)] += 1
-        return plain(proposal, backend, tolerance)
+        return plain(proposal, backend, accuracy)
 
     monkeypatch.setattr(fitter_module, "_fitted", counting)
     return counted

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 from collections.abc import Sequence
 from typing import Self
@@ -48,7 +47,8 @@ class AttachedMass(Effect):
 
     Expected size: 15 % of a floor's mass; tuned dampers weigh 1 to 5 % of the whole frame, tanks and machines 5 to 20 %
     of a floor (Soong and Dargush, Passive Energy Dissipation Systems). Any frequency among those that were measured
-    is as probable. Such things can be seen, so one frame in fifty has one that nobody thought of.
+    is as probable. Such things can be seen, so one frame in fifty has one that nobody thought of; dampers and tanks
+    stand where the frame moves most, so that the top floor is as probable as all the others together.
     """
 
     name = "attached_mass"
@@ -73,9 +73,7 @@ class AttachedMass(Effect):
         frequency = Parameter(
             "frequency", "Hz", lower=SLOWEST * lowest, upper=FASTEST * highest, null=start, start=start
         )
-        own = copy.copy(self)
-        own.parameters = (mass, frequency)
-        return own
+        return self.having((mass, frequency))
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
@@ -87,14 +85,16 @@ class AttachedMass(Effect):
         starts += [(size * mass.start, part * highest) for part in AMONG_THE_HIGHEST for size in (1.0, 0.5)]
         return tuple((size, float(min(place, frequency.upper))) for size, place in starts)
 
+    def weight(self, place: Place, experiment: Experiment) -> float:
+        return float(max(1, experiment.stories - 1)) if place.floor == experiment.stories else 1.0
+
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        assert place.floor is not None
         system = state.system
         motions, stories = len(system.K), len(state.story_stiffness)
         mass = float(values[0] + LEAST_MASS * np.mean(state.floor_mass))
         square = float((2 * np.pi * values[1]) ** 2)
         d = np.zeros(motions + 1)
-        d[-1], d[place.floor - 1] = 1.0, -1.0
+        d[-1], d[place.floor_index] = 1.0, -1.0
         unit = np.outer(d, d)
         by_mass = np.zeros(len(system.dM))
         by_mass[own.start] = 1.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
@@ -89,6 +89,12 @@ class Place(InJson):
         return " of ".join(parts)
 
     @property
+    def floor_index(self) -> int:
+        """Of an effect that sits at a floor, counted from 0."""
+        assert self.floor is not None
+        return self.floor - 1
+
+    @property
     def in_state(self) -> str:
         """Such as ' in "after"'; empty where it sits in every state."""
         return "" if self.state is None else f' in "{self.state}"'
@@ -128,6 +134,12 @@ class Effect(ABC):
         The lowest floor it can sit at.
     probability : float
         That a tested frame has it somewhere, before anything is measured.
+    usual : float
+        The size of its parameters that practice meets, in parts of `usual_in`; infinite where any value between their
+        bounds is as probable.
+    usual_in : str
+        "floor_mass" or "story_stiffness", the mean of the frame that `usual` is a part of; empty for the parameter's
+        own unit.
     size : float or None
         Expected size of the first parameter, in its unit, in place of that of `sizes`.
     tail : float
@@ -163,6 +175,8 @@ class Effect(ABC):
     needs: ClassVar[tuple[str, ...]] = ()
     lowest_floor: ClassVar[int] = 1
     probability: float = 0.1
+    usual: ClassVar[float] = np.inf
+    usual_in: ClassVar[str] = ""
     size: float | None = None
     tail: ClassVar[float] = 4.0
     common_size: ClassVar[bool] = False
@@ -236,9 +250,9 @@ class Effect(ABC):
     def sizes(self, scale: Scale) -> Floats:
         """Return the size that practice meets, shape (p,): standard deviations of the parameters about null.
 
-        Infinite where a parameter is as probable anywhere between its bounds; so it is by default.
+        Infinite where a parameter is as probable anywhere between its bounds; `usual` of each by default.
         """
-        return np.full(len(self.parameters), np.inf)
+        return np.full(len(self.parameters), self.usual * (getattr(scale, self.usual_in) if self.usual_in else 1.0))
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
@@ -306,6 +320,12 @@ class Effect(ABC):
             changed.size = checks.number(size, f"the size of {self.name}", above=0.0)
         return changed
 
+    def having(self, parameters: Iterable[Parameter]) -> Self:
+        """Return the same effect with other parameters."""
+        changed = copy.copy(self)
+        changed.parameters = tuple(parameters)
+        return changed
+
     def places(self, experiment: Experiment) -> list[Place]:
         """Everywhere the effect can sit in this experiment."""
         stories = range(1, experiment.stories + 1)
@@ -313,6 +333,10 @@ class Effect(ABC):
         levels = list(stories) if "story" in self.sits_at else [None]
         states = list(experiment.changed_states) if "state" in self.sits_at else [None]
         return [Place(floor, story, state) for floor in floors for story in levels for state in states]
+
+    def weight(self, place: Place, experiment: Experiment) -> float:
+        """How probable it is at a place in relation to others; the same everywhere by default."""
+        return 1.0
 
 
 @dataclass(frozen=True)
@@ -356,3 +380,8 @@ class Placed(InJson):
 def in_percent(value: float, std: float) -> str:
     """Return the size of a ratio and its standard deviation, without the sign, such as "15.1 ± 0.4 %"."""
     return with_std(100 * abs(float(value)), 100 * float(std), "%")
+
+
+def off_by(value: float, std: float, above: str, below: str) -> str:
+    """Return a ratio in words, such as "15.1 ± 0.4 % heavier"."""
+    return f"{in_percent(value, std)} {above if value > 0 else below}"

@@ -1,8 +1,8 @@
-"""What the open classes have in common: many parameters of one common, unknown size."""
+"""The open classes: a statement of the shear model that does not hold, in no way that the catalogue has."""
 
 from __future__ import annotations
 
-import copy
+import dataclasses
 from abc import abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar, Self
@@ -10,10 +10,15 @@ from typing import ClassVar, Self
 import numpy as np
 
 from cvxshear.effects.base import Effect, Parameter, Place
-from cvxshear.effects.state import Scale
-from cvxshear.measurement.experiment import Experiment
+from cvxshear.effects.masses import on_floors
+from cvxshear.effects.springs import unit_springs
+from cvxshear.effects.state import Scale, State
+from cvxshear.effects.stories import with_changed_story
+from cvxshear.measurement.configuration import Configuration
+from cvxshear.measurement.experiment import Experiment, Tested
+from cvxshear.priors import Constraints
 from cvxshear.util.quantities import with_std
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Bools, Floats, Ints
 
 MOST_OPEN_STORIES = 40
 """Stories up to which a class of springs or masses between all floors is looked for: its N(N-1)/2 parameters make every
@@ -30,7 +35,7 @@ class OpenClass(Effect):
     """A statement of the shear model that does not hold, in no way that the catalogue has.
 
     Its parameters are normal about zero with one common size. That size is unknown itself: its logarithm is normal
-    about that of `usual_size`, with a standard deviation of 1.5, so that two thirds of all cases lie within a factor of
+    about that of `usual`, with a standard deviation of 1.5, so that two thirds of all cases lie within a factor of
     4.5. The evidence pays for the freedom: a cause of the catalogue that is right explains the same data with one
     parameter.
 
@@ -48,33 +53,27 @@ class OpenClass(Effect):
 
     def bound(self, experiment: Experiment) -> Self:
         """Make a copy with one parameter an entry."""
-        own = copy.copy(self)
-        own.parameters = tuple(self.entries(experiment))
-        return own
+        return self.having(self.entries(experiment))
 
     @abstractmethod
     def entries(self, experiment: Experiment) -> Sequence[Parameter]:
         """List the parameters that it has in an experiment, each named by its place: "floors 2 and 6", "story 3"."""
 
-    @abstractmethod
-    def usual_size(self, scale: Scale) -> float:
-        """Return the size that its parameters have in the middle of what is expected."""
-
-    def sizes(self, scale: Scale) -> Floats:
-        return np.full(len(self.parameters), self.usual_size(scale))
-
     def lacks(self, experiment: Experiment) -> str:
+        # Those of springs and masses between all pairs of floors.
+        if self.stage in ("spring", "inertia") and experiment.stories > MOST_OPEN_STORIES:
+            return f"at most {MOST_OPEN_STORIES} stories"
         return super().lacks(experiment) or ("" if self.entries(experiment) else "more floors")
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        where = f' in "{place.state}"' if place.state is not None else ""
+        failed = f"{self.holds_in_words}{place.in_state} does not hold"
         named = self.conspicuous(values, std)
         if not named:
-            return f"{self.holds_in_words}{where} does not hold; no single place stands out"
+            return f"{failed}; no single place stands out"
         entries = "; ".join(
             f"{self.parameters[i].name}: {with_std(float(values[i]), float(std[i]), units[i])}" for i in named
         )
-        return f"{self.holds_in_words}{where} does not hold: {self.place_in_words} {entries}"
+        return f"{failed}: {self.place_in_words} {entries}"
 
     place_in_words: ClassVar[str] = "what stands out is"
 
@@ -100,3 +99,220 @@ def pairs(stories: int, *, ground: bool) -> list[tuple[int, int]]:
 def named_pair(i: int, j: int) -> str:
     """Such as "floors 2 and 6", or "the ground and floor 3"."""
     return f"floors {i} and {j}" if i else f"the ground and floor {j}"
+
+
+class OtherStiffness(OpenClass):
+    """K + sum of s_ij d_ij d_ij' over all pairs of levels that no story joins, d_ij = e_j - e_i, e_0 = 0.
+
+    Every symmetric K is such a network of springs between all pairs of levels, the ground among them: N of them are the
+    stories, the other N(N-1)/2 this class. Springs may be negative.
+
+    Expected size: 2 % of a story's stiffness, between 0.4 and 9 % in two thirds of all cases.
+    """
+
+    name = "other_stiffness"
+    summary = "The floors are tied to each other in a way that no shear frame and no effect of the catalogue has."
+    formula = "K + sum of s_ij d_ij d_ij', d_ij = e_j - e_i, over the pairs of levels at least two apart"
+    source = "every symmetric matrix is a network of springs between all pairs of its nodes and the ground"
+    stage = "spring"
+    usual, usual_in = 0.02, "story_stiffness"
+    holds_in_words = "that only neighboring floors are tied to each other"
+    place_in_words = "something that the catalogue does not hold ties"
+
+    def entries(self, experiment: Experiment) -> Sequence[Parameter]:
+        return [Parameter(named_pair(i, j), "N/m") for i, j in pairs(experiment.stories, ground=True)]
+
+    def cause_at(self, entry: int, place: Place, experiment: Experiment) -> tuple[str, Place]:
+        i, j = pairs(experiment.stories, ground=True)[entry]
+        return ("spring", Place(floor=i, to=j)) if i else ("ground_spring", Place(floor=j))
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        stories = len(state.floor_mass)
+        return state.plus_stiffness(values, unit_springs(pairs(stories, ground=True), stories), own)
+
+
+class OtherInertia(OpenClass):
+    """M_ij = M_ji = mu_ij for every pair of floors i < j.
+
+    Expected size: 2 % of a floor's mass, between 0.4 and 9 % in two thirds of all cases; the columns' own mass couples
+    neighboring floors by a tenth of what a story's columns weigh.
+    """
+
+    name = "other_inertia"
+    summary = "The inertia of the floors is coupled in a way that no effect of the catalogue has."
+    formula = "M + sum of mu_ij (e_i e_j' + e_j e_i') over all pairs of floors"
+    source = "every symmetric mass matrix has N(N-1)/2 entries off its diagonal"
+    stage = "inertia"
+    usual, usual_in = 0.02, "floor_mass"
+    holds_in_words = "that the inertia of each floor is its own"
+    place_in_words = "something that the catalogue does not hold couples the inertia of"
+
+    def entries(self, experiment: Experiment) -> Sequence[Parameter]:
+        return [Parameter(named_pair(i, j), "kg") for i, j in pairs(experiment.stories, ground=False)]
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        i, j = np.array(pairs(len(state.floor_mass), ground=False)).T - 1
+        units = np.zeros((len(i), len(state.floor_mass), len(state.floor_mass)))
+        units[np.arange(len(i)), i, j] = units[np.arange(len(i)), j, i] = 1.0
+        return state.plus_mass(values, units, own)
+
+
+class OtherChanges(OpenClass):
+    """k_i (1 + c_i) for every story i in one state.
+
+    Expected size: 10 % of each story's stiffness, between 2 and 45 % in two thirds of all cases.
+    """
+
+    name = "other_changes"
+    summary = "In one state every story is softer or stiffer than in the others, each by its own share."
+    formula = "k_i (1 + c_i) for every story i, in one state"
+    source = "a repair, a rebuilt frame, another day: each story by itself"
+    stage = "story"
+    usual = 0.1
+    probability = 0.01
+    sits_at = ("state",)
+    needs = ("several states",)
+    holds_in_words = "that the stories are those of the other states"
+    place_in_words = "what changed most is"
+
+    def entries(self, experiment: Experiment) -> Sequence[Parameter]:
+        return [Parameter(f"story {i}", "", lower=-0.99) for i in range(1, experiment.stories + 1)]
+
+    def cause_at(self, entry: int, place: Place, experiment: Experiment) -> tuple[str, Place]:
+        return "story_change", Place(story=entry + 1, state=place.state)
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        for at, change in enumerate(values):
+            state = with_changed_story(state, at, float(change), own.start + at)
+        return state
+
+
+class OtherLoads(OpenClass):
+    """M + diag(mass_i) in one state; no floor can lose more than it holds.
+
+    Expected size: 10 % of a floor's mass, between 2 and 45 % in two thirds of all cases.
+    """
+
+    name = "other_loads"
+    summary = "In one state every floor carries another mass than was declared."
+    formula = "M + diag(mass_i), in one state"
+    source = "live load, furniture, instruments: each floor by itself"
+    stage = "mass"
+    usual, usual_in = 0.1, "floor_mass"
+    probability = 0.01
+    sits_at = ("state",)
+    needs = ("several states",)
+    holds_in_words = "that the floors carry what was declared"
+    place_in_words = "what differs most is"
+
+    def entries(self, experiment: Experiment) -> Sequence[Parameter]:
+        return [Parameter(f"floor {i}", "kg") for i in range(1, experiment.stories + 1)]
+
+    def cause_at(self, entry: int, place: Place, experiment: Experiment) -> tuple[str, Place]:
+        return "added_mass", Place(floor=entry + 1, state=place.state)
+
+    def limits(self, experiment: Experiment, place: Place) -> Constraints:
+        n = experiment.stories
+        declared = np.array([each.added_mass for each in experiment.tested if each.state == place.state])
+        G = np.hstack([-np.eye(n), np.zeros((n, n)), -np.eye(n)])
+        return Constraints(G=G, h=declared.min(axis=0))
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        return state.plus_mass(values, on_floors(range(len(values)), len(values)), own)
+
+
+class OtherGains(OpenClass):
+    """The measured shape entry at each floor is 1 + g_j times the true one, in every configuration and mode.
+
+    Expected size: 5 % of each reading, between 1 and 22 % in two thirds of all cases.
+    """
+
+    name = "other_gains"
+    summary = "Every sensor reads too much or too little, each by its own factor."
+    formula = "measured phi_j = (1 + g_j) phi_j for every floor j with a sensor"
+    source = "sensors of different make, or calibrated by different hands"
+    stage = "shape"
+    usual = 0.05
+    probability = 0.01
+    holds_in_words = "that the sensors show the motion"
+    place_in_words = "what stands out is the sensor at"
+
+    floors: tuple[int, ...] = ()
+    """The floors at which any shape was measured, those of `parameters`."""
+
+    def bound(self, experiment: Experiment) -> Self:
+        own = super().bound(experiment)
+        own.floors = tuple(_floors(experiment))
+        return own
+
+    def entries(self, experiment: Experiment) -> Sequence[Parameter]:
+        return [Parameter(f"floor {floor}", "", lower=-0.9, upper=9.0) for floor in _floors(experiment)]
+
+    def cause_at(self, entry: int, place: Place, experiment: Experiment) -> tuple[str, Place]:
+        return "sensor_gain", Place(floor=_floors(experiment)[entry])
+
+    def lacks(self, experiment: Experiment) -> str:
+        return "" if len(_floors(experiment)) > 1 else "shapes at two floors or more"
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        observation = state.observation
+        for parameter, (floor, gain) in enumerate(zip(self.floors, values, strict=True), own.start):
+            observation = observation.scaled(floor - 1, 1.0 + float(gain), parameter)
+        return dataclasses.replace(state, observation=observation)
+
+
+def _floors(experiment: Experiment) -> list[int]:
+    """List the floors at which any shape was measured."""
+    return sorted({int(floor) for each in experiment.configurations for floor in each.measured_floors})
+
+
+class OtherShapes(OpenClass):
+    """Every shape entry of one state, of one floor, or every one at all, has an error beyond its standard deviation.
+
+    An error of every entry, normal about zero with one common size s in declared standard deviations, is the same as a
+    standard deviation that is larger by sqrt(1 + s^2). So the class has no parameters but that factor; log s is normal
+    about 0 with a standard deviation of 1.5.
+    """
+
+    name = "other_shapes"
+    summary = "The shapes of one state, or at one floor, are less accurate than their standard deviation says."
+    formula = "standard deviation of the shape entries of one state, of one floor or of all times an unknown factor"
+    source = "a sensor on a soft bracket or that came loose, a clock, a mode that was not separated"
+    stage = "shape"
+    probability = 0.01
+    rescales = True
+    usual = 1.0
+    sits_at = ("floor", "state")
+    holds_in_words = "that the shapes are as accurate as their standard deviations"
+
+    def entries(self, experiment: Experiment) -> Sequence[Parameter]:
+        return []
+
+    def lacks(self, experiment: Experiment) -> str:
+        return "" if self.places(experiment) else "shapes of a declared accuracy, or of several states"
+
+    def places(self, experiment: Experiment) -> list[Place]:
+        """Each state with shapes, each floor with a sensor, and all at once, as far as an accuracy was declared.
+
+        One that was not is estimated anyway.
+        """
+        shown = [each for each in experiment.configurations if each.measured.any() and each.mode_shape_std is not None]
+        states = dict.fromkeys(each.state for each in shown)
+        floors = sorted({int(floor) for each in shown for floor in each.measured_floors})
+        several = [Place(state=state) for state in states] if len(states) > 1 else []
+        single = [Place(floor=floor) for floor in floors] if len(floors) > 2 else []
+        return [*several, *single, *([Place()] if shown else [])]
+
+    def rescaled(self, tested: Tested, noise: str, floors: Ints, place: Place) -> Bools:
+        declared = isinstance(tested, Configuration) and tested.mode_shape_std is not None
+        here = declared and noise == "mode_shape" and place.state in (None, tested.state)
+        return (floors == place.floor) & here if place.floor is not None else np.full(len(floors), here)
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        # It changes how much the shapes count, not what they are.
+        return state
+
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        whose = f"the shapes at floor {place.floor}" if place.floor is not None else "the shapes"
+        where = f'{whose} of "{place.state}"' if place.state is not None else whose
+        return f"{where} are less accurate than their standard deviation says, in no way that the catalogue holds"

@@ -4,32 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cvxshear.effects.added_mass import AddedMass
 from cvxshear.effects.attached_mass import AttachedMass
-from cvxshear.effects.axial_columns import AxialColumns
 from cvxshear.effects.base import Effect
-from cvxshear.effects.base_rocking import BaseRocking
-from cvxshear.effects.bracing import Bracing
+from cvxshear.effects.flexibility import AxialColumns, BaseRocking
 from cvxshear.effects.gravity import Gravity
-from cvxshear.effects.ground_spring import GroundSpring
 from cvxshear.effects.guests import refuse_faulty
-from cvxshear.effects.joint_release import JointRelease
-from cvxshear.effects.joint_rotation import JointRotation
-from cvxshear.effects.load_scale import LoadScale
-from cvxshear.effects.mass_coupling import MassCoupling
-from cvxshear.effects.other_changes import OtherChanges
-from cvxshear.effects.other_gains import OtherGains
-from cvxshear.effects.other_inertia import OtherInertia
-from cvxshear.effects.other_loads import OtherLoads
-from cvxshear.effects.other_shapes import OtherShapes
-from cvxshear.effects.other_stiffness import OtherStiffness
-from cvxshear.effects.sensor_gain import SensorGain
-from cvxshear.effects.spring import Spring
-from cvxshear.effects.state_mass import StateMass
-from cvxshear.effects.state_stiffness import StateStiffness
-from cvxshear.effects.story_change import StoryChange
-from cvxshear.effects.total_mass import TotalMass
-from cvxshear.effects.wrong_prior import WrongPrior
+from cvxshear.effects.joints import JointRelease, JointRotation
+from cvxshear.effects.masses import AddedMass, LoadScale, MassCoupling, StateMass, TotalMass
+from cvxshear.effects.open_class import OtherChanges, OtherGains, OtherInertia, OtherLoads, OtherShapes, OtherStiffness
+from cvxshear.effects.readings import SensorGain, WrongPrior
+from cvxshear.effects.springs import GroundSpring, Spring
+from cvxshear.effects.stories import Bracing, StateStiffness, StoryChange
 from cvxshear.util import checks
 
 _catalogue: dict[str, Effect] = {

@@ -107,6 +107,23 @@ class State:
         """Return the same state with another mass matrix and its derivatives."""
         return dataclasses.replace(self, system=dataclasses.replace(self.system, M=M, dM=dM))
 
+    def plus_stiffness(self, values: Floats, units: Floats, own: slice) -> State:
+        """Return the same state with values_i units_i more stiffness, summed over the parameters `own`.
+
+        Parameters
+        ----------
+        values : ndarray, shape (p,)
+        units : ndarray, shape (p, N, N)
+            Matrices that depend on no parameter of the fit; motions beyond the floors' N have no part in them.
+        own : slice
+            Which rows of the derivatives are by these parameters.
+        """
+        return self.with_stiffness(*_plus(self.system.K, self.system.dK, values, units, own))
+
+    def plus_mass(self, values: Floats, units: Floats, own: slice) -> State:
+        """Return the same state with values_i units_i more mass, as `plus_stiffness` does with stiffness."""
+        return self.with_mass(*_plus(self.system.M, self.system.dM, values, units, own))
+
     def with_flexibility(self, p: float, D: Floats, own: slice) -> State:
         """Return the same state with p D added to its flexibility.
 
@@ -137,13 +154,32 @@ class State:
         dK[own] -= K @ D @ K
         return self.with_stiffness(K, dK)
 
-    def usual_flexibility(self) -> tuple[float, Floats]:
-        """Return the unit of joint flexibilities, 1 / mean(k h^2) of the columns, and its derivatives, rad/(N m)."""
+    def with_softer_joints(self, joints: slice, rho: float, own: int) -> State:
+        """Return the same state with rho / mean(k h^2) more flexibility of joints, k the columns' stiffness, rad/(N m).
+
+        Parameters
+        ----------
+        joints : slice
+            Of the floors' joints, the base's first.
+        rho : float
+        own : int
+            Which row of the derivatives is by rho.
+
+        Raises
+        ------
+        NoModesError
+            Where no story has columns.
+        """
         usual = float(np.mean(self.column_stiffness * self.heights**2))
         if usual <= 0:
             raise NoModesError("no story has columns whose joints could turn")
         unit = 1.0 / usual
-        return unit, -(unit**2) * np.mean(self.d_column_stiffness * self.heights**2, axis=1)
+        d_unit = -(unit**2) * np.mean(self.d_column_stiffness * self.heights**2, axis=1)
+        softer, d_softer = self.joint_flexibility.copy(), self.d_joint_flexibility.copy()
+        softer[joints] += rho * unit
+        d_softer[:, joints] += rho * d_unit[:, None]
+        d_softer[own, joints] += unit
+        return dataclasses.replace(self, joint_flexibility=softer, d_joint_flexibility=d_softer)
 
     @property
     def gain(self) -> Floats:
@@ -159,3 +195,12 @@ class State:
     def elevations(self) -> Floats:
         """Elevations of the floors, shape (N,), m."""
         return np.cumsum(self.heights)
+
+
+def _plus(matrix: Floats, slopes: Floats, values: Floats, units: Floats, own: slice) -> tuple[Floats, Floats]:
+    units = np.asarray(units)
+    size = units.shape[1]
+    more, d_more = matrix.copy(), slopes.copy()
+    more[:size, :size] += np.tensordot(values, units, 1)
+    d_more[own, :size, :size] += units
+    return more, d_more

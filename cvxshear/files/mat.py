@@ -1,14 +1,18 @@
 """Readers of files of named arrays: MAT files and those of NumPy, each once it is known to be harmless.
 
-MAT files of version 7.3 are HDF5 files. Of what HDF5 offers, MATLAB writes groups and data sets that stand in the file
-itself under one name each, plain or deflated. The rest (links by name, other files, other filters) is refused before
-anything is read.
+MAT files of version 5 and older are read by scipy in a process of its own. Those of version 7.3 are HDF5 files. Of what
+HDF5 offers, MATLAB writes groups and data sets that stand in the file itself under one name each, plain or deflated.
+The rest (links by name, other files, other filters) is refused before anything is read.
 """
 
 from __future__ import annotations
 
 import importlib
+import json
+import os
 import re
+import subprocess
+import sys
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -19,11 +23,10 @@ from typing import Any
 
 import numpy as np
 
-from cvxshear.files import mat5
 from cvxshear.files.columns import LIMIT, TOO_LARGE, Columns
 from cvxshear.files.inputs import MEGABYTE, read_bytes
-from cvxshear.files.mat5 import MOST_ARRAYS, MOST_DEPTH
 from cvxshear.util.errors import InputError
+from cvxshear.util.text import printable
 
 Array = np.ndarray[Any, Any]
 
@@ -62,7 +65,7 @@ def read_mat(path: str | Path, limit: float = LIMIT) -> Columns:
         del content
         read = _read_hdf5(path, where, limit)
     else:
-        read = mat5.read(content, where, limit)
+        read = _read_mat5(content, where, limit)
     return columns_of_arrays(read, where)
 
 
@@ -126,6 +129,35 @@ def _split(name: str, array: Array) -> dict[str, Array]:
     stem, tail = (name[:-3], name[-3:]) if name.endswith(suffixes) else (name, "")
     return {f"{stem}[{place + 1}]{tail}": table[:, place] for place in range(table.shape[1])}
 
+
+MOST_SECONDS = 60.0
+"""That reading a MAT file may take: a sound one of 100 MB takes two, and a damaged one may never end."""
+
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Of the process that reads a MAT file: each thread of a library of linear algebra takes memory that is limited."""
+
+
+def _read_mat5(content: bytes, where: str, limit: float) -> Mapping[str, Any]:
+    """Read the numeric arrays of a file of version 5 or older by name in a process of its own (`files/mat5.py`)."""
+    try:
+        read = subprocess.run(
+            [sys.executable, "-P", str(Path(__file__).with_name("mat5.py")), str(limit)],
+            input=content, capture_output=True, timeout=MOST_SECONDS, env={**os.environ, **ONE_THREAD}, check=True,
+        )  # fmt: skip
+    except subprocess.SubprocessError:
+        raise InputError(f"{where} is not a MAT file that can be read: it ends the process that reads it") from None
+    output = BytesIO(read.stdout)
+    said = json.loads(output.readline())
+    if "large" in said:
+        raise InputError(f"{where} holds more than {limit / MEGABYTE:g} MB of numbers; {TOO_LARGE}")
+    if "error" in said:
+        raise InputError(f"{where} is not a MAT file that can be read: {printable(said['error'])[:200]}")
+    return {name: np.lib.format.read_array(output, allow_pickle=False) for name in said["names"]}
+
+
+MOST_DEPTH = 32
+MOST_ARRAYS = 100_000
+"""Matrices, and fields of structures, in one file."""
 
 DEFLATE, SHUFFLE, CHECKSUM = 1, 2, 3
 """Numbers of HDF5's own filters."""

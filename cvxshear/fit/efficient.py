@@ -17,7 +17,7 @@ from cvxshear.effects import Placed, Scale
 from cvxshear.effects.composition import slices
 from cvxshear.effects.state import heights_of
 from cvxshear.fit.domain import Domain, domain_of, refuse_contradicting
-from cvxshear.fit.gauss_newton import CONVERGED_STEP, FLAT, HOPELESS, MOST_STEPS, Fit, gauss_newton
+from cvxshear.fit.gauss_newton import FLAT, FULL, HOPELESS, ROUGH, Accuracy, Fit, gauss_newton
 from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.fit.noise import NoiseEstimate, estimated_noise
 from cvxshear.fit.quality import Quality, quality
@@ -232,7 +232,7 @@ def parameter_names(experiment: Experiment, effects: Sequence[Placed]) -> tuple[
 
 
 def fitted(
-    misfit: Misfit, theta: Floats, backend: Backend, tolerance: float = CONVERGED_STEP, start: Evaluation | None = None
+    misfit: Misfit, theta: Floats, backend: Backend, accuracy: Accuracy = FULL, start: Evaluation | None = None
 ) -> Estimate:
     """Find the estimate that Gauss-Newton reaches from a starting point, with the noise that it speaks for.
 
@@ -242,35 +242,37 @@ def fitted(
         Its noise is where the estimate of an undeclared one starts.
     theta : ndarray, shape (P,)
     backend : Backend
-    tolerance : float, optional
-        Of `gauss_newton`.
+    accuracy : Accuracy, optional
     start : Evaluation, optional
         At theta, where it was made already.
     """
     if not misfit.unknown:
-        return fitted_with(misfit, theta, backend, tolerance, start)
-    estimate = fitted_with(misfit, theta, backend, tolerance, start, STEPS_A_NOISE)
-    longest = LONGEST_STEP
+        return fitted_with(misfit, theta, backend, accuracy, start)
+    few = dataclasses.replace(accuracy, most_steps=STEPS_A_NOISE)
+    estimate = fitted_with(misfit, theta, backend, few, start)
+    longest, aim = LONGEST_STEP, dict[str, float]()
     for _ in range(MOST_NOISES):
         noise = estimated_noise(estimate.misfit, estimate.fit.at, estimate.free_directions)
         before = {item.key: estimate.misfit.noise.of(item.key) for item in misfit.unknown}
         if _same(estimate.misfit, noise):
             if estimate.fit.converged:
                 return dataclasses.replace(estimate, noise=noise)
-            estimate = fitted_with(estimate.misfit, estimate.theta, backend, tolerance, estimate.fit.at)
+            estimate = fitted_with(estimate.misfit, estimate.theta, backend, accuracy, estimate.fit.at)
             continue
         changes = [np.log(factor / before[key]) for key, factor in noise.noise.factors]
-        # A step beyond what the linearised model is good for leads to and fro: each is cut shorter than the last.
-        cut = min(1.0, longest / max(map(abs, changes)))
-        longest *= SHORTENED
+        # A step beyond what the linearised model is good for leads to and fro: each is cut shorter than the last, until
+        # one leaves the aim where it was.
+        steady = aim and all(abs(np.log(factor / aim[key])) < SAME_NOISE for key, factor in noise.noise.factors)
+        cut = 1.0 if steady else min(1.0, longest / max(map(abs, changes)))
+        longest, aim = SHORTENED * longest, dict(noise.noise.factors)
         factors = tuple(
             (key, float(before[key] * np.exp(cut * change)))
             for (key, _), change in zip(noise.noise.factors, changes, strict=True)
         )
         misfit = estimate.misfit.replaced(noise=Noise(factors))
-        estimate = fitted_with(misfit, estimate.theta, backend, tolerance, None, STEPS_A_NOISE)
+        estimate = fitted_with(misfit, estimate.theta, backend, few)
     if not estimate.fit.converged:
-        estimate = fitted_with(estimate.misfit, estimate.theta, backend, tolerance, estimate.fit.at)
+        estimate = fitted_with(estimate.misfit, estimate.theta, backend, accuracy, estimate.fit.at)
     noise = estimated_noise(estimate.misfit, estimate.fit.at, estimate.free_directions)
     if not _same(estimate.misfit, noise):
         # Where the linearised model has its maximum the model is another one: what is near the fit counts alone.
@@ -284,12 +286,7 @@ def _same(misfit: Misfit, noise: NoiseEstimate) -> bool:
 
 
 def fitted_with(
-    misfit: Misfit,
-    theta: Floats,
-    backend: Backend,
-    tolerance: float = CONVERGED_STEP,
-    start: Evaluation | None = None,
-    most_steps: int = MOST_STEPS,
+    misfit: Misfit, theta: Floats, backend: Backend, accuracy: Accuracy = FULL, start: Evaluation | None = None
 ) -> Estimate:
     """Return the estimate that Gauss-Newton reaches from a starting point, the noise held as it is.
 
@@ -298,16 +295,12 @@ def fitted_with(
     misfit : Misfit
     theta : ndarray, shape (P,)
     backend : Backend
-    tolerance : float, optional
-        Of `gauss_newton`.
+    accuracy : Accuracy, optional
     start : Evaluation, optional
         At theta, where it was made already.
-    most_steps : int, optional
-        Step programs at most.
     """
     domain = domain_of(misfit.experiment, misfit.effects, theta)
-    hopeless = HOPELESS if tolerance > CONVERGED_STEP else np.inf
-    fit = gauss_newton(misfit, theta, domain, backend, tolerance, start, most_steps, hopeless)
+    fit = gauss_newton(misfit, theta, domain, backend, accuracy, start)
     names = parameter_names(misfit.experiment, misfit.effects)
     return Estimate(misfit, domain, fit, uncertainty(fit.at.known_triangle, fit.theta, domain, names))
 
@@ -347,7 +340,10 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed
     for start in nearest_first(misfit, own):
         theta = np.concatenate([start, own])
         try:
-            found = fitted(misfit, theta, backend)
+            # A further start leads to a better fit or nowhere: a rough one tells.
+            found = fitted(misfit, theta, backend, FULL if best is None else ROUGH)
+            if best is not None and found.chi2 < best.chi2:
+                found = fitted(found.misfit, found.theta, backend)
         except NoSolutionError as error:
             failure = failure or error
             missed = min(missed, misfit.evaluate(theta, derivatives=False).chi2)

@@ -67,11 +67,7 @@ FLAT_STEPS = 3
 """Decrease of chi-square, where its mean a datum is one, that this many damped steps in a row must bring to go on."""
 
 HOPELESS = 25.0
-HOPELESS_GAIN = 0.02
-"""Mean square of the residuals, five standard deviations squared, above which a rough fit of the loop's search does not
-follow a curved valley to its end: it ends once `FLAT_STEPS` steps in a row brought less than this share of the misfit.
-Such a model is out of the question wherever in the valley it ends; a hundred steps each made wrong files take a
-minute."""
+"""Mean square of the residuals, five standard deviations squared, above which a fit may be given up, see `Accuracy`."""
 
 MOST_REFUSED = 6
 """Step programs of one fit that the backend may leave unsolved: with as many in a row a step is damped to a thousandth,
@@ -79,6 +75,32 @@ where every program is well conditioned. A backend that fails more often does no
 
 STATIONARY_STEP = 1e-5
 """Length of the best step from a stationary point a residual, in standard deviations: ten times `CONVERGED_STEP`."""
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """How far a fit is followed.
+
+    Parameters
+    ----------
+    step : float
+        Largest change of a residual, see `CONVERGED_STEP`, of a step that counts as none.
+    most_steps : int, optional
+        Step programs at most.
+    least_gain : float, optional
+        Share of the misfit that each step must bring while the mean square of the residuals is above `HOPELESS`: a fit
+        ends after `FLAT_STEPS` in a row that bring less. With 0 it follows a curved valley to its end.
+    """
+
+    step: float
+    most_steps: int = MOST_STEPS
+    least_gain: float = 0.0
+
+
+FULL = Accuracy(CONVERGED_STEP)
+ROUGH = Accuracy(1e-2, 30, 0.02)
+"""While sets of effects are looked for: a model so far from the data is out of the question wherever in a valley it
+ends, and a hundred steps each made wrong files take a minute."""
 
 
 class Ending(StrEnum):
@@ -175,14 +197,12 @@ def gauss_newton(
     theta: Floats,
     domain: Domain,
     backend: Backend,
-    tolerance: float = CONVERGED_STEP,
+    accuracy: Accuracy = FULL,
     start: E | None = None,
-    most_steps: int = MOST_STEPS,
-    hopeless: float = np.inf,
 ) -> Fit[E]:
     """Minimize the sum of squared standardized residuals.
 
-    A fit to full accuracy (`tolerance` at most `CONVERGED_STEP`) is certified at its final point: see
+    A fit to full accuracy (a step of at most `CONVERGED_STEP`) is certified at its final point: see
     `fit.optimality`.
 
     Parameters
@@ -192,14 +212,9 @@ def gauss_newton(
         Start, at which the problem has residuals.
     domain : Domain
     backend : Backend
-    tolerance : float, optional
-        Largest change of a residual, see `CONVERGED_STEP`, of a step that counts as none.
+    accuracy : Accuracy, optional
     start : Residuals, optional
         At theta, where they were computed already.
-    most_steps : int, optional
-        Step programs at most.
-    hopeless : float, optional
-        Mean square of the residuals above which a fit ends early, see `HOPELESS`.
 
     Returns
     -------
@@ -213,24 +228,17 @@ def gauss_newton(
     UnsuitableError
         Where the backend cannot take such a program.
     """
-    fit, refused = _descended(problem, theta, domain, backend, tolerance, start, most_steps, hopeless)
+    fit, refused = _descended(problem, theta, domain, backend, accuracy, start)
     if refused is not None and fit.reason is Ending.NO_BETTER_STEP:
         # A step that nobody solved is no reason to believe that none is better.
         raise refused
-    if tolerance <= CONVERGED_STEP and fit.converged:
+    if accuracy.step <= CONVERGED_STEP and fit.converged:
         fit = dataclasses.replace(fit, optimality=_certified(problem, fit, domain, backend.name))
     return fit
 
 
 def _descended(
-    problem: Problem[E],
-    theta: Floats,
-    domain: Domain,
-    backend: Backend,
-    tolerance: float,
-    start: E | None,
-    most_steps: int,
-    hopeless: float,
+    problem: Problem[E], theta: Floats, domain: Domain, backend: Backend, accuracy: Accuracy, start: E | None
 ) -> tuple[Fit[E], NoSolutionError | None]:
     """Where the steps end, and the failure of the backend since it last solved an undamped program."""
     feasible = _made_feasible(theta, domain, backend)
@@ -239,7 +247,7 @@ def _descended(
     damping, flat, failures = _Damping(), 0, 0
     refused: NoSolutionError | None = None
     solution: Solution | None = None
-    for step in range(1, most_steps + 1):
+    for step in range(1, accuracy.most_steps + 1):
         try:
             solution = backend.solve(step_program(at, theta, domain, damping.weight), solution)
         except NoSolutionError as error:
@@ -254,7 +262,7 @@ def _descended(
             refused = None
         d = solution.x
         rms = np.sqrt(float(at.r @ at.r) / max(len(at.r), 1))
-        least = tolerance * max(1.0, rms) + RESIDUAL_ROUNDING * (np.abs(at.J) @ np.abs(theta))
+        least = accuracy.step * max(1.0, rms) + RESIDUAL_ROUNDING * (np.abs(at.J) @ np.abs(theta))
         if not damping.active and np.all(np.abs(at.J @ d) < least):
             return Fit(theta, at, Ending.STATIONARY, step, evaluations), refused
         taken, trials = _halved(problem, theta, d, at, domain, 0 if damping.active else HALVINGS)
@@ -267,13 +275,13 @@ def _descended(
             continue
         gain, before = at.objective - taken[1].objective, at
         theta, at = taken
-        given_up = rms**2 > hopeless and gain < HOPELESS_GAIN * before.objective
+        given_up = rms**2 > HOPELESS and gain < accuracy.least_gain * before.objective
         flat = flat + 1 if given_up or (damping.active and gain < FLAT * max(1.0, rms**2)) else 0
         if flat == FLAT_STEPS:
             return Fit(theta, at, Ending.FLAT, step, evaluations), refused
         if damping.active:
             damping.lighter(gain / promised if promised > 0 else 0.0)
-    return Fit(theta, at, Ending.STEP_LIMIT, most_steps, evaluations), refused
+    return Fit(theta, at, Ending.STEP_LIMIT, accuracy.most_steps, evaluations), refused
 
 
 def _certified(problem: Problem[E], fit: Fit[E], domain: Domain, name: str) -> Optimality:

@@ -29,7 +29,7 @@ from scipy.linalg import block_diag
 
 from cvxshear import backends
 from cvxshear.fit.domain import Domain, spread
-from cvxshear.fit.gauss_newton import gauss_newton
+from cvxshear.fit.gauss_newton import Accuracy, gauss_newton
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.optimality import PlainResiduals
 from cvxshear.measurement.experiment import Configuration, Experiment
@@ -296,9 +296,7 @@ class _SmoothFrames:
         domain = Domain(
             (NamedConstraints("smooth profiles", within),), np.full(size, COEFFICIENT_STD), np.full(size, np.inf)
         )
-        fit = gauss_newton(
-            self, np.zeros(size), domain, backends.get("auto"), SMOOTH_STEP, most_steps=MOST_SMOOTH_STEPS
-        )
+        fit = gauss_newton(self, np.zeros(size), domain, backends.get("auto"), Accuracy(SMOOTH_STEP, MOST_SMOOTH_STEPS))
         return self.at(fit.theta)[0]
 
 

@@ -15,12 +15,12 @@ from cvxshear.effects.guests import refuse_faulty, refuse_repeated
 from cvxshear.effects.state import heights_of
 from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.expectation import Expectation
-from cvxshear.fit.gauss_newton import CONVERGED_STEP
+from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import nearest_start
 from cvxshear.loop.conclusion import conclude
 from cvxshear.loop.duals import dual_frame, dual_set, frequencies_alone
-from cvxshear.loop.fitter import ROUGH, Fitter
+from cvxshear.loop.fitter import Fitter
 from cvxshear.loop.hypotheses import Hypothesis, assumed, chosen, hypotheses
 from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.numbering import Numbering
@@ -168,14 +168,14 @@ class _Loop:
         theta = self.start.theta
         if numbering.changes:
             theta = nearest_start(Misfit(numbering.experiment, self.there))
-        return self._search(numbering, theta, ROUGH if numbering.changes else CONVERGED_STEP)
+        return self._search(numbering, theta, ROUGH if numbering.changes else FULL)
 
-    def _search(self, numbering: Numbering, theta: Floats, tolerance: float) -> Search:
+    def _search(self, numbering: Numbering, theta: Floats, accuracy: Accuracy) -> Search:
         fitter = Fitter(numbering, self.backend, self.looked_for, self.there, self.expectation, jobs=self.jobs)
         noise = self.start.misfit.noise
         misfit = Misfit(numbering.experiment, self.there, None, noise, self.expectation, self.widened)
         try:
-            found = fitter.fit(misfit, theta, tolerance)
+            found = fitter.fit(misfit, theta, accuracy)
         except NoSolutionError:
             # Far from the data a fit may follow a curved valley without an end; effects are looked for from there, too.
             found = fitter.fit(misfit, theta, ROUGH)
@@ -201,7 +201,7 @@ class _Loop:
         theta = search.base.estimate.theta.copy()
         theta[: 2 * n] = dual_frame(theta[:n], theta[n : 2 * n])
         try:
-            other = self._search(numbering, theta, CONVERGED_STEP)
+            other = self._search(numbering, theta, FULL)
         except CvxshearError:
             # What was declared of the frame excludes its dual.
             return None

@@ -14,17 +14,17 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.effects import Effect, Placed
 from cvxshear.fit.efficient import Estimate, fitted_with, parameter_names
+from cvxshear.fit.gauss_newton import ROUGH
 from cvxshear.loop.duals import dual_set, frequencies_alone
-from cvxshear.loop.fitter import ROUGH, Fitter, with_stand_in
+from cvxshear.loop.fitter import Fitter, with_stand_in
 from cvxshear.loop.held_out import held_out_frequency_errors
 from cvxshear.loop.hypotheses import OPEN, Hypothesis
-from cvxshear.loop.linear import Linearised
 from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.next_test import next_test
 from cvxshear.loop.numbering import OVERLOOKED, NumberingProbability
 from cvxshear.loop.posterior import RIVAL, Posterior
 from cvxshear.loop.residual import where_it_sits
-from cvxshear.loop.results import AddedEffect, Candidate, Closure, EffectSet, Step, parameters_of, stds_of
+from cvxshear.loop.results import AddedEffect, Candidate, Closure, EffectSet, Step
 from cvxshear.loop.search import Search, fits_alike
 from cvxshear.util.errors import NoModesError, NoSolutionError
 from cvxshear.util.quantities import listed
@@ -101,7 +101,7 @@ def conclude(
         numberings=tuple(each for each in posterior.numberings if each.probability >= REPORTED),
         models=tuple(_shown_sets(posterior)),
         averaged=posterior.averaged(),
-        candidates=tuple(_candidates(posterior, judged, search.fitter)),
+        candidates=tuple(_candidates(posterior, search, found)),
         not_considered={each.name: lack for each in wanted if (lack := each.lacks(fitter.experiment))},
         remains=tuple(where_it_sits(final)) if significant and not negligible else (),
         information=(*said, *_information(search, posterior, judged, negligible=negligible)),
@@ -216,18 +216,20 @@ def _in_noise_of(final: Estimate, effects: Sequence[Placed], fitter: Fitter) -> 
 
 
 def _added(posterior: Posterior, final: Estimate, placed: Placed) -> AddedEffect:
-    parameters, std = parameters_of(final, placed), stds_of(final, placed)
+    values, errors = final.theta[final.own(placed)], posterior.deviations_about(final, placed)
+    names = [item.name for item in placed.effect.parameters]
+    parameters = dict(zip(names, values.tolist(), strict=True))
+    std = {name: None if np.isnan(error) else float(error) for name, error in zip(names, errors, strict=True)}
     if placed.effect.rescales:
         factor = final.noise.of(placed.label) or {}
         parameters, std = {"factor": factor["factor"]}, {"factor": factor["std"]}
     units = placed.units(final.experiment)
-    own = final.own(placed)
     return AddedEffect(
         placed,
         posterior.of_effects[placed],
         parameters,
         std,
-        placed.effect.phrase(placed.place, final.theta[own], final.std[own], final.scale, units),
+        placed.effect.phrase(placed.place, values, errors, final.scale, units),
         tuple(posterior.rivals(placed)),
         tuple(_remarks(final, placed)),
     )
@@ -266,20 +268,19 @@ def _shown_sets(posterior: Posterior) -> Iterator[EffectSet]:
             yield EffectSet(order, min(float(probability), 1.0), model.log_evidence, model.estimate.chi2, model.changes)
 
 
-def _candidates(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[Candidate]:
+def _candidates(posterior: Posterior, search: Search, judged: ModelClass) -> list[Candidate]:
     """All that was looked for, the most probable first."""
+    final, fitter = judged.estimate, search.fitter
+    assert final is not None, "the set of the verdict has a fit"
     there = set(final.effects)
-    lacking = [
-        item.placed for item in fitter.hypotheses if item.placed not in there and not item.placed.effect.adds_motion
-    ]
-    linear = Linearised(final, lacking, fitter.expectation) if lacking else None
+    linear = search.linearised(judged)
     names = parameter_names(final.experiment, final.effects)
     found = []
     for item in fitter.hypotheses:
         placed = item.placed
         count = len(placed.effect.parameters)
         confounded: tuple[str, ...] = ()
-        if placed in there or linear is None:
+        if placed in there:
             kept = [each for each in final.effects if each is not placed and each not in fitter.assumed]
             gain, chi2, dof = _in_noise_of(final, kept, fitter).chi2 - final.chi2, final.chi2, final.dof
         elif placed.effect.adds_motion:
@@ -332,7 +333,8 @@ def _granted(search: Search, found: ModelClass) -> Iterator[str]:
     invariances = search.invariances(found)
     untold = defaultdict[str, list[str]](list)
     for placed in said:
-        alike = [other for other in candidates if other.place.state == placed.place.state and other.effect.kind != OPEN]
+        # Not all that is done to single stories or floors of the state, whose sum it is.
+        alike = [other for other in said if other.place.state == placed.place.state]
         if invariances.untold(placed, alike):
             untold[placed.effect.granted].append(str(placed.place.state))
     for statement, names in untold.items():

@@ -13,7 +13,7 @@ from cvxshear.effects import Placed
 from cvxshear.effects.composition import slices
 from cvxshear.fit.efficient import Estimate, fitted
 from cvxshear.fit.expectation import Expectation
-from cvxshear.fit.gauss_newton import CONVERGED_STEP
+from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
 from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.loop.evidence import log_evidence
 from cvxshear.loop.hypotheses import Hypothesis
@@ -23,9 +23,6 @@ from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.errors import CvxshearError, NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.parallel import each as in_parallel
 from cvxshear.util.typing import Floats
-
-ROUGH = 1e-2
-"""Tolerance of Gauss-Newton, in standard deviations, while sets are looked for."""
 
 
 @dataclass(frozen=True)
@@ -105,19 +102,19 @@ class Fitter:
         plain = np.concatenate([start.theta[:n2], *own])
         return FitProposal(tuple(effects), (*more, plain), start.misfit.replaced(effects), start.fit.at.objective)
 
-    def fit(self, misfit: Misfit, start: Floats, tolerance: float = CONVERGED_STEP) -> Estimate:
+    def fit(self, misfit: Misfit, start: Floats, accuracy: Accuracy = FULL) -> Estimate:
         """Fit a model from a starting point."""
         self.fits += 1
-        found, stood_in = with_stand_in(self.backend, lambda by: fitted(misfit, start, by, tolerance))
+        found, stood_in = with_stand_in(self.backend, lambda by: fitted(misfit, start, by, accuracy))
         self.stand_ins += stood_in
         return found
 
-    def models(self, proposals: Sequence[FitProposal], tolerance: float = ROUGH) -> list[ModelClass]:
+    def models(self, proposals: Sequence[FitProposal], accuracy: Accuracy = ROUGH) -> list[ModelClass]:
         """Fit sets, over processes where there are several."""
         if self.jobs == 1 or len(proposals) < 2:
-            found = [_fitted(proposal, self.backend, tolerance) for proposal in proposals]
+            found = [_fitted(proposal, self.backend, accuracy) for proposal in proposals]
         else:
-            work = _Work(self.backend, tolerance)
+            work = _Work(self.backend, accuracy)
             found = [
                 (_own(item, proposal), stood_in)
                 for (item, stood_in), proposal in zip(
@@ -150,7 +147,7 @@ class Fitter:
         """Fit the same set to full accuracy; return it as it is where that fails."""
         if model.estimate is None:
             return model
-        (found,) = self.models([self.proposal(model.estimate, model.estimate.effects)], CONVERGED_STEP)
+        (found,) = self.models([self.proposal(model.estimate, model.estimate.effects)], FULL)
         return model if found.estimate is None else found
 
 
@@ -159,10 +156,10 @@ class _Work:
     """A fit in another process."""
 
     backend: Backend
-    tolerance: float
+    accuracy: Accuracy
 
     def __call__(self, proposal: FitProposal) -> tuple[Estimate | CvxshearError, bool]:
-        return _fitted(proposal, self.backend, self.tolerance)
+        return _fitted(proposal, self.backend, self.accuracy)
 
 
 def _own(found: Estimate | CvxshearError, proposal: FitProposal) -> Estimate | CvxshearError:
@@ -175,11 +172,11 @@ def _own(found: Estimate | CvxshearError, proposal: FitProposal) -> Estimate | C
     return Estimate(misfit, found.domain, fit, found.uncertainty, found.noise)
 
 
-def _fitted(proposal: FitProposal, backend: Backend, tolerance: float) -> tuple[Estimate | CvxshearError, bool]:
+def _fitted(proposal: FitProposal, backend: Backend, accuracy: Accuracy) -> tuple[Estimate | CvxshearError, bool]:
     """Fit a set, or return why there is no fit; and whether another backend had to make it."""
     try:
         start = _start(proposal)
-        return with_stand_in(backend, lambda by: fitted(proposal.misfit, start[0], by, tolerance, start[1]))
+        return with_stand_in(backend, lambda by: fitted(proposal.misfit, start[0], by, accuracy, start[1]))
     except CvxshearError as error:
         return error, False
 

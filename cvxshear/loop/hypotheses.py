@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,10 +44,11 @@ class Hypothesis:
 def hypotheses(experiment: Experiment, effects: Sequence[Effect], there: Sequence[Placed] = ()) -> list[Hypothesis]:
     """Everything that can be looked for.
 
-    An effect's probability is spread evenly over its places: with n of them each has 1 - (1 - p)^(1/n), so that the
-    effect is somewhere with the probability p. Where a reference is named, every other state is one in which something
-    may have been done to the frame: p is then that of each state, and spread over its floors or stories. That of an
-    open class is for all states together: a statement of the shear model either holds for a frame or does not.
+    An effect's probability is spread over its places by their weights: one with the share s of them all has
+    1 - (1 - p)^s, so that the effect is somewhere with the probability p. Where a reference is named, every other state
+    is one in which something may have been done to the frame: p is then that of each state, and spread over its floors
+    or stories. That of an open class is for all states together: a statement of the shear model either holds for a
+    frame or does not.
 
     Parameters
     ----------
@@ -81,19 +82,20 @@ def _of(effect: Effect, experiment: Experiment) -> list[Hypothesis]:
     places = [place for place, known in said.items() if not any(each.exclude for each in known)]
     by_state = experiment.frame.reference is not None and effect.kind != OPEN
 
-    def alike(place: Place) -> list[Place]:
-        return [other for other in places if not by_state or other.state == place.state]
+    def share(place: Place, among: Iterable[Place]) -> float:
+        alike = [other for other in among if not by_state or other.state == place.state]
+        return effect.weight(place, experiment) / sum(effect.weight(other, experiment) for other in alike)
 
     return [
         Hypothesis(
             Placed(effect.bound_at(experiment, place), place),
             _last(
                 [
-                    _spread(each.probability, sum(each in said[other] for other in alike(place)))
+                    _spread(each.probability, share(place, [other for other in places if each in said[other]]))
                     for each in said[place]
                     if each.probability is not None
                 ],
-                _spread(effect.probability, len(alike(place))),
+                _spread(effect.probability, share(place, places)),
             ),
             _last([each.size for each in said[place] if each.size is not None], None),
         )
@@ -109,8 +111,8 @@ def _said(experiment: Experiment, effect: Effect, place: Place) -> list[Expected
     return sorted(said, key=lambda each: sum(getattr(each, part, None) is not None for part in at))
 
 
-def _spread(probability: float, places: int) -> float:
-    return float(-np.expm1(np.log1p(-probability) / places))
+def _spread(probability: float, share: float) -> float:
+    return float(-np.expm1(np.log1p(-probability) * share))
 
 
 def _last(values: Sequence[T], default: T) -> T:

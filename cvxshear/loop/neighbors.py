@@ -29,6 +29,10 @@ WITHIN = 7.0
 MOTIONS = 12
 """Fits of effects that bring a motion of their own."""
 
+NEAR_ENOUGH = 4.0
+"""Times the objective of a set that explains the data that a first step may leave: far from its place a mass of its own
+is not linear, and further steps halve what the first one leaves."""
+
 MOST_FURTHER = 10
 LEAST_FURTHER = 1
 PAIRS = 2
@@ -117,10 +121,11 @@ def named_entries(model: ModelClass, fitter: Fitter) -> list[FitProposal]:
     return proposals
 
 
-def with_motions(base: Estimate, fitter: Fitter) -> list[FitProposal]:
+def with_motions(base: Estimate, fitter: Fitter, best: ModelClass) -> list[FitProposal]:
     """Propose sets of the shear model and one effect that brings a motion of its own, the most promising starts first.
 
     Derivatives at a mass of none say nothing of it: one step from each of its starts tells which of them to follow.
+    Where the best set explains the data, those of a step that leaves much more than it does are not followed.
     """
     proposals = [
         dataclasses.replace(
@@ -130,17 +135,36 @@ def with_motions(base: Estimate, fitter: Fitter) -> list[FitProposal]:
         if item.placed.effect.adds_motion
         for start in item.placed.effect.starts
     ]
-    return sorted(proposals, key=_after_a_step)[:MOTIONS]
+    assert best.estimate is not None, "a best set has a fit"
+    most = np.inf if best.improbable else NEAR_ENOUGH * best.estimate.fit.at.objective
+    reached = base.fit.at.J @ base.free_directions
+    left = np.array([_after_a_step(proposal, base, reached) for proposal in proposals])
+    return [proposals[i] for i in np.argsort(left, kind="stable")[:MOTIONS] if left[i] <= most]
 
 
-def _after_a_step(proposal: FitProposal) -> float:
-    """Return the objective that the linearised model has after one step from a start."""
+def _after_a_step(proposal: FitProposal, base: Estimate, reached: Floats) -> float:
+    """Return the objective that the linearised model has after one step from a start.
+
+    The frame's derivatives are those at the fit that it starts from: the mass is a small one there.
+
+    Parameters
+    ----------
+    proposal : FitProposal
+    base : Estimate
+    reached : ndarray, shape (d, f)
+        What the free directions of that fit do to its residuals, orthonormal.
+    """
     try:
-        at = proposal.misfit.evaluate(proposal.starts[0])
+        at = proposal.misfit.evaluate(proposal.starts[0], by=slice(len(base.theta), None))
     except NoModesError:
         return np.inf
-    _, c = at.triangle
-    return at.objective - float(c @ c)
+    # What is expected of the effect itself comes between its data and what is expected of the frame.
+    of_frame = base.fit.at.known
+    rows = np.insert(reached, [of_frame] * (at.known - of_frame), 0.0, axis=0)
+    own = at.J - rows @ (rows.T @ at.J)
+    left = at.r - rows @ (rows.T @ at.r)
+    left = left - own @ np.linalg.lstsq(own, left, rcond=None)[0]
+    return float(left @ left)
 
 
 def groups(effects: Set, *, open_too: bool) -> list[Set]:

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from cvxshear.effects import Placed
+from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.hypotheses import Hypothesis
 from cvxshear.loop.model_class import ModelClass
@@ -223,6 +224,23 @@ class Posterior:
             other = replacement(placed, gone - (self._indifferent - {placed}), come - self._indifferent)
             if other is not None:
                 found[other] = found.get(other, 0.0) + float(probability)
+        return found
+
+    def deviations_about(self, estimate: Estimate, placed: Placed) -> Floats:
+        """Find the standard deviations of an effect's parameters about their values in one fit, shape (p,), or nan.
+
+        With the scatter between the sets that hold the effect: beside what the data do not tell its size is another.
+        """
+        mine = estimate.own(placed)
+        here, std, weights, squares = estimate.theta[mine], estimate.std[mine], [], []
+        for model, probability in zip(self.models, self.probabilities, strict=True):
+            other = model.estimate
+            if other is not None and placed in model.effects:
+                own = other.own(placed)
+                weights.append(float(probability))
+                within = np.where(np.isnan(other.std[own]), std, other.std[own])
+                squares.append(within**2 + (other.theta[own] - here) ** 2)
+        found: Floats = np.sqrt(np.average(squares, axis=0, weights=weights))
         return found
 
     def averaged(self) -> IdentifiedFrame:

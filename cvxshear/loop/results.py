@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from cvxshear.effects import Placed
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.noise import NoiseEstimate
@@ -285,10 +283,3 @@ def parameters_of(estimate: Estimate, placed: Placed) -> dict[str, float]:
     """Return the values of an effect's parameters by name."""
     values = estimate.theta[estimate.own(placed)]
     return {item.name: float(value) for item, value in zip(placed.effect.parameters, values, strict=True)}
-
-
-def stds_of(estimate: Estimate, placed: Placed) -> dict[str, float | None]:
-    """Their standard deviations; None where not determined."""
-    stds = estimate.std[estimate.own(placed)]
-    names = [item.name for item in placed.effect.parameters]
-    return {name: None if np.isnan(std) else float(std) for name, std in zip(names, stds, strict=True)}

@@ -19,8 +19,8 @@ import numpy as np
 
 from cvxshear.effects import Placed
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.gauss_newton import CONVERGED_STEP
-from cvxshear.loop.fitter import ROUGH, Fitter
+from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
+from cvxshear.loop.fitter import Fitter
 from cvxshear.loop.hypotheses import OPEN, Hypothesis
 from cvxshear.loop.linear import Linearised
 from cvxshear.loop.model_class import ModelClass
@@ -83,6 +83,7 @@ class Search:
         self.moved = False
         self.descended = False
         self.base = start
+        self._last: Linearised | None = None
 
     @property
     def best(self) -> ModelClass:
@@ -176,7 +177,7 @@ class Search:
         self.moved = True
         base = self.base.estimate
         assert base is not None, "the shear model was fitted"
-        found = with_motions(base, self.fitter)
+        found = with_motions(base, self.fitter, self.best)
         # An effect may be fitted from several starts: the best of them is the set's fit.
         self._record(sorted(self.fitter.models(found), key=lambda model: model.score))
         return bool(found)
@@ -199,8 +200,7 @@ class Search:
         """Fit sets that are named from outside, started at the shear model."""
         new = [each for each in sets if each not in self.visited]
         if new and self.base.estimate is not None:
-            linear = Linearised(self.base.estimate, self._lacking(self.base), self.fitter.expectation)
-            self._visit(self.base.estimate, linear, new)
+            self._visit(self.base.estimate, self.linearised(self.base), new)
 
     def visit_twins(self) -> None:
         """Visit, beside each of the best sets, those in which an effect has given its place to a twin."""
@@ -216,13 +216,18 @@ class Search:
                 self._fit_without(model, [rest])
                 base = self.visited[rest]
                 if base.estimate is not None:
-                    linear = Linearised(base.estimate, self._lacking(base), self.fitter.expectation)
-                    self._visit(base.estimate, linear, new, CONVERGED_STEP)
+                    self._visit(base.estimate, self.linearised(base), new, FULL)
 
     def invariances(self, model: ModelClass) -> Invariances:
         """Find what no datum tells at the fit of a set."""
-        assert model.estimate is not None
-        return invariances(model.estimate, self._lacking(model), self.fitter.expectation)
+        return invariances(self.linearised(model))
+
+    def linearised(self, model: ModelClass) -> Linearised:
+        """Linearise the model at the fit of a set, by all that it lacks; that of the last set asked for is kept."""
+        assert model.estimate is not None, "only sets with a fit are linearised"
+        if self._last is None or self._last.base is not model.estimate:
+            self._last = Linearised(model.estimate, self._lacking(model), self.fitter.expectation)
+        return self._last
 
     def twins(self, model: ModelClass, placed: Placed) -> list[Placed]:
         """List the effects that no datum tells from one of a set, where the set with them fits as well."""
@@ -246,7 +251,7 @@ class Search:
         near = self.best.estimate
         assert near is not None, "the shear model was fitted"
         order = [*self.fitter.assumed, *(item.placed for item in self.fitter.hypotheses if item.placed in effects)]
-        (found,) = self.fitter.models([self.fitter.proposal(near, order)], CONVERGED_STEP)
+        (found,) = self.fitter.models([self.fitter.proposal(near, order)], FULL)
         self._record([found])
         if found.estimate is None:
             assert found.failure is not None
@@ -284,10 +289,9 @@ class Search:
     def _expand(self, model: ModelClass) -> None:
         """Visit the most promising sets with one more effect, or two."""
         self.expanded.add(model.effects)
-        lacking = self._lacking(model)
-        if not lacking or model.estimate is None:
+        if not self._lacking(model) or model.estimate is None:
             return
-        linear = Linearised(model.estimate, lacking, self.fitter.expectation)
+        linear = self.linearised(model)
         further = promising(model, linear, self.fitter, self.best.score - model.score)
         new = [each for each in further if each not in self.visited and not self._hopeless(each)]
         self._visit(model.estimate, linear, new)
@@ -305,7 +309,7 @@ class Search:
                     return True
         return False
 
-    def _visit(self, base: Estimate, linear: Linearised, sets: Iterable[Set], tolerance: float = ROUGH) -> None:
+    def _visit(self, base: Estimate, linear: Linearised, sets: Iterable[Set], accuracy: Accuracy = ROUGH) -> None:
         """Fit these sets, each with the effects of a fit and some that it lacks."""
         proposals = []
         for effects in dict.fromkeys(sets):
@@ -313,7 +317,7 @@ class Search:
             motions = [placed for placed in effects if placed.effect.adds_motion and placed not in base.effects]
             predicted = [] if motions else [linear.predicted(new)]
             proposals.append(self.fitter.proposal(base, (*base.effects, *new, *motions), predicted))
-        self._record(self.fitter.models(proposals, tolerance))
+        self._record(self.fitter.models(proposals, accuracy))
 
     def _record(self, models: Iterable[ModelClass]) -> None:
         for model in models:

@@ -16,7 +16,6 @@ import numpy as np
 from cvxshear.effects import Placed
 from cvxshear.effects.composition import slices
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.expectation import Expectation
 from cvxshear.loop.evidence import free_basis
 from cvxshear.loop.linear import Linearised
 from cvxshear.util.typing import Floats
@@ -73,29 +72,21 @@ class Invariances:
         return _beyond(np.hstack([self.free, *more]), columns) < EXACT
 
 
-def invariances(estimate: Estimate, lacking: Sequence[Placed], expectation: Expectation) -> Invariances:
-    """Compute the derivatives of all data, soft priors among them, at a fit.
-
-    Parameters
-    ----------
-    estimate : Estimate
-    lacking : sequence of Placed
-        Effects that its model lacks.
-    expectation : Expectation
-    """
+def invariances(linear: Linearised) -> Invariances:
+    """Take the derivatives of all data, soft priors among them, from the linearised model at a fit."""
+    estimate = linear.base
     measured = estimate.fit.at.measured
-    basis = free_basis(estimate, expectation)
+    basis = free_basis(estimate, linear.expectation)
     n2 = 2 * estimate.experiment.stories
     free_effects = [
         placed for placed, own in slices(estimate.effects, n2) if not placed.fixed for _ in range(own.start, own.stop)
     ]
     frame: list[Placed | None] = [None] * (basis.shape[1] - len(free_effects))
-    linear = Linearised(estimate, lacking, expectation)
     return Invariances(
         estimate,
         estimate.fit.at.J[:measured] @ basis,
         (*frame, *free_effects),
-        {placed: linear.columns(placed)[:measured] for placed in lacking},
+        {placed: linear.columns(placed)[:measured] for placed in linear.lacking},
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from cvxshear.backends import Backend
 from cvxshear.fit.domain import Domain
-from cvxshear.fit.gauss_newton import gauss_newton
+from cvxshear.fit.gauss_newton import Accuracy, gauss_newton
 from cvxshear.fit.optimality import PlainResiduals
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model.shear import Modes, stiffness_matrix
@@ -208,7 +208,7 @@ def story_dashpots(
         # The first answer is that of real modes, wherever it lies; from there on the ratios come ever nearer.
         c = backend.solve(constrained(fit.program(np.zeros(n)), where, np.zeros(n))).x
     domain = Domain(where, np.full(n, max(float(np.abs(c).max()), 1e-300)), np.full(n, np.inf))
-    found = gauss_newton(fit, c, domain, backend, SETTLED_DASHPOTS, fit.residuals(c), DASHPOT_STEPS)
+    found = gauss_newton(fit, c, domain, backend, Accuracy(SETTLED_DASHPOTS, DASHPOT_STEPS), fit.residuals(c))
     if not found.converged:
         raise NoSolutionError(
             backend.name,

@@ -2,12 +2,14 @@
 
 With displacements u against the ground, velocities v and relative deviations f of the story forces,
 
-    u' = v,   M v' = -K u - C v + load p(t) + T diag(d) f,   f' = -alpha f + white noise,
+    u' = v,   v' = M^-1 (-K u - C v + load p(t)) + M0^-1 T diag(d) f,   f' = -alpha f + white noise,
 
-where d_i = k_i (rms drift of story i) and each f_i has the standard deviation s. A model that is wrong by a few percent
-of a story's stiffness misses a force in proportion to that story's drift, which changes as slowly as the frame
-vibrates: so the process noise acts between floors and its corner frequency alpha is that of the first mode. White noise
-on the floors would be neither. Where nobody measured the ground, its acceleration is one more state of this kind.
+where M0 and d_i = k_i (rms drift of story i) are those of the identified frame and each f_i has the standard deviation
+s. What is missed counts as accelerations: it is the same for a frame all of whose masses and stiffnesses are larger. A
+model that is wrong by a few percent of a story's stiffness misses a force in proportion to that story's drift, which
+changes as slowly as the frame vibrates: so the process noise acts between floors and its corner frequency alpha is that
+of the first mode. White noise on the floors would be neither. Where nobody measured the ground, its acceleration is one
+more state of this kind.
 
 The known excitation is a straight line between samples (first-order hold) and the noise is integrated over a step
 (Van Loan 1978), so that no step is too long.
@@ -140,7 +142,9 @@ class Setting:
     ground_corner : float
         The same of a base acceleration that was not measured.
     story_force : ndarray, shape (N,)
-        d: rms story forces, N.
+        d: rms story forces of the identified frame, N.
+    mass : ndarray, shape (N, N)
+        M0, kg.
     """
 
     floors: Ints
@@ -150,6 +154,7 @@ class Setting:
     corner: float
     ground_corner: float
     story_force: Floats
+    mass: Floats
 
     @property
     def states(self) -> int:
@@ -174,7 +179,7 @@ def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     estimated, n = not setting.base_measured, setting.states
     T = transformation(N)
     restoring = -np.linalg.solve(model.M, np.hstack([model.K, model.C]))
-    missed = np.linalg.solve(model.M, T * setting.story_force)
+    missed = np.linalg.solve(setting.mass, T * setting.story_force)
     rates = np.zeros((n, n))
     rates[:N, N : 2 * N] = np.eye(N)
     rates[N : 2 * N, : 2 * N] = restoring

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from cvxshear.effects import Place, Placed, catalogue, open_classes
-from cvxshear.effects.wrong_prior import WrongPrior
+from cvxshear.effects.readings import WrongPrior
 from cvxshear.fit.efficient import Estimate
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.methods import Identification

@@ -18,7 +18,7 @@ import numpy as np
 
 from cvxshear.backends import Backend
 from cvxshear.fit.domain import Domain
-from cvxshear.fit.gauss_newton import gauss_newton
+from cvxshear.fit.gauss_newton import Accuracy, gauss_newton
 from cvxshear.priors import Constraints
 from cvxshear.programs.statements import NamedConstraints
 from cvxshear.response.damped import DampedModel
@@ -187,7 +187,7 @@ class _Posterior:
         """Find the most probable point from p on, and whether it was reached within so many steps."""
         bounds = Constraints(lower=self.errors.lower, upper=self.errors.upper)
         domain = Domain([NamedConstraints("bounds", bounds)], np.ones(len(p)), np.full(len(p), np.inf))
-        found = gauss_newton(self, p, domain, backend, near, most_steps=steps)
+        found = gauss_newton(self, p, domain, backend, Accuracy(near, steps))
         return found.at, found.converged
 
 

@@ -125,7 +125,7 @@ class FrameMotion:
         frequencies = 2 * np.pi * model.modes.frequencies
         setting = Setting(
             recording.floors, recording.step, recording.force_floor, known, float(frequencies[0]),
-            float(frequencies[-1]), frame.story_stiffness * _drift_rms(model, recording),
+            float(frequencies[-1]), frame.story_stiffness * _drift_rms(model, recording), model.M,
         )  # fmt: skip
         noise = Noise(FIRST_SENSOR * level, FIRST_FORCE, 0.0 if known else float(level.min()))
         # Without the base motion a softer first story and another base motion are one and the same.

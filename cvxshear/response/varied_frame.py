@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg
 
-from cvxshear.effects.story_change import StoryChange
+from cvxshear.effects.stories import StoryChange
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model.shear import modes, stiffness_matrix
 from cvxshear.response.damped import DampedModel

@@ -27,7 +27,7 @@ from cvxshear import backends
 from cvxshear.data.pairing import scaled
 from cvxshear.fit.domain import Domain
 from cvxshear.fit.expectation import MASS_WIDTH, STIFFNESS_WIDTH
-from cvxshear.fit.gauss_newton import gauss_newton
+from cvxshear.fit.gauss_newton import Accuracy, gauss_newton
 from cvxshear.fit.optimality import PlainResiduals
 from cvxshear.fit.start import START_PASSES, solved_story_equations
 from cvxshear.measurement.reading import CLOSER, FARTHER, Reading
@@ -251,7 +251,7 @@ class ShearFrames:
         within = NamedConstraints("reach", Constraints(lower=start - FARTHEST_LOG, upper=start + FARTHEST_LOG))
         domain = Domain((within,), np.ones(size), np.full(size, np.inf))
         try:
-            found = gauss_newton(self, start, domain, backends.get("auto"), ENOUGH, most_steps=most_steps)
+            found = gauss_newton(self, start, domain, backends.get("auto"), Accuracy(ENOUGH, most_steps))
         except CvxshearError:
             # No step from here can be solved in 64 bits: this start leads nowhere.
             return NearestFrame(start, np.inf)

@@ -18,6 +18,7 @@ from cvxshear import Experiment, backends
 from cvxshear.effects import Place, Placed, Scale, named, open_classes
 from cvxshear.fit.efficient import fitted
 from cvxshear.fit.expectation import Expectation
+from cvxshear.fit.gauss_newton import Accuracy
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.evidence import log_evidence
 
@@ -274,9 +275,9 @@ def fits(problem, of):
     n = problem.stories
     start = np.concatenate([np.full(n, of.frame.total_mass / n), np.full(n, STORY_STIFFNESS)])
     backend = backends.get("auto")
-    without = fitted(Misfit(of, (), expectation=expectation), start, backend, 1e-9)
+    without = fitted(Misfit(of, (), expectation=expectation), start, backend, Accuracy(1e-9))
     start = np.concatenate([without.theta, placed.start])
-    return without, fitted(Misfit(of, (placed,), expectation=expectation), start, backend, 1e-9), expectation
+    return without, fitted(Misfit(of, (placed,), expectation=expectation), start, backend, Accuracy(1e-9)), expectation
 
 
 def compared(problem, live=LIVE, seed=1, draws=DRAWS):

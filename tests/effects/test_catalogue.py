@@ -9,6 +9,7 @@ import pytest
 from cvxshear.effects import Effect, Parameter, Place, Placed, Scale, catalogue, compose, named, register
 from cvxshear.effects import registry as registry_module
 from cvxshear.effects.state import STAGES
+from cvxshear.loop.hypotheses import hypotheses
 from cvxshear.measurement.experiment import Experiment, Frame
 from cvxshear.util.errors import InputError, NoModesError
 from tests.effects.common import ADDED, HEIGHTS, MASS, NAMES, STIFFNESS, composed, experiment, modes_with, placed, theta
@@ -429,6 +430,18 @@ def test_an_effect_brings_its_own_size_and_probability():
         gain.expecting(probability=1.5)
 
 
+def test_the_probability_of_an_effect_is_that_of_being_anywhere():
+    """None anywhere has the probability of none at each place; a tank is on the roof in every second frame with one."""
+    of = experiment()
+    for name, floors in (("ground_spring", [2, 3, 4]), ("attached_mass", [1, 2, 3, 4])):
+        found = hypotheses(of, [one(name)])
+        assert [item.placed.place.floor for item in found] == floors
+        assert np.prod([1 - item.probability for item in found]) == pytest.approx(1 - one(name).probability, rel=1e-12)
+    lower, roof = [item.probability for item in found[:3]], found[3].probability
+    assert roof == pytest.approx(1 - np.sqrt(0.98), rel=1e-12)
+    assert lower == pytest.approx([1 - 0.98 ** (1 / 6)] * 3, rel=1e-12)
+
+
 SCALE = Scale(10.0, 2e4, np.full(4, 0.4))
 SAID = [
     ("gravity", {}, 1.1, 0.05, "the weight above takes 1.100 ± 0.050 times P/h from every story's stiffness"),
@@ -529,7 +542,7 @@ def test_a_loose_joint_costs_what_it_says():
         assert f"{100 * lost:.1f} " in said
 
 
-def test_joints_of_a_frame_without_columns_have_no_usual_flexibility():
+def test_joints_of_a_frame_without_columns_cannot_soften():
     """All of the stiffness may be braces' on the way of a fit: that is outside the model, and no division by zero."""
     of = Experiment.from_dict(
         {
@@ -539,4 +552,4 @@ def test_joints_of_a_frame_without_columns_have_no_usual_flexibility():
     )
     state = compose(of, of.configurations[0], (), np.array([1.0, 1.0, 40.0, 40.0]))
     with pytest.raises(NoModesError, match="no story has columns"):
-        dataclasses.replace(state, column_stiffness=np.zeros(2)).usual_flexibility()
+        dataclasses.replace(state, column_stiffness=np.zeros(2)).with_softer_joints(slice(1, None), 0.1, 0)

@@ -24,7 +24,7 @@ def frame():
 
 def setting(case):
     force_floor, measured = CASES[case]
-    return Setting(np.array([1, 3]), STEP, force_floor, measured, 6.0, 2.5, STORY_FORCE)
+    return Setting(np.array([1, 3]), STEP, force_floor, measured, 6.0, 2.5, STORY_FORCE, frame().M)
 
 
 def slope(case, x, p):
@@ -94,6 +94,15 @@ def test_the_noise_has_the_deviations_that_were_asked_for(case):
     np.testing.assert_allclose(found.Q, integral, rtol=1e-7, atol=1e-15)
     settled = linalg.solve_discrete_are(found.A.T, found.H.T, found.Q, np.diag(found.R))
     np.testing.assert_allclose(settled_covariance(found), settled, rtol=1e-5, atol=1e-10)
+
+
+def test_base_motion_does_not_tell_how_heavy_a_frame_is():
+    """Twice the masses, dashpots and stiffnesses move as before, and so must what is missed of them, on every sensor."""
+    one, double = frame(), frame()
+    double.M, double.C, double.K = 2 * one.M, 2 * one.C, 2 * one.K
+    plain, heavy = (dynamics(each, NOISE, setting("base")) for each in (one, double))
+    for name in ("A", "before", "after", "Q", "H", "direct", "R"):
+        np.testing.assert_allclose(getattr(heavy, name), getattr(plain, name), rtol=1e-9, atol=1e-14, err_msg=name)
 
 
 @pytest.mark.parametrize("samples", [1, 200, 256, 319, 320, 321, 64 * 128 + 70])

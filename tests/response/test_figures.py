@@ -59,7 +59,7 @@ def test_figures_without_measured_floors(prediction):
     for draw in DRAWN:
         if draw is not figures.transfer_functions:
             assert_readable(draw(found))
-    with pytest.raises(InputError, match="the record has no accelerations of floors"):
+    with pytest.raises(InputError, match="needs measured accelerations of floors"):
         figures.transfer_functions(found)
 
 

@@ -35,7 +35,7 @@ def three():
     M, C, K = matrices(mass, stiffness, dashpots)
     model = DampedModel(M, C, K, np.array([1.0, 1.0, 1.05]))
     omega = 2 * np.pi * model.modes.frequencies
-    setting = Setting(np.array([1, 3]), STEP, 0, True, omega[0], omega[-1], 1e-3 * stiffness)
+    setting = Setting(np.array([1, 3]), STEP, 0, True, omega[0], omega[-1], 1e-3 * stiffness, model.M)
     system = dynamics(model, Noise(np.array([0.05, 0.08]), 0.05), setting)
     excitation = shaking(60, STEP)
     exact = response(model, Drive(excitation), STEP).acceleration[:, [0, 2]] * model.gain[[0, 2]]
@@ -185,7 +185,7 @@ def test_the_gradient_of_the_likelihood_is_that_of_differences():
     y = response(DampedModel(M, C, K, np.ones(3)), Drive(excitation), STEP).acceleration[:, [0, 2]]
     y = y + 0.02 * rng.standard_normal(y.shape)
     omega = 2 * np.pi * 8.0
-    setting = Setting(np.array([1, 3]), STEP, 0, True, omega, omega, 1e-3 * stiffness)
+    setting = Setting(np.array([1, 3]), STEP, 0, True, omega, omega, 1e-3 * stiffness, M)
     errors = PredictionErrors(
         VariedFrame.around(frame), setting, [Stretch(excitation, y, np.zeros(9))], Noise(np.array([0.03, 0.02]), 0.02)
     )  # fmt: skip

@@ -9,6 +9,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import wraps
 from typing import Any
 
 from matplotlib.figure import Figure
@@ -74,7 +75,7 @@ def figure(
     *results: type,
     title: str,
     caption: Words,
-    alternative: Words,
+    alternative: Words = "",
     section: str = "",
     applies: Callable[..., bool] = lambda *results: True,
     needs: str = "",
@@ -88,18 +89,26 @@ def figure(
     *results : type
         Such as `Closure`; the first figure of a type is drawn where a file is named and no kind.
     title, caption, alternative, section, applies, needs, narrow
-        As in `FigureEntry`.
+        As in `FigureEntry`; the alternative text is the first sentence of the function's docstring where empty.
 
     Returns
     -------
     callable
-        A decorator; what it returns draws in the house style.
+        A decorator; what it returns draws in the house style, and raises `InputError` where the figure does not apply.
     """
 
     def entered(draw: Callable[..., Figure]) -> Callable[..., Figure]:
-        drawn = styled(draw)
+        in_style = styled(draw)
+
+        @wraps(draw)
+        def drawn(*given: Any, **options: Any) -> Figure:
+            if not applies(*given):
+                raise InputError(f"the figure {name!r} needs {needs}")
+            return in_style(*given, **options)
+
         drawn.__doc__ = _documented(draw, results)
-        entry = FigureEntry(name, drawn, title, caption, alternative, section, applies, needs, narrow)
+        said = alternative or (inspect.getdoc(draw) or "").partition("\n")[0]
+        entry = FigureEntry(name, drawn, title, caption, said, section, applies, needs, narrow)
         for result in results:
             _TABLE.setdefault(result, {})[name] = entry
         return drawn
@@ -138,6 +147,4 @@ def drawn_figure(name: str, *results: Any) -> Figure:
     known = figures_of(type(results[0]))
     if name not in known:
         raise InputError(f"there is no figure {name!r} of this result; there are {', '.join(known) or 'none'}")
-    if not known[name].applies(*results):
-        raise InputError(f"the figure {name!r} needs {known[name].needs}")
     return known[name].draw(*results)

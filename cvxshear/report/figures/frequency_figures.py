@@ -18,7 +18,6 @@ from cvxshear.modal.picking import Sweep
 from cvxshear.report.describe.from_records import method_in_words
 from cvxshear.report.figures import style
 from cvxshear.report.figures.figure_table import figure
-from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
 
 LABEL_WIDTH = 0.14
@@ -40,7 +39,6 @@ POLES: dict[str, dict[str, Any]] = {
     title="Stabilization diagram",
     caption="Poles of models of growing order. A pole that comes back from order to order is stable; the values of a "
     "mode are medians over its poles. The grey curve is the mode indicator function, logarithmic.",
-    alternative="Poles over model order; the modes are in the table above.",
     applies=lambda *results: all(result.sweep is not None for result in results),
     needs="an order sweep: modes that were identified from a record here",
     narrow=True,
@@ -65,8 +63,7 @@ def stabilization(*results: ModalResult) -> Figure:
     most = max(len(result.frequencies) for result in results)
     figure = style.new_figure(max(style.page_width(), LABEL_WIDTH * most + 1.4), 3.4 * len(results) + 0.5)
     for axes, result in zip(style.panels(figure, len(results), 1), results, strict=True):
-        if result.sweep is None:
-            raise InputError(f"{result.name}: not identified from a record here, so there is no order sweep to draw")
+        assert result.sweep is not None
         if result.functions is not None:
             _indicator(axes, result)
         _poles(axes, result.sweep)
@@ -141,7 +138,6 @@ FUNCTIONS = {
     title="Measured and synthesized functions",
     caption="What was measured, and what the identified poles and shapes make of it, residual terms included. Where "
     "the curves differ, a mode is missing or its shape is wrong. Grey lines: the natural frequencies.",
-    alternative="Measured and synthesized functions over frequency, floor by floor.",
     applies=lambda *results: all(result.functions is not None for result in results),
     needs="the functions of the record (identify_modes: functions=True)",
     narrow=True,
@@ -189,7 +185,6 @@ def functions(*results: ModalResult) -> Figure:
     title="Coherence",
     caption="The share of each response that is due to the input; where no input was measured, what it has in common "
     "with the highest floor. Low values beside a resonance are usual, low values at one are not.",
-    alternative="Coherence over frequency, floor by floor.",
     applies=lambda *results: all(
         result.functions is not None and result.functions.coherence is not None for result in results
     ),
@@ -197,7 +192,7 @@ def functions(*results: ModalResult) -> Figure:
     narrow=True,
 )
 def coherence(*results: ModalResult) -> Figure:
-    """Draw the coherence of each floor's response with what drove it.
+    """Coherence of each floor's response with what drove it, over frequency.
 
     Parameters
     ----------
@@ -219,8 +214,7 @@ def coherence(*results: ModalResult) -> Figure:
     looks = _looks([_functions_of(result) for result in results])
     for result, drawn in zip(results, groups, strict=True):
         seen = _functions_of(result)
-        if seen.coherence is None:
-            raise InputError(f"{result.name}: coherence takes two hits or more at each floor, or a continuous record")
+        assert seen.coherence is not None
         shown = band_of(seen.frequencies, result.frequencies)
         for axes, output in zip(drawn, _outputs(seen, reference=False), strict=True):
             for column in range(len(seen.inputs)):
@@ -257,8 +251,7 @@ def _driver(seen: Functions, column: int) -> str:
 
 
 def _functions_of(result: ModalResult) -> Functions:
-    if result.functions is None:
-        raise InputError(f"{result.name}: the functions of the record were not kept (identify_modes: functions=True)")
+    assert result.functions is not None
     return result.functions
 
 

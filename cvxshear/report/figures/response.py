@@ -17,7 +17,6 @@ from cvxshear.report.figures.figure_table import figure
 from cvxshear.report.figures.style import AFTER, BEFORE, GREY, MEASURED, new_figure, page_width, panels
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.response.compare import seen
-from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import scaled, with_std
 from cvxshear.util.typing import Floats, Ints
 
@@ -88,7 +87,6 @@ HISTORY_TICKS = 4
         "the band that holds 95\N{NO-BREAK SPACE}% by the deviations of masses, stiffnesses, effects and damping, and, "
         f"where the record has them, measured.{_floors_left_out(result)}"
     ),
-    alternative="Accelerations of the floors over time, predicted and measured.",
     section="peaks",
     narrow=True,
 )
@@ -198,7 +196,6 @@ def _measured_peaks(axes: Axes, result: RecordPrediction) -> None:
             "the table above has the errors of all",
         )
     ),
-    alternative="Sizes of the transfer functions from the excitation to the floors, measured and predicted.",
     section="errors",
     applies=lambda result: result.after.comparison is not None,
     needs="measured accelerations of floors",
@@ -224,8 +221,7 @@ def transfer_functions(result: RecordPrediction) -> Figure:
         Where the record has no accelerations of floors.
     """
     after = result.after.comparison
-    if after is None:
-        raise InputError("there are no transfer functions to show: the record has no accelerations of floors")
+    assert after is not None
     floors = _compared_floors(result)
     before = None if result.otherwise_before is None else result.otherwise_before.comparison
     natural = result.after.damped.model.modes.frequencies
@@ -261,7 +257,6 @@ def transfer_functions(result: RecordPrediction) -> Figure:
     caption=lambda result: (
         "Peak acceleration of an oscillator on each floor: what equipment there has to bear." + _floors_left_out(result)
     ),
-    alternative="Response spectra of the floors.",
     section="peaks",
     narrow=True,
 )
@@ -348,7 +343,6 @@ def story_drifts(result: Reconstruction) -> Figure:
             len(_drawn_stories(result)), len(result.model.M), "stories", "the table of the stories has the peaks of all"
         )
     ),
-    alternative="Drifts of the stories over time.",
     section="frame",
     narrow=True,
 )

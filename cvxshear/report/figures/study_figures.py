@@ -29,24 +29,21 @@ BOX = 0.8
     NoiseStudy,
     title="Scatter of the estimates",
     caption="Boxes hold the middle half of the estimates with the median; whiskers reach 1.5 box lengths at most.",
-    alternative="Box plots of the identified masses and stiffnesses at each noise level.",
 )
-def noise_boxes(study: NoiseStudy, methods: tuple[str, ...] = ()) -> Figure:
+def noise_boxes(study: NoiseStudy) -> Figure:
     """Box plots of the identified masses and stiffnesses at each noise level (the paper's Fig. 5).
 
     Parameters
     ----------
     study : NoiseStudy
         Of one frame at one or several noise levels.
-    methods : tuple of str, optional
-        Those to show; all where empty.
 
     Returns
     -------
     Figure
         Boxes hold the middle half with the median, whiskers reach 1.5 box lengths at most; points lie beyond.
     """
-    groups = _by_method(study, methods)
+    groups = _by_method(study)
     first = next(iter(groups.values()))
     figure, drawn, levels = _panels_of(first, "error, %")
     width = BOX / len(groups)
@@ -68,24 +65,21 @@ def noise_boxes(study: NoiseStudy, methods: tuple[str, ...] = ()) -> Figure:
     NoiseStudy,
     title="Coefficients of variation",
     caption="Coefficient of variation of each estimate over the noise level, beside the Cramér-Rao bound.",
-    alternative="Coefficients of variation of each method beside the Cramér-Rao bound.",
 )
-def noise_variation(study: NoiseStudy, methods: tuple[str, ...] = ()) -> Figure:
+def noise_variation(study: NoiseStudy) -> Figure:
     """Coefficients of variation beside the Cramer-Rao bound (the paper's Fig. 6).
 
     Parameters
     ----------
     study : NoiseStudy
         Of one frame at one or several noise levels.
-    methods : tuple of str, optional
-        Those to show; all where empty.
 
     Returns
     -------
     Figure
         Over the noise level; with one level only, over the masses and stiffnesses.
     """
-    groups = _by_method(study, methods)
+    groups = _by_method(study)
     if len(next(iter(groups.values()))) == 1:
         return _one_level({method: scatters[0] for method, scatters in groups.items()})
     first = next(iter(groups.values()))
@@ -124,12 +118,9 @@ def _one_level(scatters: dict[str, Scatter]) -> Figure:
     return figure
 
 
-def _by_method(study: NoiseStudy, methods: tuple[str, ...]) -> dict[str, list[Scatter]]:
+def _by_method(study: NoiseStudy) -> dict[str, list[Scatter]]:
     """Select the scatters of each method over the noise levels of one frame."""
-    chosen = [each for each in study.scatters if not methods or each.method in methods]
-    if not chosen:
-        there = sorted({each.method for each in study.scatters})
-        raise InputError(f"the study has none of the methods {', '.join(methods)}; it has {', '.join(there)}")
+    chosen = study.scatters
     if len({(each.setup.name, each.setup.stories) for each in chosen}) > 1:
         raise InputError("a figure shows one frame: give a study whose setups differ in their noise alone")
     ordered = sorted(chosen, key=lambda each: [item.method for item in chosen].index(each.method))
@@ -188,14 +179,11 @@ MOST_LINES = 6
     Identification,
     title="The mass iteration",
     caption="Error of each floor mass over the iterations of the two-stage method.",
-    alternative="Error of each floor mass over the iterations.",
-    applies=lambda *results: any(
-        part.history is not None and len(part.history) > 1 for result in results for part in result.parts
-    ),
+    applies=lambda *results: bool(_iterated(*results)),
     needs="a method that iterates on the masses: two-stage",
 )
 def convergence(*results: Identification, true_mass: Floats | None = None) -> Figure:
-    """Draw the error of each floor mass over the iterations of the two-stage method (the paper's Fig. 4).
+    """Error of each floor mass over the iterations of the two-stage method (the paper's Fig. 4).
 
     Parameters
     ----------
@@ -214,9 +202,7 @@ def convergence(*results: Identification, true_mass: Floats | None = None) -> Fi
     InputError
         Where no result has an iteration to show.
     """
-    parts = [part for result in results for part in result.parts if part.history is not None and len(part.history) > 1]
-    if not parts:
-        raise InputError("there is no mass iteration to show: identify with the method two-stage")
+    parts = _iterated(*results)
     rows, columns = style.grid_of(len(parts), 2 if len(parts) in (2, 4) else 3)
     figure = style.new_figure(max(style.PAGE_WIDTH * columns / 3, 5.0), 2.6 * rows + 0.6)
     drawn = style.panels(figure, len(parts), columns, sharey=True)
@@ -228,6 +214,11 @@ def convergence(*results: Identification, true_mass: Floats | None = None) -> Fi
             axes.set_ylabel("error of the mass, relative" if true_mass is not None else "mass still to go, relative")
     style.legend(figure, drawn[0], min(len(drawn[0].get_lines()), 6))
     return figure
+
+
+def _iterated(*results: Identification) -> list[SingleIdentification]:
+    """List the parts with more than one step on the masses."""
+    return [part for result in results for part in result.parts if part.history is not None and len(part.history) > 1]
 
 
 def _start(part: SingleIdentification) -> str:

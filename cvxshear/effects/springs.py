@@ -1,4 +1,4 @@
-"""Two floors that something besides the stories between them ties together."""
+"""Springs beside the stories: to the ground, and between floors that are no neighbors."""
 
 from __future__ import annotations
 
@@ -11,6 +11,34 @@ from cvxshear.effects.state import Scale, State
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.quantities import scaled, with_std
 from cvxshear.util.typing import Floats
+
+
+class GroundSpring(Effect):
+    """K + s e e' at one floor above the first, where it would be story 1's own stiffness.
+
+    Expected size: a tenth of the mean story stiffness. Cables, rods of shakers and neighbours that touch are far
+    softer than a story; a brace that is not would have been seen, which leaves 5 %.
+    """
+
+    name = "ground_spring"
+    summary = (
+        "Something besides the frame holds one floor: a brace to the ground, a neighbour, a cable or a shaker's rod."
+    )
+    formula = "K + s e_j e_j'"
+    source = "linear spring from floor j to the ground"
+    stage = "spring"
+    parameters = (Parameter("s", "N/m", lower=0.0),)
+    probability = 0.05
+    usual, usual_in = 0.1, "story_stiffness"
+    sits_at = ("floor",)
+    lowest_floor = 2
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        return state.plus_stiffness(values, unit_springs([(0, place.floor_index + 1)], len(state.floor_mass)), own)
+
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        factor, unit = scaled([float(values[0])], units[0])
+        return f"a spring of {with_std(values[0], std[0], unit, factor)} ties floor {place.floor} to the ground"
 
 
 class Spring(Effect):
@@ -33,6 +61,7 @@ class Spring(Effect):
     parameters = (Parameter("s", "N/m", lower=0.0),)
     sits_at = ("floor", "to")
     probability = 0.03
+    usual, usual_in = 0.2, "story_stiffness"
 
     def places(self, experiment: Experiment) -> list[Place]:
         n = experiment.stories
@@ -42,18 +71,20 @@ class Spring(Effect):
         return "" if experiment.stories > 2 else "three stories"
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        assert place.floor is not None
         assert place.to is not None
-        d = np.zeros(len(state.story_stiffness))
-        d[place.to - 1], d[place.floor - 1] = 1.0, -1.0
-        unit = np.outer(d, d)
-        dK = state.system.dK.copy()
-        dK[own] += unit
-        return state.with_stiffness(state.system.K + values[0] * unit, dK)
-
-    def sizes(self, scale: Scale) -> Floats:
-        return np.array([0.2 * scale.story_stiffness])
+        return state.plus_stiffness(
+            values, unit_springs([(place.floor_index + 1, place.to)], len(state.floor_mass)), own
+        )
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         factor, unit = scaled([float(values[0])], units[0])
         return f"a spring of {with_std(values[0], std[0], unit, factor)} ties floors {place.floor} and {place.to}"
+
+
+def unit_springs(pairs: Sequence[tuple[int, int]], stories: int) -> Floats:
+    """d d' of a spring of unit stiffness between each pair of floors, 0 the ground, shape (p, N, N)."""
+    ends = np.eye(stories + 1)[:, 1:]
+    low, high = np.array(pairs).T
+    d = ends[high] - ends[low]
+    units: Floats = d[:, :, None] * d[:, None, :]
+    return units

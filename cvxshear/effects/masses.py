@@ -1,0 +1,216 @@
+"""Masses that are not what the model or their declaration says, and how the columns' own mass moves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cvxshear.effects.base import Effect, Parameter, Place, off_by
+from cvxshear.effects.state import Scale, State
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.priors import Constraints
+from cvxshear.util.quantities import with_std
+from cvxshear.util.typing import Floats
+
+
+class AddedMass(Effect):
+    """M + mass e e' at one floor in one state; negative where more was declared than was there.
+
+    No floor can lose more than it holds. Expected size: 15 % of the mean floor mass, a weight that somebody carried
+    up or took away.
+    """
+
+    name = "added_mass"
+    summary = "In one state a floor carries more or less mass than was declared."
+    formula = "M + mass e_j e_j' in one state"
+    source = "rigid mass at floor j"
+    stage = "mass"
+    parameters = (Parameter("mass", "kg"),)
+    usual, usual_in = 0.15, "floor_mass"
+    sits_at = ("floor", "state")
+    needs = ("several states",)
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        return state.plus_mass(values, on_floors([place.floor_index], len(state.floor_mass)), own)
+
+    def dual(self, place: Place, stories: int) -> tuple[str, Place]:
+        return "story_change", Place(story=stories - place.floor_index, state=place.state)
+
+    def limits(self, experiment: Experiment, place: Place) -> Constraints:
+        at = place.floor_index
+        declared = [each.added_mass[at] for each in experiment.tested if each.state == place.state]
+        row = np.zeros(2 * experiment.stories + 1)
+        row[at] = row[-1] = -1.0
+        return Constraints(G=row[None], h=np.array([min(declared, default=0.0)]))
+
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        size = with_std(abs(values[0]), std[0], units[0])
+        word = "more" if values[0] > 0 else "less"
+        return f"floor {place.floor} carries {size} {word}{place.in_state} than declared"
+
+
+class StateMass(Effect):
+    """Every floor mass of the frame times 1 + e in one state; declared added masses stay what they are.
+
+    In a state whose mass scale nothing measured it cannot be told from softer stories.
+
+    Expected size 10 %: of the 1.5 to 3 kN/m2 of live load in dwellings and offices (EN 1991-1-1) a part is there, on
+    floors that weigh 5 to 10 kN/m2; between tests of a laboratory frame nobody changes all floors without writing it
+    down, which leaves one frame in thirty.
+    """
+
+    name = "state_mass"
+    summary = "All floors weigh more or less in one state by the same factor: live load, water, people."
+    formula = "m_i (1 + e) for every floor i, in one state"
+    source = "one factor on the floor masses"
+    stage = "mass"
+    parameters = (Parameter("e", "", lower=-0.9, upper=9.0),)
+    usual = 0.1
+    sits_at = ("state",)
+    needs = ("several states",)
+    probability = 0.03
+    granted = "that the floors of {state} did not all become heavier or lighter by one factor"
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        at = np.arange(len(state.floor_mass))
+        M, dM = state.system.M.copy(), state.system.dM.copy()
+        M[at, at] += values[0] * state.floor_mass
+        dM[at, at, at] += values[0]
+        dM[own, at, at] += state.floor_mass
+        return state.with_mass(M, dM)
+
+    def dual(self, place: Place, stories: int) -> tuple[str, Place]:
+        return "state_stiffness", place
+
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        return f'all floors of "{place.state}" are {off_by(values[0], std[0], "heavier", "lighter")}'
+
+
+class MassCoupling(Effect):
+    """The columns' mass mu a story, consistent (13/35, 9/70) in place of lumped (1/2, 0).
+
+    Each story's columns give mu (13/35 - 1/2) to the diagonal at either end and mu 9/70 between the two; the
+    floor masses stay what they are, with half the columns of each adjoining story lumped into them. So no floor is
+    lighter than these halves: mu <= m_i, and mu / 2 <= m_N. The weight above a story is that of the lumped masses, so
+    gravity acts before.
+
+    Expected size: a tenth of the mean floor mass; columns and walls weigh 5 to 20 % of a floor in buildings, less in
+    laboratory frames, where it seldom shows: 5 %.
+    """
+
+    name = "mass_coupling"
+    summary = (
+        "The columns' own mass moves with both floors they join, which couples neighbouring floors through the mass."
+    )
+    formula = "M + mu sum over stories of [[13/35 - 1/2, 9/70], [9/70, 13/35 - 1/2]]"
+    source = "consistent mass matrix of a Bernoulli beam in sway, Archer 1963"
+    stage = "inertia"
+    parameters = (Parameter("mu", "kg", lower=0.0),)
+    usual, usual_in = 0.1, "floor_mass"
+    probability = 0.05
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        stories = len(state.story_stiffness)
+        ends = _ends(stories)
+        unit = (13 / 35 - 1 / 2) * np.diag(ends) + (9 / 70) * (np.eye(stories, k=1) + np.eye(stories, k=-1))
+        return state.plus_mass(values, unit[None], own)
+
+    def limits(self, experiment: Experiment, place: Place) -> Constraints:
+        n = experiment.stories
+        held = np.hstack([-np.eye(n), np.zeros((n, n)), 0.5 * _ends(n)[:, None]])
+        return Constraints(G=held, h=np.zeros(n))
+
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        size = with_std(values[0], std[0], units[0])
+        return f"the columns of a story weigh {size}, and their mass moves with both floors that they join"
+
+
+def on_floors(floors: Sequence[int], stories: int) -> Floats:
+    """Return unit masses on these floors, counted from 0, one matrix each, shape (p, N, N)."""
+    units = np.zeros((len(floors), stories, stories))
+    units[np.arange(len(floors)), floors, floors] = 1.0
+    return units
+
+
+def _ends(stories: int) -> Floats:
+    """Stories that end at each floor: the ground's end of the first does not move, none stands on the top floor."""
+    ends = np.full(stories, 2.0)
+    ends[-1] = 1.0
+    return ends
+
+
+class TotalMass(Effect):
+    """sum of the floor masses = total_mass (1 + e).
+
+    Looked for where the total is declared exact and something else tells how heavy the frame is: added masses that
+    differ, scaled shapes, a static test, or a prior that fixes the scale.
+
+    Expected size 10 %: what was weighed or taken off drawings misses bolts, cladding or live load. Who declares a total
+    as exact has weighed it: one in fifty is wrong by so much.
+    """
+
+    name = "total_mass"
+    summary = "The frame is heavier or lighter than its declared total mass."
+    formula = "sum of m = total_mass (1 + e)"
+    source = "error of the declared total mass"
+    stage = "mass"
+    parameters = (Parameter("e", "", lower=-0.9, upper=9.0),)
+    usual = 0.1
+    probability = 0.02
+    releases = ("total_mass",)
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        # It changes what the masses must add up to, not what they do.
+        return state
+
+    def limits(self, experiment: Experiment, place: Place) -> Constraints:
+        total, n = experiment.frame.total_mass, experiment.stories
+        assert total is not None, "it is looked for where a total is declared"
+        row = np.concatenate([np.ones(n), np.zeros(n), [-total]])
+        return Constraints(A=row[None], b=np.array([total]))
+
+    def lacks(self, experiment: Experiment) -> str:
+        frame = experiment.frame
+        if frame.total_mass is None or frame.floor_masses is not None or frame.total_mass_std is not None:
+            return "an exact total_mass"
+        if not experiment.scale_known_otherwise:
+            return "what else tells the scale of the masses, such as a second test with other added mass"
+        return ""
+
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        return f"the frame is {off_by(values[0], std[0], 'heavier', 'lighter')} than its declared total mass"
+
+
+class LoadScale(Effect):
+    """Every declared added mass is 1 + e times what was declared.
+
+    Looked for where the total mass is declared and masses were added: with a frame whose mass only the added masses
+    tell, the factor is one of all masses and stiffnesses, which nothing measures. Where the total is declared exact,
+    a total that is off (total_mass) does the same to every mode.
+
+    Expected size 10 %: weights that were counted and not weighed, on a scale that nobody calibrated, or declared in
+    another unit of force; they are weighed more often than not, so one test in fifty.
+    """
+
+    name = "load_scale"
+    summary = "All added masses are heavier or lighter than declared by the same factor."
+    formula = "added mass a_j (1 + e) on every floor j, in every state"
+    source = "calibration of the scale that weighed the added masses"
+    stage = "mass"
+    parameters = (Parameter("e", "", lower=-0.9, upper=9.0),)
+    usual = 0.1
+    probability = 0.02
+    granted = "that the added masses weigh what was declared"
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        return state.plus_mass(values, np.diag(state.tested.added_mass)[None], own)
+
+    def lacks(self, experiment: Experiment) -> str:
+        if not any(each.added_mass.any() for each in experiment.tested):
+            return "added_mass"
+        frame = experiment.frame
+        return "total_mass or floor_masses" if frame.total_mass is None and frame.floor_masses is None else ""
+
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        return f"the added masses are {off_by(values[0], std[0], 'heavier', 'lighter')} than declared"
