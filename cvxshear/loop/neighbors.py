@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import defaultdict
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -28,6 +29,9 @@ WITHIN = 7.0
 
 MOTIONS = 12
 """Fits of effects that bring a motion of their own."""
+
+FROM_FRAMES = 20
+"""Fits that start at frames of their own: each costs milliseconds, as frequencies are few."""
 
 NEAR_ENOUGH = 4.0
 """Times the objective of a set that explains the data that a first step may leave: far from its place a mass of its own
@@ -165,6 +169,35 @@ def _after_a_step(proposal: FitProposal, base: Estimate, reached: Floats) -> flo
     left = at.r - rows @ (rows.T @ at.r)
     left = left - own @ np.linalg.lstsq(own, left, rcond=None)[0]
     return float(left @ left)
+
+
+def from_frames(starts: Sequence[tuple[Set, Floats]], base: Estimate, fitter: Fitter) -> list[FitProposal]:
+    """Propose fits of sets that start at frames of their own, those that promise most after one step first.
+
+    Parameters
+    ----------
+    starts : sequence of (frozenset of Placed, ndarray of shape (2N,))
+    base : Estimate
+        Whose data and noise they have.
+    fitter : Fitter
+    """
+    proposals = []
+    for effects, frame in starts:
+        held = [item.placed for item in fitter.hypotheses if item.placed in effects]
+        plain = fitter.proposal(base, (*fitter.assumed, *held))
+        start = np.concatenate([frame, plain.starts[-1][len(frame) :]])
+        proposals.append(dataclasses.replace(plain, starts=(start,)))
+    return sorted(proposals, key=_after_a_free_step)[:FROM_FRAMES]
+
+
+def _after_a_free_step(proposal: FitProposal) -> float:
+    """Return the objective that the linearised model has after one step of all parameters from a start."""
+    try:
+        at = proposal.misfit.evaluate(proposal.starts[0])
+    except NoModesError:
+        return np.inf
+    _, c = at.triangle
+    return at.objective - float(c @ c)
 
 
 def groups(effects: Set, *, open_too: bool) -> list[Set]:

@@ -18,7 +18,7 @@ from cvxshear.records.data_frames import matrix_of, table_columns
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.results import InJson
-from cvxshear.util.typing import Floats, Ints, Json
+from cvxshear.util.typing import Complexes, Floats, Ints, Json
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,6 @@ class Finding(InJson):
     kind: str
     message: str
     numbers: Json = field(default_factory=dict)
-
-
-Complexes = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

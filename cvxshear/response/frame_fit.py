@@ -183,9 +183,11 @@ class _Posterior:
     def evaluate(self, theta: Floats, /, *, derivatives: bool = True) -> _Point:
         return _Point(self, theta)
 
-    def maximum(self, p: Floats, backend: Backend, steps: int, near: float = FITTED) -> tuple[_Point, bool]:
+    def maximum(
+        self, p: Floats, backend: Backend, steps: int, form_std: float, near: float = FITTED
+    ) -> tuple[_Point, bool]:
         """Find the most probable point from p on, and whether it was reached within so many steps."""
-        bounds = Constraints(lower=self.errors.lower, upper=self.errors.upper)
+        bounds = Constraints(lower=self.errors.lower(form_std), upper=self.errors.upper)
         domain = Domain([NamedConstraints("bounds", bounds)], np.ones(len(p)), np.full(len(p), np.inf))
         found = gauss_newton(self, p, domain, backend, Accuracy(near, steps))
         return found.at, found.converged
@@ -213,7 +215,9 @@ def fit_frame(
         noise = np.eye(errors.size)[errors.frame.stop :]
         # The frame stays as it was identified: nothing of it is fitted, its uncertainty is in the bands.
         still = Gaussian(np.zeros(errors.size), NOISE_STD**2 * np.eye(errors.size), 0.0)
-        at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(p, backend, MOST_FIT_STEPS)
+        at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(
+            p, backend, MOST_FIT_STEPS, FORM_STDS[-1]
+        )
         covariance = prior.gaussian(*answer.prior, same=errors.setting.base_measured).covariance
         along, evidence = at.posterior.along, -0.5 * at.objective
         return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged, along, evidence)
@@ -223,11 +227,11 @@ def fit_frame(
             informative(errors, prior, p, FIRST_INFORMATION),
             prior.gaussian(range(errors.stories), FORM_STDS[-1], SCATTER_STDS[-1]),
         )
-        p = rough.maximum(p, backend, MOST_FIT_STEPS, FIRST_FITTED)[0].p
+        p = rough.maximum(p, backend, MOST_FIT_STEPS, FORM_STDS[-1], FIRST_FITTED)[0].p
     along = informative(errors, prior, p)
     for _ in range(MOST_DECISIONS):
         posterior = _Posterior(errors, along, prior.gaussian(*answer.prior))
-        at, converged = posterior.maximum(p, backend, MOST_FIT_STEPS)
+        at, converged = posterior.maximum(p, backend, MOST_FIT_STEPS, answer.form_std)
         p, answers, before = at.p, possible_answers(at.likelihood, prior, at.p), answer
         answer = answers[0]
         if answer.prior == before.prior:
@@ -273,7 +277,7 @@ def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: B
     along = frame.along.without(gone)
     best = frame.answers[0]
     posterior = _Posterior(errors, along, prior.gaussian(*best.prior))
-    at, converged = posterior.maximum(start, backend, steps)
+    at, converged = posterior.maximum(start, backend, steps, best.form_std)
     return _mixed(errors, prior, at, frame.answers, converged)
 
 
