@@ -28,7 +28,7 @@ ENVELOPE_PERIODS = 4.0
 QUIETEST = 1 / 16
 """Least envelope, relative to the record's rms: what a model misses does not vanish where little moves."""
 
-STILL = 1e-12
+LINE_LEFT = 1e-12
 """What rounding leaves of a straight line once it is taken off, relative to its largest value, is far less."""
 
 
@@ -124,7 +124,7 @@ class Recording:
             return self
         runs = [dataclasses.replace(run, excitation=run.excitation - trend(run.excitation)) for run in self.runs]
         for run, whole in zip(runs, self.runs, strict=True):
-            if np.abs(run.excitation).max() <= STILL * np.abs(whole.excitation).max():
+            if np.abs(run.excitation).max() <= LINE_LEFT * np.abs(whole.excitation).max():
                 raise InputError(
                     f"{self.name}, {run.name}: the input channel shows no motion but a straight line; "
                     'input = "none" has the base motion estimated'
