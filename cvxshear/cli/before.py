@@ -235,7 +235,7 @@ def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
         yield ""
     for finding in cables_of(tests):
         yield f"{finding.kind}: {finding.message}"
-    if needs_mass(tests):
+    if needs_mass(tests) and not any(finding.kind == "scale" for test in tests for finding in test.modes.findings):
         yield f"scale: {UNKNOWN_SCALE}"
 
 

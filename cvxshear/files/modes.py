@@ -168,7 +168,7 @@ def modes_from_file(
     test = _tested(str(path), options=options)
     if isinstance(test, CvxshearError):
         raise test
-    if scale_unknown([test]):
+    if scale_unknown([test]) and not any(finding.kind == "scale" for finding in test.modes.findings):
         scale = Finding("scale", UNKNOWN_SCALE, {"total_mass": 1.0})
         modes = dataclasses.replace(test.modes, findings=(*test.modes.findings, scale))
         test = dataclasses.replace(test, modes=modes)

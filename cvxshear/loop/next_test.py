@@ -64,8 +64,8 @@ class NextTest(InJson):
 def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None:
     """Find the added mass whose test would best tell an accepted model from its rivals, and the sensors that it needs.
 
-    For each state, each floor and a few masses, the test is simulated by the accepted model with the sensors and noise
-    of the state's first configuration, and compared with what each rival says of it (`fit/separation.py`).
+    For each state that can still be tested (of declared states the last), each floor and a few masses, the test is
+    simulated by the accepted model with the sensors and noise of the state's first configuration, and compared with what each rival says of it (`fit/separation.py`).
     The smallest distance over the rivals counts. Where that stays below `CLEAR`, floors without a sensor get one, the
     best first, as long as each is worth it.
     """
@@ -100,12 +100,18 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
 
 
 def _first_of_states(accepted: Estimate, rivals: Sequence[Estimate]) -> list[Configuration]:
-    """List the first configuration of each state that the models disagree on, and of the first state of all."""
+    """List the first configuration of each state that can be tested again and that the models disagree on.
+
+    Where states are declared, that is the last one in the file: what was changed between two states cannot be undone
+    for a test. Tests without a declared state are of one frame that still stands: of the first of all then too.
+    """
+    tests = accepted.experiment.configurations
+    firsts = {each.state: each for each in reversed(tests)}
+    if accepted.experiment.frame.reference is not None or any(each.state != each.name for each in tests):
+        return [firsts[accepted.experiment.states[-1]]]
     mine = set(accepted.effects)
     parted = {placed.place.state for rival in rivals for placed in mine.symmetric_difference(rival.effects)}
-    firsts = {each.state: each for each in reversed(accepted.experiment.configurations)}
-    here = accepted.experiment.configurations[0].state
-    return [first for state, first in firsts.items() if state in parted or state == here]
+    return [first for state, first in firsts.items() if state in parted or state == tests[0].state]
 
 
 def _said(

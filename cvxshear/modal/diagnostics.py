@@ -115,6 +115,7 @@ def modal_findings(
     found += resolution_findings(record, result)
     found += reciprocity_findings(full, setting)
     found += hit_findings(record, setting)
+    found += driving_point_findings(full, setting)
     found += amplitude_findings(setting, result)
     found += _mode_findings(record, result, setting, wanted)
     shares = [] if turning is None else [turning(frequency) for frequency in result.frequencies.tolist()]
@@ -269,6 +270,40 @@ def hit_findings(record: Record, setting: Replication) -> list[Finding]:
                     {"floor": floor, "runs": [record.runs[places[place]].name for place in others]},
                 )
             )
+    return found
+
+
+def driving_point_findings(full: Details, setting: Replication) -> list[Finding]:
+    """Name declared driving points at which a mode's residue is negative: the force acted elsewhere.
+
+    The residue of mode r with response and force at one floor is phi^2 / (2 i omega), phi real: its sign is the same in
+    every mode. So where the residues of the modes, divided by the declared floor's entries, change sign, another floor
+    was hit; candidates are the floors at which none does.
+    """
+    if full.products is None or setting.base or full.scales is not None:
+        return []
+    found = []
+    for column, floor in enumerate(full.driven.tolist()):
+        # phi of the floor that was hit, up to a positive factor in each mode.
+        there = np.einsum("ri,ri->r", full.products[:, :, column].real, full.real) / np.sum(full.real**2, axis=1)
+        right = [at for place, at in enumerate(setting.floors.tolist()) if np.all(there * full.real[:, place] > 0)]
+        if floor in right or floor not in setting.floors:
+            continue
+        if right:
+            said = f"as if the force acted at floor {listed([str(at) for at in right])}"
+            change = f"write that input_floor (of floors with a sensor {'only it fits' if len(right) == 1 else 'they fit'})"
+        elif np.any([np.all(there * row < 0) for row in full.real.T]):
+            said, change = "as if the force's sensor were turned round", "give that channel sign = -1"
+        else:
+            said, change = "and at no other floor with a sensor are they right", "check input_floor and the channels"
+        found.append(
+            Finding(
+                "scale",
+                f"modes answer to the force at floor {floor} with the wrong sign there, {said}: {change}; the shapes "
+                "are right, their scale is left out, and masses come out per kilogram of the frame until it is mended",
+                {"floor": floor, "positive_at": right},
+            )
+        )
     return found
 
 

@@ -9,19 +9,24 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from cvxshear.modal import continuous
-from cvxshear.modal.frf import FrfSource, ImpulseSource, hit_spectra, reach, table_spectra
+from cvxshear.modal.frf import FrfSource, ImpulseSource, hit_spectra, hit_times, reach, table_spectra
 from cvxshear.modal.picking import Sweep
 from cvxshear.modal.realization import Impulse, Source
 from cvxshear.records.record import FrfRecord, Record, Run, TimeRecord
 from cvxshear.records.signals import decimated, detrended, impulsive, without_offset
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError, UnsuitableError
+from cvxshear.util.quantities import listed
 from cvxshear.util.typing import Floats
 
 MODAL_METHODS = ("era", "okid", "subspace", "ssi")
 BLOCKS = 20
 """Pieces of a continuous record: Student's t of 19 degrees of freedom widens the deviations by 7 % only, and a piece
 still holds many periods of the lowest mode."""
+
+LONGEST_PULSE = 0.25
+"""Part of a run between its first hit and its last from which on they are to be parted: more than half of it would
+otherwise go unused."""
 
 
 def default_method(record: Record) -> str:
@@ -77,11 +82,24 @@ def _suited(record: Record) -> tuple[str, ...]:
 
 
 def _hits(record: TimeRecord) -> FrfSource:
+    _refuse_several_hits(record)
     record = without_offset(record)
     lowest, highest = (0.0, np.inf) if record.band is None else record.band
     record = decimated(dataclasses.replace(record, band=(lowest, min(highest, reach(record)))))
     spectra, samples = hit_spectra(record)
     return FrfSource(spectra, record.sampling_rate, samples, samples // 2)
+
+
+def _refuse_several_hits(record: TimeRecord) -> None:
+    """Hits in one run act as one pulse as long as the time between them, which leaves little after it."""
+    for run in record.runs:
+        times = hit_times(run, record.sampling_rate)
+        if times[-1] - times[0] > LONGEST_PULSE * run.samples / record.sampling_rate:
+            raise InputError(
+                f"{run.name} holds {len(times)} hits, at {listed([f'{time:.4g}' for time in times])} s: give each a "
+                f"[[run]] of its own in the record file, the first with start = {times[0]:.4g}, end = {times[1]:.4g}, "
+                f"the last with start = {times[-1]:.4g}, each with the same file and its input_floor"
+            )
 
 
 def _decays(record: TimeRecord) -> ImpulseSource:

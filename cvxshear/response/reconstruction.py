@@ -40,6 +40,9 @@ WIDER = 1.3
 """Ratio of the left-out sensors' errors to their stated deviations, by which all bands are then widened, that is said:
 twenty effective samples scatter by as much."""
 
+LARGEST_ODDS = 1000.0
+"""Odds beyond which no number is given: the model is an approximation, and what it misses counts in them too."""
+
 COLOURED = 0.1
 """Correlation of an innovation with an earlier one from which on it is said that the model misses something there."""
 
@@ -60,6 +63,8 @@ class Reconstruction(Shown):
         Of damping.
     frame : FittedFrame
         The frame in this record.
+    frame_fitted : bool
+        Whether it was fitted to the record: not where the base motion was not measured or `fit` was False.
     model : DampedModel
         Its matrices.
     runs : tuple of ReconstructedRun
@@ -80,6 +85,7 @@ class Reconstruction(Shown):
     fitted: Fitted
     kind: str
     frame: FittedFrame
+    frame_fitted: bool
     model: DampedModel
     runs: tuple[ReconstructedRun, ...]
     peaks: Peaks
@@ -101,8 +107,15 @@ class Reconstruction(Shown):
 
         Where the modes speak against the model, only those that changed by more than twice what it lacks.
         """
+        if self.change_probability is None:
+            return ()
         large = np.abs(self.frame.factors - 1.0) > 2.0 * self.fitted.lacking
-        return tuple(int(j) + 1 for j in np.flatnonzero((self.frame.story_probability >= NAMED_CHANGE) & large))
+        return tuple(int(j) + 1 for j in np.flatnonzero((self.change_probability >= NAMED_CHANGE) & large))
+
+    @property
+    def change_probability(self) -> Floats | None:
+        """Probability that each story changed by itself, shape (N,); None where the frame was not fitted."""
+        return self.frame.story_probability if self.frame_fitted else None
 
     @cached_property
     def spectra(self) -> FloorSpectra:
@@ -139,7 +152,7 @@ class Reconstruction(Shown):
                 "frame": {
                     "story_factor": frame.factors,
                     "story_factor_std": frame.factors_std,
-                    "change_probability": frame.story_probability,
+                    "change_probability": none if self.change_probability is None else self.change_probability,
                     "changed": self.changed,
                     "frequencies": self.model.modes.frequencies,
                     "damping_ratios": self.model.ratios,
@@ -241,7 +254,7 @@ def reconstruct(
         ratio, std = peaks.values["story_drift_ratio"], np.maximum(peaks.std["story_drift_ratio"], 1e-300)
         passed = np.asarray(special.ndtr((ratio - experiment.limits.story_drift[:, None]) / std), dtype=np.float64)
     found = Reconstruction(
-        work.recording, state, solver.name, frame.fitted, frame.kind, fitted, fitted.model, tuple(runs), peaks,
+        work.recording, state, solver.name, frame.fitted, frame.kind, fitted, work.free, fitted.model, tuple(runs), peaks,
         None if predicted is None else peaks_of((item, {}) for item in predicted), tuple(checks),
         whiteness(work, smoothed), experiment.limits, passed, (),
     )  # fmt: skip
@@ -272,9 +285,10 @@ def _said_of_readings(straight: float, band_limited: float) -> str:
     taken, other = "band-limited", "straight lines"
     if straight >= band_limited:
         taken, other = other, taken
-    odds = abs(straight - band_limited) / np.log(10)
-    speaks = f"that makes what the floors did more probable than {other} would (odds 10^{odds:.0f})"
-    if odds < 1:
+    odds = abs(straight - band_limited)
+    shown = f"above {LARGEST_ODDS:g}" if odds > np.log(LARGEST_ODDS) else f"{np.exp(odds):.0f} to 1"
+    speaks = f"that makes what the floors did more probable than {other} would (odds {shown})"
+    if odds < np.log(10):
         speaks = f"the floors hardly tell that from {other}; a record at a higher rate would"
     return f"between its samples the base motion is taken as {taken}: {speaks}"
 
@@ -305,7 +319,7 @@ def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
             f"shapes off by up to {percent(found.fitted.lacking, 1)}): the bands were widened for it; look for what it "
             "lacks with cvxshear loop"
         )
-    if not found.frame.converged:
+    if found.frame_fitted and not found.frame.converged:
         said.append("the fit of the frame did not settle; its deviations may be too small")
     wider = widening(found.checks)
     if wider > WIDER:
@@ -315,9 +329,11 @@ def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
         )
     coloured = [each for each in found.whiteness if abs(each.correlation) > COLOURED]
     if coloured:
+        inflated = np.sqrt(found.frame.inflation)
+        more = f", and the deviations of the frame are {inflated:.2g} times those of white innovations"
         said.append(
             f"the innovations of floor {ranged([each.floor for each in coloured])} are not white: the model misses a "
-            f"part of the motion there, and the deviations of the frame are {np.sqrt(found.frame.inflation):.2g} times "
-            "those of white innovations; another kind of damping may describe it better (--damping)"
+            f"part of the motion there{more if inflated > WIDER else ''}; a channel whose clock is late (cvxshear modes "
+            "says which), a story that yields or another kind of damping (--damping) does that"
         )
     return said

@@ -94,7 +94,7 @@ class NearestFrame:
 
 
 def usual_width(stories: int) -> Floats:
-    """Standard deviations of the logarithms of masses and stiffnesses about typical ones, shape (2N,)."""
+    """Return the standard deviations of the logarithms of masses and stiffnesses about typical ones, shape (2N,)."""
     return np.repeat([MASS_WIDTH, STIFFNESS_WIDTH], stories)
 
 

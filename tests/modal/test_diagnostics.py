@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
 
+from cvxshear import InputError
 from cvxshear.modal import Channel, FrfRecord, FrfRun, Run, TimeRecord, identify_modes
 from cvxshear.modal.result import SENSOR_STD, entry_std
 from cvxshear.records.clocks import offsets
@@ -49,6 +51,30 @@ def test_hits_at_another_floor_than_is_said_are_named():
     [finding] = found(identify_modes(dataclasses.replace(record, runs=wrong)), "hit")
     assert finding.numbers == {"floor": 3, "runs": ["hit 2 at floor 2"]}
     assert "hit" not in kinds(identify_modes(record))
+
+
+def test_hits_at_another_floor_than_all_runs_say_are_told_by_the_signs_of_their_residues():
+    record = hammer_record(PAPER_FRAME, 3, noise=0.01, floors=(2,), hits=3)
+    assert "scale" not in kinds(identify_modes(record))
+    elsewhere = tuple(dataclasses.replace(run, floor=3) for run in record.runs)
+    result = identify_modes(dataclasses.replace(record, runs=elsewhere))
+    [finding] = found(result, "scale")
+    assert finding.numbers == {"floor": 3, "positive_at": [2]}
+    assert not result.mass_normalized
+
+
+def test_several_hits_in_one_run_are_counted_with_how_to_part_them():
+    record = hammer_record(PAPER_FRAME, 3, noise=0.01, floors=(2,), hits=3)
+    length = record.runs[0].samples / record.sampling_rate
+    one = dataclasses.replace(
+        record.runs[0],
+        responses=np.concatenate([run.responses for run in record.runs]),
+        excitation=np.concatenate([run.excitation for run in record.runs]),
+    )
+    with pytest.raises(InputError, match=r"holds 3 hits, at .* s: give each a") as error:
+        identify_modes(dataclasses.replace(record, runs=(one,)))
+    start, end = re.search(r"start = ([\d.]+), end = ([\d.]+),", str(error.value)).groups()
+    assert float(end) - float(start) == pytest.approx(length, abs=0.01)
 
 
 def test_clock_offset_is_found_and_corrected(record):

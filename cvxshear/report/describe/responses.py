@@ -207,7 +207,7 @@ def _findings(result: Reconstruction) -> Iterator[str]:
             size = with_std(100 * abs(factor - 1), 100 * deviation, "%", factor=1.0)
             probable = chance(float(result.frame.story_probability[story - 1]))
             yield f"story {story} was {size} {word} than identified ({probable} probable)"
-    elif result.recording.input != "none":
+    elif result.frame_fitted:
         mean = float(np.mean(result.frame.factors)) - 1
         word = "softer" if mean < 0 else "stiffer"
         yield f"no single story changed; on average the stories were {100 * abs(mean):.1f} % {word} than identified"
@@ -247,7 +247,7 @@ def stories(result: Reconstruction) -> Table:
             str(story + 1), with_std(float(values[story]), float(std[story]), factor=factor),
             significant(predicted, 3),
             with_std(float(result.frame.factors[story]), float(result.frame.factors_std[story]), factor=1.0),
-            chance(float(result.frame.story_probability[story])),
+            "–" if result.change_probability is None else chance(float(result.change_probability[story])),
         ]  # fmt: skip
         if result.passed is not None:
             cells += [chance(float(each[story])) for each in result.passed]
