@@ -14,6 +14,8 @@ from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from tests.outside import simulated
 
 N = 5
+SEEDS = (25, 27, 30)
+"""Of frames whose first fit leads to another minimum than that of the frame that changed."""
 SCALE = Scale(10.0, 2e4, np.ones(N))
 
 
@@ -189,6 +191,27 @@ def test_frequencies_alone_name_a_loss_and_the_mass_that_is_its_dual():
     }
     assert {("story_change", 2), ("added_mass", 2)} <= named_ones
     assert closure.verdict == "ambiguous"
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_no_frame_far_from_the_first_fit_is_overlooked(seed):
+    """Bare and with a known mass: one story softer, seen in frequencies alone, fits at least as well as the truth."""
+    rng, mass, stiffness = frame(seed, n=6)
+    softer = stiffness * np.where(np.arange(6) == seed % 6, 0.8, 1.0)
+    load = 1.5 * np.eye(6)[5]
+    tests = [("before", stiffness, 0 * load), ("after", softer, 0 * load), ("after, loaded", softer, load)]
+    tables = [
+        measured_in(mass, k, rng, name=name, state=name[:5], added=added, shapes=False) for name, k, added in tests
+    ]
+    truth = sum(
+        np.sum((modes(mass_matrix(mass + added), stiffness_matrix(k)).frequencies / table["frequencies"] - 1) ** 2)
+        for (_, k, added), table in zip(tests, tables, strict=True)
+    ) / 0.001**2
+    closure = loop(tables, mass.sum(), reference="befor")
+    sets = {tuple(placed.label for placed in item.effects): item.chi2 for item in closure.models}
+    assert len(sets) == len(closure.models)
+    assert sets[f'story change at story {seed % 6 + 1} of "after"',] < truth + 0.1
+    assert all(item.probability < 0.95 for item in closure.effects if item.placed.place.story != seed % 6 + 1)
 
 
 def test_a_prior_that_does_not_hold_is_named():
