@@ -150,6 +150,10 @@ NO_MOTION = re.compile(
     r"temp|humid|batt|status|comment|\bsample|\bindex\b|\bcount|\bn[or]\b\.?$|\bdat(?:e|um)\b", re.IGNORECASE
 )
 NUMBER = re.compile(r"\d+")
+BASEMENT = re.compile(r"(?:^|[^a-z])b(\d+)f(?:$|[^a-z])", re.IGNORECASE)
+"""A basement, as floors are called in Japan and Korea: B1F, B2F. The motion there is that of the ground."""
+NTH_FLOOR = re.compile(r"(?:^|[^a-z0-9])(\d+)f(?:l|$|[^a-z])|(\d+)階", re.IGNORECASE)
+"""A floor by its number, "2F". In Japan, Korea and the United States 1F is at the ground and 2F the first above it."""
 AXIS = re.compile(r"(?:^|[^a-z])([xyz])(?:$|[^a-z])|\d([xyz])$", re.IGNORECASE)
 
 BRACKETED = re.compile(r"[\[(]([^\])]*)[\])]|[,/]\s*([a-zA-Zµ/²^*0-9.]+)\s*$")

@@ -10,7 +10,7 @@ import numpy as np
 from cvxshear.modal.amplitude import amplitude_findings
 from cvxshear.modal.estimate import Details, Replication
 from cvxshear.modal.frf import FrfSource
-from cvxshear.modal.picking import MOSTLY_ROTATION, PoleCandidate
+from cvxshear.modal.picking import FAINT, MOSTLY_ROTATION, PoleCandidate
 from cvxshear.modal.result import OVERLOOKED_KIND, ModalResult
 from cvxshear.records.floors import ROTATES
 from cvxshear.records.record import Finding, FrfRecord, Record
@@ -310,10 +310,12 @@ def _mode_findings(record: Record, result: ModalResult, setting: Replication, wa
         for item in sweep.candidates
         if item.physical and not any(item is other for other in sweep.chosen)
     )
+    # A model of noise has poles of rotation as well.
+    faint = FAINT * max(item.energy for item in sweep.candidates)
     found.extend(
         Finding("rotation", f"{item.frequency:.3f} Hz is set aside: {item.reason}", {"frequency": item.frequency})
         for item in sweep.candidates
-        if item.reason.startswith(MOSTLY_ROTATION)
+        if item.reason.startswith(MOSTLY_ROTATION) and item.energy > faint
     )
     for mode, phase in zip(result.modes, result.lost_phase, strict=True):
         if phase > COMPLEX:

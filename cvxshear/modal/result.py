@@ -93,6 +93,9 @@ REPRODUCED_TO = 2e-4
 """Relative standard deviation of a frequency that no scatter within a record goes below: loggers' crystals are 20 to
 100 ppm off, and a degree takes 0.02 % from the frequency of a steel frame (Young's modulus falls by 0.04 % a degree).
 Without it a day's change of temperature between two tests would be found as a cause."""
+DAMPING_REPRODUCED_TO = 0.01
+"""Relative standard deviation of a damping ratio that no scatter within a record goes below: friction in joints and
+cables changes it by more between two tests, and two methods differ by 2 to 10 % on one record of a laboratory frame."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -185,6 +188,12 @@ class ModalResult(Shown):
         return np.maximum(frequency_std(self.frequency_std, self.modes, self.findings), REPRODUCED_TO)
 
     @property
+    def written_damping_std(self) -> Floats:
+        """Standard deviations of the damping ratios, with what no scatter shows, as files have them; 0 if not known."""
+        least = np.where(self.damping_std > 0, DAMPING_REPRODUCED_TO * self.damping_ratios, 0.0)
+        return np.maximum(self.damping_std, least)
+
+    @property
     def written_entry_std(self) -> Floats:
         """Standard deviations of the entries over each mode's largest, as files have them, shape (m, n)."""
         return entry_std(self.entry_std, self.mode_shapes, self.floors, self.findings)
@@ -208,7 +217,7 @@ class ModalResult(Shown):
             "frequency": self.frequencies.tolist(),
             "frequency_std": self.written_frequency_std.tolist(),
             "damping_ratio": self.damping_ratios.tolist(),
-            "damping_ratio_std": self.damping_std.tolist(),
+            "damping_ratio_std": self.written_damping_std.tolist(),
         }
         columns |= {
             f"floor_{floor}": entries.tolist()
@@ -256,7 +265,7 @@ class ModalResult(Shown):
             "damping_ratios": np.clip(self.damping_ratios, 0.0, None).tolist(),
         }
         if np.all(self.damping_ratios > 0) and np.all(self.damping_std > 0):
-            result["damping_ratio_std"] = (self.damping_std / self.damping_ratios).tolist()
+            result["damping_ratio_std"] = (self.written_damping_std / self.damping_ratios).tolist()
         return result
 
     def to_experiment(

@@ -8,6 +8,7 @@ between them: over the whole band the delay is the one straight line through the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,11 +30,14 @@ FINER = 4
 """Steps of the search in the time that a quarter of a sample makes."""
 NOISE_FLOOR = 10.0
 """Times the tenth of a channel's lines that hold least: below it a line counts little."""
+BETWEEN_RESONANCES = 0.03
+"""Of the highest line: below it lines of a decay count little. There the tails of several modes overlap, with phases
+that change from release to release; counted in full, drifts erred by twice their standard deviations."""
 MAINS = (50.0, 60.0)
 """Hz; lines at these and twice and three times as much, folded, say nothing of a frame."""
 NO_DRIFT = 0.97
 """Of the agreement with a drift: reached without one, there is none."""
-DRIFT_CHANCE = 1e-5
+DRIFT_CHANCE = 1e-6
 """Probability that chance makes a slope so steep of the delays in the parts of a record."""
 STEADY = 0.01
 """Samples that the delay of a sound clock may seem to change by, as modes ring with other weights."""
@@ -49,31 +53,58 @@ class BandClock:
 
     Parameters
     ----------
-    seconds : float
-        At the start of the record.
-    drift : float
-        Seconds more in each second after; 0 where there is none that could be told.
-    std, drift_std : float
-        Of the delay in the middle of the record, and of the drift.
+    middle : float
+        The delay at the mean time of what tells it, s.
+    std : float
+        Of that.
     agreement : float
         1 where the delay makes all lines agree in phase, 0 where the channels have nothing in common.
     chance : float
         Agreement that channels with nothing in common reach by chance.
-    middle : float
-        The delay in the middle of the record, s.
+    slope, slope_std : float, optional
+        Seconds more in each second after, as fitted, significant or not.
+    freedom : int, optional
+        Degrees of freedom of `slope_std`; 0 where no slope could be fitted.
+    time : float, optional
+        The mean time, s, and the longest time from it to either end.
+    reach : float, optional
     """
 
-    seconds: float
-    drift: float
+    middle: float
     std: float
-    drift_std: float
     agreement: float
     chance: float
-    middle: float
+    slope: float = 0.0
+    slope_std: float = np.inf
+    freedom: int = 0
+    time: float = 0.0
+    reach: float = 0.0
 
-    def against(self, other: BandClock) -> tuple[float, float]:
-        """Drift of this clock against one that the other was compared with too, and its standard deviation."""
-        return self.drift - other.drift, float(np.hypot(self.drift_std, other.drift_std))
+
+def drift_of(clocks: Sequence[BandClock], rate: float) -> tuple[float, float]:
+    """Drift of a clock that was compared with several others, s a second, and its standard deviation; 0 for none.
+
+    Every comparison holds the noise of the clock itself, so more of them make the drift no surer; but the scatter
+    about each line is one more estimate of the same deviation, which few stretches of motion tell badly.
+
+    Parameters
+    ----------
+    clocks : sequence of BandClock
+    rate : float
+        Sampling rate, Hz.
+    """
+    fitted = [clock for clock in clocks if clock.freedom > 0]
+    if not fitted:
+        return 0.0, np.inf
+    slope = float(np.median([clock.slope for clock in fitted]))
+    std = float(np.median([clock.slope_std for clock in fitted]))
+    certain = -float(special.stdtrit(sum(clock.freedom for clock in fitted), DRIFT_CHANCE))
+    reach = float(np.median([clock.reach for clock in fitted]))
+    # A sound clock moves against one that drifts, and against no other.
+    alone = sum(abs(clock.slope - slope) > abs(slope) / 2 for clock in fitted) > len(fitted) / 2
+    if abs(slope) < certain * std or abs(slope) * reach < DRIFT_SHORTEST / rate or alone:
+        return 0.0, std
+    return slope, std
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +136,8 @@ class Segments:
         """Cut a record into segments and transform them."""
         rate = record.sampling_rate
         length = min(int(SEGMENT * rate), *(run.samples for run in record.runs)) // 2 * 2
-        window = _window(length, decaying=record.input == "free_decay" or all(map(impulsive, record.runs)))
+        decaying = record.input == "free_decay" or all(map(impulsive, record.runs))
+        window = _window(length, decaying=decaying)
         spectra, times, started = [], [], 0
         for run in record.runs:
             both = [run.responses] if run.excitation is None else [run.responses, run.excitation[:, None]]
@@ -118,9 +150,13 @@ class Segments:
         found = np.array(spectra)
         power = np.abs(found) ** 2
         floor = NOISE_FLOOR * np.quantile(power.mean(axis=0)[2:], 0.1, axis=0)
+        mains = mains_lines(length, rate)
+        if decaying:
+            loudest = np.delete(power.mean(axis=0), mains, axis=0).max(axis=0)
+            floor = np.maximum(floor, BETWEEN_RESONANCES * loudest)
         with np.errstate(invalid="ignore", divide="ignore"):
             weights = np.nan_to_num(power / (power + floor)) ** 2
-        weights[:, mains_lines(length, rate)] = 0.0
+        weights[:, mains] = 0.0
         weights[:, :2] = 0.0
         return Segments(found, weights, np.array(times), length, rate)
 
@@ -177,31 +213,27 @@ def band_clock(segments: Segments, first: int, second: int) -> BandClock:
     squares, weights, times, chance = segments.agreement(first, second)
     total = float(weights.sum())
     if total <= 0:
-        return BandClock(0.0, 0.0, np.inf, np.inf, 0.0, 1.0, 0.0)
+        return BandClock(0.0, np.inf, 0.0, 1.0)
     samples = FINER * segments.length
     grid = (np.arange(samples) - samples // 2) * segments.length / (2 * segments.rate * samples)
     near = np.abs(grid) <= LONGEST_DELAY
     table = np.fft.fftshift(np.fft.ifft(squares, n=samples, axis=1).real * samples, axes=1)[:, near]
     grid, step = grid[near], float(grid[1] - grid[0])
-    around = times - np.average(times, weights=weights)
+    time = float(np.average(times, weights=weights))
+    around = times - time
     place, turns = _best_line(table, around, step, grid)
     half = max(float(np.abs(around).max()), 1e-9)
-    drift = turns * step / half
-    line = grid[place] + drift * around
+    line = grid[place] + turns * step / half * around
     tops, heights = _climbed(squares, line, segments, step)
     agreement = float(heights.sum()) / total
-    sound = (heights > 0.3 * np.median(heights / np.maximum(weights, 1e-300)) * weights) & (
-        np.abs(tops - line) < step * 2
-    )
+    high = heights > 0.3 * np.median(heights / np.maximum(weights, 1e-300)) * weights
+    sound = high & (np.abs(tops - line) < step * FINER)
     if np.count_nonzero(sound) < 3:
-        return BandClock(float(grid[place]), 0.0, step, np.inf, agreement, chance, float(grid[place]))
+        return BandClock(float(grid[place]), step, agreement, chance)
     middle, slope, std, slope_std = _line(around[sound], tops[sound], heights[sound])
     slope_std = float(np.hypot(slope_std, STEADY / segments.rate / half))
-    certain = -float(special.stdtrit(max(int(np.count_nonzero(sound)) - 2, 1), DRIFT_CHANCE))
-    if abs(slope) < certain * slope_std or abs(slope) * half < DRIFT_SHORTEST / segments.rate:
-        return BandClock(middle, 0.0, std, slope_std, agreement, chance, middle)
-    start = middle - slope * float(np.average(times, weights=weights))
-    return BandClock(start, slope, std, slope_std, agreement, chance, middle)
+    freedom = max(int(np.count_nonzero(sound)) - 2, 1)
+    return BandClock(middle, std, agreement, chance, slope, slope_std, freedom, time, half)
 
 
 def _best_line(table: Floats, around: Floats, step: float, grid: Floats) -> tuple[int, int]:

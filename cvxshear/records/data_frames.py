@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,10 +11,13 @@ from numpy.typing import NDArray
 
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import IN_SI
 from cvxshear.util.typing import Floats
 
 UNEVEN = 0.01
 """Largest change of a step, over the usual step: time stamps are rounded, and a gap is at least one step."""
+SECONDS = {"s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
+"""Units of a coordinate of time, in seconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,69 +28,128 @@ class TableColumns:
     ----------
     values : ndarray, shape (samples, columns)
     names : list of str
+        By `label`.
     times : ndarray, shape (samples,), or None
         s, of a table that has times.
+    unit : str or None
+        In which the table says that its values are.
     """
 
     values: Floats
     names: list[str]
     times: Floats | None
+    unit: str | None = None
 
-    def samples(self, name: str) -> Floats:
+    def samples(self, name: Hashable) -> Floats:
         """Return the samples of one column, shape (samples,)."""
-        if name not in self.names:
-            raise InputError(f'there is no channel "{name}" in the table; there are {", ".join(self.names)}')
-        return np.asarray(self.values[:, self.names.index(name)])
+        if label(name) not in self.names:
+            raise InputError(f'there is no channel "{label(name)}" in the table; there are {", ".join(self.names)}')
+        return np.asarray(self.values[:, self.names.index(label(name))])
 
-    def sampling_rate(self) -> float:
-        """Hz, from the times.
+    def sampling_rate(self, given: float | None = None) -> float:
+        """Hz, from the times, or as given.
 
         Raises
         ------
         InputError
-            Where there are none, or they are not evenly spaced.
+            Where nothing tells it, the times are not evenly spaced, or both tell different rates.
         """
         if self.times is None or len(self.times) < 2:
-            raise InputError("give sampling_rate, in Hz: the table has no time that tells it")
-        steps = np.diff(self.times)
-        rate = 1.0 / float(np.median(steps))
-        uneven = np.flatnonzero(np.abs(steps * rate - 1.0) > UNEVEN)
+            if given is None:
+                raise InputError("give sampling_rate, in Hz: the table has no time that tells it")
+            return given
+        if not np.all(np.isfinite(self.times)):
+            place = int(np.argmin(np.isfinite(self.times)))
+            raise InputError(f"the table's time is missing at sample {place + 1}; samples must be evenly spaced")
+        steps, step = np.diff(self.times), float(self.times[-1] - self.times[0]) / (len(self.times) - 1)
+        back = np.flatnonzero(steps <= 0)
+        if back.size:
+            raise InputError(
+                f"the table's time goes from {self.times[back[0]]:g} s to {self.times[back[0] + 1]:g} s; it must "
+                "ascend: sort the table by its time"
+            )
+        # Times in single precision are rounded to so much.
+        rounded = 2.0 * float(np.spacing(np.float32(np.abs(self.times).max())))
+        usual = float(np.median(steps))
+        uneven = np.flatnonzero(np.abs(steps - usual) > max(UNEVEN * usual, min(rounded, usual / 4)))
         if uneven.size:
             raise InputError(
                 f"the table's time steps from {self.times[uneven[0]]:g} s to {self.times[uneven[0] + 1]:g} s, where "
-                f"its step is {1 / rate:g} s; samples must be evenly spaced"
+                f"its step is {usual:g} s; samples must be evenly spaced"
             )
-        return rate
+        if given is not None and abs(given * step - 1.0) > UNEVEN:
+            raise InputError(
+                f"sampling_rate = {given:g} Hz, but the table's time ticks at {1 / step:g} Hz; leave one out"
+            )
+        return 1.0 / step if given is None else given
+
+
+def label(name: Hashable) -> str:
+    """Write the name of a column; that of several levels with blanks between them."""
+    return " ".join(map(str, name)) if isinstance(name, tuple) else str(name)
 
 
 def table_columns(table: Any) -> TableColumns:
-    """Read the columns of a table; their names and times as a data frame or a data array has them.
+    """Read the columns of a table; their names, times and unit as a data frame or a data array has them.
 
     Of a data array the first dimension is time, the second one named coordinate a channel. Times of any numeric or
-    date type but whole numbers count, which are taken for a count of rows.
+    date type but whole numbers count, which are taken for a count of rows. A unit stands in `attrs["units"]`.
+
+    Raises
+    ------
+    InputError
+        Where the table is none, a name stands twice, or a unit is none of acceleration, velocity or displacement.
     """
     names: Any = None
     times: Any = None
     if hasattr(table, "columns") and hasattr(table, "index"):
-        names, times = list(table.columns), np.asarray(table.index)
+        names, times = list(table.columns), table.index
+        if getattr(times, "tz", None) is not None:
+            times = times.tz_convert("UTC").tz_localize(None)
     elif hasattr(table, "dims") and hasattr(table, "coords"):
         if len(table.dims) != 2:
             raise InputError(f"the data array has the dimensions {tuple(table.dims)}; it needs two, time and channels")
         time, channel = table.dims
-        names = list(table.coords[channel].values) if channel in table.coords else None
-        times = np.asarray(table.coords[time].values) if time in table.coords else None
+        names = list(table.coords[channel].values.tolist()) if channel in table.coords else None
+        times = table.coords.get(time, None)
     values = matrix_of(getattr(table, "values", table), "the table", np.float64)
-    if times is not None and times.dtype.kind in "mM":
-        times = (times - times[0]) / np.timedelta64(1, "s")
-    if times is not None and (times.dtype.kind != "f" or len(times) != len(values)):
-        times = None
+    seconds = _seconds(times)
     if names is None:
         names = [f"channel {place}" for place in range(1, values.shape[1] + 1)]
-    return TableColumns(values, [str(name) for name in names], times)
+    names = [label(name) for name in names]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise InputError(f'the table has the column "{twice[0]}" {names.count(twice[0])} times; name each once')
+    return TableColumns(values, names, seconds, _unit_of(table))
+
+
+def _seconds(times: Any) -> Floats | None:
+    """Return times in seconds; None where there are none, or what there is counts rows."""
+    values = np.asarray(getattr(times, "values", times))
+    if times is None or values.ndim != 1 or values.dtype.kind not in "fmM":
+        return None
+    if values.dtype.kind in "mM":
+        return np.asarray((values - values[0]) / np.timedelta64(1, "s"))
+    unit = str(getattr(times, "attrs", {}).get("units", "s"))
+    if unit not in SECONDS:
+        raise InputError(f'the unit of the time is "{unit}"; it must be one of {", ".join(SECONDS)}')
+    return values.astype(np.float64) * SECONDS[unit]
+
+
+def _unit_of(table: Any) -> str | None:
+    """Read the unit in which a table says that its values are, as it is called here; None where it says none."""
+    said = getattr(table, "attrs", {}).get("units")
+    if said is None:
+        return None
+    plain = "".join(str(said).split()).replace("^", "").replace("**", "").replace("s-2", "/s2").replace("s-1", "/s")
+    known = {unit.lower(): unit for units in IN_SI.values() for unit in units}
+    if plain.replace("//", "/").lower() not in known:
+        raise InputError(f'units = "{said}" of the table is none of {", ".join(known.values())}')
+    return known[plain.replace("//", "/").lower()]
 
 
 def matrix_of(value: Any, where: str, dtype: type) -> Any:
-    """Check a table of numbers, samples by channels, and return it read-only.
+    """Check a table of numbers, samples by channels, and return it read-only; a masked value is nan.
 
     Raises
     ------
@@ -94,7 +157,10 @@ def matrix_of(value: Any, where: str, dtype: type) -> Any:
         Where it is none.
     """
     try:
-        result: NDArray[Any] = np.array(value, dtype=dtype)
+        given = np.ma.filled(value.astype(dtype), np.nan) if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
+        if np.iscomplexobj(given) and not issubclass(dtype, np.complexfloating):
+            raise TypeError
+        result: NDArray[Any] = np.array(given, dtype=dtype)
     except (TypeError, ValueError):
         raise InputError(f"{where} must be a table of numbers, samples by channels") from None
     if result.ndim != 2 or 0 in result.shape:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 import scipy
 
-from cvxshear.records.clocks import BandClock, Segments, band_clock
+from cvxshear.records.clocks import BandClock, Segments, band_clock, drift_of
 from cvxshear.records.floors import one_a_floor, turning
 from cvxshear.records.record import Channel, Finding, FrfRecord, Record, TimeRecord
 from cvxshear.records.sick_channels import channel_findings, without_sick, without_spikes
@@ -24,7 +24,8 @@ SILENT = 6.0
 LEAST_AGREEMENT, MOST_CHANCE = 0.08, 0.55
 """Bounds of that limit: hum has a little in common with everything; few lines leave much to chance."""
 AGREED = 0.25
-"""Agreement of a channel's phases with the others' from which on its clock can be told."""
+"""Agreement of a channel's phases with the others' from which on its clock can be told; half of what is usual in the
+record where that is less."""
 LATE = 0.5
 """Samples; a delay of less is left to the phases of the modes, which tell it finer."""
 IN_STEP = 0.6
@@ -32,8 +33,8 @@ IN_STEP = 0.6
 nearly agree at many delays. Delays of half a sample and more leave a third at most."""
 CERTAIN_DELAY = 4.0
 """Standard deviations of a delay that is taken out."""
-SIGNIFICANT_DRIFT = 5.0
-"""Standard deviations of a drift that another clock must show it by, or contradict it."""
+HINT = 2.0
+"""Standard deviations of a drift against one clock from which on the others are asked."""
 QUIET = 0.5
 """Of the frequency at which the motion of some floor is twice the base's: below it the floors move with the base."""
 FEWEST_LINES_BELOW = 3
@@ -107,34 +108,40 @@ def _in_step(record: TimeRecord) -> tuple[TimeRecord, list[Finding], dict[str, t
     plain = np.array([[_in_common(segments, i, j) for j in range(len(clocks))] for i in range(len(clocks))])
     reference = int(np.argmax(np.median(plain, axis=0) if len(clocks) > 3 else plain.sum(axis=0)))
     against = {i: band_clock(segments, i, reference) for i in range(len(clocks)) if i != reference}
-    heard = [item.agreement for item in against.values() if item.agreement > AGREED]
-    if len(heard) < len(against) / 2:
+    limits = {i: min(max(SILENT * item.chance, LEAST_AGREEMENT), MOST_CHANCE) for i, item in against.items()}
+    # Sampled far beyond its highest mode a frame has much of its band where forces of the wind move each floor alone.
+    usual = float(np.median(np.delete(plain[reference], reference)))
+    agreed = min(AGREED, usual / 2)
+    heard_by = {i: item for i, item in against.items() if item.agreement > max(agreed, limits[i])}
+    if len(heard_by) < len(against) / 2:
         # Nothing is sure where most have little in common: a few sine waves, a record of noise.
         return record, [], {}
-    limits = {i: min(max(SILENT * item.chance, LEAST_AGREEMENT), MOST_CHANCE) for i, item in against.items()}
     silent = [i for i, item in against.items() if item.agreement < limits[i] and names[i : i + 1]]
     findings = [_silent(record, i, against[i]) for i in silent]
-    late = {reference: (0.0, 0.0, 0.0)}
-    late |= {i: (item.seconds, item.drift, item.middle) for i, item in against.items() if item.agreement > AGREED}
-    # The clock that is nearest to all others counts as right.
-    middles = {i: values[2] for i, values in late.items()}
-    right = min(middles, key=lambda i: (sum(abs(middles[i] - other) for other in middles.values()), i))
-    zero = late[right]
+    heard_by[reference] = BandClock(0.0, 0.0, 1.0, 0.0)
+    # Where most of the band is not in common, the search over drifts finds one in its noise.
+    drifts = {i: _drift(segments, i, heard_by) if usual > AGREED else (0.0, np.inf) for i in heard_by}
+    # The clock that is nearest to all others counts as right, of those that do not drift.
+    middles = {i: item.middle for i, item in heard_by.items()}
+    right = min(
+        middles, key=lambda i: (drifts[i][0] != 0, sum(abs(middles[i] - other) for other in middles.values()), i)
+    )
     wrong: dict[str, tuple[float, float]] = {}
     limit = LATE / record.sampling_rate
-    for i, (start, drift, middle) in late.items():
-        spread = [against[k] for k in (i, right) if k in against]
-        std = float(np.hypot.reduce([item.std for item in spread])) if spread else 0.0
-        slope = drift - zero[1]
-        slope = slope if slope and _drifts(segments, i, right, slope, clocks) else 0.0
-        if i == right or (abs(middle - zero[2]) < max(limit, CERTAIN_DELAY * std) and not slope):
+    for i, item in heard_by.items():
+        late, std, (slope, slope_std) = item.middle - middles[right], np.hypot(item.std, heard_by[right].std), drifts[i]
+        if i == right or (abs(late) < max(limit, CERTAIN_DELAY * std) and not slope):
             continue
-        if not slope and not _confirmed(segments, i, right, middle - zero[2], 2 * limit, clocks):
+        if not slope and not _confirmed(segments, i, right, late, 2 * limit, clocks):
             continue
-        if not slope and segments.agreed(i, right, 0.0) > IN_STEP * segments.agreed(i, right, middle - zero[2]):
+        if not slope and segments.agreed(i, right, 0.0) > IN_STEP * segments.agreed(i, right, late):
             continue
-        wrong[clocks[i]] = (start - zero[0], slope)
-        findings.append(_late(clocks[i], clocks[right], middle - zero[2], start - zero[0], slope, std, against, i))
+        start = late - slope * (item if i != reference else heard_by[right]).time
+        wrong[clocks[i]] = (start, slope)
+        if slope:
+            findings.append(_drifting(clocks[i], clocks[right], start, slope, slope_std))
+        else:
+            findings.append(clock_offset(clocks[i], clocks[right], late, float(std)))
     kept = [column for column in range(len(names)) if column not in silent]
     record = only(record, kept) if silent else record
     return (in_step(record, wrong) if wrong else record), findings, wrong
@@ -159,15 +166,14 @@ def _confirmed(segments: Segments, late: int, right: int, seconds: float, within
     return not said or sum(abs(each - seconds) < within for each in said) >= len(said) / 2
 
 
-def _drifts(segments: Segments, late: int, right: int, slope: float, clocks: list[str]) -> bool:
-    """Whether no more than a few other clocks contradict a drift: of those that it would have to show against."""
-    against = [
-        band_clock(segments, late, k).against(band_clock(segments, right, k))
-        for k in range(len(clocks))
-        if k not in (late, right)
-    ]
-    sharp = [drift for drift, std in against if SIGNIFICANT_DRIFT * std < abs(slope)]
-    return sum(abs(drift - slope) > abs(slope) / 2 for drift in sharp) <= len(sharp) / 2
+def _drift(segments: Segments, place: int, heard: dict[int, BandClock]) -> tuple[float, float]:
+    """Drift of a clock by all that are heard, and its standard deviation; 0 where nothing hints at any."""
+    hints = {i for i, item in heard.items() if abs(item.slope) > HINT * item.slope_std}
+    # Where the clock that all were compared with drifts, most of them seem to.
+    reference = heard[place].freedom == 0
+    if not (len(hints) > 1 if reference else place in hints):
+        return 0.0, heard[place].slope_std
+    return drift_of([band_clock(segments, place, k) for k in heard if k != place], segments.rate)
 
 
 def _silent(record: TimeRecord, column: int, clock: BandClock) -> Finding:
@@ -181,26 +187,14 @@ def _silent(record: TimeRecord, column: int, clock: BandClock) -> Finding:
     )
 
 
-def _late(
-    name: str,
-    reference: str,
-    middle: float,
-    start: float,
-    slope: float,
-    std: float,
-    against: dict[int, BandClock],
-    place: int,
-) -> Finding:
-    if slope:
-        spread = against[place].drift_std if place in against else std
-        return Finding(
-            "clock drift",
-            f'the clock of "{name}" runs {"slow" if slope > 0 else "fast"} by {1e6 * abs(slope):.1f} ppm '
-            f'(std {significant(1e6 * spread, 2)}) against that of "{reference}", {1e3 * abs(start):.2f} ms '
-            f"{'late' if start > 0 else 'early'} at the start of the record; taken out",
-            {"channel": name, "seconds": start, "drift": slope, "drift_std": spread, "corrected": True},
-        )
-    return clock_offset(name, reference, middle, std)
+def _drifting(name: str, reference: str, start: float, slope: float, std: float) -> Finding:
+    return Finding(
+        "clock drift",
+        f'the clock of "{name}" runs {"slow" if slope > 0 else "fast"} by {1e6 * abs(slope):.1f} ppm '
+        f"(std {significant(1e6 * std, 2)}), {1e3 * abs(start):.2f} ms {'late' if start > 0 else 'early'} against that "
+        f'of "{reference}" at the start of the record; taken out',
+        {"channel": name, "seconds": start, "drift": slope, "drift_std": std, "corrected": True},
+    )
 
 
 def clock_offset(name: str, reference: str, seconds: float, std: float) -> Finding:

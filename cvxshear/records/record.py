@@ -6,7 +6,7 @@ A record holds physical values: sign and calibration have been applied. Its arra
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cvxshear.measurement.experiment import MOST_STORIES
-from cvxshear.records.data_frames import matrix_of, table_columns
+from cvxshear.records.data_frames import label, matrix_of, table_columns
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import CHANNEL_UNITS
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Complexes, Floats, Ints, Json
 
@@ -286,8 +287,8 @@ class TimeRecord(_Recorded):
     def of(
         table: Any,
         *,
-        floors: Mapping[str, int] | Sequence[int] | None = None,
-        excitation: str | ArrayLike | None = None,
+        floors: Mapping[Any, int] | Sequence[int] | None = None,
+        excitation: Hashable | ArrayLike | None = None,
         drive: str | None = None,
         input_floor: int = 0,
         sampling_rate: float | None = None,
@@ -298,12 +299,13 @@ class TimeRecord(_Recorded):
         Parameters
         ----------
         table : array_like, shape (samples, channels), or pandas.DataFrame or xarray.DataArray
-            m/s2, m/s or m. A data frame has one column a channel and the time as its index; a data array has two
-            dimensions, the first of them time, the second one named coordinate a channel.
-        floors : mapping of str to int, or sequence of int, optional
+            m/s2, m/s or m, or what `attrs["units"]` says. A data frame has one column a channel and the time as its
+            index; a data array has two dimensions, the first of them time, the second one named coordinate a channel.
+        floors : mapping to int, or sequence of int, optional
             The floor of each channel used, by its name or in the order of the columns; 1, 2, ... where None.
-        excitation : str or array_like, shape (samples,), optional
-            The input: the name of its column, or its samples; N for a force, m/s2 for a base acceleration.
+        excitation : str or other name of a column, or array_like, shape (samples,), optional
+            The input: the name of its column, or its samples; N for a force, m/s2 for a base acceleration. A column
+            with a base acceleration is in the table's unit.
         drive : str, optional
             `input` of the record; where None "base" with an excitation, "force" where `input_floor` is given too, and
             "none" without.
@@ -321,22 +323,34 @@ class TimeRecord(_Recorded):
         Raises
         ------
         InputError
-            Where a channel is not in the table, or nothing tells the sampling rate.
+            Where a channel is not in the table, its time does not ascend in even steps, or nothing tells the sampling
+            rate, or two things do and differ.
         """
         columns = table_columns(table)
-        force: Any = columns.samples(excitation) if isinstance(excitation, str) else excitation
-        left = [name for name in columns.names if not (isinstance(excitation, str) and name == excitation)]
+        column = label(excitation) if isinstance(excitation, Hashable) else None
+        named = isinstance(excitation, str) or column in columns.names
+        force: Any = columns.samples(column) if named else excitation
+        left = [name for name in columns.names if not (named and name == column)]
+        chosen: dict[str, int]
         if isinstance(floors, Mapping):
-            chosen = dict(floors)
+            chosen = {label(name): floor for name, floor in floors.items()}
         else:
             chosen = dict(zip(left, range(1, len(left) + 1) if floors is None else floors, strict=False))
             if floors is not None and len(floors) != len(left):
                 raise InputError(f"floors must have {len(left)} entries, one a channel, not {len(floors)}")
         if drive is None:
             drive = "none" if force is None else "force" if input_floor else "base"
-        channels = tuple(Channel(name, floor) for name, floor in chosen.items())
-        run = Run(np.column_stack([columns.samples(name) for name in chosen]), force, input_floor)
-        rate = columns.sampling_rate() if sampling_rate is None else sampling_rate
+        responses = np.column_stack([columns.samples(name) for name in chosen])
+        if columns.unit is not None:
+            kind, size = CHANNEL_UNITS[columns.unit]
+            if options.setdefault("quantity", kind) != kind:
+                raise InputError(f'the table is in {columns.unit}, which is none of quantity = "{options["quantity"]}"')
+            responses = responses * size
+            # A force has a unit of its own.
+            force = force * size if named and drive == "base" else force
+        channels = tuple(Channel(name, floor, unit=columns.unit) for name, floor in chosen.items())
+        rate = columns.sampling_rate(sampling_rate)
+        run = Run(responses, force, input_floor)
         return TimeRecord(channels, runs=(run,), sampling_rate=rate, input=drive, **options)
 
     @property

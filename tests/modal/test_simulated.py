@@ -186,6 +186,15 @@ def test_pieces_that_tell_more_weigh_more_in_the_jackknife():
     assert 1 <= freedom[2] <= 4
 
 
+@pytest.mark.parametrize(
+    ("hits", "how"), [(3, "jackknife over 9 hits"), (1, "jackknife over 3 driving points, at least 20 surrogates'")]
+)
+def test_the_scatter_of_few_hits_does_not_stand_alone(hits, how):
+    """Three driving points; surrogates can but make a deviation larger."""
+    record = hammer_record(PAPER_FRAME, 4, noise=0.01, hits=hits, duration=40.0)
+    assert identify_modes(record).to_dict()["uncertainty"] == how
+
+
 def test_a_band_decimates_and_keeps_the_modes():
     record = base_record(PAPER_FRAME, 2, noise=0.01, duration=200.0, sampling_rate=60.0)
     wide = identify_modes(record)
@@ -237,3 +246,13 @@ def test_the_highest_of_six_modes_is_within_its_deviations(method):
     assert np.all(np.abs(off) < 3.0 * found.frequency_std)
     assert np.all(np.abs(found.damping_ratios - frame.damping) < 3.0 * found.damping_std)
     assert np.all(found.frequency_std < 2e-3)
+
+
+def test_no_damping_is_stated_as_known_better_than_a_hundredth_of_itself():
+    """A record without noise scatters by less than any two tests of a frame do."""
+    found = identify_modes(base_record(PAPER_FRAME, 0, noise=0.0, duration=200.0))
+    assert np.all(found.damping_std < 1e-4 * found.damping_ratios)
+    assert found.configuration()["damping_ratio_std"] == pytest.approx([0.01] * 3)
+    np.testing.assert_allclose(found.written_damping_std, 0.01 * found.damping_ratios)
+    noisy = dataclasses.replace(found, damping_std=0.2 * found.damping_ratios)
+    assert noisy.configuration()["damping_ratio_std"] == pytest.approx([0.2] * 3)

@@ -74,7 +74,7 @@ def _modes_headline(result: ModalResult) -> str:
 
 def _table(result: ModalResult) -> Table:
     frequencies = zip(result.frequencies.tolist(), result.written_frequency_std.tolist(), strict=True)
-    damping = zip(result.damping_ratios.tolist(), result.damping_std.tolist(), strict=True)
+    damping = zip(result.damping_ratios.tolist(), result.written_damping_std.tolist(), strict=True)
     rows = columns(
         [str(mode) for mode in result.modes],
         [with_std(value, value * std, factor=1.0) for value, std in frequencies],
