@@ -37,47 +37,25 @@ name_module("show", "cvxshear.report.terminal")
 name_module("read", "cvxshear.files.modes")
 
 __all__ = [
-    "Closure",
-    "Comparison",
-    "Configuration",
-    "CvxshearError",
-    "Experiment",
-    "Frame",
-    "Identification",
-    "InfeasibleError",
-    "InputError",
-    "LostProcessError",
-    "NoModesError",
-    "NoSolutionError",
-    "Prior",
-    "UnsuitableError",
-    "backends",
-    "close_loop",
-    "compare_backends",
-    "effects",
-    "identify",
-    "load",
-    "plan",
-    "predict",
-    "priors",
+    "Closure", "Comparison", "Configuration", "CvxshearError", "Experiment", "Frame", "Identification",
+    "InfeasibleError", "InputError", "LostProcessError", "NoModesError", "NoSolutionError", "Prior", "UnsuitableError",
+    "backends", "close_loop", "compare_backends", "effects", "identify", "load", "plan", "predict", "priors",
     "reconstruct",
-]
+]  # fmt: skip
 
 _HOMES = {
-    "Closure": "cvxshear.loop",
-    "Comparison": "cvxshear.backends",
-    "Configuration": "cvxshear.measurement.experiment",
-    "Experiment": "cvxshear.measurement.experiment",
-    "Frame": "cvxshear.measurement.experiment",
-    "Identification": "cvxshear.methods",
-    "Prior": "cvxshear.priors",
-    "close_loop": "cvxshear.loop",
-    "compare_backends": "cvxshear.methods",
-    "identify": "cvxshear.methods",
-    "load": "cvxshear.files.toml",
-    "plan": "cvxshear.planning",
-    "predict": "cvxshear.response",
-    "reconstruct": "cvxshear.response",
+    name: home
+    for home, names in {
+        "cvxshear.loop": "Closure close_loop",
+        "cvxshear.backends": "Comparison",
+        "cvxshear.measurement.experiment": "Configuration Experiment Frame",
+        "cvxshear.methods": "Identification compare_backends identify",
+        "cvxshear.priors": "Prior",
+        "cvxshear.files.toml": "load",
+        "cvxshear.planning": "plan",
+        "cvxshear.response": "predict reconstruct",
+    }.items()
+    for name in names.split()
 }
 """Where the public names come from. They are imported when they are first asked for (PEP 562): the loop alone brings
 scipy.stats and joblib, which take longer to load than many a program that needs neither."""

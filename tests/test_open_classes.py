@@ -76,13 +76,13 @@ def test_the_derivatives_of_an_open_class(effect):
     })  # fmt: skip
     bound = effect.bound(given)
     placed = Placed(bound, bound.places(given)[0])
-    own = 1e-3 * rng.standard_normal(len(bound.parameters)) * bound.usual_size(SCALE) * 30
+    own = 1e-3 * rng.standard_normal(len(bound.parameters)) * bound.sizes(SCALE) * 30
     misfit = Misfit(given, (placed,))
     theta = np.concatenate([mass, stiffness, own])
     J = misfit.evaluate(theta).J
     for _ in range(2):
         d = rng.standard_normal(len(theta)) * np.concatenate(
-            [mass, stiffness, np.ones(len(own)) * bound.usual_size(SCALE)]
+            [mass, stiffness, np.ones(len(own)) * bound.sizes(SCALE)]
         )
         step = 1e-6
         # The scale of a shape leaves a part of the derivative out that is orthogonal to the residual.
@@ -162,7 +162,7 @@ def test_a_known_added_mass_in_that_state_tells(cause):
 
 def test_the_dual_frame_has_the_same_frequencies():
     _, mass, stiffness = frame(6)
-    dual = dual_frame(mass, stiffness)
+    dual = dual_frame(np.concatenate([mass, stiffness]))
     own, other = (
         modes(mass_matrix(m), stiffness_matrix(k)).frequencies for m, k in ((mass, stiffness), (dual[:N], dual[N:]))
     )

@@ -6,8 +6,8 @@ import pytest
 from cvxshear import backends
 from cvxshear.model.shear import stiffness_matrix
 from cvxshear.programs import LeastSquares, mass_correction, one_shot_masses, story_stiffnesses
-from cvxshear.programs.least_squares import remaining
 from cvxshear.programs.orthogonality import digits_lost, normalized
+from cvxshear.programs.statements import remaining
 from tests.frames import chain, modes_of
 
 MASS = np.array([10.0, 7.5, 5.0])

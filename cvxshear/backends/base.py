@@ -25,7 +25,7 @@ from cvxshear.backends.minimizer import Minimizer, UndeterminedError, UnsettledE
 from cvxshear.programs import LeastSquares
 from cvxshear.util import checks
 from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError
-from cvxshear.util.typing import Bools, Floats
+from cvxshear.util.typing import Floats
 
 ACCEPTED = 1e-6
 """Largest dual residual and duality gap of a solution that is accepted: first-order methods reach it, and what is left
@@ -116,7 +116,9 @@ class Backend(ABC):
             iterations = None if iterations is None or part.iterations is None else iterations + part.iterations
             missed = problem.violated(part.z) & ~within
             if not np.any(missed):
-                return _padded(part, within, iterations)
+                w = np.zeros(len(within))
+                w[within] = part.w
+                return dataclasses.replace(part, w=w, iterations=iterations)
             within |= missed
 
     def _with_all(self, problem: Canonical) -> Answer:
@@ -293,12 +295,6 @@ def _inaccurate(certificate: Certificate) -> InaccurateError:
         f"primal residual {certificate.primal_residual:.1e}, dual residual {certificate.dual_residual:.1e}, gap "
         f"{certificate.duality_gap:.1e}, accepted {MET:.0e}, {ACCEPTED:.0e} and {ACCEPTED:.0e}"
     )
-
-
-def _padded(part: Answer, within: Bools, iterations: int | None) -> Answer:
-    w = np.zeros(len(within))
-    w[within] = part.w
-    return dataclasses.replace(part, w=w, iterations=iterations)
 
 
 _given_up: weakref.WeakSet[Backend] = weakref.WeakSet()

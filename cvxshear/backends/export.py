@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
+from importlib import resources
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,30 +21,7 @@ if TYPE_CHECKING:
     import qpsolvers
 
 TEST_SET = "cvxshear_programs.py"
-"""qpbenchmark looks in a file of this name for a class of the same one in capitals."""
-
-TEST_SET_SOURCE = '''\
-"""Least-squares programs of cvxshear, for `qpbenchmark cvxshear_programs.py run`.
-
-Each stands twice: as it is stated, with P = R'R and q = -R's, and scaled, as cvxshear hands it to its solvers.
-"""
-
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import qpbenchmark
-
-
-class CvxshearPrograms(qpbenchmark.TestSet):
-    description = "Masses and stiffnesses of shear-type frames from their modes."
-    sparse_only = False
-    title = "cvxshear programs"
-
-    def __iter__(self):
-        for path in sorted(Path(__file__).parent.glob("*.npz")):
-            yield qpbenchmark.Problem.load(str(path))
-'''
-"""The test set, which reads the programs beside it."""
+"""qpbenchmark looks in a file of this name for a class of the same one in capitals; it reads the programs beside it."""
 
 
 def export(programs: Sequence[BenchmarkProgram], folder: str | Path) -> list[Path]:
@@ -99,7 +77,7 @@ def _written(programs: Sequence[BenchmarkProgram], folder: Path) -> list[Path]:
         for path, content in contents.items():
             write_file(path, content)
         written += list(contents)
-    write_file(benchmark / TEST_SET, TEST_SET_SOURCE)
+    write_file(benchmark / TEST_SET, resources.files("cvxshear.backends").joinpath("qpbenchmark.py.txt").read_bytes())
     return [*written, benchmark / TEST_SET]
 
 

@@ -74,8 +74,7 @@ def predict(
     Example: cvxshear predict frame.toml --record earthquake.toml
     """
     from cvxshear.report import terminal
-    from cvxshear.report.handover import model_kind, write_model
-    from cvxshear.report.series_files import series_kind, write_series
+    from cvxshear.report.handover import model_kind, series_kind, write_model, write_series
     from cvxshear.response import RecordPrediction
     from cvxshear.response import predict as run
     from cvxshear.screening import in_json
@@ -124,7 +123,7 @@ def reconstruct(
     Example: cvxshear reconstruct frame.toml --record earthquake.toml --report drifts.html
     """
     from cvxshear.report import terminal
-    from cvxshear.report.series_files import series_kind, write_series
+    from cvxshear.report.handover import series_kind, write_series
     from cvxshear.report.sheets import sheets_of_response
     from cvxshear.response import Reconstruction
     from cvxshear.response import reconstruct as run

@@ -12,7 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.model.observation import Observation
 from cvxshear.model.shear import Modes, attached_share, frame_modes
-from cvxshear.util.typing import Floats, Ints
+from cvxshear.util.typing import Complexes, Floats, Ints
 
 PAIRED = 0.5
 """Modal assurance criterion below which a measured mode is looked for among the other modes of the model."""
@@ -23,9 +23,10 @@ SHARED = 0.1
 looks like the frame's own, with more than the rest of it like the mass's."""
 
 
-def mac(a: Floats, b: Floats) -> float:
-    """Modal assurance criterion of two shapes, (a'b)^2 / (a'a b'b)."""
-    return float((a @ b) ** 2 / ((a @ a) * (b @ b)))
+def mac(first: Floats | Complexes, second: Floats | Complexes) -> float:
+    """Modal assurance criterion |a^H b|^2 / (a^H a b^H b) of two shapes (Allemang and Brown 1982)."""
+    product = abs(np.vdot(first, second)) ** 2
+    return float(product / (np.vdot(first, first).real * np.vdot(second, second).real))
 
 
 def scaled(measured: Floats, modelled: Floats, weights: Floats) -> tuple[Floats, Floats]:

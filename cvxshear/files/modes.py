@@ -328,6 +328,8 @@ def _frame(tests: Sequence[IdentifiedRecord]) -> dict[str, Any]:
 
 def _same(one: object, other: object) -> bool:
     """Whether two values say the same; one number for all stories equals a list of it."""
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
     numbers = (int, float, list)
     if isinstance(one, numbers) and isinstance(other, numbers):
         try:
@@ -343,7 +345,7 @@ def _priors(tests: Sequence[IdentifiedRecord]) -> list[dict[str, object]]:
     kept: list[tuple[dict[str, object], str]] = []
     for test in tests:
         for prior in test.priors:
-            if any(_same_prior(other, prior) for other, _ in kept):
+            if any(_same(other, prior) for other, _ in kept):
                 continue
             for other, file in kept:
                 if file != test.file and all(_same(other.get(key), prior.get(key)) for key in PLACES):
@@ -353,10 +355,6 @@ def _priors(tests: Sequence[IdentifiedRecord]) -> list[dict[str, object]]:
                     )
             kept.append((dict(prior), test.file))
     return [prior for prior, _ in kept]
-
-
-def _same_prior(one: Mapping[str, object], other: Mapping[str, object]) -> bool:
-    return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
 
 
 def _by_number(path: str) -> list[tuple[int, str]]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -100,23 +101,19 @@ def read_record(path: str | Path) -> RecordFile:
         Naming the file, and the key or the channel and the line, and what would be right.
     """
     path = Path(path)
-    table, lines = tables_of(path)
-    where = str(path)
-    frame = table.get("frame", {})
-    priors = table.get("prior", [])
-    tables = isinstance(priors, list) and all(isinstance(prior, Mapping) for prior in priors)
-    if not isinstance(frame, Mapping) or not tables:
-        raise InputError(f"{where}: frame must be a table [frame], prior a list of tables [[prior]]")
-    added = added_mass_of(table, path)
-    state = None if table.get("state") is None else checks.text(table["state"], f"{where}: state")
+    tables = RecordTables(path)
+    frame, priors = tables.table.get("frame", {}), tables.table.get("prior", [])
+    in_tables = isinstance(priors, list) and all(isinstance(prior, Mapping) for prior in priors)
+    if not isinstance(frame, Mapping) or not in_tables:
+        raise InputError(f"{path}: frame must be a table [frame], prior a list of tables [[prior]]")
     notes: list[Finding] = []
     with placed(path):
-        record = _record(table, path, lines, notes)
-    files = (path, *(path.parent / run["file"] for run in runs_of(table, table["record"])))
-    picked = table["record"].get("pick")
+        record = _frf_record(tables) if tables.kind == "frf" else _time_record(tables, notes)
+    files = (path, *(path.parent / run["file"] for run in tables.runs))
+    picked = tables.declared.get("pick")
     if picked is not None:
-        picked = checks.vector(picked, f"{where}: record: pick", above=0.0).tolist()
-    return RecordFile(record, frame, priors, added, state, picked, files, tuple(notes))
+        picked = checks.vector(picked, f"{path}: record: pick", above=0.0).tolist()
+    return RecordFile(record, frame, priors, tables.added_mass, tables.state, picked, files, tuple(notes))
 
 
 def write_pick(path: str | Path, frequencies: Sequence[float]) -> None:
@@ -148,79 +145,167 @@ def write_pick(path: str | Path, frequencies: Sequence[float]) -> None:
     write_file(path, text)
 
 
-def _record(table: Mapping[str, Any], path: Path, lines: list[int], notes: list[Finding]) -> Record:
-    declared = checks.keys(table["record"], RECORD_KEYS, [], "record")
-    kind = checks.choice(declared.get("kind", "time"), ("time", "frf"), "record: kind")
-    for key in ("time", "frequency", "axis"):
-        if key in declared:
-            checks.text(declared[key], f"record: {key}")
-    channels = channels_of(table["channel"], declared, path, lines)
-    common = {
+class RecordTables:
+    """What a record file declares, each key checked as it stands.
+
+    Parameters
+    ----------
+    path : Path
+
+    Attributes
+    ----------
+    table, declared : dict
+        The whole file, and its table `[record]`.
+    kind : str
+        "time" or "frf".
+    input : str
+        One of `INPUTS`.
+    channels : list of ChannelDeclaration
+    runs : list of dict
+    name : str
+    added_mass : list of float or None
+        kg.
+    state : str or None
+
+    Raises
+    ------
+    InputError
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.table, lines = tables_of(path)
+        with placed(path):
+            self.declared = declared = checks.keys(self.table["record"], RECORD_KEYS, [], "record")
+            self.kind = checks.choice(declared.get("kind", "time"), ("time", "frf"), "record: kind")
+            for key in ("time", "frequency", "axis"):
+                if key in declared:
+                    checks.text(declared[key], f"record: {key}")
+            self.channels = channels_of(self.table["channel"], declared, path, lines)
+            self.input = checks.choice(declared.get("input", "none"), INPUTS, "record: input")
+            self.name = checks.text(declared.get("name", named_after(path)), "record: name")
+            self.runs = runs_of(self.table, declared)
+            state = self.table.get("state")
+            self.state = None if state is None else checks.text(state, "state")
+        self.added_mass = added_mass_of(self.table, path)
+
+    @property
+    def driver(self) -> ChannelDeclaration | None:
+        """The channel that measures what drove the frame."""
+        return driver_of(self.channels, self.input)
+
+    @property
+    def responses(self) -> list[ChannelDeclaration]:
+        """The channels on floors."""
+        driver = self.driver
+        return [item for item in self.channels if item is not driver and item.responds]
+
+    def columns(self, run: Mapping[str, Any]) -> Columns:
+        """Read the columns of a run's file."""
+        limit = self.declared.get("size_limit", LIMIT / MEGABYTE)
+        return read_columns(
+            self.path.parent / run["file"], MEGABYTE * checks.number(limit, "record: size_limit (MB)", above=0.0)
+        )
+
+    def floor(self, place: int, otherwise: int | None = None) -> int:
+        """Find where the force of a run acts, the runs counted from 1."""
+        floor = self.runs[place - 1].get("input_floor", self.declared.get("input_floor", otherwise))
+        if floor is None:
+            raise InputError(f"run {place}: the key 'input_floor' is missing: which floor does the force act on?")
+        return checks.whole(floor, f"run {place}: input_floor", least=1, most=MOST_STORIES)
+
+    def pieces(self, needed: Sequence[ChannelDeclaration]) -> tuple[list[Piece], float]:
+        """Read every uninterrupted stretch of every run, and the sampling rate, Hz.
+
+        Parameters
+        ----------
+        needed : sequence of ChannelDeclaration
+            Whose columns must hold numbers throughout.
+
+        Raises
+        ------
+        InputError
+            Where a file cannot be read, or two were sampled at different rates.
+        """
+        driver, found, rates = self.driver, [], []
+        for place, run in enumerate(self.runs, 1):
+            columns = self.columns(run)
+            name = str(run.get("name", Path(run["file"]).name))
+            floor = 0 if driver is None or self.input != "force" else self.floor(place, driver.floor or None)
+            stretches, rate, left_out = pieces_of(columns, needed, self.declared, run, self.path)
+            rates.append((rate, columns.source))
+            for number, rows in enumerate(stretches, 1):
+                part = columns.rows(rows)
+                excitation = None
+                if driver is not None:
+                    excitation = driver.factor * part.column(driver.column, driver.place or self.path.name)
+                called = name if len(stretches) == 1 else f"{name}, piece {number}"
+                whole = rows == slice(0, len(columns.values))
+                span = (None, None) if whole else (round(rows.start / rate, 9), round(rows.stop / rate, 9))
+                found.append(Piece(place, name, called, part, excitation, floor, span, left_out if number == 1 else ""))
+        refuse_two_rates(rates)
+        return found, rates[0][0]
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """An uninterrupted stretch of a run.
+
+    Parameters
+    ----------
+    place : int
+        Of its run, counted from 1.
+    run, name : str
+        Names of the run, and of the piece where it has several.
+    columns : Columns
+    excitation : ndarray, shape (samples,), or None
+        m/s2 or N.
+    floor : int
+        Where a force acts, 0 but for a force.
+    span : tuple of (float or None, float or None)
+        Start and end in its file, s; None where the piece is all of it.
+    left_out : str
+        What of the run is in no piece, said by its first one.
+    """
+
+    place: int
+    run: str
+    name: str
+    columns: Columns
+    excitation: Floats | None
+    floor: int
+    span: tuple[float | None, float | None]
+    left_out: str
+
+
+def _common(tables: RecordTables) -> dict[str, Any]:
+    """Return what records of both kinds have."""
+    declared = tables.declared
+    return {
         "stories": checks.whole(declared.get("stories", 0), "record: stories", least=0, most=MOST_STORIES),
         "quantity": declared.get("quantity", "acceleration"),
         "band": declared.get("band"),
         "exponential_window": declared.get("exponential_window"),
-        "name": checks.text(declared.get("name", named_after(path)), "record: name"),
+        "name": tables.name,
     }
-    runs = runs_of(table, declared)
-    if kind == "frf":
-        return _frf_record(declared, channels, runs, common, path)
-    return _time_record(declared, channels, runs, common, path, notes)
 
 
-def _floor(run: Mapping[str, Any], declared: Mapping[str, Any], otherwise: int | None, place: int) -> int:
-    """Where the force of a run acts."""
-    floor = run.get("input_floor", declared.get("input_floor", otherwise))
-    if floor is None:
-        raise InputError(f"run {place}: the key 'input_floor' is missing: which floor does the force act on?")
-    return checks.whole(floor, f"run {place}: input_floor", least=1, most=MOST_STORIES)
-
-
-def columns_of(run: Mapping[str, Any], declared: Mapping[str, Any], path: Path) -> Columns:
-    """Read the columns of a run's file."""
-    limit = MEGABYTE * checks.number(declared.get("size_limit", LIMIT / MEGABYTE), "record: size_limit (MB)", above=0.0)
-    return read_columns(path.parent / run["file"], limit)
-
-
-def _time_record(
-    declared: Mapping[str, Any],
-    channels: list[ChannelDeclaration],
-    runs: list[Mapping[str, Any]],
-    common: Mapping[str, Any],
-    path: Path,
-    notes: list[Finding],
-) -> TimeRecord:
-    kind = checks.choice(declared.get("input", "none"), INPUTS, "record: input")
-    driver = driver_of(channels, kind)
-    responses = [item for item in channels if item is not driver and item.responds]
+def _time_record(tables: RecordTables, notes: list[Finding]) -> TimeRecord:
+    driver, responses = tables.driver, tables.responses
     quantities = {item.quantity for item in responses}
     if len(quantities) > 1:
         raise InputError(f"the responses are {' and '.join(sorted(quantities))}; a record holds one quantity")
-    rates: list[tuple[float, str]] = []
-    made = []
-    needed = [*responses, *([] if driver is None else [driver])]
-    for place, run in enumerate(runs, 1):
-        columns = columns_of(run, declared, path)
-        name = run.get("name", Path(run["file"]).name)
-        floor = 0 if driver is None or kind != "force" else _floor(run, declared, driver.floor or None, place)
-        pieces, rate, left_out = pieces_of(columns, needed, declared, run, path)
-        rates.append((rate, columns.source))
-        if left_out:
-            notes.append(Finding("pieces", f"{name}: {left_out}", {"pieces": len(pieces)}))
-        for number, rows in enumerate(pieces, 1):
-            part = columns.rows(rows)
-            excitation = None
-            if driver is not None:
-                excitation = driver.factor * part.column(driver.column, driver.place or path.name)
-            called = name if len(pieces) == 1 else f"{name}, piece {number}"
-            whole = rows == slice(0, len(columns.values))
-            span = (None, None) if whole else (round(rows.start / rate, 9), round(rows.stop / rate, 9))
-            made.append(Run(_table(part, responses, path), excitation, floor, called, *span))
-    refuse_two_rates(rates)
-    quantity = quantities.pop() if quantities else common["quantity"]
-    return TimeRecord(
-        _made(responses), **{**common, "quantity": quantity}, runs=tuple(made), sampling_rate=rates[0][0], input=kind
-    )
+    pieces, rate = tables.pieces([*responses, *([] if driver is None else [driver])])
+    for piece in pieces:
+        if piece.left_out:
+            count = sum(each.place == piece.place for each in pieces)
+            notes.append(Finding("pieces", f"{piece.run}: {piece.left_out}", {"pieces": count}))
+    runs = [
+        Run(_table(each.columns, responses, tables.path), each.excitation, each.floor, each.name, *each.span)
+        for each in pieces
+    ]
+    common = {**_common(tables), **({"quantity": quantities.pop()} if quantities else {})}
+    return TimeRecord(_made(responses), **common, runs=tuple(runs), sampling_rate=rate, input=tables.input)
 
 
 def _made(responses: list[ChannelDeclaration]) -> tuple[Channel, ...]:
@@ -236,31 +321,27 @@ def _table(columns: Columns, responses: list[ChannelDeclaration], path: Path) ->
     return np.column_stack([item.factor * columns.column(item.column, item.place or path.name) for item in responses])
 
 
-def _frf_record(
-    declared: Mapping[str, Any],
-    channels: list[ChannelDeclaration],
-    runs: list[Mapping[str, Any]],
-    common: Mapping[str, Any],
-    path: Path,
-) -> FrfRecord:
+def _frf_record(tables: RecordTables) -> FrfRecord:
+    declared, channels = tables.declared, tables.channels
     if declared.get("input", "force") != "force":
         raise InputError('record: frequency response functions have input = "force"')
     made, axes = [], []
-    for place, run in enumerate(runs, 1):
-        columns = columns_of(run, declared, path)
+    for place, run in enumerate(tables.runs, 1):
+        columns = tables.columns(run)
         name = declared.get("frequency") or next((item for item in FREQUENCY_NAMES if item in columns.names), None)
         if name is None:
             raise InputError(f"record: give frequency, the name of the frequency column of {columns.source}")
         axes.append((columns.column(name, "record: frequency"), columns.source))
-        floor = _floor(run, declared, None, place)
-        responses = np.column_stack([_complex(columns, item, path) for item in channels])
+        floor = tables.floor(place)
+        responses = np.column_stack([_complex(columns, item, tables.path) for item in channels])
         made.append(FrfRun(responses, floor, run.get("name", Path(run["file"]).name)))
     for axis, source in axes[1:]:
         if axis.shape != axes[0][0].shape or not np.allclose(axis, axes[0][0], rtol=1e-6):
             raise InputError(f"{source} and {axes[0][1]} have different frequency lines; a record has one axis")
     return FrfRecord(
-        _made(channels), **common, runs=tuple(made), frequencies=axes[0][0], truncated=declared.get("truncated")
-    )
+        _made(channels), **_common(tables), runs=tuple(made), frequencies=axes[0][0],
+        truncated=declared.get("truncated"),
+    )  # fmt: skip
 
 
 def _complex(columns: Columns, item: ChannelDeclaration, path: Path) -> Any:
@@ -286,29 +367,17 @@ def read_motion(path: str | Path) -> Motion:
     InputError
         As `read_record` does, and where nothing says what drove the frame.
     """
-    path = Path(path)
-    table, lines = tables_of(path)
-    with placed(path):
-        declared = checks.keys(table["record"], RECORD_KEYS, [], "record")
-        channels = channels_of(table["channel"], declared, path, lines)
-        driver = driver_of(channels, declared.get("input", "none"))
-    if driver is None or declared.get("kind", "time") != "time" or any(item.responds for item in channels):
-        found = read_record(path)
-        return Motion.of(found.record, found.added_mass, found.state)
-    with placed(path):
-        drives, rates = [], []
-        for run in runs_of(table, declared):
-            columns = columns_of(run, declared, path)
-            pieces, rate, _ = pieces_of(columns, [driver], declared, run, path)
-            rates.append((rate, columns.source))
-            longest = columns.rows(max(pieces, key=lambda each: each.stop - each.start))
-            excitation = driver.factor * longest.column(driver.column, driver.place or path.name)
-            floor = run.get("input_floor", declared.get("input_floor", driver.floor))
-            drives.append(Drive(excitation, floor, name=run.get("name", Path(run["file"]).name)))
-        refuse_two_rates(rates)
-        name = checks.text(declared.get("name", path.stem), "record: name")
-        added = added_mass_of(table, path)
-        return Motion(
-            tuple(drives), rates[0][0], declared["input"], added_mass=None if added is None else np.array(added),
-            name=name, state=None if table.get("state") is None else checks.text(table["state"], "state"),
-        )  # fmt: skip
+    tables = RecordTables(Path(path))
+    with placed(tables.path):
+        driver = tables.driver if tables.kind == "time" else None
+        if driver is not None and not tables.responses:
+            pieces, rate = tables.pieces([driver])
+            added = None if tables.added_mass is None else np.array(tables.added_mass)
+            drives = []
+            for _, stretches in groupby(pieces, key=lambda each: each.place):
+                longest = max(stretches, key=lambda each: len(each.columns.values))
+                assert longest.excitation is not None
+                drives.append(Drive(longest.excitation, longest.floor, name=longest.run))
+            return Motion(tuple(drives), rate, tables.input, added_mass=added, name=tables.name, state=tables.state)
+    found = read_record(path)
+    return Motion.of(found.record, found.added_mass, found.state)

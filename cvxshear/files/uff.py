@@ -19,12 +19,11 @@ from cvxshear.files.columns import LIMIT, TOO_LARGE, Columns
 from cvxshear.files.inputs import read_bytes
 from cvxshear.util.errors import InputError
 from cvxshear.util.text import printable
-from cvxshear.util.typing import Floats, Ints, Json
+from cvxshear.util.typing import Complexes, Floats, Ints, Json
 from cvxshear.util.writing import write_file
 
 if TYPE_CHECKING:
     from cvxshear.modal.result import ModalResult
-    from cvxshear.records.record import Complexes
 
 X_TRANSLATION = 1
 AXES = ("", "x", "y", "z", "rx", "ry", "rz")

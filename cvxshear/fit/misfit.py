@@ -182,12 +182,13 @@ class Misfit:
         """Every standard deviation that is estimated with the rest: of kinds of noise, then of effects."""
         counts = dict.fromkeys(noise_kinds(), 0.0)
         rescaled = {placed.label: 0.0 for placed in self.effects if placed.effect.rescales}
-        for datum, keys in zip(self.data, self._keys, strict=True):
+        for datum, (keys, which) in zip(self.data, self._keys, strict=True):
             # A scale that each mode leaves free takes as much from the rows of either noise.
             share = datum.count / max(datum.entries, 1)
-            for key in set(keys) - {""}:
-                into = rescaled if key in rescaled else counts
-                into[key] += share * sum(mine == key and known for mine, known in zip(keys, datum.known, strict=True))
+            for place, key in enumerate(keys):
+                if key:
+                    into = rescaled if key in rescaled else counts
+                    into[key] += share * int(np.sum((which == place) & datum.known))
         noises = [UnknownSize(key, count, WIDTH) for key, count in counts.items() if count]
         sizes = [
             UnknownSize(
@@ -222,16 +223,19 @@ class Misfit:
         return placed.effect.rescaled(datum.tested, datum.noise.name, datum.floors, placed.place)
 
     @cached_property
-    def _keys(self) -> list[list[str]]:
-        """What the factor on the standard deviation of each row of each datum goes by; empty where it is declared."""
+    def _keys(self) -> list[tuple[list[str], Ints]]:
+        """What the factors on the standard deviations of each datum go by, and which of them each of its rows has.
+
+        Empty where the standard deviation is declared.
+        """
         found = []
         for datum in self.data:
-            keys = [("" if datum.declared else datum.noise.name)] * len(datum.floors)
+            keys, which = ["" if datum.declared else datum.noise.name], np.zeros(len(datum.floors), dtype=np.int64)
             for placed in self.effects:
                 if placed.effect.rescales:
-                    own = self._rescaled(datum, placed)
-                    keys = [placed.label if mine else key for key, mine in zip(keys, own, strict=True)]
-            found.append(keys)
+                    which[self._rescaled(datum, placed)] = len(keys)
+                    keys.append(placed.label)
+            found.append((keys, which))
         return found
 
     def count(self, theta: Floats) -> int:
@@ -258,19 +262,19 @@ class Misfit:
         if np.any(theta[: 2 * n] <= 0):
             raise NoModesError("floor masses and story stiffnesses must be positive")
         models = {id(each): self._model(each, theta, by, derivatives) for each in self.experiment.tested}
-        factors = {key: self.widened * self.noise.of(key) for keys in self._keys for key in set(keys)}
-        parts, rows, keys = [np.zeros(0)], [], list[str]()
-        for datum in self.data:
-            own = self._keys[len(parts) - 1]
-            found = datum.widened_residual(models[id(datum.tested)], np.array([factors[key] for key in own]))
+        places = {item.key: place for place, item in enumerate(self.unknown)}
+        parts, rows, unknown = [np.zeros(0)], [], [np.zeros(0, dtype=np.int64)]
+        for datum, (keys, which) in zip(self.data, self._keys, strict=True):
+            factors = np.array([self.widened * self.noise.of(key) for key in keys])
+            found = datum.widened_residual(models[id(datum.tested)], factors[which])
             parts.append(found.r)
             rows.append(found.J)
-            keys += own
+            # Shapes of a single sensor have no declared deviation and no information that would tell it.
+            unknown.append(np.array([places.get(key, -1) for key in keys])[which])
         soft = self._soft(theta)
         expected, expected_keys, frame = self.expectation.residuals(theta, self.effects, dict(self.noise.factors))
-        # Shapes of a single sensor have no declared deviation and no information that would tell it.
-        places = {item.key: place for place, item in enumerate(self.unknown)}
-        keys += [""] * len(soft[0]) + expected_keys + [""] * len(frame[0])
+        more_keys = [""] * len(soft[0]) + expected_keys + [""] * len(frame[0])
+        unknown.append(np.array([places.get(key, -1) for key in more_keys], dtype=np.int64))
         r = np.concatenate([*parts, soft[0], expected[0], frame[0]])
         measured = len(r) - len(expected[0]) - len(frame[0])
         more = [part[1][:, by] for part in (soft, expected, frame)]
@@ -281,7 +285,7 @@ class Misfit:
             measured,
             len(r) - len(frame[0]),
             tuple(len(part) for part in parts[1:]),
-            np.array([places.get(key, -1) for key in keys], dtype=np.int64),
+            np.concatenate(unknown),
         )
 
     def _model(self, tested: Tested, theta: Floats, by: slice, derivatives: bool) -> Model:

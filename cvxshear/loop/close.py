@@ -19,10 +19,9 @@ from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import nearest_start
 from cvxshear.loop.conclusion import conclude
-from cvxshear.loop.duals import dual_frame, dual_set, frequencies_alone
+from cvxshear.loop.duals import dual_fits_as_well, dual_frame, dual_set, frequencies_alone
 from cvxshear.loop.fitter import Fitter
 from cvxshear.loop.hypotheses import Hypothesis, assumed, chosen, hypotheses
-from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.numbering import Numbering
 from cvxshear.loop.otherwise import searches
 from cvxshear.loop.results import Closure
@@ -36,9 +35,6 @@ from cvxshear.util.typing import Floats
 
 MOST_WIDENINGS = 3
 """Times that the noise is widened where nothing explains a residual: under wider noise other sets are best."""
-
-SAME_FRAME = 1e-3
-"""Relative difference of masses and stiffnesses below which two fits are one optimum."""
 
 
 def close_loop(
@@ -182,42 +178,63 @@ class _Loop:
         return Search(fitter, found)
 
     def dual(self, search: Search) -> Search | None:
-        """Begin the search that starts at the dual of another's shear model, and visits the duals of its best sets.
+        """Visit what frequencies alone leave open: sets with frames far from that of the search.
 
-        None where no frame has the same frequencies, or the dual start leads to the same frame; the duals are visited
-        by the search itself then.
+        Where no datum tells a frame from its dual, begin the search that starts at the dual of the shear model; None
+        elsewhere, and where the dual start leads to the same frame.
         """
         numbering = search.fitter.numbering
         if not frequencies_alone(numbering.experiment) or search.base.estimate is None:
             return None
-        n = numbering.experiment.stories
-        known = [item.placed for item in self.looked_for]
-
-        def duals(one: Search) -> list[frozenset[Placed]]:
-            found = [dual_set(model.effects, known, n) for model in one.beam]
-            return [each for each in found if each is not None]
-
-        search.visit(duals(search))
+        if search.visit_from([*self._duals(search), *self._changes(search)]):
+            search.run()
+        if not dual_fits_as_well(numbering.experiment):
+            return None
         theta = search.base.estimate.theta.copy()
-        theta[: 2 * n] = dual_frame(theta[:n], theta[n : 2 * n])
+        frame = theta[: 2 * numbering.experiment.stories]
+        frame[:] = dual_frame(frame)
         try:
             other = self._search(numbering, theta, FULL)
         except CvxshearError:
             # What was declared of the frame excludes its dual.
             return None
-        if other.base.score < search.base.score - REACH or _same_frame(other.base, search.base):
+        if other.base.score < search.base.score - REACH or other.base.same_optimum(search.base):
             return None
-        other.visit(duals(search))
+        other.visit(effects for effects, _ in self._duals(search))
         other.run()
-        search.visit(duals(other))
+        search.visit(effects for effects, _ in self._duals(other))
         return other
 
+    def _duals(self, search: Search) -> list[tuple[frozenset[Placed], Floats]]:
+        """List the duals of the best sets of a search, each with the dual of the frame that it has with its set."""
+        n = search.fitter.experiment.stories
+        known = [item.placed for item in self.looked_for]
+        return [
+            (dual, dual_frame(model.estimate.theta[: 2 * n]))
+            for model in search.beam
+            if model.estimate is not None and (dual := dual_set(model.effects, known, n)) is not None
+        ]
 
-def _same_frame(a: ModelClass, b: ModelClass) -> bool:
-    """Whether two fits are the same optimum."""
-    assert a.estimate is not None
-    assert b.estimate is not None
-    return bool(np.allclose(a.estimate.theta, b.estimate.theta, rtol=SAME_FRAME))
+    def _changes(self, search: Search) -> list[tuple[frozenset[Placed], Floats]]:
+        """List every change of a state that has a dual, from the frame of each state by itself, and from its dual.
+
+        The shear model of all states together lies between their frames, and may be nearer to another minimum.
+        """
+        base, experiment = search.base.estimate, search.fitter.experiment
+        assert base is not None, "the shear model was fitted"
+        n = experiment.stories
+        placed = [item.placed for item in self.looked_for if item.placed.effect.dual(item.placed.place, n) is not None]
+        frames = []
+        for state in experiment.states if placed else ():
+            left_out = {
+                each.name: np.ones(len(each.frequencies), dtype=bool)
+                for each in experiment.configurations
+                if each.state != state
+            }
+            misfit = Misfit(experiment, self.there, left_out, base.misfit.noise, self.expectation, self.widened)
+            frame = search.fitter.fit(misfit, base.theta, ROUGH).theta[: 2 * n]
+            frames += [frame, dual_frame(frame)]
+        return [(frozenset([each]), frame) for each in placed for frame in frames]
 
 
 def _first(experiment: Experiment, backend: Backend, there: tuple[Placed, ...]) -> Estimate:

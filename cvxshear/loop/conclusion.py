@@ -15,7 +15,7 @@ from cvxshear.backends import Backend
 from cvxshear.effects import Effect, Placed
 from cvxshear.fit.efficient import Estimate, fitted_with, parameter_names
 from cvxshear.fit.gauss_newton import ROUGH
-from cvxshear.loop.duals import dual_set, frequencies_alone
+from cvxshear.loop.duals import dual_fits_as_well, dual_set
 from cvxshear.loop.fitter import Fitter, with_stand_in
 from cvxshear.loop.held_out import held_out_frequency_errors
 from cvxshear.loop.hypotheses import OPEN, Hypothesis
@@ -125,7 +125,7 @@ def _twins(search: Search, found: ModelClass, posterior: Posterior) -> dict[Plac
     """For each effect of a set what no datum tells from it: exact twins, and the dual where frequencies are alone."""
     experiment = search.fitter.experiment
     twins = {placed: search.twins(found, placed) for placed in found.effects}
-    if not frequencies_alone(experiment):
+    if not dual_fits_as_well(experiment):
         return twins
     known = [item.placed for item in search.fitter.hypotheses]
     alike = [model.effects for model in posterior.models if fits_alike(model, found)]
@@ -262,10 +262,16 @@ def _rival_sets(posterior: Posterior, added: Sequence[AddedEffect]) -> list[froz
 
 
 def _shown_sets(posterior: Posterior) -> Iterator[EffectSet]:
+    sums = defaultdict[object, float](float)
     for model, probability in zip(posterior.models, posterior.probabilities, strict=True):
-        if probability >= REPORTED and model.estimate is not None:
+        sums[model.effects, model.changes] += float(probability)
+    # A set may explain the data with two frames: it is shown once, as its better one.
+    best = {(model.effects, model.changes): model for model in reversed(posterior.models)}
+    for key in sorted(best, key=lambda key: -sums[key]):
+        model = best[key]
+        if sums[key] >= REPORTED and model.estimate is not None:
             order = tuple(placed for placed in model.estimate.effects if placed in model.effects)
-            yield EffectSet(order, min(float(probability), 1.0), model.log_evidence, model.estimate.chi2, model.changes)
+            yield EffectSet(order, min(sums[key], 1.0), model.log_evidence, model.estimate.chi2, model.changes)
 
 
 def _candidates(posterior: Posterior, search: Search, judged: ModelClass) -> list[Candidate]:

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from cvxshear.effects import Placed
+from cvxshear.effects.composition import slices
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop.numbering import Changes
 from cvxshear.util.errors import CvxshearError
+
+SAME_OPTIMUM = 0.3
+"""Largest difference of two fits of a set, in standard deviations of any datum or prior, that is none: fits of the
+search end within a tenth of their optimum, and another optimum is many away."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,3 +52,13 @@ class ModelClass:
     def improbable(self) -> bool:
         """Whether its residual, or the noise that it asks for, is improbable."""
         return self.estimate is not None and self.estimate.improbable
+
+    def same_optimum(self, other: ModelClass) -> bool:
+        """Whether another fit of this set ended at the same frame, as far as any datum or prior could tell."""
+        mine, theirs = self.estimate, other.estimate
+        if mine is None or theirs is None:
+            return False
+        n2 = 2 * mine.experiment.stories
+        values = {placed: theirs.theta[own] for placed, own in slices(theirs.effects, n2)}
+        there = np.concatenate([theirs.theta[:n2], *(values[placed] for placed in mine.effects)])
+        return bool(np.all(np.abs(mine.fit.at.J @ (there - mine.theta)) < SAME_OPTIMUM))

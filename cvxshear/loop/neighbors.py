@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import defaultdict
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -28,6 +29,9 @@ WITHIN = 7.0
 
 MOTIONS = 12
 """Fits of effects that bring a motion of their own."""
+
+FROM_FRAMES = 20
+"""Fits that start at frames of their own: each costs milliseconds, as frequencies are few."""
 
 NEAR_ENOUGH = 4.0
 """Times the objective of a set that explains the data that a first step may leave: far from its place a mass of its own
@@ -137,34 +141,37 @@ def with_motions(base: Estimate, fitter: Fitter, best: ModelClass) -> list[FitPr
     ]
     assert best.estimate is not None, "a best set has a fit"
     most = np.inf if best.improbable else NEAR_ENOUGH * best.estimate.fit.at.objective
-    reached = base.fit.at.J @ base.free_directions
-    left = np.array([_after_a_step(proposal, base, reached) for proposal in proposals])
+    left = np.array([_after_a_step(proposal) for proposal in proposals])
     return [proposals[i] for i in np.argsort(left, kind="stable")[:MOTIONS] if left[i] <= most]
 
 
-def _after_a_step(proposal: FitProposal, base: Estimate, reached: Floats) -> float:
-    """Return the objective that the linearised model has after one step from a start.
-
-    The frame's derivatives are those at the fit that it starts from: the mass is a small one there.
+def from_frames(starts: Sequence[tuple[Set, Floats]], base: Estimate, fitter: Fitter) -> list[FitProposal]:
+    """Propose fits of sets that start at frames of their own, those that promise most after one step first.
 
     Parameters
     ----------
-    proposal : FitProposal
+    starts : sequence of (frozenset of Placed, ndarray of shape (2N,))
     base : Estimate
-    reached : ndarray, shape (d, f)
-        What the free directions of that fit do to its residuals, orthonormal.
+        Whose data and noise they have.
+    fitter : Fitter
     """
+    proposals = []
+    for effects, frame in starts:
+        held = [item.placed for item in fitter.hypotheses if item.placed in effects]
+        plain = fitter.proposal(base, (*fitter.assumed, *held))
+        start = np.concatenate([frame, plain.starts[-1][len(frame) :]])
+        proposals.append(dataclasses.replace(plain, starts=(start,)))
+    return sorted(proposals, key=_after_a_step)[:FROM_FRAMES]
+
+
+def _after_a_step(proposal: FitProposal) -> float:
+    """Return the objective that the linearised model has after one step of all parameters from a start."""
     try:
-        at = proposal.misfit.evaluate(proposal.starts[0], by=slice(len(base.theta), None))
+        at = proposal.misfit.evaluate(proposal.starts[0])
     except NoModesError:
         return np.inf
-    # What is expected of the effect itself comes between its data and what is expected of the frame.
-    of_frame = base.fit.at.known
-    rows = np.insert(reached, [of_frame] * (at.known - of_frame), 0.0, axis=0)
-    own = at.J - rows @ (rows.T @ at.J)
-    left = at.r - rows @ (rows.T @ at.r)
-    left = left - own @ np.linalg.lstsq(own, left, rcond=None)[0]
-    return float(left @ left)
+    _, c = at.triangle
+    return at.objective - float(c @ c)
 
 
 def groups(effects: Set, *, open_too: bool) -> list[Set]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -70,7 +71,7 @@ class Posterior:
     ) -> None:
         self._twins = twins or {}
         fitted = [model for model in models if model.estimate is not None and np.isfinite(model.score)]
-        self.models = sorted(fitted, key=lambda model: -model.score)
+        self.models = _distinct(sorted(fitted, key=lambda model: -model.score))
         scores = np.array([model.score for model in self.models])
         weights = np.exp(scores - scores[0])
         self.probabilities: Floats = weights / weights.sum()
@@ -258,6 +259,18 @@ class Posterior:
         weights = self.probabilities[:, None]
         mean = np.sum(weights * x, axis=0)
         return mean, np.sqrt(np.sum(weights * (s**2 + (x - mean) ** 2), axis=0))
+
+
+def _distinct(models: Iterable[ModelClass]) -> list[ModelClass]:
+    """Leave out fits of a set at the same optimum as another of its fits, where several searches found it."""
+    found = defaultdict[tuple[frozenset[Placed], Changes], list[ModelClass]](list)
+    kept = []
+    for model in models:
+        others = found[model.effects, model.changes]
+        if not any(model.same_optimum(other) for other in others):
+            others.append(model)
+            kept.append(model)
+    return kept
 
 
 def replacement(placed: Placed, gone: frozenset[Placed], come: frozenset[Placed]) -> Placed | None:

@@ -24,8 +24,9 @@ from cvxshear.loop.fitter import Fitter
 from cvxshear.loop.hypotheses import OPEN, Hypothesis
 from cvxshear.loop.linear import Linearised
 from cvxshear.loop.model_class import ModelClass
-from cvxshear.loop.neighbors import WITHIN, Set, groups, holds_open, named_entries, promising, with_motions
+from cvxshear.loop.neighbors import WITHIN, Set, from_frames, groups, holds_open, named_entries, promising, with_motions
 from cvxshear.loop.twins import Invariances, invariances
+from cvxshear.util.typing import Floats
 
 BEAM = 6
 REACH = 20.0
@@ -50,6 +51,10 @@ MOST_CAUSES = 4
 MOST_SETS = 300
 """Sets after which a search ends, but for what it is at and the neighbors of the best sets: twice what sound files of
 three states need (up to some 150), so that a file that no set explains ends too. What is left out then is said."""
+
+ELSEWHERE = 2.0
+"""Times what the strength of the effects that are taken out promises, and one unit of chi-square, by which a set fits
+worse whose fit ended in another minimum: it is fitted again from the one with more effects."""
 
 TWINS_DIFFER = 0.1
 """Difference of chi-square, relative where it is above one, that rounding and the priors of sizes leave of twins."""
@@ -178,8 +183,7 @@ class Search:
         base = self.base.estimate
         assert base is not None, "the shear model was fitted"
         found = with_motions(base, self.fitter, self.best)
-        # An effect may be fitted from several starts: the best of them is the set's fit.
-        self._record(sorted(self.fitter.models(found), key=lambda model: model.score))
+        self._record(self.fitter.models(found))
         return bool(found)
 
     def _unsatisfied(self) -> bool:
@@ -201,6 +205,18 @@ class Search:
         new = [each for each in sets if each not in self.visited]
         if new and self.base.estimate is not None:
             self._visit(self.base.estimate, self.linearised(self.base), new)
+
+    def visit_from(self, starts: Sequence[tuple[Set, Floats]]) -> bool:
+        """Fit sets that are named from outside, each from a frame of its own; tell whether a better fit was found.
+
+        Parameters
+        ----------
+        starts : sequence of (frozenset of Placed, ndarray of shape (2N,))
+            Sets, and the floor masses and story stiffnesses at which a fit of each starts, its effects at null.
+        """
+        base = self.base.estimate
+        assert base is not None, "the shear model was fitted"
+        return self._record(self.fitter.models(from_frames(starts, base, self.fitter)))
 
     def visit_twins(self) -> None:
         """Visit, beside each of the best sets, those in which an effect has given its place to a twin."""
@@ -241,7 +257,8 @@ class Search:
     def refine(self) -> None:
         """Fit the sets that count most to full accuracy."""
         floor = self.best.score - REACH
-        self._record([self.fitter.refined(model) for model in self.beam if model.score >= floor])
+        for model in [each for each in self.beam if each.score >= floor]:
+            self.visited[model.effects] = self.fitter.refined(model)
 
     def fit_of(self, effects: Set) -> Estimate:
         """Find the fit of a set, made where it was not visited."""
@@ -319,9 +336,19 @@ class Search:
             proposals.append(self.fitter.proposal(base, (*base.effects, *new, *motions), predicted))
         self._record(self.fitter.models(proposals, accuracy))
 
-    def _record(self, models: Iterable[ModelClass]) -> None:
+    def _record(self, models: Iterable[ModelClass]) -> bool:
+        """Keep fits of sets, of a set that was visited the better one; tell whether there was any."""
+        kept = False
         for model in models:
+            known = self.visited.get(model.effects)
+            if known is not None and model.score <= known.score + ROUGH.step:
+                continue
             self.visited[model.effects] = model
+            kept = True
+            # What was said of the neighbors of another fit was said of another frame.
+            for done in (self.expanded, self.pruned, self.thinned, self.regrouped):
+                done.discard(model.effects)
+        return kept
 
     def _regroup(self, model: ModelClass) -> None:
         """Visit sets in which other causes, one or several, stand for a whole group: all of a state, all of a name, ...
@@ -393,12 +420,22 @@ class Search:
                 self._expand(self.visited[each])
 
     def _fit_without(self, model: ModelClass, sets: Sequence[Set]) -> None:
-        """Fit sets that hold some of the effects of one, started there, where they were not visited yet."""
+        """Fit sets that hold some of the effects of one, started there, where they have no fit that is as good yet."""
         assert model.estimate is not None
         assumed = set(self.fitter.assumed)
-        new = [each for each in sets if each not in self.visited]
+        new = [each for each in sets if each not in self.visited or self._elsewhere(self.visited[each], model)]
         held = [[placed for placed in model.estimate.effects if placed in each | assumed] for each in new]
         self._record(self.fitter.models([self.fitter.proposal(model.estimate, effects) for effects in held]))
+
+    def _elsewhere(self, fewer: ModelClass, model: ModelClass) -> bool:
+        """Whether the fit of a set ended far from that of one with more effects, which hardly needs the others."""
+        assert model.estimate is not None
+        if fewer.estimate is None:
+            return fewer.failure is None
+        gone = [placed for placed in model.estimate.effects if placed in model.effects - fewer.effects]
+        lost = sum(_strength(model.estimate, placed) ** 2 for placed in gone)
+        worse = fewer.estimate.fit.at.objective - model.estimate.fit.at.objective
+        return worse > ELSEWHERE * (1.0 + lost)
 
 
 def _strength(estimate: Estimate, placed: Placed) -> float:

@@ -162,7 +162,9 @@ def one_shot(test: CompleteTest, backend: Backend) -> SingleIdentification:
         if soft is plain:
             break
         # The soft rows speak of the masses without added mass.
-        shifted = soft.replace(s=soft.s + _shift(soft.R, plain.R.shape[0], added))
+        shift = soft.R @ added
+        shift[: plain.R.shape[0]] = 0.0
+        shifted = soft.replace(s=soft.s + shift)
         solution = backend.solve(constrained(shifted, test.mass_statements, -added), solution)
         before, mass = mass, solution.x
         iterations += 1
@@ -175,13 +177,6 @@ def one_shot(test: CompleteTest, backend: Backend) -> SingleIdentification:
         iterations=iterations,
         reason=Ending.SOLVED if iterations <= MOST_ROUNDS else Ending.ITERATION_LIMIT,
     )
-
-
-def _shift(R: Floats, own_rows: int, added: Floats) -> Floats:
-    """Compute what the added mass contributes to the soft rows, zero for the program's own."""
-    shift: Floats = R @ added
-    shift[:own_rows] = 0.0
-    return shift
 
 
 def _refuse_priors(test: CompleteTest, method: str) -> None:

@@ -8,18 +8,6 @@ from cvxshear.modal.stabilization import Criteria
 from cvxshear.records.record import Channel, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord
 
 __all__ = [
-    "Channel",
-    "Criteria",
-    "Finding",
-    "FrfRecord",
-    "FrfRun",
-    "ModalResult",
-    "Record",
-    "Run",
-    "TimeRecord",
-    "from_arrays",
-    "from_pyoma",
-    "from_sdypy",
-    "identify_modes",
-    "second_opinion",
-]
+    "Channel", "Criteria", "Finding", "FrfRecord", "FrfRun", "ModalResult", "Record", "Run", "TimeRecord",
+    "from_arrays", "from_pyoma", "from_sdypy", "identify_modes", "second_opinion",
+]  # fmt: skip

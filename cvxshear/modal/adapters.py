@@ -9,10 +9,9 @@ from numpy.typing import ArrayLike
 
 from cvxshear.modal.result import ModalResult
 from cvxshear.records.mode_shapes import collinearity, lost_phase, main_axis, real_shape
-from cvxshear.records.record import Complexes
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Complexes, Floats
 
 ASSUMED_FREQUENCY_STD, ASSUMED_SHAPE_STD = 0.002, 0.01
 """Relative standard deviation of a frequency, and that of an entry over its mode's largest, where nobody states any:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from cvxshear.data.pairing import mac
 from cvxshear.modal.adapters import from_arrays
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.result import ModalResult
-from cvxshear.records.mode_shapes import mac
-from cvxshear.records.record import Complexes, Finding
+from cvxshear.records.record import Finding
 from cvxshear.util.errors import InputError, NoSolutionError
-from cvxshear.util.typing import Bools, Floats
+from cvxshear.util.typing import Bools, Complexes, Floats
 
 FDD = "fdd"
 """The name of the frequency domain decomposition among methods."""

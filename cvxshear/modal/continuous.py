@@ -36,9 +36,8 @@ from scipy import linalg
 
 from cvxshear.modal.frf import ERA_COLUMNS, ERA_ROWS, RINGING
 from cvxshear.modal.realization import Impulse, Source, block_hankel, left_factor
-from cvxshear.records.record import Complexes
 from cvxshear.util.errors import NoSolutionError
-from cvxshear.util.typing import Bools, Floats
+from cvxshear.util.typing import Bools, Complexes, Floats
 
 LAGS, LAGS_A_STATE = 20, 7.0
 """Lags of the observer: so many at least, and as many as give seven past responses for each state of the frame. Under

@@ -22,9 +22,9 @@ from cvxshear.modal.picking import FAINT, Doubts, Parts, PoleCandidate, Sweep, V
 from cvxshear.modal.realization import DampedModes, Impulse, Source
 from cvxshear.records.clocks import Offsets, offsets, undone
 from cvxshear.records.mode_shapes import main_axis, real_shape, signed_projection
-from cvxshear.records.record import Complexes, Finding, FrfRecord, Record
+from cvxshear.records.record import Finding, FrfRecord, Record
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
 Estimate = Callable[[Bools], Floats | None]
 

@@ -14,9 +14,9 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.modal.realization import Impulse, Source, block_hankel, left_factor
-from cvxshear.records.record import Complexes, FrfRecord, Run, TimeRecord
+from cvxshear.records.record import FrfRecord, Run, TimeRecord
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
 DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
 """How often each quantity is a displacement differentiated by time."""

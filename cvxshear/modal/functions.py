@@ -14,9 +14,9 @@ import numpy as np
 import scipy
 
 from cvxshear.modal.frf import Spectra, hit_spectra, table_spectra
-from cvxshear.records.record import Complexes, FrfRecord, Record, TimeRecord
+from cvxshear.records.record import FrfRecord, Record, TimeRecord
 from cvxshear.records.signals import detrended, impulsive, without_offset
-from cvxshear.util.typing import Floats, Ints
+from cvxshear.util.typing import Complexes, Floats, Ints
 
 LINES = 512
 """Lines of a continuous record over the range that is shown: fine enough to see, averaged as often as that allows."""

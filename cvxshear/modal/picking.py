@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cvxshear.data.pairing import mac
 from cvxshear.modal.realization import Poles, Source, realize
 from cvxshear.modal.stabilization import (
     Cluster,
@@ -21,9 +22,8 @@ from cvxshear.modal.stabilization import (
     undivided,
 )
 from cvxshear.records.clocks import offsets, undone
-from cvxshear.records.mode_shapes import collinearity, mac, possible_changes, real_shape, sign_changes
-from cvxshear.records.record import Complexes
-from cvxshear.util.typing import Bools, Floats
+from cvxshear.records.mode_shapes import collinearity, possible_changes, real_shape, sign_changes
+from cvxshear.util.typing import Bools, Complexes, Floats
 
 MOST_CANDIDATES = 8
 """Strongest candidates that clock offsets are told by."""

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from cvxshear.records.record import Complexes
-from cvxshear.util.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
 
 class Source(ABC):

@@ -12,10 +12,10 @@ from scipy.optimize import nnls
 
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.picking import Sweep
-from cvxshear.records.record import Complexes, Finding
+from cvxshear.records.record import Finding
 from cvxshear.util.later import ask
 from cvxshear.util.results import Shown, data_frame
-from cvxshear.util.typing import Floats, Ints, Json
+from cvxshear.util.typing import Complexes, Floats, Ints, Json
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -13,11 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cvxshear.data.pairing import mac
 from cvxshear.modal.realization import Poles
-from cvxshear.records.mode_shapes import mac
-from cvxshear.records.record import Complexes
 from cvxshear.util import checks
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Complexes, Floats
 
 LEAST_ORDERS, STATES = 30, 3
 """States of the largest model of a sweep: so many at least, and for each mode. A mode takes two, and has to last."""

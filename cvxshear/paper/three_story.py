@@ -67,7 +67,11 @@ def sections(ours: ThreeStory) -> Iterator[Section]:
     """Tables 1 and 2, the numbers of iterations, and the errors stated in the text."""
     yield Section("Table 1: corrected floor masses", tuple(_table_1(ours)), (_misprint(ours),))
     yield Section("Table 2: identified story stiffnesses", tuple(_table_2(ours)))
-    yield Section("Section 5.1: iterations to Eq. 15", tuple(_iterations(ours)))
+    iterations = (
+        Row("iterations", f"Section 5.1, Case {case}, present", printed, ours.parts["two-stage", case].iterations)
+        for case, printed in tables.ITERATIONS.items()
+    )
+    yield Section("Section 5.1: iterations to Eq. 15", tuple(iterations))
     yield Section(
         "Section 5.1: largest errors of the two earlier methods",
         tuple(_largest_errors(ours)),
@@ -119,11 +123,6 @@ def _table_2(ours: ThreeStory) -> Iterator[Row]:
         stiffness = ours.parts[method, case].frame.story_stiffness / KILO
         for story, (text, found) in enumerate(zip(printed, stiffness, strict=True), 1):
             yield Row(f"k{story}, kN/m", _place("Table 2", method, case), text, float(found))
-
-
-def _iterations(ours: ThreeStory) -> Iterator[Row]:
-    for case, printed in tables.ITERATIONS.items():
-        yield Row("iterations", f"Section 5.1, Case {case}, present", printed, ours.parts["two-stage", case].iterations)
 
 
 def _largest_errors(ours: ThreeStory) -> Iterator[Row]:

@@ -26,7 +26,7 @@ import numpy as np
 from scipy import linalg
 from scipy.linalg import lapack
 
-from cvxshear.programs.least_squares import LeastSquares, remaining
+from cvxshear.programs.statements import LeastSquares, remaining
 from cvxshear.util.typing import Floats
 
 ROWS_UP_TO = 30

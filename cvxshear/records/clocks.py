@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from cvxshear.records.record import Complexes, TimeRecord
+from cvxshear.records.record import TimeRecord
 from cvxshear.records.signals import impulsive
-from cvxshear.util.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
 SEGMENT = 20.0
 """s; long beside the longest delay, short enough that a record has many."""

@@ -1,4 +1,4 @@
-"""Mode shapes: how alike, how real, how often they change sign, and what those of a shear frame look like.
+"""Mode shapes: how real, how often they change sign, and what those of a shear frame look like.
 
 The stiffness matrix of a shear frame is a Jacobi matrix, so mode r changes sign r - 1 times from the ground up
 (Gantmacher and Krein 1950), and the first mode grows with height.
@@ -9,17 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from cvxshear.measurement.reading import fewest_changes, most_changes
-from cvxshear.records.record import Complexes
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Complexes, Floats
 
 RULES = ("magnitude", "projection")
 """Ways to make a complex shape real: each entry's modulus with a sign, or its part along the shape's main axis."""
-
-
-def mac(first: Complexes | Floats, second: Complexes | Floats) -> float:
-    """Modal assurance criterion |a^H b|^2 / (a^H a b^H b) of two shapes (Allemang and Brown 1982)."""
-    product = abs(np.vdot(first, second)) ** 2
-    return float(product / (np.vdot(first, first).real * np.vdot(second, second).real))
 
 
 def collinearity(shape: Complexes) -> float:

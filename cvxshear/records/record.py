@@ -19,7 +19,7 @@ from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import CHANNEL_UNITS
 from cvxshear.util.results import InJson
-from cvxshear.util.typing import Floats, Ints, Json
+from cvxshear.util.typing import Complexes, Floats, Ints, Json
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,6 @@ class Finding(InJson):
     kind: str
     message: str
     numbers: Json = field(default_factory=dict)
-
-
-Complexes = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

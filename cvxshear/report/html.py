@@ -289,14 +289,11 @@ class MovingShape:
 
 def moving_shapes(result: Closure) -> list[tuple[str, list[MovingShape]]]:
     """List the lowest modes of the final model, by configuration."""
+    shown = range(min(result.experiment.stories, MOST_MODES))
     return [
-        (each.configuration, [_moving(result.experiment, each, mode) for mode in range(_count(result.experiment))])
+        (each.configuration, [_moving(result.experiment, each, mode) for mode in shown])
         for each in result.estimate.predictions
     ]
-
-
-def _count(experiment: Experiment) -> int:
-    return min(experiment.stories, MOST_MODES)
 
 
 def _moving(experiment: Experiment, prediction: Prediction, mode: int) -> MovingShape:

@@ -12,7 +12,7 @@ from cvxshear.loop import Closure
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.methods import Identification
 from cvxshear.modal import ModalResult
-from cvxshear.report.describe.before_after import MODELS, compared_errors
+from cvxshear.report.describe.consequences import MODELS, compared_errors
 from cvxshear.util.typing import Json
 
 FRAME = ("floor / story", "floor mass, kg", "floor mass std, kg", "story stiffness, N/m", "story stiffness std, N/m")

@@ -13,10 +13,10 @@ import numpy as np
 import scipy
 
 from cvxshear.records.motion import Motion
-from cvxshear.response.damped import Complexes, DampedModel, Response
+from cvxshear.response.damped import DampedModel, Response
 from cvxshear.util.quantities import ranged
 from cvxshear.util.results import InJson
-from cvxshear.util.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
 SEGMENTS = 4
 """Pieces, half overlapping, that the shortest run is cut into at least: fewer show no coherence."""

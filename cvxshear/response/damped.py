@@ -19,14 +19,11 @@ from functools import cached_property
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from cvxshear.model.shear import Modes, modes
 from cvxshear.records.motion import Drive
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Floats
-
-Complexes = NDArray[np.complex128]
+from cvxshear.util.typing import Complexes, Floats
 
 UNCOUPLED = 1e-12
 """Damping between two modes, relative to their own, that is rounding: the modes are real then."""

@@ -44,6 +44,10 @@ parameter."""
 MOST_DECISIONS = 3
 """Times that the stories left free are decided anew; the second decision mostly is the first."""
 
+INFLATED = 2.0
+"""Growth of the inflation of the scores from which on the frame is fitted again under it: what is known of masses and
+effects must not give way to the innovations of a model that is wrong."""
+
 LEAST_WEIGHT = 1e-3
 """Probability of an answer, relative to the most probable one, below which it is left out of the average."""
 
@@ -146,7 +150,7 @@ class _Point:
     def __init__(self, posterior: _Posterior, p: Floats) -> None:
         self.posterior, self.p = posterior, p
         white = posterior.white @ (p - posterior.prior.mean)
-        self.objective = posterior.errors.objective(p) + float(white @ white)
+        self.objective = posterior.errors.objective(p) / posterior.inflation + float(white @ white)
 
     @cached_property
     def likelihood(self) -> Likelihood:
@@ -154,8 +158,9 @@ class _Point:
 
     @cached_property
     def triangle(self) -> tuple[Floats, Floats]:
-        at, white = self.likelihood, self.posterior.white
-        return np.concatenate([at.U, white]), np.concatenate([at.c, white @ (self.p - self.posterior.prior.mean)])
+        at, white, root = self.likelihood, self.posterior.white, np.sqrt(self.posterior.inflation)
+        away = white @ (self.p - self.posterior.prior.mean)
+        return np.concatenate([at.U / root, white]), np.concatenate([at.c / root, away])
 
     @property
     def r(self) -> Floats:
@@ -174,18 +179,22 @@ class _Posterior:
     errors : PredictionErrors
     along : Directions
     prior : Gaussian
+    inflation : float, optional
+        By which the likelihood is tempered: scores of a model that is wrong scatter more than they say.
     """
 
-    def __init__(self, errors: PredictionErrors, along: Directions, prior: Gaussian) -> None:
-        self.errors, self.along, self.prior = errors, along, prior
+    def __init__(self, errors: PredictionErrors, along: Directions, prior: Gaussian, inflation: float = 1.0) -> None:
+        self.errors, self.along, self.prior, self.inflation = errors, along, prior, inflation
         self.white = np.linalg.inv(np.linalg.cholesky(prior.covariance))
 
     def evaluate(self, theta: Floats, /, *, derivatives: bool = True) -> _Point:
         return _Point(self, theta)
 
-    def maximum(self, p: Floats, backend: Backend, steps: int, near: float = FITTED) -> tuple[_Point, bool]:
+    def maximum(
+        self, p: Floats, backend: Backend, steps: int, form_std: float, near: float = FITTED
+    ) -> tuple[_Point, bool]:
         """Find the most probable point from p on, and whether it was reached within so many steps."""
-        bounds = Constraints(lower=self.errors.lower, upper=self.errors.upper)
+        bounds = Constraints(lower=self.errors.lower(form_std), upper=self.errors.upper)
         domain = Domain([NamedConstraints("bounds", bounds)], np.ones(len(p)), np.full(len(p), np.inf))
         found = gauss_newton(self, p, domain, backend, Accuracy(near, steps))
         return found.at, found.converged
@@ -213,7 +222,9 @@ def fit_frame(
         noise = np.eye(errors.size)[errors.frame.stop :]
         # The frame stays as it was identified: nothing of it is fitted, its uncertainty is in the bands.
         still = Gaussian(np.zeros(errors.size), NOISE_STD**2 * np.eye(errors.size), 0.0)
-        at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(p, backend, MOST_FIT_STEPS)
+        at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(
+            p, backend, MOST_FIT_STEPS, FORM_STDS[-1]
+        )
         covariance = prior.gaussian(*answer.prior, same=errors.setting.base_measured).covariance
         along, evidence = at.posterior.along, -0.5 * at.objective
         return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged, along, evidence)
@@ -223,15 +234,16 @@ def fit_frame(
             informative(errors, prior, p, FIRST_INFORMATION),
             prior.gaussian(range(errors.stories), FORM_STDS[-1], SCATTER_STDS[-1]),
         )
-        p = rough.maximum(p, backend, MOST_FIT_STEPS, FIRST_FITTED)[0].p
-    along = informative(errors, prior, p)
+        p = rough.maximum(p, backend, MOST_FIT_STEPS, FORM_STDS[-1], FIRST_FITTED)[0].p
+    along, inflation = informative(errors, prior, p), 1.0
     for _ in range(MOST_DECISIONS):
-        posterior = _Posterior(errors, along, prior.gaussian(*answer.prior))
-        at, converged = posterior.maximum(p, backend, MOST_FIT_STEPS)
+        posterior = _Posterior(errors, along, prior.gaussian(*answer.prior), inflation)
+        at, converged = posterior.maximum(p, backend, MOST_FIT_STEPS, answer.form_std)
         p, answers, before = at.p, possible_answers(at.likelihood, prior, at.p), answer
         answer = answers[0]
-        if answer.prior == before.prior:
+        if answer.prior == before.prior and at.likelihood.inflation <= INFLATED * inflation:
             break
+        inflation = max(inflation, at.likelihood.inflation)
     return _mixed(errors, prior, at, answers, converged)
 
 
@@ -272,8 +284,8 @@ def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: B
         return FittedFrame(errors, prior, start, covariance, frame.answers, 1.0, True, frame.along, frame.log_evidence)
     along = frame.along.without(gone)
     best = frame.answers[0]
-    posterior = _Posterior(errors, along, prior.gaussian(*best.prior))
-    at, converged = posterior.maximum(start, backend, steps)
+    posterior = _Posterior(errors, along, prior.gaussian(*best.prior), frame.inflation)
+    at, converged = posterior.maximum(start, backend, steps, best.form_std)
     return _mixed(errors, prior, at, frame.answers, converged)
 
 

@@ -3,29 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy import ndimage
 
 from cvxshear.files.columns import Columns
-from cvxshear.files.record_file import RECORD_KEYS, columns_of
-from cvxshear.files.record_pieces import pieces_of, refuse_two_rates
-from cvxshear.files.record_tables import (
-    ChannelDeclaration,
-    added_mass_of,
-    channels_of,
-    driver_of,
-    placed,
-    runs_of,
-    tables_of,
-)
+from cvxshear.files.record_file import RecordTables
+from cvxshear.files.record_tables import ChannelDeclaration, placed
 from cvxshear.records.floors import ACROSS, one_a_floor
 from cvxshear.records.motion import Motion, band_limited, trend
-from cvxshear.records.record import INPUTS, TimeRecord
+from cvxshear.records.record import TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
@@ -240,43 +230,22 @@ def _refuse_other_quantity(quantity: str, name: str) -> None:
 
 def _of_file(path: Path) -> Recording:
     """Read the recording that a record file names."""
-    table, lines = tables_of(path)
+    tables = RecordTables(path)
     with placed(path):
-        declared = checks.keys(table["record"], RECORD_KEYS, [], "record")
-        checks.choice(declared.get("kind", "time"), ("time",), "record: kind, for a reconstruction,")
-        kind = checks.choice(declared.get("input", "none"), INPUTS, "record: input")
-        channels = channels_of(table["channel"], declared, path, lines)
-        driver = driver_of(channels, kind)
-        floors = _by_floor([item for item in channels if item is not driver and item.responds])
-        runs, rates = [], []
-        for run in runs_of(table, declared):
-            columns = columns_of(run, declared, path)
-            # Jumps of the clock and the ends asked for part the file; what a floor misses does not.
-            pieces, rate, _ = pieces_of(columns, [], declared, run, path)
-            rates.append((rate, columns.source))
-            name = str(run.get("name", Path(run["file"]).name))
-            floor = 0 if driver is None or kind != "force" else _force_floor(run, declared, driver)
-            for number, rows in enumerate(pieces, 1):
-                part = columns.rows(rows)
-                measured = np.column_stack([_with_gaps(part, group, path) for group in floors.values()])
-                excitation = np.zeros(len(measured))
-                if driver is not None:
-                    excitation = driver.factor * part.column(driver.column, driver.place or path.name)
-                called = name if len(pieces) == 1 else f"{name}, piece {number}"
-                runs.append(RecordedRun(measured, excitation, called, floor))
-        refuse_two_rates(rates)
-        added = added_mass_of(table, path)
-        state = None if table.get("state") is None else checks.text(table["state"], "state")
+        checks.choice(tables.kind, ("time",), "record: kind, for a reconstruction,")
+        floors = _by_floor(tables.responses)
+        # Jumps of the clock and the ends asked for part the file; what a floor misses does not.
+        pieces, rate = tables.pieces([])
+        runs = []
+        for piece in pieces:
+            measured = np.column_stack([_with_gaps(piece.columns, group, path) for group in floors.values()])
+            excitation = np.zeros(len(measured)) if piece.excitation is None else piece.excitation
+            runs.append(RecordedRun(measured, excitation, piece.name, piece.floor))
         return Recording(
-            tuple(runs), rates[0][0], np.array(list(floors), dtype=np.int64),
-            kind if kind in ("base", "force") else "none", None if added is None else np.array(added), state,
-            checks.text(declared.get("name", path.stem), "record: name"),
+            tuple(runs), rate, np.array(list(floors), dtype=np.int64),
+            tables.input if tables.input in ("base", "force") else "none",
+            None if tables.added_mass is None else np.array(tables.added_mass), tables.state, tables.name,
         )  # fmt: skip
-
-
-def _force_floor(run: Mapping[str, Any], declared: Mapping[str, Any], driver: ChannelDeclaration) -> int:
-    floor = run.get("input_floor", declared.get("input_floor", driver.floor or None))
-    return checks.whole(floor, "input_floor", least=1, most=checks.MOST_STORIES)
 
 
 def _by_floor(channels: Sequence[ChannelDeclaration]) -> dict[int, list[ChannelDeclaration]]:

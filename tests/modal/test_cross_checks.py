@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cvxshear.data.pairing import mac
 from cvxshear.files.modes import modes_from_file
 from cvxshear.modal import Channel, Run, TimeRecord, from_pyoma, from_sdypy, identify_modes
-from cvxshear.records.mode_shapes import mac
 from cvxshear.records.simulate import PAPER_FRAME, ambient_record, base_record
 from tests.modal.shared import DATA, needs_southampton, southampton
 

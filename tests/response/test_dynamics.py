@@ -97,7 +97,7 @@ def test_the_noise_has_the_deviations_that_were_asked_for(case):
 
 
 def test_base_motion_does_not_tell_how_heavy_a_frame_is():
-    """Twice the masses, dashpots and stiffnesses move as before, and so must what is missed of them, on every sensor."""
+    """Twice the masses, dashpots and stiffnesses move as before, and so must what is missed of them."""
     one, double = frame(), frame()
     double.M, double.C, double.K = 2 * one.M, 2 * one.C, 2 * one.K
     plain, heavy = (dynamics(each, NOISE, setting("base")) for each in (one, double))

@@ -16,8 +16,7 @@ from cvxshear.effects import Placed
 from cvxshear.files.uff import read_uff
 from cvxshear.paper.three_story import ThreeStory
 from cvxshear.records.motion import Drive, Motion
-from cvxshear.report.handover import matrices, write_model
-from cvxshear.report.series_files import series, write_series
+from cvxshear.report.handover import matrices, series, write_model, write_series
 from cvxshear.response import Fitted, Models, predict
 from cvxshear.util.errors import InputError, UnsuitableError
 from tests.frames import modes_of

@@ -15,7 +15,7 @@ from cvxshear.fit.efficient import efficient
 from cvxshear.modal import Channel, Run, TimeRecord
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.report.describe import describe
-from cvxshear.report.series_files import series
+from cvxshear.report.handover import series
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
 from cvxshear.response.compare import peak
 from cvxshear.response.sources import state_of

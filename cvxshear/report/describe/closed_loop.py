@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from cvxshear.loop import Closure
 from cvxshear.loop.next_test import NextTest
 from cvxshear.loop.results import AddedEffect, Candidate, EffectSet
-from cvxshear.report.describe.before_after import before_after, residual_section, steps_section
-from cvxshear.report.describe.consequences import consequences
+from cvxshear.report.describe.consequences import before_after, consequences, residual_section, steps_section
 from cvxshear.report.describe.headline import (
     DOUBT,
     NAMED,

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cvxshear.report.describe.before_after import MODELS
+from cvxshear.report.describe.consequences import MODELS
 from cvxshear.report.describe.identified import damping_section
 from cvxshear.report.describe.vocabulary import Document, Row, Section, Sentence, Table, describe, plain_rows
 from cvxshear.response import Peaks, Reconstruction, RecordComparison, RecordPrediction
