@@ -1,13 +1,16 @@
-"""Loops that tests of several files, or pages of the documentation, look at: closed once."""
+"""Loops, modes of records and studies that tests of several files, or pages of the docs, look at: made once."""
 
 import numpy as np
 
 import cvxshear
+from cvxshear import modal
 from cvxshear.loop import Closure
+from cvxshear.paper import scatter as paper_study
 from tests.docs.runner import once
 from tests.fe.experiments import simulated
 
-close_loop = once(cvxshear.close_loop)
+close_loop, identify_modes = once(cvxshear.close_loop), once(modal.identify_modes)
+noise_study, six_story_study = once(paper_study.noise_study), once(paper_study.six_story_study)
 
 
 def built_in(name: str) -> Closure:

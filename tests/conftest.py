@@ -14,7 +14,7 @@ import pytest
 from xdist.scheduler import LoadScopeScheduling
 
 from cvxshear.cli import main
-from tests.docs.runner import KEPT_IN
+from tests.docs.runner import KEPT_IN, once
 
 TESTS = Path(__file__).parent
 
@@ -107,6 +107,24 @@ def shared_loops(monkeypatch):
 
     for place in (cvxshear, cvxshear.planning.design, cvxshear.response.sources):
         monkeypatch.setattr(place, "close_loop", close_loop)
+
+
+@pytest.fixture
+def shared_modes(monkeypatch):
+    """The modes of a record are identified once for all tests that ask for this."""
+    import cvxshear.files.modes  # noqa: PLC0415
+    from tests.closed import identify_modes  # noqa: PLC0415
+
+    monkeypatch.setattr(cvxshear.files.modes, "identify_modes", identify_modes)
+
+
+@pytest.fixture(scope="module")
+def shared_drawings():
+    """The figures of a report are drawn once for all reports of the same results in the files that ask for this."""
+    page = pytest.importorskip("cvxshear.report.html")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page, "drawings", once(page.drawings))
+        yield
 
 
 def needed(reason):

@@ -289,6 +289,15 @@ def test_the_fit_reports_its_degrees_of_freedom():
     assert found.fit.dof == 2 * (6 + 30) - (6 - 1 + 6)
 
 
+def test_where_nothing_is_left_over_there_is_no_probability_of_a_worse_fit():
+    """One story: 4 pi^2 f^2 m is its stiffness, with twice the relative deviation of its frequency."""
+    table = {"frequencies": [2.0], "mode_shapes": [[1.0]], "frequency_std": 0.01, "mode_shape_std": 0.01}
+    found = identify(Experiment.from_dict({"frame": {"stories": 1, "total_mass": 10.0}, "configuration": [table]}))
+    assert (found.fit.dof, found.fit.p_value) == (0, None)
+    assert found.frame.story_stiffness == pytest.approx(10.0 * (4 * np.pi) ** 2)
+    assert found.frame.story_stiffness_std == pytest.approx(0.02 * found.frame.story_stiffness)
+
+
 def test_identical_experiments_give_identical_numbers():
     a, b = identify(noisy6()).to_dict(), identify(noisy6()).to_dict()
     assert a == b

@@ -4,7 +4,7 @@ import pytest
 
 from tests.benchmarks.nested import PROBLEMS, compared
 
-LIVE, DRAWS = 150, 2000
+LIVE, DRAWS = 100, 2000
 APPROXIMATION = 0.1
 """What Laplace's approximation itself may be off, beside four standard errors of the sampling."""
 

@@ -252,6 +252,11 @@ def test_a_resonance_without_a_shape_puts_the_numbers_above_it_in_doubt():
     assert finding.numbers["modes"] == [1, 2, 4]
     assert finding.numbers["probability"] == A_MODE
     assert "between modes 2 and 3 lies a resonance that is not among them, at 5 Hz" in finding.message
+    # One mode is overlooked, if any: two resonances between others share its probability.
+    two = overlooked_modes(found, np.array([1, 2, 3]), [pole(2.0), weak], floors=3, stories=6)
+    assert [(item.numbers["modes"], item.numbers["probability"]) for item in two] == [
+        ([1, 3, 4], pytest.approx(A_MODE / 2)), ([1, 2, 4], pytest.approx(A_MODE / 2)),
+    ]  # fmt: skip
     assert overlooked_modes(found, np.array([1, 2, 3]), left, floors=6, stories=6) == []
     assert overlooked_modes(found, np.array([1, 2, 3]), left[1:], floors=3, stories=6) == []
     assert overlooked_modes(found, np.array([1, 2, 3]), left, floors=2, stories=3) == []

@@ -12,7 +12,7 @@ from tests.frames import experiment
 FIRST_ORDER = ("osqp", "scs", "cvxpy-osqp", "cvxpy-scs")
 ACCURACY = {name: 1e-5 if name in FIRST_ORDER else 1e-6 for name in ["auto", *backends.available()]}
 FEW = settings(
-    max_examples=10, deadline=None, derandomize=True, phases=[Phase.generate], suppress_health_check=list(HealthCheck)
+    max_examples=6, deadline=None, derandomize=True, phases=[Phase.generate], suppress_health_check=list(HealthCheck)
 )
 
 

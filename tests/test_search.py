@@ -107,10 +107,9 @@ def test_it_ends_and_visits_no_set_twice(fits, effect, seed):
     assert "stiffer_throughout" not in [item.placed.effect.name for item in result.effects]
 
 
-@pytest.mark.parametrize("seed", [3, 4])
-def test_a_hopeless_misfit_ends_after_few_fits(seed):
+def test_a_hopeless_misfit_ends_after_few_fits():
     """All standard deviations a hundred times too small, or one test in rad/s: out of the question, and soon told."""
-    too_sure, _ = simulated(None, stories=3, configurations=3, rng=np.random.default_rng(seed))
+    too_sure, _ = simulated(None, stories=3, configurations=3, rng=np.random.default_rng(3))
     in_rad = copy.deepcopy(too_sure)
     for table in too_sure["configuration"]:
         table["frequency_std"] /= 100

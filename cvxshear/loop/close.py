@@ -19,7 +19,7 @@ from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import nearest_start
 from cvxshear.loop.conclusion import conclude
-from cvxshear.loop.duals import dual_fits_as_well, dual_frame, dual_set, frequencies_alone
+from cvxshear.loop.duals import dual_fits_as_well, dual_frame, dual_set, few_floors_seen
 from cvxshear.loop.fitter import Fitter
 from cvxshear.loop.hypotheses import Hypothesis, assumed, chosen, hypotheses
 from cvxshear.loop.numbering import Numbering
@@ -184,7 +184,7 @@ class _Loop:
         elsewhere, and where the dual start leads to the same frame.
         """
         numbering = search.fitter.numbering
-        if not frequencies_alone(numbering.experiment) or search.base.estimate is None:
+        if search.base.estimate is None or not few_floors_seen(numbering.experiment):
             return None
         if search.visit_from([*self._duals(search), *self._changes(search)]):
             search.run()

@@ -17,14 +17,16 @@ from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.typing import Floats
 
 
-def frequencies_alone(experiment: Experiment) -> bool:
-    """Whether nothing but frequencies was measured."""
-    return not experiment.static and not any(each.measured.any() for each in experiment.configurations)
+def few_floors_seen(experiment: Experiment) -> bool:
+    """Whether no test shows more than half of the floors: frames far from each other may fit such data as well."""
+    return not any(2 * each.measured.any(axis=0).sum() > experiment.stories for each in experiment.configurations)
 
 
 def dual_fits_as_well(experiment: Experiment) -> bool:
     """Whether nothing but frequencies was measured, and no mass added: data that do not tell a frame from its dual."""
-    return frequencies_alone(experiment) and not any(np.any(each.added_mass) for each in experiment.configurations)
+    return not experiment.static and not any(
+        each.measured.any() or np.any(each.added_mass) for each in experiment.configurations
+    )
 
 
 def dual_frame(frame: Floats) -> Floats:

@@ -44,7 +44,7 @@ parameter."""
 MOST_DECISIONS = 3
 """Times that the stories left free are decided anew; the second decision mostly is the first."""
 
-INFLATED = 2.0
+GROWN_INFLATION = 2.0
 """Growth of the inflation of the scores from which on the frame is fitted again under it: what is known of masses and
 effects must not give way to the innovations of a model that is wrong."""
 
@@ -241,7 +241,7 @@ def fit_frame(
         at, converged = posterior.maximum(p, backend, MOST_FIT_STEPS, answer.form_std)
         p, answers, before = at.p, possible_answers(at.likelihood, prior, at.p), answer
         answer = answers[0]
-        if answer.prior == before.prior and at.likelihood.inflation <= INFLATED * inflation:
+        if answer.prior == before.prior and at.likelihood.inflation <= GROWN_INFLATION * inflation:
             break
         inflation = max(inflation, at.likelihood.inflation)
     return _mixed(errors, prior, at, answers, converged)

@@ -28,6 +28,9 @@ ENVELOPE_PERIODS = 4.0
 QUIETEST = 1 / 16
 """Least envelope, relative to the record's rms: what a model misses does not vanish where little moves."""
 
+LINE_LEFT = 1e-12
+"""What rounding leaves of a straight line once it is taken off, relative to its largest value, is far less."""
+
 
 @dataclass(frozen=True, eq=False)
 class RecordedRun:
@@ -116,10 +119,16 @@ class Recording:
         return np.sqrt(square)
 
     def without_base_line(self) -> Recording:
-        """Take the straight line off a measured base acceleration."""
+        """Take the straight line off a measured base acceleration; where nothing else is left, refuse it."""
         if self.input != "base":
             return self
         runs = [dataclasses.replace(run, excitation=run.excitation - trend(run.excitation)) for run in self.runs]
+        for run, whole in zip(runs, self.runs, strict=True):
+            if np.abs(run.excitation).max() <= LINE_LEFT * np.abs(whole.excitation).max():
+                raise InputError(
+                    f"{self.name}, {run.name}: the input channel shows no motion but a straight line; "
+                    'input = "none" has the base motion estimated'
+                )
         return dataclasses.replace(self, runs=tuple(runs))
 
     def band_limited(self) -> Recording:

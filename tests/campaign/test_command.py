@@ -20,7 +20,7 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture
-def run(folder, capsys, monkeypatch):
+def run(folder, capsys, monkeypatch, shared_modes):
     monkeypatch.chdir(folder)
 
     def call(*arguments):

@@ -12,6 +12,7 @@ from __future__ import annotations
 import ast
 import contextlib
 import dataclasses
+import fcntl
 import functools
 import hashlib
 import inspect
@@ -231,23 +232,29 @@ def kept(name: str, make: Callable[[], R]) -> R:
     if folder is None:
         return make()
     path = Path(folder) / name
-    if not path.exists():
-        made = make()
-        # Another process may do the same at the same time: the file is there as a whole or not at all.
-        with tempfile.NamedTemporaryFile(dir=folder, delete=False) as file:
-            Writer(file).dump(made)
-        os.replace(file.name, path)
-        return made
+    # A process that asks for what another one is just making waits for it.
+    with path.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not path.exists():
+            made = make()
+            # The file is there as a whole or not at all.
+            with tempfile.NamedTemporaryFile(dir=folder, delete=False) as file:
+                Writer(file).dump(made)
+            os.replace(file.name, path)
+            return made
     with path.open("rb") as file:
         result: R = Reader(file).load()
     return result
 
 
 def share() -> None:
-    """From here on this process closes loops and draws reports once, see `once`."""
+    """From here on this process closes loops, identifies modes and draws reports once, see `once`."""
+    import cvxshear.files.modes  # noqa: PLC0415
     import cvxshear.loop  # noqa: PLC0415
+    import cvxshear.modal  # noqa: PLC0415
 
     cvxshear.close_loop = cvxshear.loop.close_loop = once(cvxshear.loop.close_loop)
+    cvxshear.files.modes.identify_modes = cvxshear.modal.identify_modes = once(cvxshear.modal.identify_modes)
     # What imports the loop does so after this.
     from cvxshear.report import html  # noqa: PLC0415
 

@@ -36,6 +36,9 @@ NAMES = (
     # What no sheet can be called, or two not at the same time.
     "History", "history", "a/b\\c?*[1]:", "'a'", "x" * 40, "x" * 41, "X" * 40,
 )  # fmt: skip
+WORST = ("$\\frac{$", "a\x00b", "\x1b[31mred", "a\u202eb", "<b>&amp;", "]]>", "--><script>alert(1)</script>", "x" * 41)
+"""One of each kind that a drawing or a page cannot hold as it is: these go through every figure of every report."""
+
 MASSES = (10.0, 8.0)
 STIFFNESSES = (20e3, 15e3)
 FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠", "\t", "\r")
@@ -44,6 +47,7 @@ FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠", "\t", "\r")
 
 def test_the_names_are_many():
     assert len(set(NAMES)) == len(NAMES) >= 50
+    assert set(WORST) <= set(NAMES)
 
 
 def toml_string(name: str) -> str:
@@ -159,7 +163,8 @@ def test_identify(start, run, tmp_path):
     file = measurement(tmp_path / "a.toml", few(start))
     kinds = into(".json", ".csv", ".xlsx", figures=["frame", "mac"])
     check(run, tmp_path, "identify", file, outputs=kinds)
-    check(run, tmp_path, "identify", file, "--method", "two-stage", outputs=into(".json", ".csv", ".xlsx"))
+    kinds = into(".json", ".csv", ".xlsx")
+    check(run, tmp_path, "identify", file, "--method", "two-stage", outputs=kinds, printed=False)
 
 
 @pytest.fixture
@@ -175,13 +180,18 @@ def comparison():
 
 
 @pytest.mark.parametrize("start", range(6))
-def test_loop(start, run, tmp_path, request):
+def test_loop(start, run, tmp_path, one_comparison, monkeypatch):
+    """Two figures with all names; the report is written round its own, which the next test draws."""
     file = measurement(tmp_path / "a.toml", few(start))
-    first = start == 0
-    if not first:
-        request.getfixturevalue("one_comparison")
+    monkeypatch.setattr("cvxshear.report.html.drawings", lambda *_: {})
     kinds = into(".json", ".csv", ".xlsx", ".html", figures=["frame", "mac"])
-    check(run, tmp_path, "loop", file, "--effects", "ground_spring", outputs=kinds, printed=first)
+    check(run, tmp_path, "loop", file, "--effects", "ground_spring", outputs=kinds, printed=False)
+
+
+def test_a_report_of_a_loop(run, tmp_path):
+    """A figure that shows a name as it stands fails with these."""
+    file = measurement(tmp_path / "a.toml", WORST)
+    check(run, tmp_path, "loop", file, "--effects", "ground_spring", outputs=into(".html"))
 
 
 def test_check(run, tmp_path):
@@ -201,8 +211,8 @@ def test_plan(start, run, tmp_path):
     check(run, tmp_path, "plan", file, "--added-mass", "5", outputs=kinds)
 
 
-SAMPLES = 1920
-"""Half a minute: what is identified is of no matter here, what it is called is."""
+SAMPLES = 960
+"""A quarter of a minute: what is identified is of no matter here, what it is called is."""
 
 
 @functools.cache
@@ -253,7 +263,7 @@ def test_modes(start, run, tmp_path):
 
 def test_a_report_of_modes(run, tmp_path):
     """It draws four figures a record, of any width: here every name of a record file has a name to itself."""
-    made = records(tmp_path, few(0)[:5], few(2)[:5], few(4)[:5])
+    made = records(tmp_path, WORST[:2], WORST[2:4], WORST[4:6])
     check(run, tmp_path, "modes", *made, outputs=into(".html"), printed=False)
 
 
@@ -265,11 +275,16 @@ def test_figures_and_files_of_one_record(start, run, tmp_path):
 
 
 MODELS = ("npz", "mat", "json", "py", "xlsx")
+PLACED = (*WORST, "=1+1", '=HYPERLINK("http://x.y","z")', "＠A1", "a\n=1+1", '"""', "\\", "{0}", "[/]")
+"""What drawings, pages, tables, scripts and terminals stumble over, for the four places of a prediction."""
 
 
-@pytest.mark.parametrize("name", NAMES[::4])
-def test_predict(name, run, tmp_path):
-    record = records(tmp_path, [name])[0]
+@pytest.mark.parametrize("start", range(4))
+def test_predict(start, run, tmp_path):
+    """The frame's file and configuration, the record, its state and a channel have a name to themselves."""
+    four = PLACED[start::4]
+    name, of_record, state, channel = (*four[start:], *four[:start])
+    record = records(tmp_path, [of_record], [state], [channel])[0]
     file = measurement(tmp_path / f"{file_name(name)}.toml", [name, "b"])
     text = (
         record.read_text(encoding="utf-8").replace("[0.0, 0.0, 0.0]", "[0.0, 0.0]").replace("floor = 3", "floor = 2", 1)
@@ -279,7 +294,7 @@ def test_predict(name, run, tmp_path):
     kinds = [*into(".json", ".html"), ("--figure", "peaks:OUT-peaks.svg"), ("--out", "OUT.uff")]
     kinds += [("--export", f"OUT-model.{kind}") for kind in MODELS]
     asked = ("predict", file, "--record", record, "--configuration", name)
-    check(run, tmp_path, *asked, outputs=kinds, printed=name == NAMES[0])
+    check(run, tmp_path, *asked, outputs=kinds, printed=start == 0)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -39,7 +39,7 @@ def odd(seed):
     return declared
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(10))
 def test_a_loop_ends_in_a_verdict_or_in_words(seed):
     try:
         result = close_loop(Experiment.from_dict(odd(seed))).to_dict()
@@ -60,7 +60,7 @@ def written(declared, path):
 
 
 @pytest.mark.parametrize(("seed", "report"), [(105, True), (106, False)])
-def test_commands_end_in_results_or_in_words(seed, report, run, tmp_path):
+def test_commands_end_in_results_or_in_words(seed, report, run, shared_loops, tmp_path):
     """A soft prior, configurations without shapes, a single sensor."""
     path = written(odd(seed), tmp_path / "odd.toml")
     written_to = ["--report", tmp_path / "report.html"] if report else []

@@ -186,6 +186,15 @@ def test_pieces_that_tell_more_weigh_more_in_the_jackknife():
     assert 1 <= freedom[2] <= 4
 
 
+@pytest.mark.parametrize(
+    ("hits", "how"), [(3, "jackknife over 9 hits"), (1, "jackknife over 3 driving points, at least 20 surrogates'")]
+)
+def test_the_scatter_of_few_hits_does_not_stand_alone(hits, how):
+    """Three driving points; surrogates can but make a deviation larger."""
+    record = hammer_record(PAPER_FRAME, 4, noise=0.01, hits=hits, duration=40.0)
+    assert identify_modes(record).to_dict()["uncertainty"] == how
+
+
 def test_a_band_decimates_and_keeps_the_modes():
     record = base_record(PAPER_FRAME, 2, noise=0.01, duration=200.0, sampling_rate=60.0)
     wide = identify_modes(record)

@@ -39,7 +39,7 @@ def check_efficient(scatter):
     assert np.all(np.abs(scatter.bias) < 3 * scatter.bias_error + 0.1 * scatter.relative_bound)
 
 
-@pytest.mark.parametrize(("sigma", "samples"), [(0.01, 100), (0.05, 300)])
+@pytest.mark.parametrize(("sigma", "samples"), [(0.01, 60), (0.05, 200)])
 def test_the_efficient_method_reaches_the_bound_on_the_papers_frame(sigma, samples):
     check_efficient(noise_study(paper_setups([sigma]), ("efficient",), samples, seed=11).scatters[0])
 

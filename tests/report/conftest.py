@@ -1,4 +1,4 @@
-"""Results that every test of figures and reports looks at; made once."""
+"""Results that every test of figures and reports looks at; made once for all processes."""
 
 import dataclasses
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.paper.scatter import noise_study, paper_setups, six_story_study
+from cvxshear.paper.scatter import paper_setups
 from tests import closed
 from tests.fe.experiments import simulated
 
@@ -28,7 +28,7 @@ def paper():
 
 @pytest.fixture(scope="session")
 def eight():
-    return cvxshear.close_loop(
+    return closed.close_loop(
         cvxshear.Experiment.from_dict(experiment("base_rocking", 8), name="eight stories"),
         effects=["base_rocking", "gravity", "axial_columns"],
     )
@@ -38,14 +38,14 @@ def eight():
 def unexplained():
     declared = experiment("sensor_gain", 3)
     declared["configuration"][0]["name"] = NASTY
-    result = cvxshear.close_loop(cvxshear.Experiment.from_dict(declared, name=NASTY), effects=["story_change"])
+    result = closed.close_loop(cvxshear.Experiment.from_dict(declared, name=NASTY), effects=["story_change"])
     assert result.verdict == "unexplained"
     return result
 
 
 @pytest.fixture(scope="session")
 def twenty():
-    return cvxshear.close_loop(
+    return closed.close_loop(
         cvxshear.Experiment.from_dict(experiment("base_rocking", 20, 1, modes=10), name="twenty stories"),
         effects=["base_rocking"],
     )
@@ -54,7 +54,7 @@ def twenty():
 @pytest.fixture(scope="session")
 def nine():
     """Nine configurations, the fifth with a mass that nobody declared."""
-    return cvxshear.close_loop(
+    return closed.close_loop(
         cvxshear.Experiment.from_dict(experiment("added_mass", 3, 9), name="nine states"),
         effects=["added_mass", "gravity"],
     )
@@ -63,7 +63,7 @@ def nine():
 @pytest.fixture(scope="session")
 def ambiguous():
     """One configuration, in which columns that stretch look like joints that turn."""
-    result = cvxshear.close_loop(
+    result = closed.close_loop(
         cvxshear.Experiment.from_dict(experiment("axial_columns", 3, 1, noise=0.002), name="one test"),
         effects=["axial_columns", "joint_rotation", "mass_coupling"],
     )
@@ -73,12 +73,12 @@ def ambiguous():
 
 @pytest.fixture(scope="session")
 def study():
-    return noise_study(paper_setups(), ("two-stage", "one-shot"), samples=50)
+    return closed.noise_study(paper_setups(), ("two-stage", "one-shot"), samples=50)
 
 
 @pytest.fixture(scope="session")
 def six_story():
-    return six_story_study(samples=4)
+    return closed.six_story_study(samples=4)
 
 
 @pytest.fixture(scope="session")

@@ -70,7 +70,7 @@ def browser():
 
 
 @pytest.fixture(scope="module")
-def reports(paper, eight, unexplained, comparison, tmp_path_factory):
+def reports(paper, eight, unexplained, comparison, shared_drawings, tmp_path_factory):
     folder = tmp_path_factory.mktemp("reports")
     results = {"paper": paper, "eight": eight, "unexplained": unexplained}
     for name, result in results.items():

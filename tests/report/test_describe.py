@@ -156,6 +156,7 @@ def test_a_verdict_from_outside_has_its_words_everywhere(paper, comparison, monk
     assert "probable); the largest frequency error falls" in said.splitlines()[0]
     assert "Somebody must look again." in said
     assert "Look again." in describe(found)["next"].parts[0].text
+    monkeypatch.setattr("cvxshear.report.html.drawings", lambda _: {})
     page = render(found, "cvxshear", comparison)
     assert '<span id="verdict">postponed</span>' in page
     assert "--tone: #123456; --tone-dark: #abcdef" in page

@@ -397,7 +397,9 @@ def test_figures_drawn_in_threads_are_those_drawn_alone(paper, eight):
 
 
 def test_a_figure_from_outside_is_found_everywhere(paper, comparison, monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(figure_table, "_TABLE", {key: dict(value) for key, value in figure_table._TABLE.items()})
+    # Beside three that the package has.
+    few = {key: dict(list(value.items())[:3]) for key, value in figure_table._TABLE.items()}
+    monkeypatch.setattr(figure_table, "_TABLE", few)
 
     @figures.figure(
         "pie", cvxshear.Closure, title="Where the mass is", caption="Each floor's share of the mass.",

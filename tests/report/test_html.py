@@ -139,7 +139,7 @@ def test_letters_stand_out_from_what_is_behind_them(text):
 
 
 @pytest.mark.usefixtures("drawn_once")
-def test_the_head_of_a_report_is_what_the_file_or_the_caller_says(paper, comparison, tmp_path):
+def test_the_head_of_a_report_is_what_the_file_or_the_caller_says(paper, comparison, drawn_once, tmp_path):
     declared = {**paper.experiment.to_dict(), "report": {"client": "A & B <Ltd>", "date": datetime.date(2026, 11, 20)}}
     tested = cvxshear.Experiment.from_dict(declared)
     assert cvxshear.Experiment.from_dict(tested.to_dict()).report == tested.report

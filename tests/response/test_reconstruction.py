@@ -15,6 +15,7 @@ from cvxshear.programs import LeastSquares
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.response import DampedModel, Fitted, Models, reconstruct, response
 from cvxshear.response.dynamics import Noise, Setting, doubled, dynamics, recursion, settled_covariance
+from cvxshear.response.frame_motion import readings_of
 from cvxshear.response.innovations import Directions, PredictionErrors, Stretch
 from cvxshear.response.recording import recording_of
 from cvxshear.response.smoother import Observed, Steady, smooth
@@ -236,18 +237,17 @@ def test_bands_hold_the_drift_and_the_sensors_left_out(softened):
 
 def test_a_spike_a_gap_and_a_late_clock_change_no_drift_by_more_than_its_deviation(softened):
     models, motion, _, _, found = softened
-    y = motion.drives[0].responses.copy()
-    spiked, holed = y.copy(), y.copy()
-    spiked[900, 1] += 10.0
-    holed[700:760, 0] = np.nan
+    y = motion.drives[0].responses
     time = np.arange(len(y)) / study.RATE
-    late = y.copy()
-    late[:, 1] = np.interp(time - 0.005, time, y[:, 1])
-    for changed in (spiked, holed, late):
-        drive = dataclasses.replace(motion.drives[0], responses=changed)
-        again = reconstruct(models, dataclasses.replace(motion, drives=(drive,)))
-        moved = np.abs(again.peaks.values["story_drift"] - found.peaks.values["story_drift"])
-        assert np.all(moved <= again.peaks.std["story_drift"]), changed is late
+    # All three at once; without the sensors left out in turn, which could but widen the deviations.
+    faulty = y.copy()
+    faulty[:, 1] = np.interp(time - 0.005, time, y[:, 1])
+    faulty[900, 1] += 10.0
+    faulty[700:760, 0] = np.nan
+    drive = dataclasses.replace(motion.drives[0], responses=faulty)
+    again = reconstruct(models, dataclasses.replace(motion, drives=(drive,)), leave_out=False)
+    moved = np.abs(again.peaks.values["story_drift"] - found.peaks.values["story_drift"])
+    assert np.all(moved <= again.peaks.std["story_drift"])
 
 
 def test_base_motion_that_nobody_measured_is_estimated(softened):
@@ -342,6 +342,29 @@ def test_records_that_cannot_be_reconstructed_are_refused():
         recording_of(3)
 
 
+def test_a_ground_that_stands_still_is_refused_and_a_slow_one_has_one_reading():
+    """Straight lines between samples h apart take (pi f h)^2 / 3 off a sine: 8e-5 at two hundred samples a period."""
+    mass, stiffness, dashpots = damped_frame(2)
+    model = DampedModel(*matrices(mass, stiffness, dashpots), np.ones(2))
+    experiment = cvxshear.Experiment.from_dict(declared(mass, stiffness, [0.02, 0.02]))
+    slow = np.hanning(400) * np.sin(2 * np.pi * np.arange(400) / 200)
+
+    def recorded(ground):
+        return Motion((Drive(ground, responses=shaking(400)[:, None]),), 1 / STEP, floors=np.array([2]))
+
+    # An offset, a drift, a channel that reads next to nothing: all that is not a straight line is rounding.
+    for still in (np.full(400, 0.3), np.linspace(0.1, 1.0, 400), np.full(400, 1e-300)):
+        with pytest.raises(InputError, match="run 1: the input channel shows no motion but a straight line"):
+            reconstruct(experiment, recorded(still))
+    with pytest.raises(InputError, match="run 1: the input channel is zero throughout"):
+        recorded(np.zeros(400))
+    assert len(readings_of(model, recording_of(recorded(slow)))) == 1
+    straight, band_limited = readings_of(model, recording_of(recorded(shaking(400))))
+    np.testing.assert_allclose(band_limited.runs[0].measured, straight.runs[0].measured)
+    nobodys = TimeRecord((Channel("f2", 2),), runs=(Run(shaking(400)[:, None]),), sampling_rate=1 / STEP)
+    assert len(readings_of(model, recording_of(nobodys))) == 1
+
+
 def test_a_record_file_gives_one_channel_a_floor_between_start_and_end(tmp_path):
     """Two sensors on floor 2 turn against each other, one looks backwards, one across; 1.5 s of 3 s is asked for."""
     time = np.arange(300) / 100
@@ -382,10 +405,13 @@ def test_a_record_that_begins_amid_the_motion_is_reconstructed_as_well(softened)
     assert found.changed == (soft,)
 
 
-@pytest.mark.parametrize("stories", [3, 8])
-def test_effects_that_the_model_lacks_are_in_the_bands(stories):
-    """Beams that bend in finite-element frames, a shear model: drifts between the sensors come out within bands."""
-    found = [study.trial(seed, stories, "beams") for seed in range(3)]
+@pytest.mark.parametrize(("stories", "frames"), [(3, 2), (8, 1)])
+def test_effects_that_the_model_lacks_are_in_the_bands(stories, frames):
+    """Beams that bend in finite-element frames, a shear model: drifts between the sensors come out within bands.
+
+    More frames: `python -m tests.benchmarks.reconstruction`.
+    """
+    found = [study.trial(seed, stories, "beams") for seed in range(frames)]
     assert all(np.all(np.abs(deviations[1]) < 3.0) for _, deviations, *_ in found)
     assert np.mean([over_time[1] for _, _, over_time, *_ in found]) > 0.9
     assert not any(changed for *_, changed, _ in found)

@@ -21,6 +21,7 @@ from tests.report.conftest import NASTY
 from tests.report.test_html import Page
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
 
+pytestmark = pytest.mark.usefixtures("shared_drawings")
 COMMAND = "cvxshear predict frame.toml --record shaken.toml"
 
 
