@@ -9,6 +9,7 @@ import numpy as np
 MISTAKES = (
     "missing_mode", "transposed", "swapped_sensors", "sensor_sign", "entry_sign", "floors_from_top", "mode_order",
     "mode_number", "sensor_floors", "sensor_unit", "drifts", "frequency_unit",
+    "periods",
 )  # fmt: skip
 
 WHOLE = ("transposed", "mode_number", "sensor_floors", "drifts")
@@ -159,6 +160,14 @@ def frequency_unit(tables, rng, stories):
     return "in Hz"
 
 
+def periods(tables, rng, stories):
+    """Periods in ascending order, and the shapes with them."""
+    (table,) = tables
+    table["frequencies"] = [1 / value for value in table["frequencies"][::-1]]
+    table["mode_shapes"] = table["mode_shapes"][::-1]
+    return "write 1 / period"
+
+
 MAKE = {
     "missing_mode": missing_mode,
     "transposed": transposed,
@@ -172,4 +181,5 @@ MAKE = {
     "sensor_unit": sensor_unit,
     "drifts": drifts,
     "frequency_unit": frequency_unit,
+    "periods": periods,
 }

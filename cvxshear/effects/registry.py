@@ -10,7 +10,7 @@ from cvxshear.effects.flexibility import AxialColumns, BaseRocking
 from cvxshear.effects.gravity import Gravity
 from cvxshear.effects.guests import refuse_faulty
 from cvxshear.effects.joints import JointRelease, JointRotation
-from cvxshear.effects.masses import AddedMass, LoadScale, MassCoupling, StateMass, TotalMass
+from cvxshear.effects.masses import AddedMass, FloorMass, LoadScale, MassCoupling, StateMass, TotalMass
 from cvxshear.effects.open_class import OtherChanges, OtherGains, OtherInertia, OtherLoads, OtherShapes, OtherStiffness
 from cvxshear.effects.readings import SensorGain, WrongPrior
 from cvxshear.effects.springs import GroundSpring, Spring
@@ -34,6 +34,7 @@ _catalogue: dict[str, Effect] = {
         StateStiffness(),
         StateMass(),
         LoadScale(),
+        FloorMass(),
         JointRelease(),
         Bracing(),
         AttachedMass(),

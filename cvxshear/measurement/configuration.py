@@ -128,9 +128,12 @@ class Configuration(InTable):
         if steps.size:
             place = int(steps[0])
             before, after = self.frequencies[place : place + 2]
+            cure = "sort the mode shapes with them"
+            if len(self.frequencies) > 2 and len(steps) == len(self.frequencies) - 1:
+                cure = f"all descend as periods in s do: write 1 / period, or else {cure}"
             raise InputError(
                 f"{self._at('frequencies')} must be ascending, each greater than the one before; entry {place + 2} "
-                f"is {after:g} Hz after {before:g} Hz (sort the mode shapes with them)"
+                f"is {after:g} Hz after {before:g} Hz ({cure})"
             )
         count = len(self.frequencies)
         if _absent(self.modes):

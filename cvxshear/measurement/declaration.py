@@ -29,6 +29,8 @@ MISTAKES = {
     "sensor_floors": "one sensor, or all, are listed one floor too low or too high",
     "sensor_unit": "one sensor's entries are in another unit",
     "drifts": "mode_shapes are drifts of the stories in place of displacements of the floors",
+    "periods": "`frequencies` are periods, in s",
+    "masses_from_top": "floor masses or design values are listed from the top",
     "frequency_unit": "one configuration's frequencies are in another unit than those of the others",
     "signs": "a shape has signs that no mode of that number has, and no single change mends it",
 }
@@ -47,6 +49,8 @@ DOUBTS = {
     "repeated": "configurations repeat each other to the last digit",
     "gravity": "gravity is not that of the Earth in m/s²",
     "total_mass": "the total mass contradicts what the added masses did to the frequencies",
+    "floor_mass": "one entry of floor_masses contradicts the shapes",
+    "added_mass": "the added masses lay on other floors, are listed from the top, or are in another unit",
 }
 """Findings of `check` that are warnings, each with what looks wrong."""
 

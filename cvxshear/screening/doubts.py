@@ -41,15 +41,18 @@ LIGHTEST_FLOOR = 300.0
 HEAVIEST_MODEL_FLOOR = 3000.0
 """Mass (kg) that no floor of a laboratory's model reaches: it would need a crane of its own."""
 
-HIGHEST_TIMES_FREQUENCY = 200.0
+HIGHEST_TIMES_FREQUENCY = 130.0
 """Largest product (m Hz) of a building's height and first frequency. The mean is 46 (Ellis 1980), within a factor of
-two or so; rad/s would make that 290."""
+two or so, and with walls nearly three; rad/s would make the mean 290."""
 
 UNIT_FACTOR_WITHIN = 0.15
 """Difference of logarithms within which a ratio is taken for a factor between units."""
 
 STEEP = 0.15
-"""Relative deviation of story heights from multiples of the first at which they still look added up."""
+"""Relative deviation of the growth of story heights from an even one at which they still look added up."""
+
+HIGHEST_GROUND = 2.0
+"""Height of a ground story, over that of those above, up to which story heights that grow evenly look added up."""
 
 SLOWEST = 0.02
 """Lowest first frequency (Hz): the tallest towers begin at some 0.1 Hz, and long bridges at 0.05 Hz."""
@@ -83,6 +86,9 @@ frame is near enough to weigh."""
 
 VAGUE = 0.05
 """Weight, in the uncertainty of an implied total, of the rows that keep floors and stories alike."""
+
+LOAD_UNITS = (("t", 1e3), ("kN", 1e3 / 9.81), ("g", 1e-3), ("N", 1 / 9.81))
+"""Units other than kg in which added masses are written, with the factor by which the total then seems too large."""
 
 UNIT_OFF = 0.5
 """Difference of logarithms within which the ratio of two totals is taken for 1000 or its inverse, a unit."""
@@ -159,12 +165,9 @@ def masses(experiment: Experiment) -> Iterator[Finding]:
     if frame.story_heights is None or frame.known_total is None:
         return
     height, floor = float(np.mean(frame.story_heights)), frame.known_total / experiment.stories
-    if BUILDING_STORY <= height <= HIGHEST_STORY and floor < LIGHTEST_FLOOR:
-        unit = "t"
-    elif height <= MODEL_STORY and floor > HEAVIEST_MODEL_FLOOR:
-        unit = "g"
-    else:
+    if _right_in_kg(experiment, floor) is not False:
         return
+    unit = "t" if height >= BUILDING_STORY else "g"
     weights = f"floors of {quantity(floor, 'kg', 3)} each under stories of {significant(height, 3)} m"
     yield _doubt("masses", f"{weights} look like masses in {unit}", "write masses in kg")
 
@@ -190,12 +193,16 @@ def angular_frequency(experiment: Experiment) -> Iterator[Finding]:
 
 
 def added_up(experiment: Experiment) -> Iterator[Finding]:
-    """Story heights that grow like 1, 2, 3, ... are the floors' elevations."""
+    """Story heights that grow by one story height from each to the next are the floors' elevations."""
     found = experiment.frame.story_heights
     if found is None or len(found) < 2:
         return
-    multiples = found / found[0] / np.arange(1, len(found) + 1)
-    if np.max(np.abs(multiples - 1)) < STEEP:
+    # A ground story is often higher than those above, so the growth from floor to floor counts. Of two it is the first.
+    growth = np.diff(found)
+    usual = float(np.median(growth))
+    highest = (1 + STEEP) if len(growth) == 1 else HIGHEST_GROUND
+    even = usual > 0 and np.max(np.abs(growth / usual - 1)) < STEEP
+    if even and (1 - STEEP) < found[0] / usual < highest:
         said = f"story_heights grow from {found[0]:g} to {found[-1]:g} m as elevations of floors do"
         yield _doubt("elevations", said, "write the height of each story, not the sum of those below")
 
@@ -333,13 +340,32 @@ def total_mass(experiment: Experiment) -> Iterator[Finding]:
         f"the added masses changed the frequencies as they would those of a frame of {quantity(total, 'kg', 3)} "
         f"(give or take {100 * std:.0f} %), and {quantity(declared, 'kg', 6)} are declared"
     )
+    heavy = _right_in_kg(experiment, declared / experiment.stories)
+    load = next((unit for unit, factor in LOAD_UNITS if abs(off - np.log(factor)) < UNIT_OFF), None)
     unit = next((unit for unit, factor in (("g", 1e3), ("t", 1e-3)) if abs(off - np.log(factor)) < UNIT_OFF), None)
+    if load is not None and (heavy or unit is None):
+        weight = "floors of that weight suit the story heights, so " if heavy else ""
+        yield _doubt("added_mass", f"{said}: {weight}added_mass looks like {load}", "write added_mass in kg")
+        return
     if unit is not None:
-        change = "write total_mass (or floor_masses) in kg"
-        yield _doubt("masses", f"{said}: it looks like {unit}", change)
+        either = "" if load is None or heavy is False else f", or added_mass like {load}"
+        yield _doubt(
+            "masses", f"{said}: total_mass (or floor_masses) looks like {unit}{either}", "write all masses in kg"
+        )
         return
     change = "check total_mass (or floor_masses, without the added mass) and each added_mass"
     yield _doubt("total_mass", said, change)
+
+
+def _right_in_kg(experiment: Experiment, floor: float) -> bool | None:
+    """Whether a floor mass, kg, suits the story heights; None where these do not say."""
+    heights = experiment.frame.story_heights
+    if heights is None:
+        return None
+    height = float(np.mean(heights))
+    if BUILDING_STORY <= height <= HIGHEST_STORY:
+        return floor >= LIGHTEST_FLOOR
+    return floor <= HEAVIEST_MODEL_FLOOR if height <= MODEL_STORY else None
 
 
 def implied_total(experiment: Experiment) -> tuple[float, float]:

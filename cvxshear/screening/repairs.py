@@ -18,6 +18,28 @@ from cvxshear.measurement.reading import Reading
 from cvxshear.model.shear import Modes
 from cvxshear.util.typing import Floats, Ints
 
+MISTAKEN = 1e-2
+"""Probability that a configuration has a mistake of one kind: one file in a hundred."""
+
+LEFT_TO_GIVEN = 1e-3
+"""Probability of a reading as given, relative to that of its best repair, below which it is refused: a wrong refusal
+costs more than a mistake that is only suspected."""
+
+SUSPICIOUS = 25.0
+"""Cost of a reading as given below which no repair can be that much more probable: it needs 2 log of 1e5."""
+
+RIVAL_COST = 9.0
+"""Difference of costs up to which a repair is named with the best one: at least a hundredth as probable."""
+
+UNEXPLAINED = 0.25
+"""Share of the cost as given that a repair may leave at most, where that is more."""
+
+FITTED = 6
+"""Repairs of the least misfit to each reference frame that are fitted."""
+
+REFITTED = 6
+"""Repairs, the best of those fitted, that are fitted again with each tolerance."""
+
 MOST_NUMBERINGS = 60
 """Sets of mode numbers are all tried where there are no more; else those that leave out one mode."""
 
@@ -139,6 +161,21 @@ def other_units(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
                 replace(reading, shapes=reading.shapes * scale, noise=reading.noise * scale),
                 width * len(UNITS),
             )
+
+
+def periods(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
+    """Take the frequencies for periods, which descend from the first mode to the last."""
+    if len(reading.modes) > 1:
+        yield Repair(
+            "periods",
+            "the frequencies are periods",
+            "write 1 / period as the frequencies, and the modes in the opposite order",
+            replace(
+                reading, log_frequencies=-reading.log_frequencies[::-1], frequency_noise=reading.frequency_noise[::-1],
+                shapes=reading.shapes[::-1], noise=reading.noise[::-1],
+            ),
+            1,
+        )  # fmt: skip
 
 
 def drifts(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
@@ -265,6 +302,7 @@ def entry_signs(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
 KINDS: tuple[Callable[[Reading, Sequence[Modes]], Iterator[Repair]], ...] = (
     transposed,
     floors_from_top,
+    periods,
     drifts,
     other_floors,
     other_units,

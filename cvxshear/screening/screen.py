@@ -23,7 +23,18 @@ from cvxshear.measurement.declaration import NUMBERS
 from cvxshear.measurement.experiment import Configuration, Measurement, opened
 from cvxshear.measurement.reading import Reading, violations
 from cvxshear.screening.doubts import DOUBT_CHECKS, Finding, frequency_units, total_mass
-from cvxshear.screening.repairs import KINDS, Repair
+from cvxshear.screening.declared_masses import masses_declared
+from cvxshear.screening.repairs import (
+    FITTED,
+    KINDS,
+    LEFT_TO_GIVEN,
+    MISTAKEN,
+    REFITTED,
+    RIVAL_COST,
+    SUSPICIOUS,
+    UNEXPLAINED,
+    Repair,
+)
 from cvxshear.screening.shear_fit import (
     ROUGH_STEPS,
     TALLEST_FITTED,
@@ -48,30 +59,8 @@ if TYPE_CHECKING:
 SHOWN_MODES = 3
 """Modes of impossible signs that a finding lists."""
 
-MISTAKEN = 1e-2
-"""Probability that a configuration has a mistake of one kind: one file in a hundred."""
-
-LEFT_TO_GIVEN = 1e-3
-"""Probability of a reading as given, relative to that of its best repair, below which it is refused: a wrong refusal
-costs more than a mistake that is only suspected."""
-
-SUSPICIOUS = 25.0
-"""Cost of a reading as given below which no repair can be that much more probable: it needs 2 log of 1e5."""
-
-RIVAL_COST = 9.0
-"""Difference of costs up to which a repair is named with the best one: at least a hundredth as probable."""
-
 PLAUSIBLE = 4.0
 """Cost a datum up to which a repair explains the reading."""
-
-UNEXPLAINED = 0.25
-"""Share of the cost as given that a repair may leave at most, where that is more."""
-
-FITTED = 6
-"""Repairs of the least misfit to each reference frame that are fitted."""
-
-REFITTED = 6
-"""Repairs, the best of those fitted, that are fitted again with each tolerance."""
 
 FAR_DATUM = 3.5
 """Standard deviations, the smaller tolerance included, below which no datum of a reading counts as wrong."""
@@ -136,7 +125,7 @@ def screen(experiment: Measurement) -> tuple[Finding, ...]:
     experiment = opened(experiment)
     found = [*frequency_units(experiment), *(item for each in experiment.configurations for item in mistakes(each))]
     # Frequencies and shapes that are wrong tell no mass.
-    for doubt in DOUBT_CHECKS if found else (total_mass, *DOUBT_CHECKS):
+    for doubt in DOUBT_CHECKS if found else (total_mass, masses_declared, *DOUBT_CHECKS):
         said = {item.name for item in found}
         found += [item for item in doubt(experiment) if item.name not in said]
     return tuple(item for item in found if not item.accepted(experiment.frame.accept))

@@ -93,6 +93,11 @@ class NearestFrame:
         return modes_at(self.theta)
 
 
+def usual_width(stories: int) -> Floats:
+    """Standard deviations of the logarithms of masses and stiffnesses about typical ones, shape (2N,)."""
+    return np.repeat([MASS_WIDTH, STIFFNESS_WIDTH], stories)
+
+
 def modes_of(mass: Floats, stiffness: Floats) -> Modes:
     """Modes of a frame of these floor masses and story stiffnesses."""
     return modes(mass_matrix(mass), stiffness_matrix(stiffness))
@@ -234,16 +239,29 @@ class ShearFrames:
     readings : sequence of (Reading, ndarray, ndarray)
         Each with its added mass, shape (N,), kg, and the weights of its entries, shape (m, n).
     centred : bool, optional
-        Whether masses are compared with their mean, and not with 1 kg: where the added masses fix their scale.
+        Whether masses are compared with their mean, and not with what is expected: where the added masses fix their
+        scale.
+    expected, width : ndarray, shape (2N,), optional
+        Logarithms of masses and stiffnesses that are expected, the stiffnesses up to a factor, and their standard
+        deviations; even floors of 1 kg and even stories, with the widths of the loop, where not given.
     """
 
-    def __init__(self, readings: Sequence[tuple[Reading, Floats, Floats]], *, centred: bool = False) -> None:
+    def __init__(
+        self,
+        readings: Sequence[tuple[Reading, Floats, Floats]],
+        *,
+        centred: bool = False,
+        expected: Floats | None = None,
+        width: Floats | None = None,
+    ) -> None:
         self.readings = readings
         self.stories = N = readings[0][0].stories
+        self.expected = np.zeros(2 * N) if expected is None else expected
         about_mean = np.eye(N) - np.full((N, N), 1 / N)
         self.prior = np.zeros((2 * N, 2 * N))
-        self.prior[:N, :N] = (about_mean if centred else np.eye(N)) / MASS_WIDTH
-        self.prior[N:, N:] = about_mean / STIFFNESS_WIDTH
+        self.prior[:N, :N] = about_mean if centred else np.eye(N)
+        self.prior[N:, N:] = about_mean
+        self.prior /= (usual_width(N) if width is None else width)[:, None]
 
     def nearest(self, start: Floats, most_steps: int = MOST_NEAREST_STEPS) -> NearestFrame:
         """Fit a frame by Gauss-Newton from these logarithms, shape (2N,)."""
@@ -283,7 +301,7 @@ class ShearFrames:
                 d_shape = scale[:, None] * weights * dphi[:, :, reading.floors]
                 d_shape -= unit * np.sum(unit * d_shape, axis=2, keepdims=True)
                 slopes.append(d_shape.reshape(len(value), -1))
-        r = np.concatenate([*residuals, self.prior @ theta])
+        r = np.concatenate([*residuals, self.prior @ (theta - self.expected)])
         if not derivatives:
             return PlainResiduals(r, np.zeros((0, len(theta))))
         return PlainResiduals(r, np.concatenate([(np.concatenate(slopes, axis=1) * value[:, None]).T, self.prior]))

@@ -254,6 +254,13 @@ def test_state_mass(e):
     assert_same(modes_with([there], e, number=0), sway_modes(building(0)))
 
 
+@pytest.mark.parametrize("number", [0, 1])
+def test_floor_mass_is_there_in_every_state(number):
+    frame = building(number)
+    heavier = replace(frame, floor_mass=frame.floor_mass + 1.7 * (np.arange(frame.stories) == 2))
+    assert_same(modes_with([placed("floor_mass", floor=3)], 1.7, number=number), sway_modes(heavier))
+
+
 @pytest.mark.parametrize("e", [-0.1, 0.02, 0.3])
 def test_load_scale(e):
     added = building(1).floor_mass - building(0).floor_mass

@@ -35,9 +35,11 @@ BESIDE_OTHERS = ["bracing"]
 """What changes a matrix only beside another effect."""
 WITH_A_MOTION = ["attached_mass"]
 """What has two parameters and a motion of its own."""
+OF_FLOORS = ["floor_mass"]
+"""What needs masses that are declared floor by floor."""
 OF_STATEMENTS = ["total_mass", "wrong_prior"]
 """What changes a statement about the frame, and no matrix."""
-ALL = [*ACTING, *BESIDE_OTHERS, *WITH_A_MOTION, *OF_STATEMENTS]
+ALL = [*ACTING, *BESIDE_OTHERS, *WITH_A_MOTION, *OF_FLOORS, *OF_STATEMENTS]
 UNITS = {
     "gravity": [("gamma", "")],
     "joint_rotation": [("eta", "")],
@@ -53,6 +55,7 @@ UNITS = {
     "state_stiffness": [("e", "")],
     "state_mass": [("e", "")],
     "load_scale": [("e", "")],
+    "floor_mass": [("mass", "kg")],
     "joint_release": [("rho", ""), ("loss", "")],
     "bracing": [("beta", "")],
     "wrong_prior": [],
@@ -62,7 +65,7 @@ NEVER_NEGATIVE = [
     "bracing",
 ]  # fmt: skip
 EITHER_SIGN = [
-    "added_mass", "sensor_gain", "story_change", "state_stiffness", "state_mass", "load_scale",
+    "added_mass", "sensor_gain", "story_change", "state_stiffness", "state_mass", "load_scale", "floor_mass",
 ]  # fmt: skip
 SEVERAL_STATES = ["added_mass", "story_change", "state_stiffness", "state_mass", "joint_release"]
 RATIOS_OF_HEIGHTS = ["joint_rotation", "axial_columns", "base_rocking", "joint_release"]
@@ -193,6 +196,7 @@ def test_any_other_value_does_not(name):
         ("state_stiffness", [Place(state=name) for name in NAMES]),
         ("state_mass", [Place(state=name) for name in NAMES]),
         ("load_scale", [Place()]),
+        ("floor_mass", [Place(floor=floor) for floor in FOUR]),
         ("joint_release", [Place(floor=floor, state=name) for floor in range(5) for name in NAMES]),
         ("bracing", [Place()]),
     ],
@@ -222,6 +226,7 @@ def test_what_is_looked_for_only_where_it_could_be_told():
     two = experiment()
     unknown = dataclasses.replace(two, frame=Frame(stories=4))
     assert one("load_scale").lacks(unknown) == "total_mass or floor_masses"
+    assert one("floor_mass").lacks(two) == "floor_masses"
     low = Experiment.from_dict(
         {"frame": {"stories": 2, "total_mass": 4.0}, "configuration": [{"name": "one", "frequencies": [1.0]}]}
     )
@@ -472,6 +477,7 @@ SAID = [
     ("state_stiffness", {"state": "after"}, -0.0909, 0.005, 'all stories of "after" are 9.09 ± 0.50 % softer'),
     ("state_mass", {"state": "after"}, 0.1, 0.005, 'all floors of "after" are 10.00 ± 0.50 % heavier'),
     ("load_scale", {}, -0.1, 0.01, "the added masses are 10.0 ± 1.0 % lighter than declared"),
+    ("floor_mass", {"floor": 2}, 300.0, 20.0, "floor 2 is 300 ± 20 kg heavier than declared"),
     ("total_mass", {}, 0.07, 0.01, "the frame is 7.0 ± 1.0 % heavier than its declared total mass"),
     ("bracing", {}, 0.4, 0.02, "braces make up 40.0 ± 2.0 % of the stiffness of every story"),
     # One hinged end of two columns: the stiffness 1 - (rho / 4) / (1 + 2 rho / 3) of each.

@@ -22,6 +22,7 @@ CASES = {
     "state_stiffness": (placed("state_stiffness", state="loaded"), -0.12),
     "state_mass": (placed("state_mass", state="loaded"), 0.15),
     "load_scale": (placed("load_scale"), -0.1),
+    "floor_mass": (placed("floor_mass", floor=3), 1.2),
     "joint_release": (placed("joint_release", floor=2, state="loaded"), (0.6, 0.1)),
     "bracing": (placed("bracing"), 0.2),
 }
@@ -39,6 +40,7 @@ SCALES = {
     "state_stiffness": 1.0,
     "state_mass": 1.0,
     "load_scale": 1.0,
+    "floor_mass": 1.0,
     "joint_release": 1.0,
     "bracing": 1.0,
 }

@@ -105,6 +105,8 @@ def test_the_total_implied_by_added_masses_is_the_frames():
         ([3.5, 6.6, 9.7], ["elevations"]),
         ([4.0, 3.0, 3.0], []),
         ([3.0, 3.2, 3.4], []),
+        ([4.5, 7.5, 10.5], ["elevations"]),
+        ([6.0, 7.5, 9.0], []),
     ],
 )
 def test_heights_that_are_added_up_are_asked_about(heights, names):

@@ -1,0 +1,235 @@
+"""Floor masses, design values and added masses that the shapes contradict: one wrong, one on another floor, an order.
+
+The configurations of one state are compared with the nearest shear frame whose masses are as declared, and again after
+each single change of the declaration. As for the modes themselves (`screen`) a change is named by its odds: the cost
+of each fit, minus twice the logarithm of its likelihood, with the tolerance that suits it best, and
+
+    2 log (K / q) + 2 log (sigma_0 / sigma)
+
+for a change that can be made at K places in a share q of all files, and that estimates a mass expected within sigma_0
+to within sigma (Occam's factor of the Laplace approximation).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.measurement.reading import CLOSER, FARTHER, Reading
+from cvxshear.priors import Nominal
+from cvxshear.screening.doubts import Finding
+from cvxshear.screening.repairs import LEFT_TO_GIVEN, MISTAKEN, REFITTED, RIVAL_COST, SUSPICIOUS, UNEXPLAINED
+from cvxshear.screening.shear_fit import (
+    MOST_NEAREST_STEPS,
+    ROUGH_STEPS,
+    TALLEST_FITTED,
+    NearestFrame,
+    ShearFrames,
+    modes_of,
+    usual_width,
+)
+from cvxshear.util.quantities import quantity
+from cvxshear.util.typing import Floats
+
+EXACT = 0.003
+"""Standard deviation of the logarithm of a floor mass that is declared exactly: a few bolts more or less."""
+
+SLIP = 0.5
+"""Standard deviation of the logarithm of a floor mass of which only the declared value is wrong: a factor 1.6."""
+
+
+@dataclass(frozen=True, eq=False)
+class Declared:
+    """Masses, and design values of stiffnesses, as declared or changed.
+
+    Parameters
+    ----------
+    expected, width : ndarray, shape (2N,)
+        Logarithms of masses and stiffnesses and their standard deviations.
+    added : tuple of ndarray, shape (N,)
+        Added mass of each configuration, kg.
+    name, found, change : str
+        Of the mistake, which is mended here, and what to change: parts of sentences; empty for what was declared.
+    choices : int
+        Among how many of its kind it is one.
+    estimated : int, optional
+        The floor, from 0, whose mass is estimated.
+    """
+
+    expected: Floats
+    width: Floats
+    added: tuple[Floats, ...]
+    name: str = ""
+    found: str = ""
+    change: str = ""
+    choices: int = 0
+    estimated: int | None = None
+
+    @property
+    def prior_cost(self) -> float:
+        """Minus twice the logarithm of the odds that it is what happened."""
+        return 2 * float(np.log(self.choices / MISTAKEN)) if self.choices else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Masses as declared or changed, and the frame nearest to the readings with them."""
+
+    declared: Declared
+    frame: NearestFrame
+    cost: float
+
+
+def masses_declared(experiment: Experiment) -> Iterator[Finding]:
+    """Find a mistake in the masses, by the configurations of the state that has most of them."""
+    states: dict[str, list[Configuration]] = {}
+    for each in experiment.configurations:
+        if each.measured.any():
+            states.setdefault(each.state, []).append(each)
+    if not states or experiment.frame.total_mass_placeholder or experiment.stories > TALLEST_FITTED:
+        return
+    tests = max(states.values(), key=len)
+    declared = _declared(experiment, tests)
+    others = () if declared is None else tuple(_changes(experiment, tests, declared))
+    if declared is None or not others:
+        return
+    readings = [Reading.of(each) for each in tests]
+    given = _fitted(readings, declared, [np.zeros(experiment.stories), np.linspace(0.0, -1.0, experiment.stories)])
+    if given.cost < SUSPICIOUS:
+        return
+    begin = [given.frame.theta[experiment.stories :]]
+    rough = [(_nearest(readings, each, begin, ROUGH_STEPS).cost + each.prior_cost, each) for each in others]
+    rough.sort(key=lambda item: item[0])
+    fitted = sorted((_fitted(readings, each, begin) for _, each in rough[:REFITTED]), key=lambda item: item.cost)
+    best = fitted[0]
+    if best.frame.cost > UNEXPLAINED * given.cost or best.cost - given.cost > 2 * np.log(LEFT_TO_GIVEN):
+        return
+    named = [item for item in fitted if item.cost - best.cost < RIVAL_COST]
+    names = list(dict.fromkeys(item.declared.name for item in named))
+    yield Finding(
+        names[0],
+        None,
+        f"{' or '.join(item.declared.found.format(*_estimated(item)) for item in named)}: with the masses as declared "
+        f"the nearest frame is {np.sqrt(given.frame.cost):.0f} standard deviations from the modes, with the change "
+        f"{np.sqrt(best.frame.cost):.0f}",
+        f"{'One of: ' if len(named) > 1 else ''}{'; or '.join(item.declared.change for item in named)}",
+        refuses=names[0] == "masses_from_top",
+        rivals=tuple(names[1:]),
+    )
+
+
+def _declared(experiment: Experiment, tests: Sequence[Configuration]) -> Declared | None:
+    """Read off what is declared, even floors where only the total is; None where nothing says how heavy they are."""
+    N, frame = experiment.stories, experiment.frame
+    expected, width = np.zeros(2 * N), usual_width(N)
+    known = frame.known_total is not None
+    if frame.known_total is not None:
+        expected[:N] = np.log(frame.known_total / N)
+    for prior in experiment.priors:
+        if isinstance(prior, Nominal) and prior.quantity in ("floor_mass", "story_stiffness"):
+            part = slice(0, N) if prior.quantity == "floor_mass" else slice(N, 2 * N)
+            values = np.log(prior.values)
+            # Values up to a factor keep the scale that the total gives.
+            expected[part] = values + np.mean(expected[part] - values) if prior.free_scale else values
+            width[part] = EXACT if prior.std is None else prior.std
+            known |= prior.quantity == "floor_mass" and not prior.free_scale
+    if frame.floor_masses is not None:
+        expected[:N], width[:N] = np.log(frame.floor_masses), EXACT
+    return Declared(expected, width, tuple(each.added_mass for each in tests)) if known else None
+
+
+def _changes(experiment: Experiment, tests: Sequence[Configuration], declared: Declared) -> Iterator[Declared]:
+    """Every single change of the declaration that can mend it."""
+    N = experiment.stories
+    for part, key, place in ((slice(0, N), "floor masses", "floor"), (slice(N, 2 * N), "stiffnesses", "story")):
+        values = declared.expected[part]
+        if np.ptp(values) > 0:
+            turned = declared.expected.copy(), declared.width.copy()
+            for old, new in zip((declared.expected, declared.width), turned, strict=True):
+                new[part] = old[part][::-1]
+            yield dataclasses.replace(
+                declared, expected=turned[0], width=turned[1], name="masses_from_top",
+                found=f"the {key} are listed from the top", change=f"list them from the lowest {place} up", choices=1,
+            )  # fmt: skip
+    for floor in range(N if experiment.frame.floor_masses is not None else 0):
+        width = np.where(np.arange(2 * N) == floor, SLIP, declared.width)
+        yield dataclasses.replace(
+            declared, width=width, name="floor_mass", estimated=floor, choices=N,
+            found=f"floor {floor + 1} weighs {{0}} (give or take {{1:.0f}} %) where {{2}} are declared",
+            change=f"check entry {floor + 1} of floor_masses",
+        )  # fmt: skip
+    if len(tests) < 2 or all(np.array_equal(each, declared.added[0]) for each in declared.added):
+        return
+    from_top = tuple(each[::-1] for each in declared.added)
+    if any(not np.array_equal(*pair) for pair in zip(from_top, declared.added, strict=True)):
+        yield dataclasses.replace(
+            declared, added=from_top, name="added_mass", choices=1,
+            found="the added masses are listed from the top", change="list added_mass from the lowest floor up",
+        )  # fmt: skip
+    loads = [(test, floor) for test, mass in enumerate(declared.added) for floor in np.flatnonzero(mass)]
+    for (test, floor), other in itertools.product(loads, range(N)):
+        mass = declared.added[test].copy()
+        if mass[other]:
+            continue
+        mass[other], mass[floor] = mass[floor], 0.0
+        name = tests[test].name
+        yield dataclasses.replace(
+            declared, added=(*declared.added[:test], mass, *declared.added[test + 1 :]), name="added_mass",
+            found=f'the {quantity(mass[other], "kg", 3)} of "{name}" lay on floor {other + 1} and not on {floor + 1}',
+            change=f'check the floors and sizes in added_mass of "{name}"', choices=len(loads) * (N - 1),
+        )  # fmt: skip
+
+
+def _nearest(
+    readings: Sequence[Reading], declared: Declared, stiffness: Sequence[Floats], most_steps: int
+) -> NearestFrame:
+    """Fit a frame from the declared masses and these logarithms of stiffnesses, shape (N,)."""
+    problem = ShearFrames(
+        [(reading, mass, reading.weights) for reading, mass in zip(readings, declared.added, strict=True)],
+        expected=declared.expected,
+        width=declared.width,
+    )
+    first, N = readings[0], readings[0].stories
+    fits = []
+    for start in stiffness:
+        mass = declared.expected[:N]
+        found = modes_of(np.exp(mass) + declared.added[0], np.exp(start))
+        scale = 2 * np.mean(first.log_frequencies - np.log(found.frequencies[first.modes]))
+        fits.append(problem.nearest(np.concatenate([mass, start + scale]), most_steps))
+    return min(fits, key=lambda item: item.cost)
+
+
+def _fitted(readings: Sequence[Reading], declared: Declared, stiffness: Sequence[Floats]) -> Fitted:
+    """Fit with each tolerance and take the best by the likelihood, as `shear_fit.distance` does for one reading."""
+    fits = []
+    for part in (1.0, CLOSER, FARTHER):
+        each = [dataclasses.replace(reading, part=part) for reading in readings]
+        near = _nearest(each, declared, stiffness, MOST_NEAREST_STEPS)
+        fits.append((near.cost + sum(reading.certainty_lost() for reading in each), near))
+        stiffness = [near.theta[len(declared.expected) // 2 :]]
+    cost, near = min(fits, key=lambda item: item[0])
+    found = Fitted(declared, dataclasses.replace(near, cost=cost), cost + declared.prior_cost)
+    if declared.estimated is None or near.at is None:
+        return found
+    return dataclasses.replace(found, cost=found.cost + 2 * np.log(declared.width[declared.estimated] / _std(found)))
+
+
+def _std(found: Fitted) -> float:
+    """Standard deviation of the logarithm of the estimated mass."""
+    at, floor = found.frame.at, found.declared.estimated
+    assert at is not None and floor is not None, "only an estimated mass has one"
+    return float(np.sqrt(np.linalg.pinv(at.J.T @ at.J)[floor, floor]))
+
+
+def _estimated(found: Fitted) -> tuple[str, float, str] | tuple[()]:
+    """The estimated mass, its deviation in percent and what was declared; nothing where none is estimated."""
+    floor = found.declared.estimated
+    if floor is None:
+        return ()
+    value, said = (float(np.exp(each[floor])) for each in (found.frame.theta, found.declared.expected))
+    return quantity(value, "kg", 3), 100 * _std(found), quantity(said, "kg", 3)
