@@ -14,6 +14,8 @@ from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from tests.outside import simulated
 
 N = 5
+SEEDS = (25, 27, 30)
+"""Of frames whose first fit leads to another minimum than that of the frame that changed."""
 SCALE = Scale(10.0, 2e4, np.ones(N))
 
 
@@ -81,9 +83,7 @@ def test_the_derivatives_of_an_open_class(effect):
     theta = np.concatenate([mass, stiffness, own])
     J = misfit.evaluate(theta).J
     for _ in range(2):
-        d = rng.standard_normal(len(theta)) * np.concatenate(
-            [mass, stiffness, np.ones(len(own)) * bound.sizes(SCALE)]
-        )
+        d = rng.standard_normal(len(theta)) * np.concatenate([mass, stiffness, np.ones(len(own)) * bound.sizes(SCALE)])
         step = 1e-6
         # The scale of a shape leaves a part of the derivative out that is orthogonal to the residual.
         up, down = (misfit.evaluate(theta + sign * step * d) for sign in (1, -1))
@@ -146,6 +146,23 @@ def test_a_state_that_is_softer_or_heavier_is_a_twin_where_no_mass_tells():
     assert closure.next_test.state == "after"
 
 
+@pytest.mark.parametrize("scaled", [False, True])
+def test_a_mass_scale_in_every_state_leaves_nothing_to_take_for_granted(scaled):
+    """One story softer: shapes of unit modal mass tell heavier floors from softer stories, other shapes do not."""
+    rng, mass, stiffness = frame(11)
+    tables = []
+    for name, k in (("before", stiffness), ("after", stiffness * [1.0, 1.0, 0.85, 1.0, 1.0])):
+        found = modes(mass_matrix(mass), stiffness_matrix(k))
+        shapes = found.shapes * np.exp(0.003 * rng.standard_normal((N, N)))
+        tables.append({
+            "name": name, "frequency_std": 0.0005, "mode_shapes": shapes.tolist(), "mode_shape_std": 0.005,
+            "frequencies": (found.frequencies * np.exp(0.0005 * rng.standard_normal(N))).tolist(),
+        } | ({"mass_normalized": True} if scaled else {}))  # fmt: skip
+    closure = loop(tables, mass.sum(), reference="before")
+    assert [(item.placed.effect.name, item.placed.place.story) for item in closure.effects] == [("story_change", 3)]
+    assert any("heavier" in sentence for sentence in closure.rests_on) is not scaled
+
+
 @pytest.mark.parametrize("cause", ["state_stiffness", "state_mass"])
 def test_a_known_added_mass_in_that_state_tells(cause):
     rng, mass, stiffness = frame(5)
@@ -189,6 +206,30 @@ def test_frequencies_alone_name_a_loss_and_the_mass_that_is_its_dual():
     }
     assert {("story_change", 2), ("added_mass", 2)} <= named_ones
     assert closure.verdict == "ambiguous"
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_no_frame_far_from_the_first_fit_is_overlooked(seed):
+    """Bare and with a known mass: one story softer, seen in frequencies alone, fits at least as well as the truth."""
+    rng, mass, stiffness = frame(seed, n=6)
+    softer = stiffness * np.where(np.arange(6) == seed % 6, 0.8, 1.0)
+    load = 1.5 * np.eye(6)[5]
+    tests = [("before", stiffness, 0 * load), ("after", softer, 0 * load), ("after, loaded", softer, load)]
+    tables = [
+        measured_in(mass, k, rng, name=name, state=name[:5], added=added, shapes=False) for name, k, added in tests
+    ]
+    truth = (
+        sum(
+            np.sum((modes(mass_matrix(mass + added), stiffness_matrix(k)).frequencies / table["frequencies"] - 1) ** 2)
+            for (_, k, added), table in zip(tests, tables, strict=True)
+        )
+        / 0.001**2
+    )
+    closure = loop(tables, mass.sum(), reference="befor")
+    sets = {tuple(placed.label for placed in item.effects): item.chi2 for item in closure.models}
+    assert len(sets) == len(closure.models)
+    assert sets[f'story change at story {seed % 6 + 1} of "after"',] < truth + 0.1
+    assert all(item.probability < 0.95 for item in closure.effects if item.placed.place.story != seed % 6 + 1)
 
 
 def test_a_prior_that_does_not_hold_is_named():

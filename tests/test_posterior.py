@@ -46,6 +46,25 @@ def test_probabilities_are_those_of_the_scores():
     assert of.verdict_set() == {A}
 
 
+def test_the_deviation_of_an_effect_holds_the_scatter_between_its_sets():
+    """A in two sets, 0.12 +- 0.003 and 0.10 +- 0.004 at 3 to 1: about the first, mean squares; a set without A counts
+    for nothing."""
+
+    def fitted(value, std):
+        return SimpleNamespace(
+            theta=np.array([value]), std=np.array([std]), own=lambda placed: slice(0, 1), chi2=1.0, dof=1,
+            expected_frame=None,
+        )  # fmt: skip
+
+    near, far = fitted(0.12, 0.003), fitted(0.10, 0.004)
+    models = [
+        ModelClass(frozenset(effects), estimate, float(np.log(probability)), 0.0)
+        for effects, estimate, probability in (([A], near, 0.6), ([A, B], far, 0.2), ([C], fitted(9.0, 1.0), 0.2))
+    ]
+    (found,) = posterior(*models).deviations_about(near, A)
+    assert found == pytest.approx(np.sqrt(0.75 * 0.003**2 + 0.25 * (0.004**2 + 0.02**2)))
+
+
 def test_sets_that_were_not_fitted_take_no_part():
     failed = ModelClass(frozenset({B}), None, -np.inf, 0.0, NoSolutionError("any", "it gave up"))
     of = posterior(model([A], 0.75), model([], 0.25), failed)

@@ -28,7 +28,7 @@ LONGEST_TITLE = 31
 LONGEST_CELL = 32_767
 """Letters that a cell may have (Excel)."""
 
-INFLATED = 20
+MOST_INFLATED = 20
 """Times the limit of a file that its parts may have once inflated: workbooks of numbers shrink to about a tenth."""
 
 WIDEST = 28
@@ -133,8 +133,8 @@ def read_xlsx_rows(path: str | Path, limit: float, remedy: str) -> list[tuple[in
     try:
         with zipfile.ZipFile(content) as archive:
             inflated = sum(each.file_size for each in archive.infolist())
-        if inflated > INFLATED * limit:
-            raise InputError(f"{path!s} inflates to more than {INFLATED * limit / MEGABYTE:g} MB; {remedy}")
+        if inflated > MOST_INFLATED * limit:
+            raise InputError(f"{path!s} inflates to more than {MOST_INFLATED * limit / MEGABYTE:g} MB; {remedy}")
         book = openpyxl.load_workbook(content, read_only=True, data_only=True)
         found = [list(row) for row in book.worksheets[0].iter_rows(values_only=True)]
     except InputError:

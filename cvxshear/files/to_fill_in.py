@@ -145,7 +145,7 @@ GROUND = re.compile(
     r"ground|base\b|basement|table|platform|input|boden|tisch\b|fundament|sol\b|floor ?0\b|\bg[lf]\b", re.IGNORECASE
 )
 FORCE = re.compile(r"force|hammer|impact|shaker|load ?cell|kraft", re.IGNORECASE)
-ROOF = re.compile(r"roof|\btop\b|\brfl?\b|dach|toit", re.IGNORECASE)
+ROOF = re.compile(r"roof|\btop\b|(?:^|[^a-z])rfl?(?:$|[^a-z])|dach|toit", re.IGNORECASE)
 NO_MOTION = re.compile(
     r"temp|humid|batt|status|comment|\bsample|\bindex\b|\bcount|\bn[or]\b\.?$|\bdat(?:e|um)\b", re.IGNORECASE
 )
@@ -198,6 +198,8 @@ class Guess:
     axis : str
     said : str
         The unit as the file spells it, where it is not one of `CHANNEL_UNITS`.
+    why : str
+        What else the floor follows from, and what it would be otherwise.
     """
 
     column: str
@@ -207,6 +209,7 @@ class Guess:
     sure: bool
     axis: str
     said: str = ""
+    why: str = ""
 
 
 def record_template(data: str | Path | Sequence[str | Path], folder: str | Path = ".") -> str:
@@ -278,7 +281,11 @@ def record_template(data: str | Path | Sequence[str | Path], folder: str | Path 
 
 def _runs(files: Sequence[Path], folder: str | Path, kind: str, hit: int) -> str:
     """Write a table for each file of a record."""
-    where = f"\ninput_floor = {hit}  # GUESSED: the floor that was hit in this file" if kind == "force" else ""
+    where = (
+        f"\ninput_floor = {hit}  # GUESSED, no file says it: the floor that was hit in this file: CHECK"
+        if kind == "force"
+        else ""
+    )
     return "".join(f"\n[[run]]\n{toml_line('file', os.path.relpath(each, folder))}{where}\n" for each in files)
 
 
@@ -349,7 +356,7 @@ def _guesses(columns: Columns, names: Sequence[str]) -> list[Guess]:
         unit, said = _unit(columns, name)
         bare = ENDING.sub("", BRACKETED.sub("", name))
         force = bool(FORCE.search(bare)) or (unit in CHANNEL_UNITS and CHANNEL_UNITS[unit][0] == "force")
-        ground = not force and bool(GROUND.search(bare))
+        ground = not force and bool(GROUND.search(bare) or BASEMENT.search(bare))
         number = NUMBER.findall(bare)
         axis = AXIS.search(bare)
         floor = 0 if ground else int(number[-1]) if number and 0 < int(number[-1]) < 200 else -1
@@ -358,6 +365,7 @@ def _guesses(columns: Columns, names: Sequence[str]) -> list[Guess]:
             Guess(name, unit if unit in CHANNEL_UNITS else None, role, floor, floor >= 0,
                   (axis[1] or axis[2]).lower() if axis else "x", "" if unit in CHANNEL_UNITS else said)
         )  # fmt: skip
+    found = _as_in_japan(found)
     # Columns without a number stand in order on the floors that no number says; a roof above all others.
     named = {each.floor for each in found if each.role == "floor"}
     free = iter(sorted(set(range(1, len(found) + max({0, *named}) + 1)) - named))
@@ -371,15 +379,40 @@ def _guesses(columns: Columns, names: Sequence[str]) -> list[Guess]:
     return sorted(result, key=lambda each: names.index(each.column))
 
 
+def _as_in_japan(found: Sequence[Guess]) -> list[Guess]:
+    """Count 2F as the first floor above ground where 1F or a basement stands for the ground, and no other column."""
+    called = [NTH_FLOOR.search(BRACKETED.sub("", each.column)) if each.role == "floor" else None for each in found]
+    numbers = [int(each[1] or each[2]) if each else 0 for each in called]
+    basement = [bool(each.role == "ground" and BASEMENT.search(each.column)) for each in found]
+    grounds = [each for each in found if each.role == "ground"]
+    roof = any(ROOF.search(each.column) for each in found)
+    at_ground = numbers.count(1) == 1 and roof and not grounds
+    if not any(numbers) or not (at_ground or (len(grounds) == 1 and any(basement) and 1 not in numbers)):
+        return [
+            dataclasses.replace(each, why=f"; {number - 1} where 1F is at the ground, as in Japan")
+            if number > 1
+            else each
+            for each, number in zip(found, numbers, strict=True)
+        ]
+    return [
+        each if not number
+        else dataclasses.replace(each, role="ground", floor=0, why=" (1F, as in Japan; 1 where it is above ground)")
+        if number == 1
+        else dataclasses.replace(each, floor=number - 1, why=f", counted as in Japan; {number} if 1F is above ground")
+        for each, number in zip(found, numbers, strict=True)
+    ]  # fmt: skip
+
+
 def _channel(guess: Guess, hit: int, *, several: bool) -> str:
     lines = ["", "[[channel]]", toml_line("column", guess.column)]
     if guess.role == "force":
-        lines += [f"floor = {hit}  # GUESSED: where the force acts", 'quantity = "force"  # GUESSED from the header']
+        sure = "from the name" if guess.sure and guess.floor > 0 else "as the top, no name says where the force acts"
+        lines += [f"floor = {hit}  # GUESSED {sure}: CHECK", 'quantity = "force"  # GUESSED from the header']
     elif guess.role == "ground":
-        lines.append("floor = 0  # GUESSED from the name: the ground")
+        lines.append(f"floor = 0  # GUESSED from the name: the ground{guess.why}")
     else:
         roof = "name: above the others" if ROOF.search(guess.column) else "order of the columns"
-        lines.append(f"floor = {guess.floor}  # GUESSED from the {'name' if guess.sure else roof}")
+        lines.append(f"floor = {guess.floor}  # GUESSED from the {'name' if guess.sure else roof}{guess.why}")
     if guess.unit is not None:
         lines.append(f'unit = "{guess.unit}"  # GUESSED from the header')
     else:

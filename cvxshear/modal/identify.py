@@ -76,7 +76,7 @@ def identify_modes(
     method : str, optional
         "era": eigensystem realization on impulse responses, from hits, frequency response functions or free
         decays. "okid": the same on the Markov parameters of an observer, for measured continuous input.
-        "subspace": PO-MOESP for the same. "ssi": covariance-driven, for ambient records. What suits the
+        "subspace": instruments of the past, for the same. "ssi": covariance-driven, for ambient records. What suits the
         input where None.
     blocks : int, optional
         Pieces of a continuous record for the jackknife.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.modal import from_arrays, identify_modes
+from cvxshear.modal import ModalResult, from_arrays, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, base_record, hammer_record, shaker_record
 from cvxshear.report import figures
 from cvxshear.report.figures.drawn_shapes import mode_shapes
@@ -158,3 +158,8 @@ def test_labels_on_either_side_of_zero_are_few(largest):
     assert ticks == [-tick for tick in reversed(ticks)]
     assert 3 <= len(ticks) <= 5
     assert min(tick for tick in ticks if tick > 0) == 10.0
+
+
+def test_the_first_figure_of_a_record_is_its_stabilization_diagram():
+    """It is what a file named without a kind gets; a report shows the others in this order."""
+    assert list(figures.figures_of(ModalResult)) == ["stabilization", "functions", "coherence", "shapes", "mac"]

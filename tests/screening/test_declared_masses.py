@@ -12,9 +12,7 @@ from tests.frames import configuration, experiment
 
 def floor_masses_declared(effect=None, stories=5, configurations=2, seed=3):
     """A measurement file with the true floor masses in place of their total, and these."""
-    declared, truth = simulated(
-        effect, stories=stories, configurations=configurations, rng=np.random.default_rng(seed)
-    )
+    declared, truth = simulated(effect, stories=stories, configurations=configurations, rng=np.random.default_rng(seed))
     del declared["frame"]["total_mass"]
     declared["frame"]["floor_masses"] = truth["floor_mass"].tolist()
     return declared, truth["floor_mass"]

@@ -1,30 +1,24 @@
-"""Mode shapes drawn: measured beside those of a model, those of records, and their modal assurance criteria."""
+"""Measured mode shapes beside those of a model, at all floors and in one scale, as data and as displaced frames."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
 
 from cvxshear.data import Model, Shapes
-from cvxshear.data.pairing import mac as mac_of
+from cvxshear.data.pairing import mac
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import Closure
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.methods import Identification
-from cvxshear.modal import ModalResult
-from cvxshear.records.mode_shapes import scaled_to_one
 from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_frame import elevations
 from cvxshear.report.figures.figure_table import figure
-from cvxshear.util.quantities import percents
 from cvxshear.util.typing import Floats, Ints
 
 
@@ -131,7 +125,7 @@ def _mac(experiment: Experiment, name: str, modelled: Floats) -> Floats:
     for row, (shape, known) in enumerate(zip(configuration.mode_shapes, configuration.measured, strict=True)):
         if known.sum() >= 2:
             measured = shape[known] / np.max(np.abs(shape[known]))
-            table[row] = [mac_of(measured, each[known]) if each[known].any() else 0.0 for each in model]
+            table[row] = [mac(measured, each[known]) if each[known].any() else 0.0 for each in model]
     return table
 
 
@@ -219,166 +213,3 @@ def _legend(*, changed: bool) -> list[Line2D]:
         Line2D([], [], label=first, **SHEAR),
         Line2D([], [], color=style.AFTER, lw=1.6, label="with effects" if changed else "shear model"),
     ]
-
-
-MOST_NUMBERED = 8
-"""Modes up to which the cells hold their numbers."""
-
-MAC_ROUNDING = 1e-12
-"""What a MAC of two shapes that are the same lacks of 1 by rounding."""
-
-
-@figure(
-    "mac",
-    Closure,
-    Identification,
-    title="Measured and modelled modes",
-    caption="The modal assurance criterion (1 for the same shape, 0 for unrelated ones) of every measured mode with "
-    "every mode of the model: where the diagonal is light and the rest is dark, every mode was recognised.",
-    alternative="Modal assurance criterion of every measured mode with every mode of the final model.",
-    section="shapes",
-    applies=lambda result: any(each.measured.any() for each in result.experiment.configurations),
-    needs="measured mode shapes",
-    narrow=True,
-)
-def mac(result: Closure | Identification) -> Figure:
-    """Draw the MAC matrix of each configuration.
-
-    One panel a configuration; dark is 0, light is 1, also in black and white.
-    """
-    modes = {each.name: each.modes.tolist() for each in result.experiment.configurations}
-    every = list(range(1, result.experiment.stories + 1))
-    matrices = [(name, table, modes[name], every) for name, table in mac_tables(result)]
-    most = 1 if style.narrow_page() else 3 if len(every) <= 4 else 2
-    return _matrices(matrices, most, "measured mode", "mode of the model")
-
-
-def _matrices(matrices: Sequence[tuple[str, Floats, list[int], list[int]]], most: int, row: str, column: str) -> Figure:
-    """Matrices of MACs with their titles and the modes of their rows and columns, so many side by side."""
-    rows, columns = style.grid_of(len(matrices), most)
-    side = 2.6 if style.narrow_page() else style.PAGE_WIDTH / most
-    figure = style.new_figure(side * columns + 0.9, rows * (side + 0.3))
-    drawn = style.panels(figure, len(matrices), columns)
-    for axes, (name, table, measured, modelled) in zip(drawn, matrices, strict=True):
-        image = draw_matrix(axes, table, measured, modelled)
-        axes.set_title(style.letters(name))
-        axes.set_xlabel(column)
-        axes.set_ylabel(row)
-    figure.colorbar(image, ax=drawn, label="MAC (1: the same shape)", shrink=0.8)
-    return figure
-
-
-def draw_matrix(axes: Axes, table: Floats, rows: list[int], columns: list[int]) -> AxesImage:
-    """Draw a matrix of MACs with the numbers of its modes, and its values where they can be read."""
-    image = axes.imshow(table, vmin=0, vmax=1, cmap="cividis", aspect="auto")
-    step = 1 if len(columns) <= 10 else 2
-    axes.set_xticks(range(0, len(columns), step), [str(mode) for mode in columns[::step]])
-    axes.set_yticks(range(0, len(rows), step), [str(mode) for mode in rows[::step]])
-    axes.tick_params(length=0)
-    axes.spines[["left", "bottom"]].set_visible(False)
-    if len(columns) <= MOST_NUMBERED:
-        _numbers(axes, table)
-    return image
-
-
-def _numbers(axes: Axes, table: Floats) -> None:
-    digits = 4 if table.shape[1] <= 4 else 2
-    for (row, column), value in np.ndenumerate(table):
-        if not np.isnan(value):
-            # Not quite black and white, which a dark page would exchange; the cells below keep their colours.
-            colour = "#010101" if value > 0.5 else "#FEFEFE"
-            axes.text(column, row, written(value, digits), ha="center", va="center", color=colour, fontsize=6.5)
-
-
-def written(value: float, digits: int) -> str:
-    """Round a MAC to so many decimals, but for what would round to 1: that stands for shapes that are the same.
-
-    Parameters
-    ----------
-    value : float
-    digits : int
-    """
-    shown = f"{value:.{digits}f}"
-    if float(shown) < 1 or value > 1 - MAC_ROUNDING:
-        return shown
-    return f"> {1 - 10.0**-digits:.{digits}f}"
-
-
-@figure(
-    "shapes",
-    ModalResult,
-    title="Mode shapes",
-    caption="Real normal modes, the largest entry 1; bars are one standard deviation.",
-    alternative="Mode shapes; the numbers are in the table above.",
-    narrow=True,
-)
-def modal_shapes(*results: ModalResult) -> Figure:
-    """Draw the shapes of identified modes, one panel a record and mode, with one standard deviation on either side.
-
-    Largest entry 1; a mode that several records hold faces one way in all of them.
-    """
-    most = max(len(result.frequencies) for result in results)
-    fitting = 2 if style.narrow_page() else SHAPES_A_ROW
-    columns = style.even_columns(most, fitting)
-    counts = [len(result.frequencies) for result in results]
-    rows = sum(-(-count // columns) for count in counts)
-    stories = max(result.stories for result in results)
-    tall = float(np.clip(0.16 * stories, 1.5, 3.0))
-    figure = style.new_figure(
-        style.page_width() if style.narrow_page() else max(style.PAGE_WIDTH * columns / fitting, 4.0),
-        rows * (tall + 0.65) + 0.4,
-    )
-    groups = style.panels_by_group(figure, counts, columns, sharex=True, sharey=True)
-    facing: dict[int, tuple[ModalResult, Floats]] = {}
-    for result, drawn in zip(results, groups, strict=True):
-        for row, (axes, mode) in enumerate(zip(drawn, result.modes, strict=True)):
-            shape = _facing(result, scaled_to_one(result.mode_shapes[row]), facing, int(mode))
-            _panel(axes, result, row, shape, stories)
-            if row % columns == 0:
-                axes.set_ylabel("floor")
-    figure.supxlabel("sway (largest entry = 1)", fontsize=8.5)
-    return figure
-
-
-@figure(
-    "mac",
-    ModalResult,
-    title="Modal assurance criterion",
-    caption="The modes against one another: values beside the diagonal that are not small mean that the sensors "
-    "hardly distinguish two modes.",
-    alternative="Matrix of the modal assurance criterion of every mode with every other.",
-    narrow=True,
-)
-def modal_mac(*results: ModalResult) -> Figure:
-    """Draw the modal assurance criterion of the modes of each record with one another.
-
-    One panel a record; beside the diagonal it is near 0 where the sensors distinguish the modes.
-    """
-    matrices = []
-    for result in results:
-        table = np.array([[mac_of(one, other) for other in result.mode_shapes] for one in result.mode_shapes])
-        matrices.append((result.name, table, result.modes.tolist(), result.modes.tolist()))
-    return _matrices(matrices, 1 if style.narrow_page() else 3, "mode", "mode")
-
-
-def _facing(result: ModalResult, shape: Floats, facing: dict[int, tuple[ModalResult, Floats]], mode: int) -> Floats:
-    """Turn the shape to the sign that the mode had in the first record, by the floors that both measured."""
-    first, before = facing.setdefault(mode, (result, shape))
-    _, mine, theirs = np.intersect1d(result.floors, first.floors, return_indices=True)
-    return -shape if shape[mine] @ before[theirs] < 0 else shape
-
-
-def _panel(axes: Axes, result: ModalResult, row: int, shape: Floats, stories: int) -> None:
-    heights = np.concatenate([[0], result.floors])
-    axes.axvline(0, color="#C8C8C8", lw=0.5)
-    axes.plot(np.concatenate([[0.0], shape]), heights, color=style.AFTER, lw=1.2)
-    known = "assumed" not in result.uncertainty
-    style.error_bars(axes, shape, result.floors, result.written_entry_std[row] if known else None)
-    axes.axhline(0, color=style.GREY, lw=0.8)
-    axes.set_xlim(-1.3, 1.3)
-    axes.set_xticks([-1, 0, 1])
-    axes.set_ylim(0, 1.07 * stories)
-    axes.yaxis.set_major_locator(MaxNLocator(6, integer=True))
-    std = f" ± {percents([float(result.written_frequency_std[row])])[0]}" if known else ""
-    title = f"{style.letters(result.name, 18)}\nmode {result.modes[row]}\n{result.frequencies[row]:#.4g} Hz{std}"
-    axes.set_title(title, fontsize=7)
