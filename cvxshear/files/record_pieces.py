@@ -11,7 +11,7 @@ import numpy as np
 
 from cvxshear.files.columns import Columns, sampling_rate_of
 from cvxshear.files.record_tables import ChannelDeclaration
-from cvxshear.records.record import FEWEST_SAMPLES
+from cvxshear.records.data_frames import FEWEST_SAMPLES, LEAST_USED, TIME_NAMES
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats
@@ -24,12 +24,6 @@ LONG_STEP = 1.75
 
 MOST_GAPS = 0.01
 """Share of the steps: where more are too long it is no gap but another sampling rate, which is refused."""
-
-LEAST_USED = 0.5
-"""Share of the samples that sound pieces must hold: a record that has lost more is for a person to look at."""
-
-TIME_NAMES = ("time", "time_s", "t", "t_s", "Time", "TIME", "seconds")
-"""What a time column is called where nobody says."""
 
 
 def pieces_of(

@@ -65,7 +65,8 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
     """Find the added mass whose test would best tell an accepted model from its rivals, and the sensors that it needs.
 
     For each state that can still be tested (of declared states the last), each floor and a few masses, the test is
-    simulated by the accepted model with the sensors and noise of the state's first configuration, and compared with what each rival says of it (`fit/separation.py`).
+    simulated by the accepted model with the sensors and noise of the state's first configuration, and compared with
+    what each rival says of it (`fit/separation.py`).
     The smallest distance over the rivals counts. Where that stays below `CLEAR`, floors without a sensor get one, the
     best first, as long as each is worth it.
     """

@@ -291,7 +291,8 @@ def driving_point_findings(full: Details, setting: Replication) -> list[Finding]
             continue
         if right:
             said = f"as if the force acted at floor {listed([str(at) for at in right])}"
-            change = f"write that input_floor (of floors with a sensor {'only it fits' if len(right) == 1 else 'they fit'})"
+            fits = "only it fits" if len(right) == 1 else "they fit"
+            change = f"write that input_floor (of floors with a sensor {fits})"
         elif np.any([np.all(there * row < 0) for row in full.real.T]):
             said, change = "as if the force's sensor were turned round", "give that channel sign = -1"
         else:

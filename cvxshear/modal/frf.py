@@ -376,7 +376,7 @@ def hit_times(run: Run, sampling_rate: float) -> list[float]:
     force = np.abs(_excitation(run))
     loud = np.flatnonzero(force > 0.25 * force.max()) / sampling_rate
     first = loud[np.append(True, np.diff(loud) > APART)]
-    return np.maximum(first - AHEAD, 0.0).tolist()
+    return [float(time) for time in np.maximum(first - AHEAD, 0.0)]
 
 
 def _quiet_after_blow(force: Floats) -> Floats:

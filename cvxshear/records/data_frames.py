@@ -12,12 +12,42 @@ from numpy.typing import NDArray
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import IN_SI
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Bools, Floats
 
 UNEVEN = 0.01
 """Largest change of a step, over the usual step: time stamps are rounded, and a gap is at least one step."""
 SECONDS = {"s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 """Units of a coordinate of time, in seconds."""
+
+
+TIME_NAMES = ("time", "time_s", "t", "t_s", "Time", "TIME", "seconds")
+"""Names of a column of times, s, that need no declaration."""
+
+FEWEST_SAMPLES = 128
+"""A run with fewer has too few periods for any of the methods."""
+
+LEAST_USED = 0.5
+"""Share of the samples that sound pieces must hold: a record that has lost more is for a person to look at."""
+
+
+def sound_pieces(sound: Bools) -> list[slice]:
+    """Cut rows into pieces between those that are missing; short pieces beside long ones are left out.
+
+    Parameters
+    ----------
+    sound : ndarray of bool, shape (samples,)
+
+    Returns
+    -------
+    list of slice
+        One with all rows where none is missing, or too many are.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], sound, [False]]).astype(int)) != 0)
+    pieces = [slice(int(start), int(stop)) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
+    longest = max((each.stop - each.start for each in pieces), default=0)
+    kept = [each for each in pieces if each.stop - each.start >= max(FEWEST_SAMPLES, longest / 4)]
+    used = sum(each.stop - each.start for each in kept)
+    return kept if used >= LEAST_USED * len(sound) else [slice(0, len(sound))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +144,10 @@ def table_columns(table: Any) -> TableColumns:
         times = table.coords.get(time, None)
     values = matrix_of(getattr(table, "values", table), "the table", np.float64)
     seconds = _seconds(times)
+    column = next((place for place, name in enumerate(names or ()) if name in TIME_NAMES), None)
+    if column is not None and seconds is None:
+        seconds, values = values[:, column], np.delete(values, column, axis=1)
+        names = [name for place, name in enumerate(names) if place != column]
     if names is None:
         names = [f"channel {place}" for place in range(1, values.shape[1] + 1)]
     names = [label(name) for name in names]

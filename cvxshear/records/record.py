@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cvxshear.measurement.experiment import MOST_STORIES
-from cvxshear.records.data_frames import label, matrix_of, table_columns
+from cvxshear.records.data_frames import FEWEST_SAMPLES, label, matrix_of, sound_pieces, table_columns
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import CHANNEL_UNITS
@@ -162,8 +162,6 @@ class FrfRun:
 
 INPUTS = ("none", "free_decay", "force", "base")
 RECORDED_QUANTITIES = ("acceleration", "velocity", "displacement")
-FEWEST_SAMPLES = 128
-"""A run with fewer has too few periods for any of the methods."""
 FEWEST_LINES = 32
 """A frequency response with fewer lines has too few across any resonance."""
 
@@ -300,7 +298,8 @@ class TimeRecord(_Recorded):
         ----------
         table : array_like, shape (samples, channels), or pandas.DataFrame or xarray.DataArray
             m/s2, m/s or m, or what `attrs["units"]` says. A data frame has one column a channel and the time as its
-            index; a data array has two dimensions, the first of them time, the second one named coordinate a channel.
+            index or in a column "time", "time_s", "t", ...; a data array has two dimensions, the first of them time,
+            the second one named coordinate a channel. Samples that are missing (nan) part it into runs, as in a file.
         floors : mapping to int, or sequence of int, optional
             The floor of each channel used, by its name or in the order of the columns; 1, 2, ... where None.
         excitation : str or other name of a column, or array_like, shape (samples,), optional
@@ -350,8 +349,16 @@ class TimeRecord(_Recorded):
             force = force * size if named and drive == "base" else force
         channels = tuple(Channel(name, floor, unit=columns.unit) for name, floor in chosen.items())
         rate = columns.sampling_rate(sampling_rate)
-        run = Run(responses, force, input_floor)
-        return TimeRecord(channels, runs=(run,), sampling_rate=rate, input=drive, **options)
+        whole = Run(responses, force, input_floor)
+        sound = np.all(np.isfinite(whole.responses), axis=1)
+        if whole.excitation is not None:
+            sound &= np.isfinite(whole.excitation)
+        driven = whole.excitation
+        runs = tuple(
+            Run(whole.responses[piece], None if driven is None else driven[piece], input_floor, f"run {number}")
+            for number, piece in enumerate(sound_pieces(sound), 1)
+        )
+        return TimeRecord(channels, runs=runs, sampling_rate=rate, input=drive, **options)
 
     @property
     def duration(self) -> float:

@@ -254,7 +254,8 @@ def reconstruct(
         ratio, std = peaks.values["story_drift_ratio"], np.maximum(peaks.std["story_drift_ratio"], 1e-300)
         passed = np.asarray(special.ndtr((ratio - experiment.limits.story_drift[:, None]) / std), dtype=np.float64)
     found = Reconstruction(
-        work.recording, state, solver.name, frame.fitted, frame.kind, fitted, work.free, fitted.model, tuple(runs), peaks,
+        work.recording, state, solver.name, frame.fitted, frame.kind, fitted, work.free, fitted.model, tuple(runs),
+        peaks,
         None if predicted is None else peaks_of((item, {}) for item in predicted), tuple(checks),
         whiteness(work, smoothed), experiment.limits, passed, (),
     )  # fmt: skip
@@ -333,7 +334,7 @@ def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
         more = f", and the deviations of the frame are {inflated:.2g} times those of white innovations"
         said.append(
             f"the innovations of floor {ranged([each.floor for each in coloured])} are not white: the model misses a "
-            f"part of the motion there{more if inflated > WIDER else ''}; a channel whose clock is late (cvxshear modes "
-            "says which), a story that yields or another kind of damping (--damping) does that"
+            f"part of the motion there{more if inflated > WIDER else ''}; a channel whose clock is late (cvxshear "
+            "modes says which), a story that yields or another kind of damping (--damping) does that"
         )
     return said

@@ -36,11 +36,11 @@ from cvxshear.screening.shear_fit import (
 from cvxshear.util.quantities import quantity
 from cvxshear.util.typing import Floats
 
-EXACT = 0.003
-"""Standard deviation of the logarithm of a floor mass that is declared exactly: a few bolts more or less."""
+AS_DECLARED_STD = 0.003
+"""Return the standard deviation of the logarithm of a floor mass that is declared exactly: a few bolts more or less."""
 
 SLIP = 0.5
-"""Standard deviation of the logarithm of a floor mass of which only the declared value is wrong: a factor 1.6."""
+"""Return the standard deviation of the logarithm of a floor mass of which only the declared value is wrong: a factor 1.6."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ class Declared:
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class MassFit:
     """Masses as declared or changed, and the frame nearest to the readings with them."""
 
     declared: Declared
@@ -136,10 +136,10 @@ def _declared(experiment: Experiment, tests: Sequence[Configuration]) -> Declare
             values = np.log(prior.values)
             # Values up to a factor keep the scale that the total gives.
             expected[part] = values + np.mean(expected[part] - values) if prior.free_scale else values
-            width[part] = EXACT if prior.std is None else prior.std
+            width[part] = AS_DECLARED_STD if prior.std is None else prior.std
             known |= prior.quantity == "floor_mass" and not prior.free_scale
     if frame.floor_masses is not None:
-        expected[:N], width[:N] = np.log(frame.floor_masses), EXACT
+        expected[:N], width[:N] = np.log(frame.floor_masses), AS_DECLARED_STD
     return Declared(expected, width, tuple(each.added_mass for each in tests)) if known else None
 
 
@@ -204,7 +204,7 @@ def _nearest(
     return min(fits, key=lambda item: item.cost)
 
 
-def _fitted(readings: Sequence[Reading], declared: Declared, stiffness: Sequence[Floats]) -> Fitted:
+def _fitted(readings: Sequence[Reading], declared: Declared, stiffness: Sequence[Floats]) -> MassFit:
     """Fit with each tolerance and take the best by the likelihood, as `shear_fit.distance` does for one reading."""
     fits = []
     for part in (1.0, CLOSER, FARTHER):
@@ -213,21 +213,22 @@ def _fitted(readings: Sequence[Reading], declared: Declared, stiffness: Sequence
         fits.append((near.cost + sum(reading.certainty_lost() for reading in each), near))
         stiffness = [near.theta[len(declared.expected) // 2 :]]
     cost, near = min(fits, key=lambda item: item[0])
-    found = Fitted(declared, dataclasses.replace(near, cost=cost), cost + declared.prior_cost)
+    found = MassFit(declared, dataclasses.replace(near, cost=cost), cost + declared.prior_cost)
     if declared.estimated is None or near.at is None:
         return found
     return dataclasses.replace(found, cost=found.cost + 2 * np.log(declared.width[declared.estimated] / _std(found)))
 
 
-def _std(found: Fitted) -> float:
-    """Standard deviation of the logarithm of the estimated mass."""
+def _std(found: MassFit) -> float:
+    """Return the standard deviation of the logarithm of the estimated mass."""
     at, floor = found.frame.at, found.declared.estimated
-    assert at is not None and floor is not None, "only an estimated mass has one"
+    if at is None or floor is None:
+        return 0.0
     return float(np.sqrt(np.linalg.pinv(at.J.T @ at.J)[floor, floor]))
 
 
-def _estimated(found: Fitted) -> tuple[str, float, str] | tuple[()]:
-    """The estimated mass, its deviation in percent and what was declared; nothing where none is estimated."""
+def _estimated(found: MassFit) -> tuple[str, float, str] | tuple[()]:
+    """Return the estimated mass, its deviation in percent and what was declared; nothing where none is estimated."""
     floor = found.declared.estimated
     if floor is None:
         return ()

@@ -22,8 +22,8 @@ import numpy as np
 from cvxshear.measurement.declaration import NUMBERS
 from cvxshear.measurement.experiment import Configuration, Measurement, opened
 from cvxshear.measurement.reading import Reading, violations
-from cvxshear.screening.doubts import DOUBT_CHECKS, Finding, frequency_units, total_mass
 from cvxshear.screening.declared_masses import masses_declared
+from cvxshear.screening.doubts import DOUBT_CHECKS, Finding, frequency_units, total_mass
 from cvxshear.screening.repairs import (
     FITTED,
     KINDS,

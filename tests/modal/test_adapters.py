@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.modal import from_arrays, from_pyoma, from_sdypy, identify_modes
+from cvxshear.modal import TimeRecord, from_arrays, from_pyoma, from_sdypy, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, base_record
 from cvxshear.util.errors import InputError
 
@@ -106,3 +106,17 @@ def test_importing_loads_neither_matplotlib_nor_the_optional_readers():
     code = f"import cvxshear.modal, sys; print([m for m in {unwanted} if m in sys.modules])"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
+
+
+def test_a_data_frame_with_a_column_of_time_and_samples_that_are_missing():
+    """The column is its time, and 20 samples that are missing at the middle part it into two runs, as in a file."""
+    pandas = pytest.importorskip("pandas")
+    values = np.random.default_rng(0).standard_normal((2000, 2))
+    table = pandas.DataFrame(values, columns=["low", "high"])
+    table.insert(0, "time_s", 0.02 * np.arange(2000))
+    table.loc[1000:1019, "high"] = np.nan
+    record = TimeRecord.of(table)
+    assert record.sampling_rate == pytest.approx(50.0)
+    assert [channel.name for channel in record.channels] == ["low", "high"]
+    assert [run.samples for run in record.runs] == [1000, 980]
+    np.testing.assert_array_equal(record.runs[1].responses, values[1020:])
