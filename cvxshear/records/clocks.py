@@ -151,7 +151,7 @@ class Segments:
         power = np.abs(found) ** 2
         floor = NOISE_FLOOR * np.quantile(power.mean(axis=0)[2:], 0.1, axis=0)
         mains = mains_lines(length, rate)
-        if decaying:
+        if record.input == "free_decay":
             loudest = np.delete(power.mean(axis=0), mains, axis=0).max(axis=0)
             floor = np.maximum(floor, BETWEEN_RESONANCES * loudest)
         with np.errstate(invalid="ignore", divide="ignore"):

@@ -24,8 +24,8 @@ SILENT = 6.0
 LEAST_AGREEMENT, MOST_CHANCE = 0.08, 0.55
 """Bounds of that limit: hum has a little in common with everything; few lines leave much to chance."""
 AGREED = 0.25
-"""Agreement of a channel's phases with the others' from which on its clock can be told; half of what is usual in the
-record where that is less."""
+"""Agreement of a channel's phases with the others' from which on its clock can be told; half of what is usual in an
+ambient record where that is less."""
 LATE = 0.5
 """Samples; a delay of less is left to the phases of the modes, which tell it finer."""
 IN_STEP = 0.6
@@ -111,7 +111,7 @@ def _in_step(record: TimeRecord) -> tuple[TimeRecord, list[Finding], dict[str, t
     limits = {i: min(max(SILENT * item.chance, LEAST_AGREEMENT), MOST_CHANCE) for i, item in against.items()}
     # Sampled far beyond its highest mode a frame has much of its band where forces of the wind move each floor alone.
     usual = float(np.median(np.delete(plain[reference], reference)))
-    agreed = min(AGREED, usual / 2)
+    agreed = min(AGREED, usual / 2) if record.input == "none" else AGREED
     heard_by = {i: item for i, item in against.items() if item.agreement > max(agreed, limits[i])}
     if len(heard_by) < len(against) / 2:
         # Nothing is sure where most have little in common: a few sine waves, a record of noise.
