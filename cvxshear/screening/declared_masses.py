@@ -37,10 +37,10 @@ from cvxshear.util.quantities import quantity
 from cvxshear.util.typing import Floats
 
 AS_DECLARED_STD = 0.003
-"""Return the standard deviation of the logarithm of a floor mass that is declared exactly: a few bolts more or less."""
+"""Standard deviation of the logarithm of a floor mass that is declared exactly: a few bolts more or less."""
 
 SLIP = 0.5
-"""Return the standard deviation of the logarithm of a floor mass of which only the declared value is wrong: a factor
+"""Standard deviation of the logarithm of a floor mass of which only the declared value is wrong: a factor
 1.6."""
 
 
