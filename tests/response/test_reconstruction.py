@@ -277,6 +277,19 @@ def test_the_floors_tell_how_the_ground_moved_between_its_samples(finer, taken):
     np.testing.assert_allclose(peaks.values["story_drift"], true, rtol=0.01)
 
 
+def test_a_story_that_yields_leaves_the_rest_as_it_was_and_is_said():
+    """A third of a story's stiffness is plastic: other stories and the masses stay what they were identified to be."""
+    models, motion, drift, story = study.setting(4, "yields", 0)
+    found = reconstruct(models, motion, leave_out=False)
+    others = np.arange(4) != story - 1
+    np.testing.assert_allclose(found.frame.factors[others], 1.0, atol=0.03)
+    heavier = np.diag(found.model.M) / np.diag(found.frame.errors.varied.centre.model.M) - 1
+    np.testing.assert_allclose(heavier, 0.0, atol=0.01)
+    true = np.abs(drift).max(axis=0)
+    np.testing.assert_allclose(found.peaks.values["story_drift"][others], true[others], rtol=0.1)
+    assert any("did not answer as any linear frame would" in remark for remark in found.remarks)
+
+
 def test_story_factors_are_stiffnesses_over_the_identified_ones(softened):
     """By every unknown that moves a stiffness: masses, which scale all, and errors of the form among them."""
     _, _, _, _, found = softened
