@@ -40,7 +40,7 @@ AS_DECLARED_STD = 0.003
 """Standard deviation of the logarithm of a floor mass that is declared exactly: a few bolts more or less."""
 
 SLIP = 0.5
-"""Standard deviation of the logarithm of a floor mass of which only the declared value is wrong: a factor
+"""Standard deviation of the logarithm of a floor mass of which only the declared value is wrong: a factor of
 1.6."""
 
 
@@ -172,7 +172,7 @@ def _changes(experiment: Experiment, tests: Sequence[Configuration], declared: D
             declared, added=from_top, name="added_mass", choices=1,
             found="the added masses are listed from the top", change="list added_mass from the lowest floor up",
         )  # fmt: skip
-    loads = [(test, floor) for test, mass in enumerate(declared.added) for floor in np.flatnonzero(mass)]
+    loads = [(test, floor) for test, mass in enumerate(declared.added) for floor in np.flatnonzero(mass).tolist()]
     for (test, floor), other in itertools.product(loads, range(N)):
         mass = declared.added[test].copy()
         if mass[other]:
