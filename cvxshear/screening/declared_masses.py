@@ -40,7 +40,7 @@ AS_DECLARED_STD = 0.003
 """Standard deviation of the logarithm of a floor mass that is declared exactly: a few bolts more or less."""
 
 SLIP = 0.5
-"""Standard deviation of the logarithm of a floor mass of which only the declared value is wrong: a factor
+"""Standard deviation of the logarithm of a floor mass of which only the declared value is wrong: a factor of
 1.6."""
 
 
