@@ -520,7 +520,7 @@ PRIORS = {
 
 @pytest.mark.parametrize(("prior", "message"), PRIORS.values(), ids=PRIORS)
 def test_prior(prior, message):
-    kinds = "bounds, monotone, nominal, ratio, value"
+    kinds = "value, nominal, ratio, bounds, monotone"
     found = refused(declared(priors=[MONOTONE, prior]))
     assert found.startswith("prior 2: ")
     # A prior of one's own that another test registers adds its kind to the list.

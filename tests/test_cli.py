@@ -85,7 +85,7 @@ def test_the_loop_tells_its_story_and_writes_a_report_and_a_figure(run, tmp_path
     assert json.loads(result.read_text())["verdict"] == "explained"
     for said in (
         "EXPLAINED",
-        "the weight above takes 1.200 ± 0.051 times P/h from every story's stiffness",
+        "the weight above takes 1.200 ± 0.073 times P/h from every story's stiffness",
         "99.8 % probable",
         "1.83 %        0.34 %",
         "shear model  with effects",

@@ -230,13 +230,14 @@ class Posterior:
     def deviations_about(self, estimate: Estimate, placed: Placed) -> Floats:
         """Find the standard deviations of an effect's parameters about their values in one fit, shape (p,), or nan.
 
-        With the scatter between the sets that hold the effect: beside what the data do not tell its size is another.
+        With the scatter between the sets that hold the effect and are probable enough to be rivals: beside what the
+        data do not tell its size is another.
         """
-        mine = estimate.own(placed)
+        mine, least = estimate.own(placed), RIVAL * self.probabilities[0]
         here, std, weights, squares = estimate.theta[mine], estimate.std[mine], [], []
         for model, probability in zip(self.models, self.probabilities, strict=True):
             other = model.estimate
-            if other is not None and placed in model.effects:
+            if other is not None and placed in model.effects and (other is estimate or probability >= least):
                 own = other.own(placed)
                 weights.append(float(probability))
                 within = np.where(np.isnan(other.std[own]), std, other.std[own])

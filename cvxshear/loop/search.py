@@ -56,6 +56,9 @@ ELSEWHERE = 2.0
 """Times what the strength of the effects that are taken out promises, and one unit of chi-square, by which a set fits
 worse whose fit ended in another minimum: it is fitted again from the one with more effects."""
 
+STRONGEST = 1e6
+"""Distance from null, in standard deviations, beyond which an effect is no stronger."""
+
 TWINS_DIFFER = 0.1
 """Difference of chi-square, relative where it is above one, that rounding and the priors of sizes leave of twins."""
 
@@ -433,9 +436,9 @@ class Search:
         if fewer.estimate is None:
             return fewer.failure is None
         gone = [placed for placed in model.estimate.effects if placed in model.effects - fewer.effects]
-        lost = sum(_strength(model.estimate, placed) ** 2 for placed in gone)
+        lost = sum(min(_strength(model.estimate, placed), STRONGEST) ** 2 for placed in gone)
         worse = fewer.estimate.fit.at.objective - model.estimate.fit.at.objective
-        return worse > ELSEWHERE * (1.0 + lost)
+        return bool(worse > ELSEWHERE * (1.0 + lost))
 
 
 def _strength(estimate: Estimate, placed: Placed) -> float:

@@ -8,12 +8,11 @@ Markov parameters are finite in number although the structure's are not (Juang, 
 
 The system's Markov parameters follow by Y_0 = D, Y_k = B_k + sum_{i=1}^{k} A_i Y_{k-i}, with A_i and B_i zero beyond p.
 
-Input-output subspace identification with noise on the input as well (Chou and Verhaegen 1997, "Subspace algorithms for
-the identification of multivariable dynamic errors-in-variables models", Automatica 33(10)): block Hankel matrices of
-future (f) inputs and outputs are correlated with past (p) ones, Z = [U_p Y_p], whose noise is not that of the future.
-The extended observability matrix spans the columns of Y_f Z' from which U_f Z' has been projected out. Projecting U_f
-itself out instead (PO-MOESP, Verhaegen 1994) lowers the highest modes by half to one of their deviations where the
-sensor of the base has noise of 3 %.
+Input-output subspace identification with past inputs and outputs as instruments (PO-MOESP): with block Hankel matrices
+of past (p) and future (f) data, the extended observability matrix spans the columns of the future outputs from which
+the future inputs have been projected out, correlated with the past data (Verhaegen 1994, "Identification of the
+deterministic part of MIMO state space models", Automatica 30(1)): in the triangle of [U_f | U_p Y_p | Y_f], the block
+of Y_f against the past.
 
 Covariance-driven stochastic subspace identification: the covariances R_k = E[y_{t+k} y_t'] of the response to white
 noise are Markov parameters, R_k = C A^{k-1} G (Peeters and De Roeck 1999, "Reference-based stochastic subspace
@@ -69,7 +68,7 @@ def lags_for(stories: int, outputs: int, samples: int) -> int:
 
 
 def rows_for(stories: int, outputs: int) -> int:
-    """Choose as many block rows of the future as hold three samples a state of a frame of so many stories."""
+    """Choose as many block rows of past and future as hold three samples a state of a frame of so many stories."""
     return max(SUBSPACE_ROWS, int(np.ceil(SAMPLES_A_STATE * 2 * stories / outputs)))
 
 
@@ -232,16 +231,12 @@ def _in_vectors(vectors: Complexes, drive: Complexes) -> Complexes:
             ) from None
 
 
-SUBSPACE_ROWS, SAMPLES_A_STATE = 20, 3.0
-"""Block rows of the future: so many at least, and as many as give three samples for each state of the frame."""
-PAST_ROWS = 2
-"""Block rows of the past for each of the future. With as many as of the future, the directions of the past that the
-inputs take up change so much from piece to piece that stated deviations come out a quarter too large; with four times
-as many, instruments fit the noise of the future and the bias that they are to remove comes back."""
+SUBSPACE_ROWS, SAMPLES_A_STATE = 30, 3.0
+"""Block rows of past and of future: so many at least, and as many as give three samples for each state of the frame."""
 
 
 class SubspaceSource(Source):
-    """A record with measured input, in blocks, for subspace identification with noise on inputs and outputs.
+    """A record with measured input, in blocks, for PO-MOESP.
 
     The poles and shapes are those of the projection, whose instruments no noise is correlated with. What is asked of
     impulse responses, residues for these poles, is had from an observer's Markov parameters of the same blocks.
@@ -249,13 +244,13 @@ class SubspaceSource(Source):
     Parameters
     ----------
     pieces : sequence of (array, shape (samples, inputs); array, shape (samples, outputs))
-        Blocks of input and output; each carries `samples_before(rows)` samples of what came before it.
+        Blocks of input and output; each carries 2 * rows - 1 samples of what came before it.
     sampling_rate : float
         Hz.
     floor : int, optional
         Where a force acts; 0 for a base acceleration.
     rows : int, optional
-        Block rows of the future.
+        Block rows of past and of future.
     lags : int, optional
         Of the observer.
     """
@@ -271,7 +266,7 @@ class SubspaceSource(Source):
         lags: int = LAGS,
     ) -> None:
         self.sampling_rate = sampling_rate
-        self._observer = OkidSource(pieces, sampling_rate, floor, min(lags, samples_before(rows)))
+        self._observer = OkidSource(pieces, sampling_rate, floor, min(lags, 2 * rows - 1))
         self.rows = rows
         self.inputs = pieces[0][0].shape[1]
         self.outputs = pieces[0][1].shape[1]
@@ -285,32 +280,26 @@ class SubspaceSource(Source):
         return other
 
     def factor(self, keep: Bools | None = None) -> Floats:
-        """Left factor of the correlation of future outputs with the past, that of future inputs projected out."""
-        future_inputs, past = self.rows * self.inputs, PAST_ROWS * self.rows * (self.inputs + self.outputs)
-        # Rows of the whole triangle above the past's diagonal are correlations with the past made orthonormal.
-        triangle = _triangle(self._triangles.together(keep)[:past, past:]).T
-        return left_factor(triangle[future_inputs:, future_inputs:])
+        """Left factor of the future outputs as the past explains them."""
+        triangle = self._triangles.together(keep).T
+        future_inputs = self.rows * self.inputs
+        past = future_inputs + self.rows * (self.inputs + self.outputs)
+        return left_factor(triangle[past:, future_inputs:past])
 
     def impulse(self, keep: Bools | None = None) -> Impulse:
         """Return the observer's Markov parameters, from the first that rings no more."""
         return self._observer.impulse(keep)
 
 
-def samples_before(rows: int) -> int:
-    """Count the samples before the first whose future has so many block rows: the past's, and the future's own."""
-    return (PAST_ROWS + 1) * rows - 1
-
-
 def _data(excitation: Floats, response: Floats, rows: int) -> Floats:
-    """Rows [u_p y_p | u_f | y_f], one a starting sample."""
-    count, past = len(response) - samples_before(rows), PAST_ROWS * rows
+    """Rows [u_f | u_p y_p | y_f], one a starting sample."""
+    count = len(response) - 2 * rows + 1
 
-    def windows(values: Floats, start: int, length: int) -> Floats:
-        view = np.lib.stride_tricks.sliding_window_view(values, length, axis=0)[start : start + count]
+    def windows(values: Floats, start: int) -> Floats:
+        view = np.lib.stride_tricks.sliding_window_view(values, rows, axis=0)[start : start + count]
         return view.transpose(0, 2, 1).reshape(count, -1)
 
-    before = [windows(values, 0, past) for values in (excitation, response)]
-    return np.hstack([*before, windows(excitation, past, rows), windows(response, past, rows)])
+    return np.hstack([windows(excitation, rows), windows(excitation, 0), windows(response, 0), windows(response, rows)])
 
 
 SSI_ROWS = 40

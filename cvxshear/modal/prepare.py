@@ -122,7 +122,7 @@ def _driven(record: TimeRecord, method: str, blocks: int) -> Source:
     samples = sum(run.samples for run in record.runs)
     lags = continuous.lags_for(record.stories, len(record.channels), samples)
     rows = continuous.rows_for(record.stories, len(record.channels))
-    before = lags if method == "okid" else continuous.samples_before(rows)
+    before = lags if method == "okid" else 2 * rows - 1
     pieces = []
     for run, start, stop in _cuts(record, blocks, before, 0):
         if run.excitation is None:

@@ -49,8 +49,7 @@ LEAST_MISSED, MISSED_BY_FORM, MOST_MISSED = 2e-4, 2e-3, 0.1
 business in a reconstruction. A model whose form is wrong misses no less than the middle one, though sensors at a third
 of the floors cannot tell that from noise: with a tenth of it the fit of 20-story frames whose beams bend settled there,
 and only 65 to 70 % of the peaks lay within their 95 % bands. Of a frame that is as its model says, the data decide down
-to the least: with the middle one the noise of good sensors passed for missed forces, and drifts were off by 3 % in the
-place of 0.3."""
+to the least: with the middle one the noise of good sensors passes for missed forces."""
 
 MISSED_A_FORM = 0.2
 """Missed force, relative to the rms story force, of a model whose form is off by one (`FORM_STDS`): the middle bound

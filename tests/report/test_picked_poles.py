@@ -80,5 +80,5 @@ def test_a_backend_without_windows_says_what_to_do(result):
 
 
 def test_modes_that_were_given_have_no_poles_to_choose_from():
-    with pytest.raises(InputError, match="no order sweep to draw"):
+    with pytest.raises(InputError, match="needs an order sweep"):
         PolePicker(from_arrays([1.0, 3.0], [[0.5, 1.0], [1.0, -0.5]]))
