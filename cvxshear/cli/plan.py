@@ -125,7 +125,7 @@ def _noise(
         return Declared(**given)
     if given:
         raise InputError("give --duration, from which the noise follows, or --frequency-std and --mode-shape-std")
-    # The options go by the names of its fields, each checked by it.
+    # The options go by the names of its fields, and it checks their values; mypy cannot know which is which.
     return Recorded(**{"kind": "ambient", "duration": duration, **of_record})  # type: ignore[arg-type]
 
 

@@ -95,8 +95,7 @@ REPRODUCED_TO = 2e-4
 Without it a day's change of temperature between two tests would be found as a cause."""
 DAMPING_REPRODUCED_TO = 0.01
 """Relative standard deviation of a damping ratio that no scatter within a record goes below: friction in joints and
-cables changes it by more between two tests, and two ways of projecting the input out differ by 2 to 10 % on one record
-of a laboratory frame."""
+cables changes it by more between two tests."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

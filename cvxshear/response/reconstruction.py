@@ -47,8 +47,8 @@ COLOURED = 0.1
 """Correlation of an innovation with an earlier one from which on it is said that the model misses something there."""
 
 NONLINEAR = 4.0
-"""Inflation of the scores from which on the frame is said not to be linear: that of linear frames, those with bending
-beams or a clock 5 ms late among them, is 1 to 2, that of frames in which a story yields 5 to 50."""
+"""Inflation of the scores from which on a record is said not to be that of a linear frame with sound sensors: those
+have 1 to 2, with bending beams too, a clock 5 ms late makes it 5 and a story that yields 4 to 50."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -334,10 +334,10 @@ def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
         )
     if found.frame.inflation > NONLINEAR:
         said.append(
-            "the frame did not answer as any linear frame would (the scores of its stiffnesses scatter "
-            f"{found.frame.inflation:.0f} times as much): a story that yields, or that changes during the record, does "
-            "that; the peak drift of such a story comes out too small, by a sixth in simulated frames, and may lie "
-            "beyond its band"
+            "the record is not that of a linear frame with sound sensors (the scores of the stiffnesses scatter "
+            f"{found.frame.inflation:.0f} times as much): a story that yields or changes meanwhile does that, and so "
+            "does a channel whose clock is late; the peak drift of a story that yields comes out too small, by a sixth "
+            "in simulated frames, and may lie beyond its band"
         )
     coloured = [each for each in found.whiteness if abs(each.correlation) > COLOURED]
     if coloured:
