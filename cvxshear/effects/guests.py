@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -153,7 +154,7 @@ class _Check:
 
     def _parameters(self, here: Effect) -> Floats:
         """Bounds, null and start values of the parameters; their expected sizes."""
-        items = getattr(here, "parameters", None)
+        items: Any = getattr(here, "parameters", None)
         fits = isinstance(items, tuple) and all(isinstance(item, Parameter) for item in items)
         self._that(fits, "parameters must be a tuple of objects of the class Parameter")
         names = [item.name for item in items]

@@ -27,8 +27,9 @@ def mass_matrix(floor_mass: Floats) -> Floats:
 
 def stiffness_matrix(story_stiffness: Floats) -> Floats:
     """K = T diag(k) T' of Eq. 18, shape (N, N), N/m: symmetric and tridiagonal."""
-    T = transformation(len(story_stiffness))
-    return (T * story_stiffness) @ T.T
+    own, above = story_stiffness, np.append(story_stiffness[1:], 0.0)
+    between = np.diag(-above[:-1], 1)
+    return np.diag(own + above) + between + between.T
 
 
 @dataclass(frozen=True, eq=False)

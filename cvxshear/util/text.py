@@ -13,6 +13,7 @@ import re
 import secrets
 import shlex
 from collections.abc import Iterable
+from types import NoneType
 
 FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
 """First letters of a formula in spreadsheet programs, the full-width ones among them (OWASP, "CSV injection")."""
@@ -71,6 +72,7 @@ def _shell_escaped(text: str) -> str:
 def json_text(value: object, *, indent: int = 2, ascii_only: bool = False) -> str:
     """Write a value as JSON, each row of numbers in a line; nan cannot stand in JSON and has no place in a result."""
     rows: list[str] = []
+    places: dict[int, int] = {}
     mark = secrets.token_hex(8)
 
     def marked(item: object) -> object:
@@ -79,10 +81,13 @@ def json_text(value: object, *, indent: int = 2, ascii_only: bool = False) -> st
             return {key: marked(each) for key, each in item.items()}
         if not isinstance(item, list | tuple):
             return item
-        if not item or not all(each is None or isinstance(each, int | float) for each in item):
-            return [marked(each) for each in item]
-        rows.append(json.dumps(item, allow_nan=False))
-        return f"{mark}{len(rows) - 1}"
+        # A row that stands in several places is written once: the digits of its numbers are most of the time.
+        if id(item) not in places:
+            if not item or not all(issubclass(kind, int | float | NoneType) for kind in set(map(type, item))):
+                return [marked(each) for each in item]
+            places[id(item)] = len(rows)
+            rows.append(json.dumps(item, allow_nan=False))
+        return f"{mark}{places[id(item)]}"
 
     text = escaped(json.dumps(marked(value), indent=indent, allow_nan=False, ensure_ascii=ascii_only), surrogates=True)
     return re.sub(rf'"{mark}(\d+)"', lambda found: rows[int(found[1])], text)

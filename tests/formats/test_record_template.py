@@ -277,7 +277,11 @@ def test_a_format_of_ones_own(values, run, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("content", "said"),
-    [(None, "cannot be read: No such file"), ("1 x", r"cannot be read as a table: .*'x'"), ("1", "cannot be read as a")],
+    [
+        (None, "cannot be read: No such file"),
+        ("1 x", r"cannot be read as a table: .*'x'"),
+        ("1", "cannot be read as a table: not enough"),
+    ],
 )
 def test_what_a_reader_of_ones_own_stumbles_on_is_an_error_of_the_file(tmp_path, content, said):
     """The file does not exist, holds no number, or has too few cells a line."""
