@@ -35,7 +35,7 @@ SINGULAR_ROWS = 1e-12
 """Reciprocal condition number of the scaled rows below which they are taken not to determine the unknowns: a few
 thousand roundings, from where whitening would hand rounding to the solver."""
 
-BLOCK = 64
+LAPACK_BLOCK = 64
 """Columns that LAPACK's factorizations take at a time."""
 
 TOUCHED = 1e-9
@@ -213,10 +213,10 @@ def _whitening(R: Floats, s: Floats, A: Floats, b: Floats) -> tuple[Floats, Floa
         triangle = np.zeros((n + 1, n + 1), order="F")
         triangle[:n] = np.hstack([R * D, side])
         if len(A):
-            triangle = lapack.dtpqrt(0, min(BLOCK, n + 1), triangle, more)[0]
+            triangle = lapack.dtpqrt(0, min(LAPACK_BLOCK, n + 1), triangle, more)[0]
     else:
         # What stands below the diagonal are reflections, which LAPACK's triangular solvers pass over.
-        triangle = lapack.dgeqrf(np.vstack([np.hstack([R * D, side]), more]), lwork=BLOCK * (n + 1))[0]
+        triangle = lapack.dgeqrf(np.vstack([np.hstack([R * D, side]), more]), lwork=LAPACK_BLOCK * (n + 1))[0]
     triangle = triangle[:n]
     U, q = triangle[:, :n], triangle[:, n]
     # LAPACK estimates the condition number of a triangle, in the 1-norm, at O(n^2) cost.

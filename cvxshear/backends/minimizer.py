@@ -25,7 +25,7 @@ import numpy as np
 from scipy import linalg
 from scipy.linalg import lapack
 
-from cvxshear.backends.canonical import BLOCK, DEPENDENT, independent_rows
+from cvxshear.backends.canonical import DEPENDENT, LAPACK_BLOCK, independent_rows
 from cvxshear.backends.certificate import Assembled, Point, length
 from cvxshear.util.typing import Bools, Floats, Ints
 
@@ -282,7 +282,7 @@ class _Factor:
                 # A triangle already: no reflections.
                 self._reflectors, self._tau = rows, np.zeros(r)
             else:
-                self._reflectors, self._tau, _, _ = lapack.dgeqrf(rows, lwork=max(1, BLOCK * self._k))
+                self._reflectors, self._tau, _, _ = lapack.dgeqrf(rows, lwork=max(1, LAPACK_BLOCK * self._k))
         self._triangle = self._reflectors[: self._k]
         # Of graded rows a small pivot may be a light row's own; whether it is rounding shows in the bound.
         least = 0.0 if graded else UNDETERMINED
@@ -293,7 +293,7 @@ class _Factor:
         """Minimize |rows u - side| for several right sides, shape (r, q); the minimizers u have shape (k, q)."""
         u = np.zeros((self._k, sides.shape[1]))
         if u.size:
-            work = max(1, BLOCK * len(sides))
+            work = max(1, LAPACK_BLOCK * len(sides))
             rotated, _, _ = lapack.dormqr("L", "T", self._reflectors, self._tau, sides[self._order], work)
             u[self._pivots] = lapack.dtrtrs(self._triangle, rotated[: self._k])[0]
         return u
@@ -320,12 +320,12 @@ class _Basis:
         self.B = B
         self._p, self._n = B.shape
         if self._p:
-            self._reflectors, self._tau, _, _ = lapack.dgeqrf(B.T, lwork=BLOCK * self._p)
+            self._reflectors, self._tau, _, _ = lapack.dgeqrf(B.T, lwork=LAPACK_BLOCK * self._p)
 
     def _applied(self, side: str, trans: str, matrix: Floats) -> Floats:
         if not self._p:
             return matrix
-        work = max(1, BLOCK * max(matrix.shape))
+        work = max(1, LAPACK_BLOCK * max(matrix.shape))
         result, _, _ = lapack.dormqr(side, trans, self._reflectors, self._tau, matrix, work)
         return np.asarray(result)
 
