@@ -119,8 +119,7 @@ class Canonical:
 
     def violated(self, z: Floats) -> Bools:
         """Which inequalities a point violates by more than rounding, shape (g,)."""
-        excess: Bools = self.F @ z - self.f > np.clip(TOUCHED * np.abs(self.f), ZERO_VIOLATION, TOUCHED)
-        return excess
+        return np.asarray(self.F @ z - self.f > np.clip(TOUCHED * np.abs(self.f), ZERO_VIOLATION, TOUCHED))
 
     def keeping(self, inequalities: Bools) -> Canonical:
         """Leave out all but some of the inequalities."""

@@ -181,16 +181,14 @@ def _doubted(program: Assembled, found: Minimizer, local: _Local, active: Bools)
 def _guessed(program: Assembled, near: Point) -> Bools:
     """Guess the active inequalities: the multiplier is greater than the slack, both made free of units."""
     lengths = program.inequality_lengths
-    active: Bools = near.w * lengths > np.maximum(program.h - program.G @ near.x, 0.0) / lengths
-    return active
+    return np.asarray(near.w * lengths > np.maximum(program.h - program.G @ near.x, 0.0) / lengths)
 
 
 def _satisfied(program: Assembled, found: Minimizer) -> Bools:
     """Which inequalities hold at a minimizer, but for rounding."""
     x, absolute_G = found.point.x, program.absolute[1]
     rounding = found.errors + SUM_ROUNDING * (np.abs(x) + length(program.lengths * x) / program.lengths)
-    satisfied: Bools = program.G @ x - program.h <= SUM_ROUNDING * np.abs(program.h) + absolute_G @ rounding
-    return satisfied
+    return np.asarray(program.G @ x - program.h <= SUM_ROUNDING * np.abs(program.h) + absolute_G @ rounding)
 
 
 def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> tuple[Minimizer, _Local]:

@@ -11,10 +11,10 @@ import typer
 
 from cvxshear.cli.before import measured
 from cvxshear.cli.checked import input_files
-from cvxshear.cli.output import BackendName, JsonOut, Quiet, ReportOut, deliver, names, progress, typed
+from cvxshear.cli.output import BackendName, JsonOut, Quiet, ReportOut, as_typed, deliver, names, progress
 from cvxshear.cli.written import CsvOut, FiguresOut, Pictures, SeriesOut, Spreadsheets, XlsxOut, handed_over
 from cvxshear.util.errors import InputError, NoScaleError
-from cvxshear.util.text import shell_line
+from cvxshear.util.writing import write_file
 
 if TYPE_CHECKING:
     from cvxshear.response.sources import ModelSource
@@ -147,9 +147,9 @@ def _pages(report: str | None) -> list[Callable[..., None]]:
     """Make what writes the report of a result, where one is asked for."""
     if report is None:
         return []
-    from cvxshear.report.html import write_response_report
+    from cvxshear.report.html import render_response
 
-    return [partial(write_response_report, path=report, command=shell_line(["cvxshear", *typed]))]
+    return [lambda result: write_file(report, render_response(result, as_typed()))]
 
 
 def screened(file: str, backend: str, assume: Sequence[str] = ()) -> tuple[ModelSource, Sequence[Finding] | None]:

@@ -144,5 +144,4 @@ def shape_errors(measured: Floats, modelled: Floats) -> Floats:
     """
     unit = measured / measured[np.arange(len(measured)), np.argmax(np.abs(measured), axis=1)][:, None]
     scale = np.sum(unit * modelled, axis=1) / np.sum(modelled**2, axis=1)
-    errors: Floats = np.max(np.abs(scale[:, None] * modelled - unit), axis=1)
-    return errors
+    return np.asarray(np.max(np.abs(scale[:, None] * modelled - unit), axis=1))

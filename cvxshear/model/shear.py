@@ -65,8 +65,7 @@ class System:
 
     def stiffness_slopes(self, u: Floats) -> Floats:
         """dK u by every parameter, shape (P, N)."""
-        slopes: Floats = self.dK @ u
-        return slopes
+        return np.asarray(self.dK @ u)
 
 
 class ShearSystem(System):
@@ -201,8 +200,7 @@ def attached_share(found: Modes, M: Floats, floors: int) -> Floats:
     energy of one mode each.
     """
     attached = slice(floors, len(M))
-    share: Floats = found.shapes[:, attached] ** 2 @ np.diag(M)[attached]
-    return share
+    return np.asarray(found.shapes[:, attached] ** 2 @ np.diag(M)[attached])
 
 
 def frame_modes(found: Modes, M: Floats, floors: int) -> Ints:

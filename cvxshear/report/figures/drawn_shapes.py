@@ -93,8 +93,7 @@ def _modelled(configuration: Configuration, model: Model, datum: Shapes | None) 
         at_sensors = full[datum.kept][:, configuration.measured_floors - 1]
         length = np.sum(at_sensors**2, axis=1)
         factor[datum.kept] = np.where(length > 0, np.sum(datum.seen(model) * at_sensors, axis=1) / length, 1.0)
-    laid: Floats = factor[:, None] * full
-    return laid
+    return np.asarray(factor[:, None] * full)
 
 
 def _unit(configuration: Configuration, j: int) -> float:
@@ -198,9 +197,7 @@ def _displaced_frame(axes: Axes, z: Floats, before: ModeShape, after: ModeShape)
     axes.plot(np.concatenate([[0.0], before.modelled]), base, **SHEAR)
     style.error_bars(axes, after.measured, z[after.floors - 1], after.std, zorder=5)
     axes.axhline(0, color=style.GREY, lw=0.8)
-    axes.set_xlim(-1.45, 1.45)
-    axes.set_xticks([-1, 0, 1])
-    axes.set_ylim(0, 1.07 * float(z[-1]))
+    axes.set(xlim=(-1.45, 1.45), xticks=[-1, 0, 1], ylim=(0, 1.07 * float(z[-1])))
     axes.set_title(
         f"{style.letters(after.configuration, 16)}\nmode {after.mode}: {after.measured_frequency:#.4g} Hz", fontsize=7.5
     )
