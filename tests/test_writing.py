@@ -211,7 +211,7 @@ def test_what_the_content_was_made_from_is_kept(tmp_path):
     (tmp_path / "c").symlink_to(tmp_path / "a")
     for name in "abc":
         with pytest.raises(InputError, match=r"would be written over .*, which it is made from; name another"):
-            write_file(tmp_path / name, "x", keep=[tmp_path / "a"])
+            check_output(tmp_path / name, keep=[tmp_path / "a"])
     assert (tmp_path / "a").read_text() == "mine"
     assert same_file(tmp_path / "new", tmp_path / "x" / ".." / "new")
 

@@ -39,8 +39,8 @@ class ModeShape:
         Of the entries, in the same scale.
     modelled : ndarray, shape (N,)
         At all floors as sensors would show them, scaled to the measured ones as the fit does.
-    measured_frequency, modelled_frequency : float
-        Hz.
+    frequency : float
+        Measured, Hz.
     """
 
     configuration: str
@@ -49,8 +49,7 @@ class ModeShape:
     measured: Floats
     std: Floats
     modelled: Floats
-    measured_frequency: float
-    modelled_frequency: float
+    frequency: float
 
 
 def mode_shapes(estimate: Estimate) -> list[ModeShape]:
@@ -76,7 +75,6 @@ def mode_shapes(estimate: Estimate) -> list[ModeShape]:
                     noise * configuration.entry_std[j] / abs(unit),
                     modelled[j] / unit,
                     float(configuration.frequencies[j]),
-                    float(model.modes.frequencies[model.paired[j]]),
                 )
             )
     return result
@@ -199,7 +197,7 @@ def _displaced_frame(axes: Axes, z: Floats, before: ModeShape, after: ModeShape)
     axes.axhline(0, color=style.GREY, lw=0.8)
     axes.set(xlim=(-1.45, 1.45), xticks=[-1, 0, 1], ylim=(0, 1.07 * float(z[-1])))
     axes.set_title(
-        f"{style.letters(after.configuration, 16)}\nmode {after.mode}: {after.measured_frequency:#.4g} Hz", fontsize=7.5
+        f"{style.letters(after.configuration, 16)}\nmode {after.mode}: {after.frequency:#.4g} Hz", fontsize=7.5
     )
 
 
