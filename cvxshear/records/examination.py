@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 import scipy
 
-from cvxshear.records.clocks import BandClock, Segments, band_clock, drift_of
+from cvxshear.records.clocks import BandClock, Segments, band_clock, drift_of, straight
 from cvxshear.records.floors import one_a_floor, turning
 from cvxshear.records.record import Channel, Finding, FrfRecord, Record, TimeRecord
 from cvxshear.records.sick_channels import channel_findings, without_sick, without_spikes
@@ -135,6 +135,9 @@ def _in_step(record: TimeRecord) -> tuple[TimeRecord, list[Finding], dict[str, t
         if not slope and not _confirmed(segments, i, right, late, 2 * limit, clocks):
             continue
         if not slope and segments.agreed(i, right, 0.0) > IN_STEP * segments.agreed(i, right, late):
+            continue
+        # A drift moves a clock by less than a resonance turns.
+        if not slope and not straight(segments, i, right, late):
             continue
         start = late - slope * (item if i != reference else heard_by[right]).time
         wrong[clocks[i]] = (start, slope)
