@@ -243,6 +243,7 @@ def _repaired(
         order = list(range(len(record.channels)))
         low, high = best.places
         order[low], order[high] = high, low
+        record = scaled(record, {record.channels[place].name: -1.0 for place in best.turned})
         return record, settled(record, wanted, lambda record: attempt(record, order), highest=highest), findings
     if findings and findings[0].numbers["corrected"]:
         factor = -1.0 if best.kind == "sign" else best.factor

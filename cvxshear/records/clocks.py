@@ -29,9 +29,11 @@ GROUPS = 12
 BANDS = 8
 """Parts of the band, of equal weight, that must agree in a delay."""
 NO_PHASE = 3.0
-"""Degrees; a phase of a band that a delay leaves and that noise may have made."""
+"""Degrees; a phase of a band that a delay leaves and that noise may have made; twice that in a part of a record."""
 WELL_TURNED = 30.0
 """Degrees; a third of what chance leaves at most in a band that a long delay turns several times."""
+HEARD = 0.25
+"""Of the largest agreement of lines in a band; a band with less has little of what both channels show."""
 MOST_BANDS = 0.75
 """Share of the bands whose phases a delay must make smaller; resonances turn the others."""
 TRUSTED_DRIFT = 4.0
@@ -270,25 +272,54 @@ def _fitted(
     )
 
 
-def straight(segments: Segments, first: int, second: int, seconds: float, slope: float = 0.0, time: float = 0.0) -> bool:
-    """Whether a delay, and a drift about a time, make the phases of two clocks smaller in nearly every band.
+def straight(
+    segments: Segments, first: int, second: int, seconds: float, slope: float = 0.0, time: float = 0.0
+) -> bool:
+    """Whether a delay, or a drift on top of it, makes the phases of two clocks smaller in nearly every band.
 
     The phases that dampers make are small below the first mode, and grow there with the cube of the frequency: the
     delay that explains them at the modes leaves more in the lowest bands than it takes.
+
+    Parameters
+    ----------
+    segments : Segments
+    first, second : int
+        Clocks.
+    seconds : float
+        How late the first is; at the time `time` where it drifts.
+    slope : float, optional
+        Seconds more in each second after. The phases in the parts of the record are then compared with those of the
+        delay alone.
+    time : float, optional
+        s.
     """
     squares, _, times, _ = segments.agreement(first, second)
-    edges = _bands(squares)
-    late = seconds + slope * (times - time)
-    turned = (squares * np.exp(2j * late[:, None] * segments.omega[None, :])).sum(axis=0)
-    before, after = (np.abs(np.angle(np.add.reduceat(each, edges))) / 2 for each in (squares.sum(axis=0), turned))
+    edges, steady = _bands(squares), 0.0 if slope == 0.0 else seconds
+    parts = squares if slope else squares.sum(axis=0)[None]
+    before, _ = _phases(parts, np.full(len(times), steady), edges, segments.omega)
+    after, agreed = _phases(parts, seconds + slope * (times - time), edges, segments.omega)
     # Turned by more than a right angle, what a band shows without the delay is anything.
     middles = segments.omega[(edges + np.append(edges[1:], squares.shape[1])) // 2]
-    turned_well = middles * np.abs(seconds) > np.pi / 2
-    allowed = np.maximum(before, np.radians(np.where(turned_well, WELL_TURNED, NO_PHASE)))
+    turned = middles * np.abs(seconds - steady) > np.pi / 2
+    noise = 2 * NO_PHASE if slope else NO_PHASE
+    allowed = np.maximum(before, np.radians(np.where(turned, WELL_TURNED, noise)))
     low = slice(None, len(edges) // 4 + 1)
-    return bool(
-        np.linalg.norm(after[low]) <= np.linalg.norm(allowed[low]) and np.mean(after <= allowed) >= MOST_BANDS
-    )
+    less = np.cumsum(after[low] ** 2) <= np.cumsum(allowed[low] ** 2)
+    # In the wind's own band the floors move each by itself.
+    heard = agreed > HEARD * agreed.max()
+    return bool(less.all() and np.mean(after[heard] <= allowed[heard]) >= MOST_BANDS)
+
+
+def _phases(squares: Complexes, late: Floats, edges: Ints, omega: Floats) -> tuple[Floats, Floats]:
+    """Root mean square phase of each band over the parts of a record, rad, with a delay in each part taken out.
+
+    The agreement of the lines in each band, between 0 and 1, comes second.
+    """
+    cells = np.add.reduceat(squares * np.exp(2j * late[: len(squares), None] * omega), edges, axis=1)
+    size = np.abs(cells)
+    total = np.maximum(size.sum(axis=0), 1e-300)
+    agreed = total / np.maximum(np.add.reduceat(np.abs(squares).sum(axis=0), edges), 1e-300)
+    return np.sqrt(np.sum(size * np.angle(cells) ** 2, axis=0) / total) / 2, agreed
 
 
 def _bands(squares: Complexes) -> Ints:
@@ -328,7 +359,7 @@ def _over_bands(squares: Complexes, times: Floats, line: Floats, segments: Segme
 
 
 def _best_lines(table: Floats, around: Floats, step: float, grid: Floats) -> tuple[tuple[int, int], int]:
-    """Place on the grid, and steps of drift from the middle to the end, of the largest agreement; then without drift."""
+    """Place on the grid and steps of drift, from the middle to the end, of the largest agreement; then without drift."""
     half = max(float(np.abs(around).max()), 1e-9)
     most = int(FASTEST_DRIFT * half / step) if len(table) > 2 else 0
     best, without = (-np.inf, 0, 0), (-np.inf, 0)
