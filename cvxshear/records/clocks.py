@@ -359,7 +359,7 @@ def _over_bands(squares: Complexes, times: Floats, line: Floats, segments: Segme
 
 
 def _best_lines(table: Floats, around: Floats, step: float, grid: Floats) -> tuple[tuple[int, int], int]:
-    """Place on the grid and steps of drift, from the middle to the end, of the largest agreement; then without drift."""
+    """Place on the grid, and steps of drift from the middle to the end, of the largest agreement; then without any."""
     half = max(float(np.abs(around).max()), 1e-9)
     most = int(FASTEST_DRIFT * half / step) if len(table) > 2 else 0
     best, without = (-np.inf, 0, 0), (-np.inf, 0)
