@@ -26,7 +26,7 @@ FASTEST_DRIFT = 1e-3
 """s a second; crystals differ by a tenth of that at most."""
 GROUPS = 12
 """Parts of a record in which the delay is estimated by itself."""
-BANDS = 8
+DELAY_BANDS = 8
 """Parts of the band, of equal weight, that must agree in a delay."""
 NO_PHASE = 3.0
 """Degrees; a phase of a band that a delay leaves and that noise may have made; twice that in a part of a record."""
@@ -325,7 +325,7 @@ def _phases(squares: Complexes, late: Floats, edges: Ints, omega: Floats) -> tup
 def _bands(squares: Complexes) -> Ints:
     """Places of the first lines of bands of equal weight."""
     loud = np.cumsum(np.abs(squares).sum(axis=0))
-    edges = np.searchsorted(loud, np.arange(BANDS) / BANDS * loud[-1], side="right")
+    edges = np.searchsorted(loud, np.arange(DELAY_BANDS) / DELAY_BANDS * loud[-1], side="right")
     return np.unique(np.minimum(edges, squares.shape[1] - 1))
 
 
