@@ -22,6 +22,7 @@ from cvxshear.loop.conclusion import conclude
 from cvxshear.loop.duals import dual_fits_as_well, dual_frame, dual_set, few_floors_seen
 from cvxshear.loop.fitter import Fitter
 from cvxshear.loop.hypotheses import Hypothesis, assumed, chosen, hypotheses
+from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.numbering import Numbering
 from cvxshear.loop.otherwise import searches
 from cvxshear.loop.results import Closure
@@ -32,6 +33,9 @@ from cvxshear.measurement.reading import repeated_configurations
 from cvxshear.priors import Prior
 from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError, UnsuitableError
 from cvxshear.util.typing import Floats
+
+SAME_FRAME = 1e-3
+"""Relative difference of masses and stiffnesses below which two fits have one frame: fits end closer than that."""
 
 MOST_WIDENINGS = 3
 """Times that the noise is widened where nothing explains a residual: under wider noise other sets are best."""
@@ -198,7 +202,7 @@ class _Loop:
         except CvxshearError:
             # What was declared of the frame excludes its dual.
             return None
-        if other.base.score < search.base.score - REACH or other.base.same_optimum(search.base):
+        if other.base.score < search.base.score - REACH or _same_frame(other.base, search.base):
             return None
         other.visit(effects for effects, _ in self._duals(search))
         other.run()
@@ -235,6 +239,13 @@ class _Loop:
             frame = search.fitter.fit(misfit, base.theta, ROUGH).theta[: 2 * n]
             frames += [frame, dual_frame(frame)]
         return [(frozenset([each]), frame) for each in placed for frame in frames]
+
+
+def _same_frame(a: ModelClass, b: ModelClass) -> bool:
+    """Whether two fits have one frame: from another, even one that no datum tells from it, other sets are reached."""
+    assert a.estimate is not None, "the shear model was fitted"
+    assert b.estimate is not None, "the shear model was fitted"
+    return bool(np.allclose(a.estimate.theta, b.estimate.theta, rtol=SAME_FRAME))
 
 
 def _first(experiment: Experiment, backend: Backend, there: tuple[Placed, ...]) -> Estimate:
