@@ -1,6 +1,7 @@
 """What the whole suite shares: its options, who runs what in which order, and the command line run in this process."""
 
 import functools
+import gc
 import os
 import re
 import tempfile
@@ -28,6 +29,10 @@ SHARING = re.compile(r"^@(functools\.)?cache$|scope=.module.", re.MULTILINE)
 """In a file whose tests look at something that is made once."""
 
 
+OBJECTS = 50_000
+"""New objects after which garbage is looked for; by Python's 700 a tenth of the time of a drawing goes into that."""
+
+
 def pytest_addoption(parser):
     parser.addoption(
         "--fuzz-budget",
@@ -45,6 +50,13 @@ def pytest_configure(config):
         os.environ[KEPT_IN] = folder.name
         config.add_cleanup(folder.cleanup)
         config.add_cleanup(lambda: os.environ.pop(KEPT_IN))
+
+
+def pytest_collection_finish():
+    """What has been imported lives as long as the process: the search for garbage need not walk through it."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(OBJECTS, 20, 20)
 
 
 def pytest_collection_modifyitems(items):
