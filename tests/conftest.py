@@ -12,6 +12,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import pytest
+import typer.main
 from xdist.scheduler import LoadScopeScheduling
 
 from cvxshear.cli import main
@@ -28,6 +29,9 @@ LONGEST_FIRST = (
 SHARING = re.compile(r"^@(functools\.)?cache$|scope=.module.", re.MULTILINE)
 """In a file whose tests look at something that is made once."""
 
+
+# Typer writes the whole command line anew for every command, which takes longer than most of them.
+typer.main.get_command = functools.cache(typer.main.get_command)
 
 OBJECTS = 50_000
 """New objects after which garbage is looked for; by Python's 700 a tenth of the time of a drawing goes into that."""
