@@ -279,10 +279,17 @@ QUIET = ("-W", "ignore::pytest.PytestAssertRewriteWarning")
 
 
 class Watcher:
-    """A plugin of pytest that writes down the first test that fails, and skips what is left after so many seconds."""
+    """A plugin of pytest that runs files in the order given, writes down the first test that fails, and skips what is
+    left after so many seconds."""
 
-    def __init__(self, path, seconds):
-        self._path, self._seconds = path, seconds
+    def __init__(self, path, tests, seconds):
+        self._path, self._tests, self._seconds = path, tests, seconds
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items):
+        """Put the nearest first again, after `conftest` has put first what takes longest."""
+        order = {test.partition("::")[0]: place for place, test in enumerate(self._tests)}
+        items.sort(key=lambda item: order[item.nodeid.partition("::")[0]])
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_setup(self, item):
@@ -323,7 +330,7 @@ def first_failure(folder, tests, given, broken=()):
         options = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", *QUIET]
         options += [f"--deselect={each}" for each in broken]
         try:
-            os._exit(int(pytest.main([*options, *tests], plugins=[Watcher(told, given.seconds)])))
+            os._exit(int(pytest.main([*options, *tests], plugins=[Watcher(told, tests, given.seconds)])))
         except BaseException:
             os._exit(99)
     until = time.monotonic() + WAITED * given.limit
