@@ -236,6 +236,8 @@ def fit_frame(
         )
         p = rough.maximum(p, backend, MOST_FIT_STEPS, FORM_STDS[-1], FIRST_FITTED)[0].p
     along, inflation = informative(errors, prior, p), 1.0
+    # A prior that holds a changed story as it was would move masses or their scale instead, and not find back.
+    answer = possible_answers(errors.linearised(p, along), prior, p)[0]
     for _ in range(MOST_DECISIONS):
         posterior = _Posterior(errors, along, prior.gaussian(*answer.prior), inflation)
         at, converged = posterior.maximum(p, backend, MOST_FIT_STEPS, answer.form_std)

@@ -219,14 +219,18 @@ class FrameMotion:
             found.append(smooth(model, Observed(run.excitation, run.measured, envelope, scale), asked))
         return found
 
-    def runs(self, fitted: FittedFrame, smoothed: list[Smoothed], wider: float) -> list[ReconstructedRun]:
-        """Every run's motion, its deviations widened by a factor.
+    def runs(
+        self, fitted: FittedFrame, smoothed: list[Smoothed], wider: float, drift_std: float
+    ) -> list[ReconstructedRun]:
+        """Every run's motion, its deviations widened by a factor, those of drifts by a part of the drift besides.
 
         Parameters
         ----------
         fitted : FittedFrame
         smoothed : list of Smoothed
         wider : float
+        drift_std : float
+            Standard deviation of a drift, relative to it, that no linear frame has.
         """
         directions = self.directions(fitted)
         noise = fitted.errors.noise_at(fitted.p)
@@ -240,7 +244,8 @@ class FrameMotion:
                 std += directions.allowance * self.moved_by(sides, noise, run.excitation, found) ** 2
             np.sqrt(std, out=std)
             std *= wider
-            acceleration, displacement, _, force = (moved[:, k * n : (k + 1) * n] for k in range(4))
+            acceleration, displacement, drift, force = (moved[:, k * n : (k + 1) * n] for k in range(4))
+            np.hypot(std[:, 2 * n : 3 * n], drift_std * drift, out=std[:, 2 * n : 3 * n])
             time = self.recording.step * np.arange(len(moved), dtype=np.float64)
             motion = Response(time, acceleration, displacement, force, model.heights, model.mass_known)
             names = ("floor_acceleration", "floor_displacement", "story_drift", "story_shear")

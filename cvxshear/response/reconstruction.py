@@ -50,6 +50,10 @@ NONLINEAR = 4.0
 """Inflation of the scores from which on a record is said not to be that of a linear frame with sound sensors: those
 have 1 to 2, with bending beams too, a clock 5 ms late makes it 5 and a story that yields 4 to 50."""
 
+NONLINEAR_DRIFT = 0.1
+"""Standard deviation of drifts, relative to them, that such a record adds: a linear frame puts the peak of a story that
+yields 3 to 17 % too low and those beside it up to 9 % too high (``tests.benchmarks.reconstruction``)."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Reconstruction(Shown):
@@ -251,7 +255,8 @@ def reconstruct(
     for channel in range(len(recording.floors)) if leave_out and len(recording.floors) > 1 else ():
         checks.append(checked(work, fitted, smoothed, channel, predicted))
         advance()
-    runs = work.runs(fitted, smoothed, widening(checks))
+    nonlinear = fitted.inflation > NONLINEAR
+    runs = work.runs(fitted, smoothed, widening(checks), NONLINEAR_DRIFT if nonlinear else 0.0)
     peaks = peaks_of((run.response, run.std) for run in runs)
     passed = None
     if experiment.limits is not None and "story_drift_ratio" in peaks.values:
@@ -336,8 +341,8 @@ def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
         said.append(
             "the record is not that of a linear frame with sound sensors (the scores of the stiffnesses scatter "
             f"{found.frame.inflation:.0f} times as much): a story that yields or changes meanwhile does that, and so "
-            "does a channel whose clock is late; the peak drift of a story that yields comes out too small, by a sixth "
-            "in simulated frames, and may lie beyond its band"
+            f"does a channel whose clock is late; a story that yields drifted up to a sixth more than is said, so "
+            f"{percent(NONLINEAR_DRIFT, 1)} of each drift is in its deviation"
         )
     coloured = [each for each in found.whiteness if abs(each.correlation) > COLOURED]
     if coloured:

@@ -278,15 +278,20 @@ def test_the_floors_tell_how_the_ground_moved_between_its_samples(finer, taken):
 
 
 def test_a_story_that_yields_leaves_the_rest_as_it_was_and_is_said():
-    """A third of a story's stiffness is plastic: other stories and the masses stay what they were identified to be."""
-    models, motion, drift, story = study.setting(4, "yields", 0, seconds=24.0)
+    """A third of a story's stiffness is plastic: other stories and the masses stay what they were identified to be.
+
+    The peak drift of that story comes out a tenth too low, and its band says that it may.
+    """
+    models, motion, drift, story = study.setting(4, "yields", 0)
     found = reconstruct(models, motion, leave_out=False)
     others = np.arange(4) != story - 1
     np.testing.assert_allclose(found.frame.factors[others], 1.0, atol=0.03)
     heavier = np.diag(found.model.M) / np.diag(found.frame.errors.varied.centre.model.M) - 1
     np.testing.assert_allclose(heavier, 0.0, atol=0.01)
     true = np.abs(drift).max(axis=0)
-    np.testing.assert_allclose(found.peaks.values["story_drift"][others], true[others], rtol=0.1)
+    drift, std = found.peaks.values["story_drift"], found.peaks.std["story_drift"]
+    np.testing.assert_allclose(drift[others], true[others], rtol=0.1)
+    assert np.all(np.abs(drift - true) < 1.96 * std)
     assert any("is not that of a linear frame with sound sensors" in remark for remark in found.remarks)
 
 
