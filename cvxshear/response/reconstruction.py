@@ -36,6 +36,9 @@ from cvxshear.util.typing import Floats, Json
 NAMED_CHANGE = 0.95
 """Probability from which on a story is named as changed: the loop's own level for what it adds."""
 
+SIGN_KNOWN = 1.645
+"""Standard deviations that a changed story's stiffness differs by: that it is softer, or stiffer, is 95 % probable."""
+
 WIDER = 1.3
 """Ratio of the left-out sensors' errors to their stated deviations, by which all bands are then widened, that is said:
 twenty effective samples scatter by as much."""
@@ -113,12 +116,29 @@ class Reconstruction(Shown):
     def changed(self) -> tuple[int, ...]:
         """Stories (from 1) that changed by themselves with a probability of at least `NAMED_CHANGE`.
 
-        Where the modes speak against the model, only those that changed by more than twice what it lacks.
+        Only those of which it is known whether they are softer or stiffer and, where the modes speak against the model,
+        that changed by more than twice what it lacks.
         """
         if self.change_probability is None:
             return ()
-        large = np.abs(self.frame.factors - 1.0) > 2.0 * self.fitted.lacking
+        least = np.maximum(2.0 * self.fitted.lacking, SIGN_KNOWN * self.frame.factors_std)
+        large = np.abs(self.frame.factors - 1.0) > least
         return tuple(int(j) + 1 for j in np.flatnonzero((self.change_probability >= NAMED_CHANGE) & large))
+
+    @property
+    def nonlinear(self) -> bool:
+        """Whether the record is not that of a linear frame with sound sensors."""
+        return self.frame.inflation > NONLINEAR
+
+    @property
+    def heavier(self) -> Floats | None:
+        """Relative change of each floor's mass since the tests, shape (N,); None where none is named.
+
+        Base motion does not tell the scale of the masses: their total is as it was declared.
+        """
+        if not self.frame_fitted or self.frame.mass_probability < NAMED_CHANGE:
+            return None
+        return np.asarray(np.diag(self.model.M) / np.diag(self.frame.errors.varied.centre.model.M) - 1.0)
 
     @property
     def change_probability(self) -> Floats | None:
@@ -162,6 +182,8 @@ class Reconstruction(Shown):
                     "story_factor_std": frame.factors_std,
                     "change_probability": none if self.change_probability is None else self.change_probability,
                     "changed": self.changed,
+                    "mass_change_probability": frame.mass_probability if self.frame_fitted else None,
+                    "mass_change": none if self.heavier is None else self.heavier,
                     "frequencies": self.model.modes.frequencies,
                     "damping_ratios": self.model.ratios,
                     "converged": frame.converged,
@@ -321,6 +343,11 @@ def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
         )
     if not found.fitted.mass_known:
         said.append("the masses have no scale (give total_mass): forces and moments are left out")
+    if found.heavier is not None:
+        said.append(
+            "the floors do not weigh what they did in the tests: base motion tells the change of each against the "
+            "others, not that of all together"
+        )
     if found.limits is not None and found.passed is None:
         said.append("drift ratios need story_heights in [frame]: the limits cannot be judged")
     if found.fitted.lacking:
@@ -337,7 +364,7 @@ def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
             f"sensors that were left out missed by {wider:.1f} times their stated deviation: the model lacks "
             "something, and all bands are as much wider for it"
         )
-    if found.frame.inflation > NONLINEAR:
+    if found.nonlinear:
         said.append(
             "the record is not that of a linear frame with sound sensors (the scores of the stiffnesses scatter "
             f"{found.frame.inflation:.0f} times as much): a story that yields or changes meanwhile does that, and so "
