@@ -13,7 +13,7 @@ from cvxshear import Experiment, backends, close_loop
 from cvxshear.cli import main
 from cvxshear.files.toml import write_measurement
 from cvxshear.fit.efficient import efficient
-from cvxshear.loop.numbering import named_numberings, overlooked_in_all, overlooked_in_one
+from cvxshear.loop.numbering import Numbering, named_numberings, overlooked_in_all, overlooked_in_one
 from cvxshear.modal import identify_modes
 from cvxshear.modal.diagnostics import A_MODE, left_out, overlooked_modes
 from cvxshear.modal.picking import PoleCandidate
@@ -179,6 +179,8 @@ def test_what_is_in_question():
     assert len(overlooked_in_one(experiment)) == 8
     odds = sum(np.exp(item.log_odds) for item in (*in_all, *overlooked_in_one(experiment)))
     assert odds == pytest.approx(0.05 / 0.95)
+    # All odds are against the numbers as given, whose own are one.
+    assert np.exp(Numbering(experiment).log_odds) == 1.0
     assert named_numberings(experiment) == []
 
 
