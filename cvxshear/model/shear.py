@@ -30,8 +30,9 @@ def mass_matrix(floor_mass: Floats) -> Floats:
 
 def stiffness_matrix(story_stiffness: Floats) -> Floats:
     """K = T diag(k) T' of Eq. 18, shape (N, N), N/m: symmetric and tridiagonal."""
-    T = transformation(len(story_stiffness))
-    return (T * story_stiffness) @ T.T
+    own, above = story_stiffness, np.append(story_stiffness[1:], 0.0)
+    between = np.diag(-above[:-1], 1)
+    return np.diag(own + above) + between + between.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +68,7 @@ class System:
 
     def stiffness_slopes(self, u: Floats) -> Floats:
         """dK u by every parameter, shape (P, N)."""
-        slopes: Floats = self.dK @ u
-        return slopes
+        return np.asarray(self.dK @ u)
 
 
 class ShearSystem(System):
@@ -203,8 +203,7 @@ def attached_share(found: Modes, M: Floats, floors: int) -> Floats:
     energy of one mode each.
     """
     attached = slice(floors, len(M))
-    share: Floats = found.shapes[:, attached] ** 2 @ np.diag(M)[attached]
-    return share
+    return np.asarray(found.shapes[:, attached] ** 2 @ np.diag(M)[attached])
 
 
 def frame_modes(found: Modes, M: Floats, floors: int) -> Ints:

@@ -188,8 +188,7 @@ class Design:
         units = np.concatenate([self.units, np.ones(len(more))])
         if self.measured is not None:
             theta = np.concatenate([self.theta, nulls])
-            result: Floats = Misfit(self.measured, (*self.effects, *more)).evaluate(theta).J * units
-            return result
+            return np.asarray(Misfit(self.measured, (*self.effects, *more)).evaluate(theta).J * units)
         rows = [np.zeros((0, len(units)))]
         for prior in self.priors:
             at = _place(prior, n)

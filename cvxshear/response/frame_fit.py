@@ -48,6 +48,10 @@ GROWN_INFLATION = 2.0
 """Growth of the inflation of the scores from which on the frame is fitted again under it: what is known of masses and
 effects must not give way to the innovations of a model that is wrong."""
 
+NONLINEAR = 4.0
+"""Inflation of the scores from which on a record is said not to be that of a linear frame with sound sensors: those
+have 1 to 2, with bending beams too, a clock 5 ms late makes it 5 and a story that yields 4 to 50."""
+
 LEAST_WEIGHT = 1e-3
 """Probability of an answer, relative to the most probable one, below which it is left out of the average."""
 
@@ -271,6 +275,9 @@ def fit_frame(
         if answer.prior == before.prior and at.likelihood.inflation <= GROWN_INFLATION * inflation:
             break
         inflation = max(inflation, at.likelihood.inflation)
+    if answer.mass_std and at.likelihood.inflation > NONLINEAR:
+        # Masses that leave the record as unlike a linear frame's as this take up what is none of theirs.
+        return fit_frame(errors, dataclasses.replace(prior, heavier_floors=prior.heavier_floors[:, :0]), backend, start)
     return _mixed(errors, prior, at, answers, converged)
 
 

@@ -121,6 +121,16 @@ class Finding(InJson):
     refuses: bool
     rivals: tuple[str, ...] = ()
 
+    @staticmethod
+    def of_changes(
+        configuration: str | None, changes: Sequence[tuple[str, str, str]], evidence: str, *, refuses: bool
+    ) -> Finding:
+        """Make a finding of changes of which one is needed: what each mends, what was found, and what to do."""
+        names = list(dict.fromkeys(name for name, _, _ in changes))
+        found = f"{' or '.join(found for _, found, _ in changes)}: {evidence}"
+        change = f"{'One of: ' if len(changes) > 1 else ''}{'; or '.join(change for _, _, change in changes)}"
+        return Finding(names[0], configuration, found, change, refuses, tuple(names[1:]))
+
     def accepted(self, names: Collection[str]) -> bool:
         """Whether it is among these names."""
         return any(name in names for name in (self.name, *self.rivals))

@@ -204,6 +204,8 @@ def _findings(result: Reconstruction) -> Iterator[str]:
             open_ = [int(story) + 1 for story in np.flatnonzero(unsure)]
             label = f"{100 * limit:g} %" if word == f"{100 * limit:g} %" else f"{word} ({100 * limit:g} %)"
             passed = f"passed in {_stories(sure)}" if sure else "passed in no story"
+            if np.isnan(chances).any():
+                passed = f"passed in {_stories(sure)}, elsewhere that cannot be told" if sure else "cannot be told"
             yield f"limit {label}: {passed}" + (f", possibly in {_stories(open_)}" if open_ else "")
     if result.changed:
         for story in result.changed:
@@ -212,7 +214,7 @@ def _findings(result: Reconstruction) -> Iterator[str]:
             size = with_std(100 * abs(factor - 1), 100 * deviation, "%", factor=1.0)
             probable = chance(float(result.frame.story_probability[story - 1]))
             yield f"story {story} was {size} {word} than identified ({probable} probable)"
-    elif result.frame_fitted:
+    elif result.frame_fitted and not result.nonlinear:
         mean, deviation = result.frame.mean_factor
         word = "softer" if mean < 1 else "stiffer"
         size = with_std(100 * abs(mean - 1), 100 * deviation, "%", factor=1.0)
@@ -262,7 +264,7 @@ def stories(result: Reconstruction) -> Table:
             "–" if result.change_probability is None else chance(float(result.change_probability[story])),
         ]  # fmt: skip
         if result.passed is not None:
-            cells += [chance(float(each[story])) for each in result.passed]
+            cells += ["–" if np.isnan(each[story]) else chance(float(each[story])) for each in result.passed]
         rows.append(tuple(cells))
     return Table("reconstructed-stories", "peak drift ± standard deviation", tuple(head), plain_rows(rows))
 
