@@ -25,7 +25,7 @@ def four_stories(**keys):
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-@pytest.mark.parametrize(("stories", "effect"), [(4, None), (4, "base_rocking")])
+@pytest.mark.parametrize(("stories", "effect"), [(4, None), (5, "base_rocking")])
 def test_each_mistake_is_named_with_what_to_change(mistake, stories, effect):
     rng = np.random.default_rng(stories)
     declared, _ = simulated(effect, stories=stories, configurations=2, rng=rng)
