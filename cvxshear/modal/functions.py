@@ -15,7 +15,7 @@ import scipy
 
 from cvxshear.modal.frf import Spectra, hit_spectra, table_spectra
 from cvxshear.records.record import FrfRecord, Record, TimeRecord
-from cvxshear.records.signals import detrended, impulsive, without_offset
+from cvxshear.records.signals import detrended, struck, without_offset
 from cvxshear.util.typing import Complexes, Floats, Ints
 
 LINES = 512
@@ -96,7 +96,7 @@ def measured_functions(record: Record, highest: float) -> Functions:
         spectra, _ = table_spectra(record)
         lines = record.step * np.arange(len(spectra[0].force_force), dtype=np.float64)
         found = _of_spectra(record, spectra, lines, averaged=False)
-    elif record.input == "force" and all(impulsive(run) for run in record.runs):
+    elif struck(record):
         spectra, samples = hit_spectra(without_offset(record))
         several = min(np.unique([item.floor for item in spectra], return_counts=True)[1]) > 1
         found = _of_spectra(record, spectra, _lines(samples, rate), averaged=several)

@@ -13,7 +13,7 @@ from cvxshear.modal.frf import FrfSource, ImpulseSource, hit_spectra, hit_times,
 from cvxshear.modal.picking import Sweep
 from cvxshear.modal.realization import Impulse, Source
 from cvxshear.records.record import FrfRecord, Record, Run, TimeRecord
-from cvxshear.records.signals import decimated, detrended, impulsive, without_offset
+from cvxshear.records.signals import decimated, detrended, struck, without_offset
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError, UnsuitableError
 from cvxshear.util.quantities import listed
@@ -77,13 +77,13 @@ def _suited(record: Record) -> tuple[str, ...]:
     if isinstance(record, FrfRecord):
         return ("era",)
     if record.input == "force":
-        return ("era", "subspace", "okid") if all(map(impulsive, record.runs)) else ("subspace", "okid", "era")
+        return ("era", "subspace", "okid") if struck(record) else ("subspace", "okid", "era")
     return {"none": ("ssi",), "free_decay": ("era", "ssi"), "base": ("subspace", "okid")}[record.input]
 
 
 def _hits(record: TimeRecord) -> FrfSource:
-    _refuse_several_hits(record)
     record = without_offset(record)
+    _refuse_several_hits(record)
     lowest, highest = (0.0, np.inf) if record.band is None else record.band
     record = decimated(dataclasses.replace(record, band=(lowest, min(highest, reach(record)))))
     spectra, samples = hit_spectra(record)

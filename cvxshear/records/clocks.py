@@ -15,7 +15,7 @@ import numpy as np
 from scipy import special
 
 from cvxshear.records.record import TimeRecord
-from cvxshear.records.signals import impulsive
+from cvxshear.records.signals import struck
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
 SEGMENT = 20.0
@@ -148,7 +148,7 @@ class Segments:
         """Cut a record into segments and transform them."""
         rate = record.sampling_rate
         length = min(int(SEGMENT * rate), *(run.samples for run in record.runs)) // 2 * 2
-        decaying = record.input == "free_decay" or all(map(impulsive, record.runs))
+        decaying = record.input == "free_decay" or struck(record)
         window = _window(length, decaying=decaying)
         spectra, times, started = [], [], 0
         for run in record.runs:

@@ -17,14 +17,23 @@ AnyRecord = TypeVar("AnyRecord", bound=TimeRecord | FrfRecord)
 
 IMPULSIVE = 0.1
 """A force that does nearly all its work within this share of the run is a blow."""
+FORCE_SEEN = 0.02
+"""Of a force's peak: less is the noise of a hammer's sensor, which over a long run has as much energy as the blow."""
 
 
 def impulsive(run: Run) -> bool:
-    """Whether the run's force is a blow: 90 % of its energy within a tenth of the run."""
+    """Whether the run's force is a blow: 90 % of its energy within a tenth of the run, offset and noise left out."""
     if run.excitation is None:
         return False
-    power = np.sort(run.excitation**2)[::-1]
+    # A blow does not move the median, which is the sensor's offset then.
+    force = np.abs(run.excitation - np.median(run.excitation))
+    power = np.sort(np.where(force > FORCE_SEEN * force.max(), force, 0.0) ** 2)[::-1]
     return bool(np.searchsorted(np.cumsum(power), 0.9 * power.sum()) < IMPULSIVE * len(power))
+
+
+def struck(record: TimeRecord) -> bool:
+    """Whether the record is one of blows: most of its runs, one among them may have missed its blow."""
+    return record.input == "force" and 2 * sum(map(impulsive, record.runs)) > len(record.runs)
 
 
 def detrended(record: TimeRecord) -> TimeRecord:
