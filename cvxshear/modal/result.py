@@ -33,7 +33,8 @@ def frequency_std(scatter: Floats, modes: Ints, findings: Sequence[Finding]) -> 
 
     The halves of the record, the stronger and the weaker one, lie a half of the whole range of amplitudes apart. A
     frequency that changes by d between them is spread over 2 d, with a standard deviation of 2 d / sqrt(12). A mode
-    for which no change could be told is taken to change by as much as the one that changes least.
+    for which no change could be told is taken to change by as much as the one that changes least. One that is only
+    suspected to change, by its scatter, has that scatter in its deviation already.
 
     Parameters
     ----------
@@ -44,7 +45,7 @@ def frequency_std(scatter: Floats, modes: Ints, findings: Sequence[Finding]) -> 
     changes = {
         item.numbers["mode"]: 2.0 * abs(item.numbers["change"]) / np.sqrt(12.0)
         for item in findings
-        if item.kind == "amplitude"
+        if item.kind == "amplitude" and "change" in item.numbers
     }
     least = min(changes.values(), default=0.0)
     return np.hypot(scatter, [changes.get(int(mode), least) for mode in modes])

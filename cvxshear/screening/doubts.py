@@ -246,8 +246,11 @@ def deviations(experiment: Experiment) -> Iterator[Finding]:
             if std.min() < BEST_LABORATORY_STD:
                 yield _deviation(each.name, f"{key} = {std.min():.1g} is finer than any instrument measures")
             elif np.median(std) > largest:
+                of = "frequencies" if key == "frequency_std" else "shapes"
                 yield _deviation(
-                    each.name, f"{key} = {np.median(std):g} would leave nothing measured: it looks like percent"
+                    each.name,
+                    f"the {of} have standard deviations of {100 * np.median(std):.3g} % ({key} = {np.median(std):.3g}) "
+                    "and measure nothing: these are percent, or the record that they come from hardly shows its modes",
                 )
     frame = experiment.frame
     stated = [("total_mass_std", frame.total_mass_std)]

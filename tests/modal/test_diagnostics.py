@@ -14,7 +14,7 @@ from cvxshear.modal.result import SENSOR_STD, entry_std
 from cvxshear.records.clocks import offsets
 from cvxshear.records.record import Finding
 from cvxshear.records.sick_channels import channel_findings
-from cvxshear.records.signals import in_step
+from cvxshear.records.signals import in_step, struck
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
 from tests.modal.shared import TWO_STORY_FREQUENCIES, two_story_frf
 
@@ -274,6 +274,58 @@ def test_frequency_that_depends_on_amplitude():
     changes = [finding.numbers["change"] for finding in found(identify_modes(record), "amplitude")]
     assert len(changes) == 3
     np.testing.assert_allclose(changes, np.log(0.98) / 2, atol=0.002)
+
+
+def earthquake(seed: int, limit: float | None = None, rate: float = 20.0, steps: int = 20) -> TimeRecord:
+    """Ground motion that dies away to a hundredth; a second story that slides beyond `limit` times its elastic peak."""
+    random = np.random.default_rng(seed)
+    time, inner = np.arange(0.0, 120.0, 1 / rate), np.arange(0.0, 120.0, 1 / (rate * steps))
+    ground = np.interp(inner, time, random.standard_normal(len(time)) * np.minimum(time / 4, np.exp((4 - time) / 25)))
+    masses, (frequencies, shapes) = PAPER_FRAME.masses, PAPER_FRAME.modes()
+    weighed = shapes * masses
+    damper = weighed.T @ np.diag(4 * np.pi * PAPER_FRAME.damping * frequencies) @ weighed
+    slides = np.inf
+    for passed in range(1 if limit is None else 2):
+        place, speed, slid, peak, moved = np.zeros(3), np.zeros(3), 0.0, 0.0, np.zeros((len(inner), 3))
+        for row, shaken in enumerate(ground):
+            drift = np.diff(place, prepend=0.0) - [0.0, slid, 0.0]
+            peak = max(peak, abs(drift[1]))
+            slid += drift[1] - np.clip(drift[1], -slides, slides)
+            drift[1] = np.clip(drift[1], -slides, slides)
+            shear = PAPER_FRAME.stiffnesses * drift
+            moved[row] = (np.append(shear[1:], 0.0) - shear - damper @ speed) / masses
+            speed = speed + (moved[row] - shaken) / (rate * steps)
+            place = place + speed / (rate * steps)
+        slides = np.inf if limit is None or passed else limit * peak
+    sampled = np.column_stack([ground, moved])[::steps]
+    noisy = sampled + 0.01 * sampled.std(axis=0) * random.standard_normal(sampled.shape)
+    channels = tuple(Channel(f"floor{floor}", floor) for floor in (1, 2, 3))
+    return TimeRecord(channels, runs=(Run(noisy[:, 1:], noisy[:, 0]),), sampling_rate=rate, input="base")
+
+
+@pytest.mark.parametrize("seed", [5, 6, 7, 9])
+def test_earthquake_on_a_linear_frame_has_no_amplitude_in_its_frequencies(seed):
+    """The weaker half of its record is a tenth of the motion and all of the noise."""
+    assert not found(identify_modes(earthquake(seed)), "amplitude")
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_earthquake_in_which_a_story_slides_is_suspected(seed):
+    said = found(identify_modes(earthquake(seed, limit=0.5)), "amplitude")
+    assert any("scatters" in finding.message for finding in said)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.02, -0.02])
+def test_blows_are_blows_whatever_the_offset_of_the_force(offset):
+    """Over a run an offset of 2 % of the peak has more energy than the blow; sound runs outvote one without a blow."""
+    record = hammer_record(PAPER_FRAME, 3, noise=0.01, floors=(1, 3), hits=3)
+    peak = max(float(np.max(run.excitation)) for run in record.runs)
+    runs = [dataclasses.replace(run, excitation=run.excitation + offset * peak) for run in record.runs]
+    result = identify_modes(dataclasses.replace(record, runs=tuple(runs)))
+    assert result.method == "era"
+    np.testing.assert_allclose(result.frequencies, PAPER_FRAME.modes()[0], rtol=2e-4)
+    quiet = dataclasses.replace(runs[0], excitation=offset * peak + 0.01 * np.sin(np.arange(runs[0].samples)))
+    assert struck(dataclasses.replace(record, runs=(quiet, *runs[1:])))
 
 
 def test_findings_are_plain_values(record):
