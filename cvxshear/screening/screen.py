@@ -49,6 +49,7 @@ from cvxshear.screening.shear_fit import (
     starts,
     story_starts,
 )
+from cvxshear.screening.wrong_frequency import wrong_frequency
 from cvxshear.util.errors import InputError
 from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats
@@ -124,6 +125,8 @@ def screen(experiment: Measurement) -> tuple[Finding, ...]:
     """
     experiment = opened(experiment)
     found = [*frequency_units(experiment), *(item for each in experiment.configurations for item in mistakes(each))]
+    if not found:
+        found += wrong_frequency(experiment)
     # Frequencies and shapes that are wrong tell no mass.
     for doubt in DOUBT_CHECKS if found else (total_mass, masses_declared, *DOUBT_CHECKS):
         said = {item.name for item in found}
