@@ -76,12 +76,17 @@ def wrong_frequency(experiment: Experiment) -> Iterator[Finding]:
         return
     for tests in groups:
         # Of deviations that nobody stated none can say that the rest fits.
-        if not all(each.noise_declared for each in tests):
+        if not all(_noise_stated(each) for each in tests):
             continue
         found = _explaining(experiment, tests)
         if found:
             yield found
             return
+
+
+def _noise_stated(test: Configuration) -> bool:
+    """Whether the file says how accurate a test's frequencies are, and its shapes where it has any."""
+    return test.frequency_std is not None and (test.mode_shape_std is not None or not test.measured.any())
 
 
 def _explaining(experiment: Experiment, tests: Sequence[Configuration]) -> Finding | None:
@@ -188,7 +193,7 @@ def _beyond_effects(experiment: Experiment, tests: Sequence[Configuration], best
         configurations=tuple(
             dataclasses.replace(each, state=f"{each.state}, {each.name}") if each in tests else each
             for each in experiment.configurations
-            if each in tests or each.noise_declared
+            if each in tests or _noise_stated(each)
         ),
         frame=dataclasses.replace(experiment.frame, reference=None),
         static=(),
@@ -209,7 +214,7 @@ def _beyond_effects(experiment: Experiment, tests: Sequence[Configuration], best
     except CvxshearError:
         return False
     paid = float(np.log(MISTYPED / wrong.log_frequency_std[best.row]) + np.log(count / MISTAKEN))
-    return without.base.score - paid - with_effect.best.score > -np.log(LEFT_TO_GIVEN)
+    return bool(without.base.score - paid - with_effect.best.score > -np.log(LEFT_TO_GIVEN))
 
 
 def _said(tests: Sequence[Configuration], named: Sequence[Freed], given: NearestFrame) -> Finding:
@@ -217,7 +222,8 @@ def _said(tests: Sequence[Configuration], named: Sequence[Freed], given: Nearest
     said, change = [], []
     for item in named:
         test = tests[item.test]
-        mode, value, expected = int(test.modes[item.row]), float(test.frequencies[item.row]), float(np.exp(item.expected))
+        mode, value = int(test.modes[item.row]), float(test.frequencies[item.row])
+        expected = float(np.exp(item.expected))
         off = abs(np.log(value) - item.expected) / np.hypot(item.std, test.log_frequency_std[item.row])
         said.append(
             f'mode {mode} of "{test.name}" has {significant(value, 5)} Hz, where all other data say '
