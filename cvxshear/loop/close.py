@@ -104,19 +104,14 @@ def close_loop(
     return result
 
 
-def singles(experiment: Experiment, there: tuple[Placed, ...] = ()) -> Search:
-    """Fit the shear model, and with it the single effects of the whole catalogue that promise most; no search.
+def begun(experiment: Experiment, there: tuple[Placed, ...] = ()) -> Search:
+    """Begin a search over the whole catalogue with the fit of the shear model; no effect is tried.
 
     Parameters
     ----------
     experiment : Experiment
     there : tuple of Placed, optional
         Effects that are in the model from the start.
-
-    Returns
-    -------
-    Search
-        Its `base` is the shear model, its `best` the most probable set of at most one effect.
 
     Raises
     ------
@@ -127,9 +122,7 @@ def singles(experiment: Experiment, there: tuple[Placed, ...] = ()) -> Search:
     looked_for = hypotheses(experiment, chosen(None), there)
     start = _first(experiment, solver, there)
     expectation = _expectation(experiment, start.theta, looked_for)
-    found = _Loop(solver, there, looked_for, expectation, start, 1).begun(Numbering(experiment))
-    found.probe()
-    return found
+    return _Loop(solver, there, looked_for, expectation, start, 1).begun(Numbering(experiment))
 
 
 def _sound(wanted: Sequence[Effect], experiment: Experiment) -> tuple[tuple[Effect, ...], tuple[str, ...]]:

@@ -125,7 +125,7 @@ def screen(experiment: Measurement) -> tuple[Finding, ...]:
     """
     experiment = opened(experiment)
     found = [*frequency_units(experiment), *(item for each in experiment.configurations for item in mistakes(each))]
-    if not found:
+    if not found and "frequency" not in experiment.frame.accept:
         found += wrong_frequency(experiment)
     # Frequencies and shapes that are wrong tell no mass.
     for doubt in DOUBT_CHECKS if found else (total_mass, masses_declared, *DOUBT_CHECKS):

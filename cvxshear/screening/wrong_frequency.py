@@ -23,7 +23,7 @@ from scipy import stats
 
 from cvxshear.effects import Placed
 from cvxshear.effects.stories import StoryChange
-from cvxshear.loop.close import singles
+from cvxshear.loop.close import begun
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import FARTHER, FREQUENCY_TOLERANCE, Reading
 from cvxshear.screening.doubts import Finding
@@ -210,7 +210,8 @@ def _beyond_effects(experiment: Experiment, tests: Sequence[Configuration], best
     changed = StoryChange()
     others = tuple(Placed(changed, place) for place in changed.places(given) if place.state in experiment.states)
     try:
-        with_effect, without = singles(given, others), singles(freed, others)
+        with_effect, without = begun(given, others), begun(freed, others)
+        with_effect.probe()
     except CvxshearError:
         return False
     paid = float(np.log(MISTYPED / wrong.log_frequency_std[best.row]) + np.log(count / MISTAKEN))
