@@ -281,6 +281,8 @@ def test_a_kind_of_datum_of_ones_own_is_found_in_terminal_report_json_and_help(m
 def test_a_kind_whose_noise_cannot_take_part_is_refused(noise, said):
     with pytest.raises(InputError, match=said):
         register(type("Faulty", (Weighed,), {"noise": noise}))
+    with pytest.raises(InputError, match=r"errors\(\) must return 'weight_error'"):
+        register(type("Faulty", (Weighed,), {"errors": Datum.errors}))
     with pytest.raises(InputError, match="must be positive"):
         NoiseKind("wrong", "wrong", 0.2, 0.1, "")
 

@@ -35,6 +35,9 @@ SINGULAR_ROWS = 1e-12
 """Reciprocal condition number of the scaled rows below which they are taken not to determine the unknowns: a few
 thousand roundings, from where whitening would hand rounding to the solver."""
 
+LAPACK_BLOCK = 64
+"""Columns that LAPACK's factorizations take at a time."""
+
 TOUCHED = 1e-9
 """Violation of an inequality that still counts as none, relative to its right side: what solvers leave at best."""
 
@@ -116,8 +119,7 @@ class Canonical:
 
     def violated(self, z: Floats) -> Bools:
         """Which inequalities a point violates by more than rounding, shape (g,)."""
-        excess: Bools = self.F @ z - self.f > np.clip(TOUCHED * np.abs(self.f), ZERO_VIOLATION, TOUCHED)
-        return excess
+        return np.asarray(self.F @ z - self.f > np.clip(TOUCHED * np.abs(self.f), ZERO_VIOLATION, TOUCHED))
 
     def keeping(self, inequalities: Bools) -> Canonical:
         """Leave out all but some of the inequalities."""
@@ -204,12 +206,17 @@ def _whitening(R: Floats, s: Floats, A: Floats, b: Floats) -> tuple[Floats, Floa
     sigma = 1.0 / np.where(a_lengths > 0, a_lengths, 1.0)
     n = R.shape[1]
     # With the right side as a further column, Q' [s; sigma b] is the last column of the triangle: Q is not needed.
-    stacked = np.empty((len(R) + len(A), n + 1))
-    np.multiply(R, D, out=stacked[: len(R), :n])
-    np.multiply(sigma[:, None], scaled_A, out=stacked[len(R) :, :n])
-    stacked[: len(R), n], stacked[len(R) :, n] = s, sigma * b
-    # What stands below the diagonal are reflections, which LAPACK's triangular solvers pass over.
-    triangle = lapack.dgeqrf(stacked, lwork=64 * (n + 1))[0][:n]
+    side, more = s[:, None], np.column_stack([sigma[:, None] * scaled_A, sigma * b])
+    if len(R) == n and linalg.bandwidth(R)[0] == 0:
+        # The rows are a triangle already, into which a few equalities are rotated.
+        triangle = np.zeros((n + 1, n + 1), order="F")
+        triangle[:n] = np.hstack([R * D, side])
+        if len(A):
+            triangle = lapack.dtpqrt(0, min(LAPACK_BLOCK, n + 1), triangle, more)[0]
+    else:
+        # What stands below the diagonal are reflections, which LAPACK's triangular solvers pass over.
+        triangle = lapack.dgeqrf(np.vstack([np.hstack([R * D, side]), more]), lwork=LAPACK_BLOCK * (n + 1))[0]
+    triangle = triangle[:n]
     U, q = triangle[:, :n], triangle[:, n]
     # LAPACK estimates the condition number of a triangle, in the 1-norm, at O(n^2) cost.
     if len(U) == n and float(lapack.dtrcon(U)[0]) > SINGULAR_ROWS:

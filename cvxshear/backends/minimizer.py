@@ -22,9 +22,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import linalg
 from scipy.linalg import lapack
 
-from cvxshear.backends.canonical import DEPENDENT, independent_rows
+from cvxshear.backends.canonical import DEPENDENT, LAPACK_BLOCK, independent_rows
 from cvxshear.backends.certificate import Assembled, Point, length
 from cvxshear.util.typing import Bools, Floats, Ints
 
@@ -180,16 +181,14 @@ def _doubted(program: Assembled, found: Minimizer, local: _Local, active: Bools)
 def _guessed(program: Assembled, near: Point) -> Bools:
     """Guess the active inequalities: the multiplier is greater than the slack, both made free of units."""
     lengths = program.inequality_lengths
-    active: Bools = near.w * lengths > np.maximum(program.h - program.G @ near.x, 0.0) / lengths
-    return active
+    return np.asarray(near.w * lengths > np.maximum(program.h - program.G @ near.x, 0.0) / lengths)
 
 
 def _satisfied(program: Assembled, found: Minimizer) -> Bools:
     """Which inequalities hold at a minimizer, but for rounding."""
     x, absolute_G = found.point.x, program.absolute[1]
     rounding = found.errors + SUM_ROUNDING * (np.abs(x) + length(program.lengths * x) / program.lengths)
-    satisfied: Bools = program.G @ x - program.h <= SUM_ROUNDING * np.abs(program.h) + absolute_G @ rounding
-    return satisfied
+    return np.asarray(program.G @ x - program.h <= SUM_ROUNDING * np.abs(program.h) + absolute_G @ rounding)
 
 
 def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> tuple[Minimizer, _Local]:
@@ -277,7 +276,11 @@ class _Factor:
             self._pivots = pivots - 1
         else:
             self._order, self._pivots = np.arange(r), np.arange(self._k)
-            self._reflectors, self._tau, _, _ = lapack.dgeqrf(rows, lwork=max(1, 64 * self._k))
+            if r == self._k and linalg.bandwidth(rows)[0] == 0:
+                # A triangle already: no reflections.
+                self._reflectors, self._tau = rows, np.zeros(r)
+            else:
+                self._reflectors, self._tau, _, _ = lapack.dgeqrf(rows, lwork=max(1, LAPACK_BLOCK * self._k))
         self._triangle = self._reflectors[: self._k]
         # Of graded rows a small pivot may be a light row's own; whether it is rounding shows in the bound.
         least = 0.0 if graded else UNDETERMINED
@@ -288,7 +291,7 @@ class _Factor:
         """Minimize |rows u - side| for several right sides, shape (r, q); the minimizers u have shape (k, q)."""
         u = np.zeros((self._k, sides.shape[1]))
         if u.size:
-            work = max(1, 64 * len(sides))
+            work = max(1, LAPACK_BLOCK * len(sides))
             rotated, _, _ = lapack.dormqr("L", "T", self._reflectors, self._tau, sides[self._order], work)
             u[self._pivots] = lapack.dtrtrs(self._triangle, rotated[: self._k])[0]
         return u
@@ -296,9 +299,9 @@ class _Factor:
     @cached_property
     def inverse(self) -> Floats:
         """Columns that the rows make orthonormal, shape (k, k): the inverse of the triangle."""
-        inverse = np.eye(self._k)
+        inverse = np.zeros((self._k, self._k))
         if self._k:
-            inverse[self._pivots] = lapack.dtrtrs(self._triangle, inverse)[0]
+            inverse[self._pivots] = np.triu(lapack.dtrtri(self._triangle)[0])
         return inverse
 
 
@@ -315,12 +318,12 @@ class _Basis:
         self.B = B
         self._p, self._n = B.shape
         if self._p:
-            self._reflectors, self._tau, _, _ = lapack.dgeqrf(B.T, lwork=64 * self._p)
+            self._reflectors, self._tau, _, _ = lapack.dgeqrf(B.T, lwork=LAPACK_BLOCK * self._p)
 
     def _applied(self, side: str, trans: str, matrix: Floats) -> Floats:
         if not self._p:
             return matrix
-        work = max(1, 64 * max(matrix.shape))
+        work = max(1, LAPACK_BLOCK * max(matrix.shape))
         result, _, _ = lapack.dormqr(side, trans, self._reflectors, self._tau, matrix, work)
         return np.asarray(result)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,17 +19,16 @@ from cvxshear.cli.output import (
     Records,
     ReportOut,
     UniversalOut,
+    as_typed,
     deliver,
     numbers,
     printing,
     progress,
-    typed,
     writes,
 )
 from cvxshear.cli.written import LIST, CsvOut, FiguresOut, Pictures, Spreadsheets, XlsxOut
 from cvxshear.files.formats import endings_of
 from cvxshear.util.errors import CvxshearError, InputError
-from cvxshear.util.text import shell_line
 from cvxshear.util.writing import check_output, write_file
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ def modes(
     sources = _files(records, output)
     pictures, tables = Pictures(figure, ModalResult), Spreadsheets(csv, xlsx)
     if report is not None:
-        from cvxshear.report.html import write_modal_report
+        from cvxshear.report.html import render_modes
     options = {
         "functions": bool(pictures) or report is not None,
         "method": method,
@@ -185,8 +185,8 @@ def modes(
         if uff is not None:
             files.append(lambda: write_uff(uff, results[0]))
         if report is not None:
-            command, failed = shell_line(["cvxshear", *typed]), [str(error) for error in errors]
-            files.append(lambda: write_modal_report(results, report, command, failed))
+            page = partial(render_modes, results, as_typed(), [str(error) for error in errors])
+            files.append(lambda: write_file(report, page()))
         deliver(
             _said(sources, found), out, lambda: terminal.poles(results) if pick == LIST else tables_of(tests), *files
         )
@@ -227,7 +227,7 @@ def measured(
 
 def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
     """Identify the modes of each record."""
-    from cvxshear.files.modes import UNKNOWN_SCALE, cables_of
+    from cvxshear.files.modes import UNKNOWN_SCALE, cables_of, scale_unknown
     from cvxshear.report import terminal
 
     for test in tests:
@@ -235,15 +235,9 @@ def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
         yield ""
     for finding in cables_of(tests):
         yield f"{finding.kind}: {finding.message}"
-    if needs_mass(tests) and not any(finding.kind == "scale" for test in tests for finding in test.modes.findings):
+    said = any(finding.kind == "scale" for test in tests for finding in test.modes.findings)
+    if tests and scale_unknown(tests) and not said:
         yield f"scale: {UNKNOWN_SCALE}"
-
-
-def needs_mass(tests: Sequence[IdentifiedRecord]) -> bool:
-    """Whether a total mass of 1 kg stands for one that nobody gave."""
-    from cvxshear.files.modes import scale_unknown
-
-    return bool(tests) and scale_unknown(tests)
 
 
 def records_in_json(tests: Sequence[IdentifiedRecord]) -> Json:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -23,17 +24,18 @@ from cvxshear.cli.output import (
     ReportOut,
     TitleOption,
     UnitsOption,
+    as_typed,
     deliver,
     heading_of,
     names,
     numbers,
     progress,
     show,
-    typed,
 )
 from cvxshear.cli.written import LIST, CsvOut, FiguresOut, Pictures, Spreadsheets, XlsxOut
 from cvxshear.util.errors import UnsuitableError
-from cvxshear.util.text import shell_line
+from cvxshear.util.results import as_json
+from cvxshear.util.writing import write_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -96,11 +98,7 @@ def identify(
     fitted = Fitted.of_identification(result)
     damping = None if fitted is None else damping_of(experiment, fitted, backend)
     files = [*pictures.of(result), *tables.of(lambda: sheets_of_identification(result))]
-    said = {
-        **result.to_dict(),
-        "damping": None if damping is None else damping.to_dict(),
-        "warnings": [item.to_dict() for item in doubts],
-    }
+    said = {**result.to_dict(), "damping": as_json(damping), "warnings": as_json(doubts)}
     deliver(
         said,
         out,
@@ -163,7 +161,7 @@ def loop(
         raise typer.Exit
     pictures, tables, display = Pictures(figure, Closure), Spreadsheets(csv, xlsx), Units.parse(units)
     if report is not None:
-        from cvxshear.report.html import photograph_of, write_report
+        from cvxshear.report.html import photograph_of, render
     said_of_it = heading_of(report, title=title, client=client, author=author, date=date, photograph=photograph)
     with progress("closing the loop", quiet) as advance:
         experiment, found = measured(sources, jobs=jobs, progress=advance)
@@ -179,17 +177,17 @@ def loop(
         tried = None if validate is None else predict(models, validate, backend)
     said = {
         **result.to_dict(),
-        "warnings": [item.to_dict() for item in doubts],
+        "warnings": as_json(doubts),
         **records_in_json(found),
-        "damping": None if damping is None else damping.to_dict(),
+        "damping": as_json(damping),
         "model": models.to_dict(),
     }
     if tried is not None:
         said["validation"] = tried.to_dict()
     files = [*pictures.of(result), *tables.of(lambda: sheets_of_closure(result))]
     if report is not None:
-        command = shell_line(["cvxshear", *typed])
-        files.append(lambda: write_report(result, report, command, units=display, prediction=tried, heading=heading))
+        page = partial(render, result, as_typed(), units=display, prediction=tried, heading=heading)
+        files.append(lambda: write_file(report, page()))
     beside = _damping_of(damping) if tried is None else ("", *terminal.shown(tried))
     deliver(
         said,

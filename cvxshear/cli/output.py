@@ -20,7 +20,7 @@ import typer
 
 from cvxshear.cli.checked import input_files, output_file, used
 from cvxshear.util.errors import InputError
-from cvxshear.util.text import json_text, printable
+from cvxshear.util.text import json_text, printable, shell_line
 from cvxshear.util.writing import write_file
 from cvxshear.version import __version__
 
@@ -98,7 +98,12 @@ BackendName = Annotated[
 ]
 
 typed: list[str] = []
-"""What stood on the command line; a report says how it was made."""
+"""What stood on the command line."""
+
+
+def as_typed() -> str:
+    """Write the command as it was typed; a report says how it was made."""
+    return shell_line(["cvxshear", *typed])
 
 
 def show(parts: Iterable[RenderableType]) -> None:
@@ -263,14 +268,19 @@ def names(text: str | None) -> list[str] | None:
     return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
 
 
-def numbers(text: str | None, option: str) -> list[float] | None:
-    """Read the numbers of a comma-separated option."""
+def numbers(
+    text: str | None,
+    option: str,
+    right: str = "numbers with commas between, such as 9.5,7.5,5.5",
+    kind: Callable[[str], Any] = float,
+) -> list[Any] | None:
+    """Read the numbers of a comma-separated option; `right` says in an error what it must be."""
     if text is None:
         return None
     try:
-        return [float(part) for part in text.split(",")]
+        return [kind(part) for part in text.split(",")]
     except ValueError:
-        raise InputError(f"{option} must be numbers with commas between, such as 9.5,7.5,5.5, not {text!r}") from None
+        raise InputError(f"{option} must be {right}, not {text!r}") from None
 
 
 SPELLED = "cvxshear.spelled"

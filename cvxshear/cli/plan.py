@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from cvxshear.cli.checked import input_files
-from cvxshear.cli.output import FigureOut, JsonOut, Quiet, UnitsOption, deliver, figures_for, progress, writes
+from cvxshear.cli.output import FigureOut, JsonOut, Quiet, UnitsOption, deliver, figures_for, numbers, progress, writes
 from cvxshear.util.errors import InputError
 
 if TYPE_CHECKING:
     from cvxshear.planning import TestNoise
-
-Number = TypeVar("Number")
 
 
 def plan(
@@ -90,11 +88,14 @@ def plan(
 
     drawing, display = figures_for(figure), Units.parse(units)
     noise = _noise((frequency_std, mode_shape_std), duration, (excitation, damping, sensor_noise))
+    wanted = numbers(modes, "--modes", "a number of modes such as 3, or which, such as 1,2,4", int)
+    masses = numbers(added_mass, "--added-mass", "kg, such as 40, or one a floor, such as 0,20,40")
     measured = measurement_of(file)
     doubts = None if measured is None else refuse_mistakes(measured)
     with progress("planning", quiet):
         result = run(
-            measured or file, sensors, _count(tests), modes=_modes(modes), noise=noise, added_mass=_masses(added_mass),
+            measured or file, sensors, _count(tests), modes=_one_or_many(wanted), noise=noise,
+            added_mass=_one_or_many(masses),
             added_mass_total=added_mass_total, goal=goal, criterion=criterion, fresh=fresh, loop=loop, state=state,
             solver=solver,
         )  # fmt: skip
@@ -133,24 +134,6 @@ def _count(text: str) -> int | str:
     return int(text) if text.strip().lstrip("-").isdigit() else text
 
 
-def _modes(text: str | None) -> int | list[int] | None:
-    """How many modes, or which."""
-    if text is None:
-        return None
-    found = _numbers(text, "--modes", int, "a number of modes such as 3, or which, such as 1,2,4")
-    return found[0] if "," not in text else found
-
-
-def _masses(text: str | None) -> float | list[float] | None:
-    """Say what each floor can carry."""
-    if text is None:
-        return None
-    found = _numbers(text, "--added-mass", float, "kg, such as 40, or one a floor, such as 0,20,40")
-    return found[0] if "," not in text else found
-
-
-def _numbers(text: str, option: str, kind: Callable[[str], Number], right: str) -> list[Number]:
-    try:
-        return [kind(part) for part in text.split(",")]
-    except ValueError:
-        raise InputError(f"{option} must be {right}, not {text!r}") from None
+def _one_or_many(found: list[Any] | None) -> Any:
+    """Take a single number for itself."""
+    return found[0] if found is not None and len(found) == 1 else found

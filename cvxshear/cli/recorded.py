@@ -11,10 +11,10 @@ import typer
 
 from cvxshear.cli.before import measured
 from cvxshear.cli.checked import input_files
-from cvxshear.cli.output import BackendName, JsonOut, Quiet, ReportOut, deliver, names, progress, typed
+from cvxshear.cli.output import BackendName, JsonOut, Quiet, ReportOut, as_typed, deliver, names, progress
 from cvxshear.cli.written import CsvOut, FiguresOut, Pictures, SeriesOut, Spreadsheets, XlsxOut, handed_over
 from cvxshear.util.errors import InputError, NoScaleError
-from cvxshear.util.text import shell_line
+from cvxshear.util.writing import write_file
 
 if TYPE_CHECKING:
     from cvxshear.response.sources import ModelSource
@@ -74,14 +74,13 @@ def predict(
     Example: cvxshear predict frame.toml --record earthquake.toml
     """
     from cvxshear.report import terminal
-    from cvxshear.report.handover import model_kind, series_kind, write_model, write_series
+    from cvxshear.report.handover import model_kind, write_model
     from cvxshear.response import RecordPrediction
     from cvxshear.response import predict as run
     from cvxshear.screening import in_json
 
-    written = handed_over(context, "--out", [series] if series else [], series_kind, write_series)
+    written = [*_series_and_page(context, series, report)]
     written += handed_over(context, "--export", export or [], model_kind, write_model)
-    written += _pages(report)
     pictures = Pictures(figure, RecordPrediction)
     with progress("predicting", quiet):
         source, doubts = screened(file, backend, names(assume) or ())
@@ -123,13 +122,12 @@ def reconstruct(
     Example: cvxshear reconstruct frame.toml --record earthquake.toml --report drifts.html
     """
     from cvxshear.report import terminal
-    from cvxshear.report.handover import series_kind, write_series
     from cvxshear.report.sheets import sheets_of_response
     from cvxshear.response import Reconstruction
     from cvxshear.response import reconstruct as run
     from cvxshear.screening import in_json
 
-    written = handed_over(context, "--out", [series] if series else [], series_kind, write_series) + _pages(report)
+    written = _series_and_page(context, series, report)
     pictures, tables = Pictures(figure, Reconstruction), Spreadsheets(csv, xlsx)
     with progress("reconstructing", quiet) as advance:
         source, doubts = screened(file, backend, names(assume) or ())
@@ -143,13 +141,16 @@ def reconstruct(
     deliver(said, out, lambda: [*terminal.doubts(doubts or ()), *terminal.shown(result)], *files)
 
 
-def _pages(report: str | None) -> list[Callable[..., None]]:
-    """Make what writes the report of a result, where one is asked for."""
-    if report is None:
-        return []
-    from cvxshear.report.html import write_response_report
+def _series_and_page(context: typer.Context, series: str | None, report: str | None) -> list[Callable[..., None]]:
+    """Make what writes the time series of a result, and its report, where they are asked for."""
+    from cvxshear.report.handover import series_kind, write_series
 
-    return [partial(write_response_report, path=report, command=shell_line(["cvxshear", *typed]))]
+    written = handed_over(context, "--out", [series] if series else [], series_kind, write_series)
+    if report is not None:
+        from cvxshear.report.html import render_response
+
+        written.append(lambda result: write_file(report, render_response(result, as_typed())))
+    return written
 
 
 def screened(file: str, backend: str, assume: Sequence[str] = ()) -> tuple[ModelSource, Sequence[Finding] | None]:

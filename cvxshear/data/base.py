@@ -299,11 +299,14 @@ def register(kind: type[Datum]) -> None:
     Raises
     ------
     InputError
-        Where it declares no noise, or another kind has a different noise of that name.
+        Where it declares no noise or not the errors that the noise's figures summarize, or another kind has a
+        different noise of that name.
     """
     noise = getattr(kind, "noise", None)
     if not isinstance(noise, NoiseKind):
         raise InputError(f"{kind.__name__}.noise is {noise!r}: declare a NoiseKind")
+    if noise.figures and kind.errors is Datum.errors:
+        raise InputError(f"{kind.__name__}: its noise has figures, so errors() must return {noise.figures[0].errors!r}")
     for other in _kinds.values():
         if other.__name__ != kind.__name__ and other.noise.name == noise.name and other.noise != noise:
             raise InputError(f"{kind.__name__}.noise: the name {noise.name!r} is that of the noise of {other.__name__}")

@@ -68,8 +68,7 @@ def numbered(configuration: Configuration, found: Modes, M: Floats) -> Ints:
         log_found, measured = np.log(found.frequencies), np.log(configuration.frequencies)
         candidates = [np.delete(every, mode)[declared] for mode in sorted(unseen)]
         return min(candidates, key=lambda each: float(np.sum((log_found[each] - measured) ** 2)))
-    result: Ints = frame_modes(found, M, floors)[declared]
-    return result
+    return np.asarray(frame_modes(found, M, floors)[declared])
 
 
 def paired(configuration: Configuration, found: Modes, observation: Observation, M: Floats) -> Ints:
@@ -104,5 +103,4 @@ def paired(configuration: Configuration, found: Modes, observation: Observation,
     if np.all(np.diag(criteria) >= PAIRED):
         return declared
     _, columns = linear_sum_assignment(-criteria)
-    result: Ints = declared[columns]
-    return result
+    return np.asarray(declared[columns])

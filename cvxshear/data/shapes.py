@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.data.base import Datum, Deviation, ErrorFigure, Model, NoiseKind, Residual, largest
-from cvxshear.data.pairing import mac, scaled
+from cvxshear.data.pairing import scaled
 from cvxshear.measurement.configuration import DEFAULT_MODE_SHAPE_STD
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.util.typing import Bools, Floats, Ints
@@ -104,17 +104,15 @@ class Shapes(Datum):
 
     def errors(self, model: Model) -> Mapping[str, Floats]:
         """MAC of each shape known at two floors, and the largest difference of an entry of each."""
-        criteria, differences = [], []
-        for measured, modelled, known in self._rows(model):
-            if known.sum() > 1:
-                criteria.append(mac(measured[known], modelled[known]))
-            differences.append(shape_error(measured[known], modelled[known]))
-        return {"mac": np.array(criteria), "shape_error": np.array(differences)}
+        measured, modelled = self._known_entries(model)
+        lengths = np.sum(measured**2, axis=1) * np.sum(modelled**2, axis=1)
+        several = np.sum(self.tested.measured[self.kept], axis=1) > 1
+        criteria = np.sum(measured * modelled, axis=1)[several] ** 2 / lengths[several]
+        return {"mac": criteria, "shape_error": shape_errors(measured, modelled)}
 
-    def _rows(self, model: Model) -> list[tuple[Floats, Floats, Bools]]:
-        """Measured and modelled shape of each mode, and which entries are known."""
-        known = self.tested.measured[self.kept]
-        return list(zip(self.tested.mode_shapes[self.kept], self.seen(model), known, strict=True))
+    def _known_entries(self, model: Model) -> tuple[Floats, Floats]:
+        """Measured and modelled shapes, zero where nothing was measured."""
+        return self.tested.known_shapes[self.kept], np.where(self.tested.measured[self.kept], self.seen(model), 0.0)
 
     def without(self, left_out: Bools) -> Shapes:
         """Leave out these modes."""
@@ -123,22 +121,27 @@ class Shapes(Datum):
     def describe(self, model: Model) -> list[Deviation]:
         """Describe each mode."""
         z = self.residual(model).r.reshape(int(self.kept.sum()), -1)
+        known = self.tested.measured[self.kept]
+        errors = shape_errors(*self._known_entries(model))
         return [
             Deviation(
                 self.noise.name,
                 self.tested.name,
                 f"mode {mode}",
-                shape_error(measured[known], modelled[known]),
-                float(np.sqrt(np.mean(row[known] ** 2))),
-                int(known.sum()),
+                float(error),
+                float(np.sqrt(np.mean(row[there] ** 2))),
+                int(there.sum()),
             )
-            for mode, row, (measured, modelled, known) in zip(
-                self.tested.modes[self.kept], z, self._rows(model), strict=True
-            )
+            for mode, row, error, there in zip(self.tested.modes[self.kept], z, errors, known, strict=True)
         ]
 
 
-def shape_error(measured: Floats, modelled: Floats) -> float:
-    """Largest difference, the measured shape scaled to a largest entry of 1, the model's to it by least squares."""
-    unit = measured / measured[np.argmax(np.abs(measured))]
-    return float(np.max(np.abs(modelled * (unit @ modelled) / (modelled @ modelled) - unit)))
+def shape_errors(measured: Floats, modelled: Floats) -> Floats:
+    """Largest difference of each mode, shape (m,).
+
+    The measured shape is scaled to a largest entry of 1, the model's to it by least squares; entries that were not
+    measured are zero in both.
+    """
+    unit = measured / measured[np.arange(len(measured)), np.argmax(np.abs(measured), axis=1)][:, None]
+    scale = np.sum(unit * modelled, axis=1) / np.sum(modelled**2, axis=1)
+    return np.asarray(np.max(np.abs(scale[:, None] * modelled - unit), axis=1))

@@ -77,5 +77,4 @@ class Static(Datum):
 def _moved(K: Floats, force: Floats) -> Floats:
     """Displacements of all motions under forces on the floors, which come first, m."""
     load = np.concatenate([force, np.zeros(len(K) - len(force))])
-    u: Floats = linalg.solve(K, load, assume_a="sym")
-    return u
+    return np.asarray(linalg.solve(K, load, assume_a="sym"))

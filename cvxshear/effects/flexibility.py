@@ -10,7 +10,7 @@ import numpy as np
 
 from cvxshear.effects.base import Effect, Parameter, Place
 from cvxshear.effects.state import Scale, State
-from cvxshear.util.quantities import per_force
+from cvxshear.util.quantities import per_force, significant
 from cvxshear.util.typing import Floats
 
 
@@ -43,8 +43,8 @@ class _Flexible(Effect):
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         return (
-            f"{self.cause}, which adds {100 * values[0] * self._of_the_sway(scale):.2g} % to the sway of the top under "
-            f"a force there ({self.constant} = {per_force(values[0], std[0], units[0])})"
+            f"{self.cause}, which adds {significant(100 * values[0] * self._of_the_sway(scale), 2)} % to the sway of "
+            f"the top under a force there ({self.constant} = {per_force(values[0], std[0], units[0])})"
         )
 
 
@@ -69,7 +69,7 @@ class AxialColumns(_Flexible):
     source = "principle of virtual forces, columns with their inflection at mid-height"
     parameters = (Parameter("inverse_EI", "1/(N m2)", lower=0.0, unit_in_stories="m/N"),)
     probability = 0.03
-    cause = "the columns stretch and shorten"
+    cause = "the frame bends as a whole, by columns that stretch and shorten or a wall"
     constant = "1/EI"
 
     def pattern(self, heights: Floats) -> Floats:

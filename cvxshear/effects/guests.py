@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from cvxshear.util.typing import Floats, T
 
 PLACE_PARTS = ("floor", "to", "story", "state", "prior")
 NEEDS = ("heights", "several states")
+USUAL_IN = ("", "floor_mass", "story_stiffness")
 
 QUOTIENT_STEP = 1e-4
 """Step of the difference quotients, in parts of each mass, stiffness and expected size: central differences then err by
@@ -143,6 +145,8 @@ class _Check:
             parts = getattr(effect, key)
             fits = isinstance(parts, tuple) and set(parts) <= set(known)
             self._that(fits, f"{key} = {parts!r} must be a tuple of {', '.join(map(repr, known))}")
+        part = effect.usual_in
+        self._that(part in USUAL_IN, f"usual_in = {part!r} must be one of {', '.join(map(repr, USUAL_IN))}")
         inside = isinstance(effect.probability, (int, float)) and 0.0 < effect.probability < 1.0
         self._that(inside, f"probability = {effect.probability!r} must lie between 0 and 1")
         size = effect.size
@@ -150,7 +154,7 @@ class _Check:
 
     def _parameters(self, here: Effect) -> Floats:
         """Bounds, null and start values of the parameters; their expected sizes."""
-        items = here.parameters
+        items: Any = getattr(here, "parameters", None)
         fits = isinstance(items, tuple) and all(isinstance(item, Parameter) for item in items)
         self._that(fits, "parameters must be a tuple of objects of the class Parameter")
         names = [item.name for item in items]

@@ -12,7 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import CvxshearError, InputError
 from cvxshear.util.quantities import listed
 
 if TYPE_CHECKING:
@@ -52,18 +52,26 @@ class Format:
 
     def read_columns(self, path: Path, limit: float) -> Columns:
         """Read the columns of such a file."""
-        return cast("ColumnReader", _loaded(self.columns))(path, limit)
+        return cast("Columns", self._read(self.columns, path, limit))
 
     def read_modes(self, path: str | Path) -> dict[str, Any]:
         """Read the keys of a table [[configuration]] that such a file holds."""
-        return cast("ModeReader", _loaded(self.modes))(path)
+        return cast("dict[str, Any]", self._read(self.modes, path))
 
-
-def _loaded(reader: object) -> object:
-    if not isinstance(reader, str):
-        return reader
-    module, _, name = reader.partition(":")
-    return getattr(import_module(module), name)
+    def _read(self, reader: Callable[..., object] | str | None, *given: object) -> object:
+        """Call a reader; a file that it cannot make sense of is refused by name, whatever the reader raised."""
+        assert reader is not None
+        if isinstance(reader, str):
+            module, _, name = reader.partition(":")
+            reader = cast("Callable[..., object]", getattr(import_module(module), name))
+        try:
+            return reader(*given)
+        except CvxshearError:
+            raise
+        except OSError as error:
+            raise InputError(f"{given[0]} cannot be read: {error.strerror}") from error
+        except (ValueError, LookupError) as error:
+            raise InputError(f"{given[0]} cannot be read as {self.words}: {error}") from error
 
 
 HERE = "cvxshear.files"

@@ -16,7 +16,6 @@ import numpy as np
 from cvxshear.files.inputs import named_after
 from cvxshear.files.record_file import read_record
 from cvxshear.files.toml import files_of, is_record_file, load, write_measurement
-from cvxshear.files.uff import write_uff
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.modal.diagnostics import cables_changed
 from cvxshear.modal.identify import identify_modes
@@ -27,9 +26,6 @@ from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError
 from cvxshear.util.parallel import Progress, each
 from cvxshear.util.typing import Json
 from cvxshear.util.writing import check_output
-
-MEASUREMENT_ENDINGS = (".toml",)
-UNIVERSAL_ENDINGS = (".uff", ".unv", ".u55")
 
 PLACES = ("kind", "quantity", "at", "of", "to")
 """Keys of a prior that say what it speaks of; the others are what it says."""
@@ -132,10 +128,8 @@ def identify_modes_many(
     return each(partial(_tested, options=options), [str(file) for file in files], jobs=jobs, progress=progress)
 
 
-def modes_from_file(
-    path: str | Path, *, output: str | Path | None = None, uff: str | Path | None = None, **options: Any
-) -> tuple[ModalResult, Json]:
-    """Identify the modes of a record file and write what was asked for.
+def modes_from_file(path: str | Path, *, output: str | Path | None = None, **options: Any) -> tuple[ModalResult, Json]:
+    """Identify the modes of a record file, and write the measurement file where one is asked for.
 
     Parameters
     ----------
@@ -143,8 +137,6 @@ def modes_from_file(
         The record file (TOML).
     output : str or Path, optional
         Where to write the measurement file, `.toml`.
-    uff : str or Path, optional
-        Where to write a universal file of the modes, `.uff`, `.unv` or `.u55`.
     **options
         As for `identify_modes`; `pick` takes precedence over the list in the record file.
 
@@ -162,9 +154,8 @@ def modes_from_file(
     NoSolutionError
         Where no mode was found.
     """
-    for place, endings in ((output, MEASUREMENT_ENDINGS), (uff, UNIVERSAL_ENDINGS)):
-        if place is not None:
-            check_output(place, endings=endings, keep=files_of(path))
+    if output is not None:
+        check_output(output, endings=(".toml",), keep=files_of(path))
     test = _tested(str(path), options=options)
     if isinstance(test, CvxshearError):
         raise test
@@ -175,8 +166,6 @@ def modes_from_file(
     declared = merged([test])
     if output is not None:
         write_merged(output, [test])
-    if uff is not None:
-        write_uff(uff, test.modes)
     return test.modes, declared
 
 
@@ -198,32 +187,6 @@ def experiment_from_file(path: str | Path) -> Experiment:
     if not is_record_file(path):
         return load(path)
     return Experiment.from_dict(modes_from_file(path)[1], name=named_after(path))
-
-
-def write_modes(
-    path: str | Path,
-    result: ModalResult,
-    frame: Mapping[str, object] | None = None,
-    *,
-    priors: Sequence[Mapping[str, object]] = (),
-    added_mass: Sequence[float] | None = None,
-    state: str | None = None,
-) -> None:
-    """Write the measurement file of identified modes, the findings as comments at its head.
-
-    Parameters
-    ----------
-    path : str or Path
-    result : ModalResult
-    frame, priors, added_mass, state
-        As for `ModalResult.to_experiment`.
-
-    Raises
-    ------
-    InputError
-        Where the modes do not make a measurement that `cvxshear.load` would take; nothing is written.
-    """
-    write_merged(path, [IdentifiedRecord(result.name, result, frame or {}, priors, added_mass, state)])
 
 
 def merged(tests: Sequence[IdentifiedRecord]) -> Json:

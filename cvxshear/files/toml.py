@@ -6,7 +6,7 @@ import dataclasses
 import json
 import os
 import re
-import secrets
+import textwrap
 import tomllib
 from collections.abc import Iterable, Mapping
 from importlib import resources
@@ -23,7 +23,7 @@ from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import checks
 from cvxshear.util.checks import shown
 from cvxshear.util.errors import InputError
-from cvxshear.util.text import escaped, printable
+from cvxshear.util.text import Inserted, escaped, printable
 from cvxshear.util.writing import write_file
 
 LARGEST_FILE = 5_000_000
@@ -258,22 +258,16 @@ def write_measurement(path: str | Path, declared: Mapping[str, Any], comments: I
     InputError
         Where the file cannot be written.
     """
-    head = [f"# {part}\n" for comment in comments for part in _wrapped(comment)]
-    tables = _Tables()
+    head = [
+        # A line break in a comment must not end it.
+        f"# {line}\n"
+        for comment in comments
+        for line in textwrap.wrap(printable(" ".join(comment.split())), COMMENT_WIDTH, subsequent_indent="  ",
+                                  break_long_words=False, break_on_hyphens=False)
+    ]  # fmt: skip
+    tables = Inserted()
     text = _NUMBERS.sub(_in_one_line, escaped(tomli_w.dumps(_plain(declared, tables))))
     write_file(path, "".join([*head, "\n" * bool(head), tables.put_into(text)]))
-
-
-def _wrapped(comment: str) -> list[str]:
-    """Fold the comment into lines of readable length; a line break in it must not end the comment."""
-    lines, current = [], ""
-    for word in printable(" ".join(comment.split())).split(" "):
-        if current and len(current) + len(word) + 1 > COMMENT_WIDTH:
-            lines.append(current)
-            current = "  " + word
-        else:
-            current = f"{current} {word}" if current else word
-    return [*lines, current]
 
 
 def _in_one_line(numbers: re.Match[str]) -> str:
@@ -281,22 +275,10 @@ def _in_one_line(numbers: re.Match[str]) -> str:
     return "[" + ", ".join(numbers[1].replace(",", " ").split()) + "]"
 
 
-class _Tables:
-    """Large tables of numbers, which are written row by row: number by number takes ten times as long."""
-
-    def __init__(self) -> None:
-        self._mark = secrets.token_hex(8)
-        self._texts: list[str] = []
-
-    def mark(self, table: np.ndarray[Any, Any]) -> str:
-        """Write what stands for a table until the rest has been written."""
-        row = "    [" + ", ".join([f"%.{WRITTEN_DIGITS}g"] * table.shape[1]) + "],\n"
-        self._texts.append("[\n" + "".join(row % tuple(numbers) for numbers in table.tolist()) + "]")
-        return f"{self._mark}{len(self._texts) - 1}"
-
-    def put_into(self, text: str) -> str:
-        """Put the tables into their places in the text."""
-        return re.sub(rf'"{self._mark}(\d+)"', lambda found: self._texts[int(found[1])], text)
+def _rows(table: np.ndarray[Any, Any]) -> str:
+    """Write a large table row by row: number by number takes ten times as long."""
+    row = "    [" + ", ".join([f"%.{WRITTEN_DIGITS}g"] * table.shape[1]) + "],\n"
+    return "[\n" + "".join(row % tuple(numbers) for numbers in table.tolist()) + "]"
 
 
 def _table_of(value: Any) -> np.ndarray[Any, Any] | None:
@@ -312,14 +294,14 @@ def _table_of(value: Any) -> np.ndarray[Any, Any] | None:
     return found if found.ndim == 2 else None
 
 
-def _plain(value: Any, tables: _Tables) -> Any:
+def _plain(value: Any, tables: Inserted) -> Any:
     """Convert the value to Python's own types, numbers rounded; a mark for a large table."""
     if isinstance(value, Mapping):
         return {key: _plain(each, tables) for key, each in value.items()}
     if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim):
         table = _table_of(value)
         if table is not None:
-            return tables.mark(table)
+            return tables.mark(_rows(table))
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, list | tuple):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 import tempfile
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -103,15 +104,20 @@ def write_uff(path: str | Path, result: ModalResult) -> None:
     """
     if not (np.all(np.isfinite(result.mode_shapes)) and np.all(np.isfinite(result.frequencies))):
         raise InputError("a universal file cannot hold nan: pyuff would write it as 0")
-    pyuff = _pyuff()
+    pyuff = load_pyuff()
+    modes = (_mode(pyuff, result, place) for place in range(len(result.frequencies)))
+    write_file(path, universal_file([*_header(pyuff, result), *modes]))
+
+
+def universal_file(sets: Iterable[Json]) -> bytes:
+    """Write the content of a universal file of these data sets."""
     # pyuff writes to a name only.
     with tempfile.TemporaryDirectory() as folder:
-        made = Path(folder) / "modes.uff"
-        file = pyuff.UFF(str(made))
-        file.write_sets(_header(pyuff, result), mode="add")
-        for place in range(len(result.frequencies)):
-            file.write_sets(_mode(pyuff, result, place), mode="add")
-        write_file(path, made.read_bytes())
+        made = Path(folder) / "sets.uff"
+        file = load_pyuff().UFF(str(made))
+        for each in sets:
+            file.write_sets(each, mode="add")
+        return made.read_bytes()
 
 
 def read_modes(path: str | Path) -> tuple[Floats, Floats, Complexes, Ints]:
@@ -142,7 +148,8 @@ def read_modes(path: str | Path) -> tuple[Floats, Floats, Complexes, Ints]:
     return frequencies, damping, np.array(shapes), nodes[0]
 
 
-def _pyuff() -> Any:
+def load_pyuff() -> Any:
+    """Import pyuff, which is optional."""
     try:
         return importlib.import_module("pyuff")
     except ImportError:
@@ -154,7 +161,7 @@ def _sets(path: Path, kind: int, limit: float) -> list[Json]:
     where = str(path)
     # pyuff opens the file by its name; that it can be read, and how large it is, is checked here.
     read_bytes(path, limit, TOO_LARGE, named=True)
-    pyuff = _pyuff()
+    pyuff = load_pyuff()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")

@@ -13,6 +13,7 @@ from scipy import special
 from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.effects import Effect, Placed
+from cvxshear.effects.masses import LoadScale
 from cvxshear.fit.efficient import Estimate, fitted_with, parameter_names
 from cvxshear.fit.gauss_newton import ROUGH
 from cvxshear.loop.duals import dual_fits_as_well, dual_set
@@ -93,7 +94,7 @@ def conclude(
         experiment=fitter.experiment,
         backend=fitter.backend.name,
         verdict=_verdict(added, numbering, final, unexplained=significant and not negligible),
-        rests_on=(*_rests_on(final), *_granted(search, found)),
+        rests_on=(*_rests_on(final), *dict.fromkeys((*_granted(search, found), *_granted_of_the_scale(search, found)))),
         steps=steps,
         judged=judged,
         effects=added,
@@ -347,6 +348,18 @@ def _granted(search: Search, found: ModelClass) -> Iterator[str]:
         yield statement.format(state=_quoted(names))
 
 
+def _granted_of_the_scale(search: Search, found: ModelClass) -> Iterator[str]:
+    """Say what all masses are in proportion to, where no total that is declared as exact holds them."""
+    experiment = search.fitter.experiment
+    if experiment.frame.known_total is not None and experiment.frame.total_mass_std is None:
+        return
+    loaded = any(np.any(each.added_mass) for each in experiment.configurations)
+    if loaded and not any(placed.effect.name == LoadScale.name for placed in found.effects):
+        yield LoadScale.granted
+    if any(each.mass_normalized and each.measured.any() for each in experiment.configurations):
+        yield "that forces and motions were measured in right proportion, which is that of all masses"
+
+
 def _information(search: Search, posterior: Posterior, final: Estimate, *, negligible: bool) -> Iterator[str]:
     """Say what a reader should know besides."""
     experiment, fitter = search.fitter.experiment, search.fitter
@@ -366,7 +379,7 @@ def _information(search: Search, posterior: Posterior, final: Estimate, *, negli
     if not final.fit.converged:
         yield f"the final fit did not converge ({final.fit.reason}); its numbers are where it stopped"
     for placed in posterior.untold():
-        yield f"these data cannot tell whether there is {placed.label}: its odds are what they were before"
+        yield f"{placed.label}: these data tell nothing of it, its odds are what they were before"
     failed = [model for model in search.visited.values() if model.failure is not None]
     if failed:
         yield f"{len(failed)} of {len(search.visited)} sets of effects could not be fitted ({failed[0].failure})"

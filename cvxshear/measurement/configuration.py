@@ -294,8 +294,7 @@ class Configuration(InTable):
     def entry_weights(self) -> Floats:
         """One over the standard deviation of each shape entry, zero where nothing was measured, shape (m, n)."""
         known = self.measured
-        weights: Floats = np.where(known, 1.0 / np.where(known, self.entry_std, 1.0), 0.0)
-        return weights
+        return np.asarray(np.where(known, 1.0 / np.where(known, self.entry_std, 1.0), 0.0))
 
     @property
     def complete(self) -> bool:
@@ -320,6 +319,5 @@ class Configuration(InTable):
         largest = np.max(np.abs(self.known_shapes), axis=1, keepdims=True, initial=0.0)
         relative = DEFAULT_MODE_SHAPE_STD if self.mode_shape_std is None else self.mode_shape_std
         if self.mode_shape_noise == "multiplicative":
-            std: Floats = relative * np.maximum(np.abs(self.mode_shapes), 1e-3 * largest)
-            return std
+            return np.asarray(relative * np.maximum(np.abs(self.mode_shapes), 1e-3 * largest))
         return np.broadcast_to(relative * largest, self.mode_shapes.shape)

@@ -23,7 +23,7 @@ import numpy as np
 from cvxshear.backends import Backend, Solution
 from cvxshear.fit.gauss_newton import Ending
 from cvxshear.fit.results import SingleIdentification
-from cvxshear.methods.separate import MOST_ROUNDS, UNCHANGED, CompleteTest, finished, identified_stiffness, start_mass
+from cvxshear.methods.separate import MOST_ROUNDS, UNCHANGED, CompleteTest, finished, start_mass
 from cvxshear.programs import mass_correction, one_shot_masses
 from cvxshear.programs.orthogonality import LOST, digits_lost, keeps_rows, normalized
 from cvxshear.programs.statements import constrained, softened
@@ -67,7 +67,7 @@ def two_stage(
     return finished(
         test,
         mass,
-        identified_stiffness(test, mass, backend),
+        backend,
         iterations=len(history) - 1,
         history=np.array(history) - test.configuration.added_mass,
         reason=Ending.CORRECTION if converged else Ending.ITERATION_LIMIT,
@@ -173,7 +173,7 @@ def one_shot(test: CompleteTest, backend: Backend) -> SingleIdentification:
     return finished(
         test,
         mass,
-        identified_stiffness(test, mass, backend),
+        backend,
         iterations=iterations,
         reason=Ending.SOLVED if iterations <= MOST_ROUNDS else Ending.ITERATION_LIMIT,
     )
@@ -199,13 +199,7 @@ def qi(test: CompleteTest, backend: Backend, initial_mass: Floats | None = None)
     program = mass_correction(normalized(test.shapes, start), start, test.total).replace(A=None, b=None)
     mass = start + backend.solve(program).x
     added = test.configuration.added_mass
-    return finished(
-        test,
-        mass,
-        identified_stiffness(test, mass, backend),
-        iterations=1,
-        history=np.array([start - added, mass - added]),
-    )
+    return finished(test, mass, backend, iterations=1, history=np.array([start - added, mass - added]))
 
 
 def berman(test: CompleteTest, backend: Backend, initial_mass: Floats | None = None) -> SingleIdentification:
@@ -239,10 +233,5 @@ def berman(test: CompleteTest, backend: Backend, initial_mass: Floats | None = N
         )
     added = test.configuration.added_mass
     return finished(
-        test,
-        np.diag(M).copy(),
-        identified_stiffness(test, M, backend),
-        iterations=1,
-        history=np.array([start - added, np.diag(M) - added]),
-        mass_matrix=M,
+        test, M, backend, iterations=1, history=np.array([start - added, np.diag(M) - added]), mass_matrix=M
     )

@@ -165,18 +165,20 @@ def identified_stiffness(test: CompleteTest, mass: Floats, backend: Backend) -> 
     return k
 
 
-def finished(test: CompleteTest, mass: Floats, stiffness: Floats, **more: object) -> SingleIdentification:
-    """Make the part for a configuration: the frame without its added mass, its errors and predictions.
+def finished(test: CompleteTest, mass: Floats, backend: Backend, **more: object) -> SingleIdentification:
+    """Make the part for a configuration: the frame without its added mass, its stiffnesses, errors and predictions.
 
     Parameters
     ----------
     test : CompleteTest
-    mass : ndarray, shape (N,)
-        With added mass.
-    stiffness : ndarray, shape (N,)
+    mass : ndarray, shape (N,) or (N, N)
+        Floor masses with added mass, or a full mass matrix.
+    backend : Backend
     **more
         Further fields of `SingleIdentification`.
     """
+    stiffness = identified_stiffness(test, mass, backend)
+    mass = mass if mass.ndim == 1 else np.diag(mass)
     net = mass - test.configuration.added_mass
     frame = dataclasses.replace(test.experiment.frame, reference=None)
     alone = Experiment(frame, (test.configuration,), test.experiment.priors, test.experiment.name)

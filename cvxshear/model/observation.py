@@ -35,8 +35,7 @@ class Observation:
         """Return readings on some of the floors, shape (..., f), of motions of shape (..., n)."""
         if self._plain:
             return motion[..., floors]
-        readings: Floats = motion @ self.matrix[floors].T
-        return readings
+        return np.asarray(motion @ self.matrix[floors].T)
 
     def shown_slopes(self, motion: Floats, slopes: Floats, which: slice, floors: slice | Ints = ALL) -> Floats:
         """Return derivatives of the readings by some of the parameters, shape (p, m, f).

@@ -91,8 +91,7 @@ def one_shot_batch(mode_shapes: Floats, frequencies: Floats, total_mass: float) 
 
 def _normalized(shapes: Floats, mass: Floats) -> Floats:
     """Eq. 3, shape (S, N, N)."""
-    result: Floats = shapes / np.sqrt(np.sum(shapes**2 * mass[:, :, None], axis=1, keepdims=True))
-    return result
+    return np.asarray(shapes / np.sqrt(np.sum(shapes**2 * mass[:, :, None], axis=1, keepdims=True)))
 
 
 def _corrections(shapes: Floats, mass: Floats, total: float) -> Floats:
@@ -112,8 +111,7 @@ def _held_to_sum(normal: Floats, side: Floats, total: float | Floats) -> Floats:
     system[:, :n, :n] = normal
     system[:, :n, n] = system[:, n, :n] = scale[:, None]
     right = np.concatenate([side, (scale * total)[:, None]], axis=1)
-    solved: Floats = np.linalg.solve(system, right[:, :, None])[:, :n, 0]
-    return solved
+    return np.asarray(np.linalg.solve(system, right[:, :, None])[:, :n, 0])
 
 
 def _finished(shapes: Floats, frequencies: Floats, mass: Floats, iterations: Ints) -> Batch:

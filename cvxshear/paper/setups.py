@@ -201,11 +201,9 @@ def cramer_rao(setup: Setup) -> Floats:
     J = Misfit(setup.experiment(*setup.exact())).evaluate(truth).J * truth
     Z = linalg.null_space(np.concatenate([setup.floor_mass, np.zeros(setup.stories)])[None])
     root = truth[:, None] * Z @ np.linalg.inv(np.linalg.qr(J @ Z, mode="r"))
-    covariance: Floats = root @ root.T
-    return covariance
+    return np.asarray(root @ root.T)
 
 
 def bound(setup: Setup) -> Floats:
     """Smallest standard deviation of each floor mass and story stiffness, shape (2N,), kg and N/m."""
-    result: Floats = np.sqrt(np.diag(cramer_rao(setup)))
-    return result
+    return np.asarray(np.sqrt(np.diag(cramer_rao(setup))))

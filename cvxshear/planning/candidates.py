@@ -70,19 +70,16 @@ class Candidates:
 
     def information(self, weights: Floats) -> Floats:
         """M(w), shape (..., q, p, p), for weights w of shape (..., n)."""
-        result: Floats = self.base + np.tensordot(weights, self.added, axes=(-1, 1))
-        return result
+        return np.asarray(self.base + np.tensordot(weights, self.added, axes=(-1, 1)))
 
     def subset(self, chosen: Ints | list[int]) -> Floats:
         """Return the information of the chosen candidates, shape (q, p, p)."""
-        result: Floats = self.base + self.added[:, chosen].sum(axis=1)
-        return result
+        return np.asarray(self.base + self.added[:, chosen].sum(axis=1))
 
     def own(self, information: Floats) -> Floats:
         """Covariance of z_a with all others marginalised, shape (..., q, a, a)."""
         a = self.asked.shape[-1]
-        result: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)[..., :a, :a]
-        return result
+        return np.asarray(np.linalg.inv(information), dtype=np.float64)[..., :a, :a]
 
     def own_with_each(self, chosen: Ints | list[int], others: Ints | list[int]) -> Floats:
         """Covariance of z_a with the chosen candidates and one of the others, for each of these; shape (k, q, a, a).
@@ -100,8 +97,7 @@ class Candidates:
 
     def covariance(self, own: Floats) -> Floats:
         """Covariance of the parameters asked for, shape (..., s, s), from that of z_a: the mean over the frames."""
-        result: Floats = np.mean(self.asked @ own @ self.asked.swapaxes(1, 2), axis=-3)
-        return result
+        return np.asarray(np.mean(self.asked @ own @ self.asked.swapaxes(1, 2), axis=-3))
 
     def slopes(self, information: Floats, weight: Floats) -> Floats:
         """Differentiate by the weights the frames' mean tr(weight C_aa), C the whole covariance, shape (n,).
@@ -116,8 +112,7 @@ class Candidates:
         a = self.asked.shape[-1]
         columns = np.linalg.inv(information)[..., :a]
         spread = columns @ weight @ columns.swapaxes(1, 2)
-        result: Floats = -np.tensordot(self.added, spread, axes=([0, 2, 3], [0, 1, 2])) / len(spread)
-        return result
+        return np.asarray(-np.tensordot(self.added, spread, axes=([0, 2, 3], [0, 1, 2])) / len(spread))
 
 
 def candidates(known: Floats, fixed: Floats, rows: Floats, question: Floats, weight: float) -> Candidates:
@@ -164,5 +159,4 @@ def _lower(whole: Floats) -> Floats:
     # QR of the columns in reverse order gives whole' whole = U U' with U upper triangular; L is U^-T.
     triangle = np.asarray(np.linalg.qr(whole[:, ::-1], mode="r"))
     upper = triangle.T[::-1, ::-1]
-    result: Floats = linalg.solve_triangular(upper, np.eye(len(upper))).T
-    return result
+    return np.asarray(linalg.solve_triangular(upper, np.eye(len(upper))).T)

@@ -205,8 +205,7 @@ def _distances(targets: Sequence[Target], G: Floats) -> Floats:
     """
     own = np.diag(G)
     allowed = np.array([[G[i, j] * other.side >= 0 for j, other in enumerate(targets)] for i in range(len(targets))])
-    result: Floats = np.sqrt(np.maximum(own[:, None] - np.where(allowed, G**2 / own[None, :], 0.0), 0.0))
-    return result
+    return np.asarray(np.sqrt(np.maximum(own[:, None] - np.where(allowed, G**2 / own[None, :], 0.0), 0.0)))
 
 
 def _right(targets: Sequence[Target], G: Floats) -> list[float]:

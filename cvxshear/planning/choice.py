@@ -316,8 +316,7 @@ def _as_mixture(matrix: Floats) -> Floats:
     """Find the nearest positive semidefinite matrix, of trace 1: what rounding leaves of a multiplier is made one."""
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
     values = np.maximum(values, 0.0)
-    result: Floats = (vectors * (values / values.sum())) @ vectors.T
-    return result
+    return np.asarray((vectors * (values / values.sum())) @ vectors.T)
 
 
 def descended(
@@ -349,5 +348,4 @@ def descended(
         constraints=within,
         options={"maxiter": rounds, "ftol": tolerance},
     )
-    result: Floats = np.clip(found.x, 0.0, 1.0)
-    return result
+    return np.asarray(np.clip(found.x, 0.0, 1.0))

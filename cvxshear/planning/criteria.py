@@ -200,8 +200,7 @@ class Trace(_Mixture):
     def value_at(self, problem: Candidates, own: Floats) -> Floats:
         inner = problem.asked.swapaxes(1, 2) @ problem.asked
         mean = np.mean(np.sum(own * inner, axis=(-2, -1)), axis=-1)
-        result: Floats = np.sqrt(mean / problem.asked.shape[1])
-        return result
+        return np.asarray(np.sqrt(mean / problem.asked.shape[1]))
 
     def windowed(
         self, problem: Candidates, weights: Floats, number: int, width: int, enough: float
@@ -242,8 +241,7 @@ class Eigenvalue(_Largest):
     summary = "standard deviation of the worst combination"
 
     def value_at(self, problem: Candidates, own: Floats) -> Floats:
-        result: Floats = np.sqrt(np.linalg.eigvalsh(problem.covariance(own))[..., -1])
-        return result
+        return np.asarray(np.sqrt(np.linalg.eigvalsh(problem.covariance(own))[..., -1]))
 
     def largest(self, covariance: Floats) -> tuple[Floats, Floats]:
         values, axes = np.linalg.eigh(covariance)
@@ -270,8 +268,7 @@ class Worst(_Largest):
 
     def value_at(self, problem: Candidates, own: Floats) -> Floats:
         variances = np.mean(np.sum((problem.asked @ own) * problem.asked, axis=-1), axis=-2)
-        result: Floats = np.sqrt(np.max(variances, axis=-1))
-        return result
+        return np.asarray(np.sqrt(np.max(variances, axis=-1)))
 
     def largest(self, covariance: Floats) -> tuple[Floats, Floats]:
         variances = np.diagonal(covariance, axis1=-2, axis2=-1)

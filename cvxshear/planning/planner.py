@@ -98,8 +98,7 @@ class Limits:
 
     def _within(self, test: Floats) -> Floats:
         """Make the test smaller where it is too heavy in all."""
-        result: Floats = test * min(1.0, self.total / max(float(test.sum()), 1e-300))
-        return result
+        return np.asarray(test * min(1.0, self.total / max(float(test.sum()), 1e-300)))
 
     def practical(self, test: Floats) -> Floats:
         """Round the masses as one would weigh them, within the limits."""

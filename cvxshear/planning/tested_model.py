@@ -68,8 +68,7 @@ class Expected:
     @property
     def entries(self) -> Floats:
         """Derivatives of the entries by the logarithm of their mode's scale, in standard deviations, shape (N, m)."""
-        result: Floats = (self.shapes / self.shape_std).T
-        return result
+        return np.asarray((self.shapes / self.shape_std).T)
 
     def at(self, floors: Ints) -> Floats:
         """Return what is measured at these floors (zero-based), each shape's scale eliminated, shape (m + m n, P)."""
@@ -142,8 +141,7 @@ class TestModel:
         at = {"floor_mass": slice(0, n), "story_stiffness": slice(n, 2 * n)}
         picked = np.concatenate([np.eye(P)[at[each]] for each in self.quantities])
         # What is known exactly is no part of the question.
-        result: Floats = picked[np.linalg.norm(picked @ free_changes(self.fixed), axis=1) > 1e-9]
-        return result
+        return np.asarray(picked[np.linalg.norm(picked @ free_changes(self.fixed), axis=1) > 1e-9])
 
     @cached_property
     def fixed(self) -> Floats:
@@ -155,8 +153,7 @@ class TestModel:
     def learned(self) -> Floats:
         """What is known before the test, rows in standard deviations, shape (k, P)."""
         rows = self.design.known([each.placed for each in self.targets], [each.null for each in self.targets])
-        result: Floats = rows * np.concatenate([np.ones(self.certain), [each.size for each in self.targets]])
-        return result
+        return np.asarray(rows * np.concatenate([np.ones(self.certain), [each.size for each in self.targets]]))
 
     @cached_property
     def known(self) -> Floats:
@@ -202,8 +199,7 @@ class TestModel:
         rows = np.concatenate([self.known, *(test.at(floors) for test in tests)])
         free = free_changes(self.fixed)
         half = free @ np.linalg.inv(np.linalg.qr(rows @ free, mode="r"))
-        result: Floats = half @ half.T
-        return result
+        return np.asarray(half @ half.T)
 
     def of_targets(self, tests: Sequence[Expected], floors: Ints) -> Floats:
         """Information about the targets' values after these tests at these floors, the frame following, shape (e, e).
@@ -295,10 +291,11 @@ def possible(design: Design) -> tuple[Design, ...]:
 
 
 def _moved(design: Design, change: Floats) -> Design:
-    """Change masses and stiffnesses by these parts of themselves; the total mass stays as declared."""
+    """Change masses and stiffnesses by these parts of themselves; a total mass that is exact stays as declared."""
     # Below a half the logarithm is changed instead, which leaves every value positive.
     factor = np.where(change > -0.5, 1 + change, 0.5 * np.exp(2 * np.minimum(change, 0.0) + 1))
     mass, stiffness = np.split(design.sizes * factor, 2)
-    if design.frame.total_mass is not None and design.frame.floor_masses is None:
+    frame = design.frame
+    if frame.total_mass is not None and frame.floor_masses is None and frame.total_mass_std is None:
         mass *= design.floor_mass.sum() / mass.sum()
     return dataclasses.replace(design, floor_mass=mass, story_stiffness=stiffness)

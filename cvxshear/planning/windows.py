@@ -64,8 +64,7 @@ class Term:
     def information(self, weights: Floats) -> Floats:
         """Return the information, shape (p, p), at weights of shape (n,)."""
         weighed = (self.rows * np.sqrt(weights)[:, None, None]).reshape(-1, len(self.v))
-        result: Floats = self.base + weighed.T @ weighed
-        return result
+        return np.asarray(self.base + weighed.T @ weighed)
 
     def slopes(self, weights: Floats) -> Floats:
         """Return derivatives by the weights, shape (n,)."""
@@ -228,8 +227,7 @@ def within_window(term: Term, weights: Floats, number: int, first: int, width: i
     np.cumsum(np.sort(steep - slopes, axis=1), axis=1, out=lowest[:, 1:])
     rest = np.clip(left, 0, len(outside))
     least = value - steep @ outside + lowest[np.arange(len(value)), rest]
-    result: Floats = np.where(rest == left, least, np.inf)
-    return result
+    return np.asarray(np.where(rest == left, least, np.inf))
 
 
 def _every_choice(v: Floats, near: Floats, far: Floats, covariance: Floats, width: int) -> tuple[Floats, Floats]:
@@ -268,8 +266,7 @@ def _every_choice(v: Floats, near: Floats, far: Floats, covariance: Floats, widt
 
 def patterns(width: int) -> Ints:
     """Every choice within a window, shape (2^width, width): bit b of a choice's place is candidate b."""
-    result: Ints = (np.arange(2**width)[:, None] >> np.arange(width)) & 1
-    return result
+    return np.asarray((np.arange(2**width)[:, None] >> np.arange(width)) & 1)
 
 
 def path(values: Floats, slopes: Floats, number: int, together: np.ufunc) -> tuple[float, list[int]]:

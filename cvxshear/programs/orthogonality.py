@@ -99,8 +99,7 @@ def pair_adjoint(columns: Floats, E: Floats, *, diagonal: bool = True) -> Floats
     """
     both = np.sum(columns * (columns @ E), axis=1)
     own = columns**2 @ np.diag(E)
-    result: Floats = 0.5 * (both + own if diagonal else both - own)
-    return result
+    return np.asarray(0.5 * (both + own if diagonal else both - own))
 
 
 def factored(normal: Floats, side: Floats) -> tuple[Floats, Floats]:
@@ -159,8 +158,7 @@ def digits_lost(R: Floats) -> float:
 def normalized(shapes: Floats, M: Floats) -> Floats:
     """Scale the columns to phi_j' M phi_j = 1 (Eq. 3); M is a vector of masses or a full matrix."""
     weighted = M[:, None] * shapes if M.ndim == 1 else M @ shapes
-    scaled: Floats = shapes / np.sqrt(np.sum(shapes * weighted, axis=0))
-    return scaled
+    return np.asarray(shapes / np.sqrt(np.sum(shapes * weighted, axis=0)))
 
 
 def mass_correction(

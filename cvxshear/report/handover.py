@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib import resources
@@ -15,13 +13,14 @@ from scipy import io
 
 from cvxshear.data import Deviation
 from cvxshear.files.spreadsheets import Cell, Sheet, workbook
+from cvxshear.files.uff import load_pyuff, universal_file
 from cvxshear.fit.misfit import Misfit
 from cvxshear.report.describe.consequences import MODELS
 from cvxshear.response import Fitted, Reconstruction, RecordPrediction, Response
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.peaks import histories
 from cvxshear.response.uncertain import Damped
-from cvxshear.util.errors import InputError, UnsuitableError
+from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.results import as_json
 from cvxshear.util.text import json_text, printable
 from cvxshear.util.typing import Floats, Json
@@ -328,10 +327,7 @@ def _csv(result: Moved) -> bytes:
 
 def _uff(result: Moved) -> bytes:
     """Excitation, accelerations, displacements, drifts and story shears as data sets 58, a node a floor."""
-    try:
-        pyuff = importlib.import_module("pyuff")
-    except ImportError:
-        raise InputError("universal files need pyuff: pip install pyuff") from None
+    pyuff = load_pyuff()
     sets: list[Json] = []
     forced = (result.recording if isinstance(result, Reconstruction) else result.motion).input == "force"
     for run, moved in enumerate(_runs(result), 1):
@@ -351,12 +347,7 @@ def _uff(result: Moved) -> bytes:
                     _function(pyuff, f"{name}, run {run}", kind, floor, response.time, values[:, floor - 1])
                     for floor in range(1, values.shape[1] + 1)
                 ]
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "series.uff"
-        file = pyuff.UFF(str(path))
-        for item in sets:
-            file.write_sets(item, mode="add")
-        return path.read_bytes()
+    return universal_file(sets)
 
 
 def _function(pyuff: object, name: str, kind: int, floor: int, time: Floats, values: Floats) -> Json:

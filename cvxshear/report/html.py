@@ -25,7 +25,6 @@ from cvxshear.util.errors import CvxshearError, InputError
 from cvxshear.util.quantities import AUTOMATIC, Units, capital
 from cvxshear.util.results import as_json
 from cvxshear.util.typing import Json
-from cvxshear.util.writing import write_file
 
 try:
     from cvxshear.report import figures  # noqa: F401 - raises here, before the loop is closed, where it is missing
@@ -48,41 +47,6 @@ LARGEST_PHOTOGRAPH = 20_000_000
 """Bytes; a picture of a camera has fewer, and the page holds it whole."""
 
 
-def write_report(
-    result: Closure,
-    path: str | Path,
-    command: str,
-    comparison: Comparison | None = None,
-    units: Units = AUTOMATIC,
-    prediction: RecordPrediction | None = None,
-    heading: Heading | None = None,
-) -> None:
-    """Write the report of a closed loop.
-
-    Parameters
-    ----------
-    result : Closure
-    path : str or Path
-        Written in one piece; whatever was there before is replaced.
-    command : str
-        What makes this report again, as it was typed.
-    comparison : Comparison, optional
-        Of the backends; made where not given.
-    units : Units, optional
-        In which quantities are shown.
-    prediction : RecordPrediction, optional
-        Of a record by the models of the loop; a section of its own.
-    heading : Heading, optional
-        Title, client, author, date and photograph; those of the measurement file where not given.
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be written.
-    """
-    write_file(path, render(result, command, comparison, units, prediction, heading))
-
-
 def render(
     result: Closure,
     command: str,
@@ -97,10 +61,15 @@ def render(
     ----------
     result : Closure
     command : str
+        What makes this report again, as it was typed.
     comparison : Comparison, optional
+        Of the backends; made where not given.
     units : Units, optional
+        In which quantities are shown.
     prediction : RecordPrediction, optional
+        Of a record by the models of the loop; a section of its own.
     heading : Heading, optional
+        Title, client, author, date and photograph; those of the measurement file where not given.
 
     Returns
     -------
@@ -157,31 +126,12 @@ def photograph_of(heading: Heading) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
 
 
-def write_response_report(result: RecordPrediction | Reconstruction, path: str | Path, command: str) -> None:
-    """Write the report of a prediction or of a reconstruction.
-
-    Parameters
-    ----------
-    result : RecordPrediction or Reconstruction
-    path, command
-        As for `write_report`.
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be written.
-    """
-    write_file(path, render_response(result, command))
-
-
 def render_response(result: RecordPrediction | Reconstruction, command: str) -> str:
     """Write the report of a prediction or of a reconstruction as HTML."""
     word = "Reconstructed" if isinstance(result, Reconstruction) else "Predicted"
-    return (
-        environment()
-        .get_template("prediction_report.html")
-        .render(**_response_contents(result), heading=f"{word} response", command=command, versions=list(versions()))
-    )
+    page = environment().get_template("prediction_report.html")
+    contents = _response_contents(result)
+    return page.render(**contents, heading=f"{word} response", command=command, versions=list(versions()))
 
 
 def _response_contents(result: RecordPrediction | Reconstruction) -> Json:
@@ -196,38 +146,26 @@ MOST_SHAPES = 4
 """Mode shapes beside each other on the page; more go below."""
 
 
-def write_modal_report(
-    results: Sequence[ModalResult], path: str | Path, command: str, failed: Sequence[str] = ()
-) -> None:
-    """Write the report of the modes of one record or of several.
+def render_modes(results: Sequence[ModalResult], command: str, failed: Sequence[str] = ()) -> str:
+    """Write the report of the modes of one record or of several as HTML.
 
     Parameters
     ----------
     results : sequence of ModalResult
-    path, command
-        As for `write_report`.
+    command : str
     failed : sequence of str, optional
         Why other records are not in it.
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be written.
     """
-    page = (
-        environment()
-        .get_template("modal_report.html")
-        .render(
-            title=", ".join(result.name for result in results),
-            records=[_record(result, place) for place, result in enumerate(results, 1)],
-            failed=list(failed),
-            command=command,
-            versions=list(versions()),
-            result_json=readable_json([result.to_dict() for result in results]),
-            figure=drawings(*results),
-        )
+    page = environment().get_template("modal_report.html")
+    return page.render(
+        title=", ".join(result.name for result in results),
+        records=[_record(result, place) for place, result in enumerate(results, 1)],
+        failed=list(failed),
+        command=command,
+        versions=list(versions()),
+        result_json=readable_json([result.to_dict() for result in results]),
+        figure=drawings(*results),
     )
-    write_file(path, page)
 
 
 def _record(result: ModalResult, place: int) -> Json:

@@ -23,7 +23,7 @@ from cvxshear.priors import Constraints
 from cvxshear.programs.statements import NamedConstraints
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.innovations import Directions, Likelihood, PredictionErrors
-from cvxshear.response.varied_frame import FORM_STDS, NOISE_STD, SCATTER_STDS, FramePrior, Gaussian
+from cvxshear.response.varied_frame import FORM_STDS, MASS_STDS, NOISE_STD, SCATTER_STDS, FramePrior, Gaussian
 from cvxshear.util.typing import Floats
 
 FIRST_SAMPLES, FITTED_SAMPLES = 2_000, 10_000
@@ -48,12 +48,20 @@ GROWN_INFLATION = 2.0
 """Growth of the inflation of the scores from which on the frame is fitted again under it: what is known of masses and
 effects must not give way to the innovations of a model that is wrong."""
 
+NONLINEAR = 4.0
+"""Inflation of the scores from which on a record is said not to be that of a linear frame with sound sensors: those
+have 1 to 2, with bending beams too, a clock 5 ms late makes it 5 and a story that yields 4 to 50."""
+
 LEAST_WEIGHT = 1e-3
 """Probability of an answer, relative to the most probable one, below which it is left out of the average."""
 
 MOST_CHANGES = 3
 KEPT_SETS = 6
 """Changed stories in a set at most, and sets of each size that the next size grows from."""
+
+
+_Widths = tuple[tuple[int, ...], float, float, float]
+"""Changed stories, and the standard deviations of form, stories and masses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,18 +76,21 @@ class Answer:
         Standard deviation of the errors of the model's form.
     scatter_std : float
         Standard deviation of the factors of the other stories.
+    mass_std : float
+        Standard deviation of the factors of the floor masses.
     probability : float
     """
 
     stories: tuple[int, ...]
     form_std: float
     scatter_std: float
+    mass_std: float
     probability: float
 
     @property
-    def prior(self) -> tuple[tuple[int, ...], float, float]:
+    def prior(self) -> _Widths:
         """Arguments of `FramePrior.gaussian`."""
-        return self.stories, self.form_std, self.scatter_std
+        return self.stories, self.form_std, self.scatter_std, self.mass_std
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +135,11 @@ class FittedFrame:
         return result
 
     @property
+    def mass_probability(self) -> float:
+        """Probability that floor masses changed."""
+        return sum(each.probability for each in self.answers if each.mass_std > 0)
+
+    @property
     def factors(self) -> Floats:
         """Story stiffnesses in this record over the identified ones, shape (N,)."""
         return self.errors.varied.story_factors(self.p[self.errors.frame])[0]
@@ -131,12 +147,21 @@ class FittedFrame:
     @property
     def factors_std(self) -> Floats:
         """Standard deviations of the factors, shape (N,): both stiffnesses are uncertain."""
+        return np.asarray(np.sqrt(np.diag(self._factors_covariance)))
+
+    @property
+    def mean_factor(self) -> tuple[float, float]:
+        """Mean of the factors, and its standard deviation."""
+        return float(np.mean(self.factors)), float(np.sqrt(np.mean(self._factors_covariance)))
+
+    @cached_property
+    def _factors_covariance(self) -> Floats:
         varied, frame = self.errors.varied, self.errors.frame
         _, J = varied.story_factors(self.p[frame])
         N, D, W, _ = varied.sizes
         masses = J[:, N + D : N + D + W]
-        identified = np.diag(self.prior.identified) + np.sum(masses**2, axis=1)
-        return np.asarray(np.sqrt(np.sum((J @ self.covariance[frame, frame]) * J, axis=1) + identified))
+        result: Floats = J @ self.covariance[frame, frame] @ J.T + self.prior.identified + masses @ masses.T
+        return result
 
     @property
     def model(self) -> DampedModel:
@@ -217,7 +242,7 @@ def fit_frame(
         Whether the frame is fitted; otherwise only the noise is.
     """
     p = np.zeros(errors.size) if start is None else start
-    answer = Answer((), FORM_STDS[0], SCATTER_STDS[0], 1.0)
+    answer = Answer((), FORM_STDS[0], SCATTER_STDS[0], MASS_STDS[0], 1.0)
     if not free:
         noise = np.eye(errors.size)[errors.frame.stop :]
         # The frame stays as it was identified: nothing of it is fitted, its uncertainty is in the bands.
@@ -232,12 +257,16 @@ def fit_frame(
         rough = _Posterior(
             errors.shortened(FIRST_SAMPLES, p),
             informative(errors, prior, p, FIRST_INFORMATION),
-            prior.gaussian(range(errors.stories), FORM_STDS[-1], SCATTER_STDS[-1]),
+            prior.gaussian(range(errors.stories), FORM_STDS[-1], SCATTER_STDS[-1], prior.mass_stds[-1]),
         )
         p = rough.maximum(p, backend, MOST_FIT_STEPS, FORM_STDS[-1], FIRST_FITTED)[0].p
     along, inflation = informative(errors, prior, p), 1.0
-    # A prior that holds a changed story as it was would move masses or their scale instead, and not find back.
-    answer = possible_answers(errors.linearised(p, along), prior, p)[0]
+    # From the prior of another answer, or far from that of the right one, the fit would move masses or their scale in
+    # place of a changed story, and hardly find back: base motion does not tell that scale.
+    rough_likelihood = errors.linearised(p, along)
+    answer = possible_answers(rough_likelihood, prior, p)[0]
+    nearer, _ = _Linear(rough_likelihood, p, prior.gaussian(*answer.prior)).posterior()
+    p = np.clip(nearer, errors.lower(answer.form_std), errors.upper)
     for _ in range(MOST_DECISIONS):
         posterior = _Posterior(errors, along, prior.gaussian(*answer.prior), inflation)
         at, converged = posterior.maximum(p, backend, MOST_FIT_STEPS, answer.form_std)
@@ -246,6 +275,9 @@ def fit_frame(
         if answer.prior == before.prior and at.likelihood.inflation <= GROWN_INFLATION * inflation:
             break
         inflation = max(inflation, at.likelihood.inflation)
+    if answer.mass_std and at.likelihood.inflation > NONLINEAR:
+        # Masses that leave the record as unlike a linear frame's as this take up what is none of theirs.
+        return fit_frame(errors, dataclasses.replace(prior, heavier_floors=prior.heavier_floors[:, :0]), backend, start)
     return _mixed(errors, prior, at, answers, converged)
 
 
@@ -261,7 +293,7 @@ def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: f
     """
     # An unknown first state would hide from a short part what the whole record tells.
     short = errors.shortened(FIRST_SAMPLES, p, free=False)
-    widest = prior.gaussian(range(errors.stories), FORM_STDS[-1], SCATTER_STDS[-1])
+    widest = prior.gaussian(range(errors.stories), FORM_STDS[-1], SCATTER_STDS[-1], prior.mass_stds[-1])
     root = np.asarray(np.linalg.cholesky(widest.covariance), dtype=np.float64)
     return short.informed(p, root, least * np.sqrt(short.samples / errors.samples))
 
@@ -367,8 +399,8 @@ class _Linear:
 def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answer, ...]:
     """Which stories may have changed and how much the form may miss, by the evidence of the linearised likelihood.
 
-    Sets of each size grow from the best of the size before. All sizes of the form's errors, and of the scatter of the
-    stories, are equally probable beforehand.
+    Sets of each size grow from the best of the size before. All sizes of the form's errors, of the scatter of the
+    stories, and of what the masses changed by, are equally probable beforehand.
 
     Parameters
     ----------
@@ -378,10 +410,10 @@ def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answ
     p : ndarray, shape (P,)
     """
     stories = range(len(prior.identified))
-    scores: dict[tuple[tuple[int, ...], float, float], float] = {}
+    scores: dict[_Widths, float] = {}
     changes = prior.change_std * np.eye(len(p), len(stories))
-    for std, scatter in itertools.product(FORM_STDS, SCATTER_STDS):
-        linear = _Linear(at, p, prior.gaussian((), std, scatter))
+    for widths in itertools.product(FORM_STDS, SCATTER_STDS, prior.mass_stds):
+        linear = _Linear(at, p, prior.gaussian((), *widths))
         level: list[tuple[int, ...]] = [()]
         for size in range(min(MOST_CHANGES, len(stories)) + 1):
             grown = level
@@ -392,7 +424,7 @@ def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answ
                 each: float(score) + prior.log_odds * size
                 for each, score in zip(grown, linear.evidences(changes, grown), strict=True)
             }
-            scores |= {(each, std, scatter): score for each, score in own.items()}
+            scores |= {(each, *widths): score for each, score in own.items()}
             level = sorted(own, key=own.__getitem__, reverse=True)[:KEPT_SETS]
     best = max(scores.values())
     kept = {each: np.exp(score - best) for each, score in scores.items() if score > best + np.log(LEAST_WEIGHT)}

@@ -21,7 +21,7 @@ from cvxshear.backends import Backend
 from cvxshear.measurement.experiment import Configuration, Limits
 from cvxshear.response.damped import DampedModel, Response
 from cvxshear.response.fitted import Fitted
-from cvxshear.response.frame_fit import FittedFrame
+from cvxshear.response.frame_fit import NONLINEAR, FittedFrame
 from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses, readings_of, shown_by
 from cvxshear.response.peaks import FloorSpectra, Peaks, largest_spectra, peaks_of
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
@@ -36,6 +36,9 @@ from cvxshear.util.typing import Floats, Json
 NAMED_CHANGE = 0.95
 """Probability from which on a story is named as changed: the loop's own level for what it adds."""
 
+SIGN_KNOWN = 1.645
+"""Standard deviations that a changed story's stiffness differs by: that it is softer, or stiffer, is 95 % probable."""
+
 WIDER = 1.3
 """Ratio of the left-out sensors' errors to their stated deviations, by which all bands are then widened, that is said:
 twenty effective samples scatter by as much."""
@@ -46,13 +49,10 @@ LARGEST_ODDS = 1000.0
 COLOURED = 0.1
 """Correlation of an innovation with an earlier one from which on it is said that the model misses something there."""
 
-NONLINEAR = 4.0
-"""Inflation of the scores from which on a record is said not to be that of a linear frame with sound sensors: those
-have 1 to 2, with bending beams too, a clock 5 ms late makes it 5 and a story that yields 4 to 50."""
-
 NONLINEAR_DRIFT = 0.1
-"""Standard deviation of drifts, relative to them, that such a record adds: a linear frame puts the peak of a story that
-yields 3 to 17 % too low and those beside it up to 9 % too high (``tests.benchmarks.reconstruction``)."""
+"""Standard deviation of drifts, relative to them, that a record adds which is not that of a linear frame: such a frame
+puts the peak of a story a third of which yields 3 to 17 % too low and those beside it up to 9 % too high
+(``tests.benchmarks.reconstruction``)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -83,7 +83,7 @@ class Reconstruction(Shown):
     whiteness : tuple of Whiteness
     limits : Limits or None
     passed : ndarray, shape (L, N), or None
-        Probability that the drift ratio of each story passed each limit.
+        Probability that the drift ratio of each story passed each limit; nan where that cannot be told.
     remarks : tuple of str
     """
 
@@ -113,12 +113,29 @@ class Reconstruction(Shown):
     def changed(self) -> tuple[int, ...]:
         """Stories (from 1) that changed by themselves with a probability of at least `NAMED_CHANGE`.
 
-        Where the modes speak against the model, only those that changed by more than twice what it lacks.
+        Only those of which it is known whether they are softer or stiffer and, where the modes speak against the model,
+        that changed by more than twice what it lacks.
         """
         if self.change_probability is None:
             return ()
-        large = np.abs(self.frame.factors - 1.0) > 2.0 * self.fitted.lacking
+        least = np.maximum(2.0 * self.fitted.lacking, SIGN_KNOWN * self.frame.factors_std)
+        large = np.abs(self.frame.factors - 1.0) > least
         return tuple(int(j) + 1 for j in np.flatnonzero((self.change_probability >= NAMED_CHANGE) & large))
+
+    @property
+    def nonlinear(self) -> bool:
+        """Whether the record is not that of a linear frame with sound sensors."""
+        return self.frame.inflation > NONLINEAR
+
+    @property
+    def heavier(self) -> Floats | None:
+        """Relative change of each floor's mass since the tests, shape (N,); None where none is named.
+
+        Base motion does not tell the scale of the masses: their total is as it was declared.
+        """
+        if not self.frame_fitted or self.frame.mass_probability < NAMED_CHANGE:
+            return None
+        return np.asarray(np.diag(self.model.M) / np.diag(self.frame.errors.varied.centre.model.M) - 1.0)
 
     @property
     def change_probability(self) -> Floats | None:
@@ -162,6 +179,8 @@ class Reconstruction(Shown):
                     "story_factor_std": frame.factors_std,
                     "change_probability": none if self.change_probability is None else self.change_probability,
                     "changed": self.changed,
+                    "mass_change_probability": frame.mass_probability if self.frame_fitted else None,
+                    "mass_change": none if self.heavier is None else self.heavier,
                     "frequencies": self.model.modes.frequencies,
                     "damping_ratios": self.model.ratios,
                     "converged": frame.converged,
@@ -262,6 +281,9 @@ def reconstruct(
     if experiment.limits is not None and "story_drift_ratio" in peaks.values:
         ratio, std = peaks.values["story_drift_ratio"], np.maximum(peaks.std["story_drift_ratio"], 1e-300)
         passed = np.asarray(special.ndtr((ratio - experiment.limits.story_drift[:, None]) / std), dtype=np.float64)
+        if nonlinear:
+            # How far a story that yields went is not seen: that it stayed below a limit cannot be said.
+            passed = np.where(passed >= NAMED_CHANGE, passed, np.nan)
     found = Reconstruction(
         work.recording, state, solver.name, frame.fitted, frame.kind, fitted, work.free, fitted.model, tuple(runs),
         peaks,
@@ -321,6 +343,11 @@ def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
         )
     if not found.fitted.mass_known:
         said.append("the masses have no scale (give total_mass): forces and moments are left out")
+    if found.heavier is not None:
+        said.append(
+            "the floors do not weigh what they did in the tests: base motion tells the change of each against the "
+            "others, not that of all together"
+        )
     if found.limits is not None and found.passed is None:
         said.append("drift ratios need story_heights in [frame]: the limits cannot be judged")
     if found.fitted.lacking:
@@ -337,12 +364,13 @@ def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
             f"sensors that were left out missed by {wider:.1f} times their stated deviation: the model lacks "
             "something, and all bands are as much wider for it"
         )
-    if found.frame.inflation > NONLINEAR:
+    if found.nonlinear:
         said.append(
             "the record is not that of a linear frame with sound sensors (the scores of the stiffnesses scatter "
             f"{found.frame.inflation:.0f} times as much): a story that yields or changes meanwhile does that, and so "
-            f"does a channel whose clock is late; a story that yields drifted up to a sixth more than is said, so "
-            f"{percent(NONLINEAR_DRIFT, 1)} of each drift is in its deviation"
+            f"does a channel whose clock is late; a story of which a third yields drifted up to a sixth more than is "
+            f"said, and {percent(NONLINEAR_DRIFT, 0)} of each drift is in its deviation, but one that yields as a "
+            "whole drifted further: where a limit was not passed for sure, it is not said"
         )
     coloured = [each for each in found.whiteness if abs(each.correlation) > COLOURED]
     if coloured:

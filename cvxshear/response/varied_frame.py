@@ -43,6 +43,10 @@ OTHER_DAMPING_STD = 0.3
 NOISE_STD = 1.0
 """Standard deviation of the logarithm of each noise level: a factor of seven to either side is within two."""
 
+MASS_STDS = (0.0, 0.05)
+"""Relative standard deviations by which floor masses changed since the tests, compared by their evidence: not at all,
+or by what is carried into a furnished floor and out of it."""
+
 FORM_STDS = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1)
 """Standard deviations of e_ij that are compared by their evidence: from a shear frame, in which the best data would
 show no error, to one whose modes have little to do with the model's."""
@@ -143,15 +147,50 @@ class VariedFrame:
         factors : ndarray, shape (N,)
         J : ndarray, shape (N, N + D + W + X)
         """
-        N, D = self.sizes[:2]
+        N, D, W, X = self.sizes
         own = np.exp(unknowns[:N])
-        moved = np.concatenate([self.dK, self.form])
-        above = np.cumsum(np.cumsum(moved[:, ::-1, ::-1], axis=1), axis=2)[:, ::-1, ::-1]
-        shares = np.diagonal(above, axis1=1, axis2=2).T / self.story_stiffness[:, None]
-        return own + shares @ unknowns[N + D :], np.hstack([np.diag(own), np.zeros((N, D)), shares])
+        nuisance, missed = np.split(unknowns[N + D :], [W])
+        tested = 1.0 + self._shares(self.dK) @ nuisance
+        heavier, forms = 1.0 + self._heavier @ nuisance, self._shares(self.form)
+        J = np.zeros((N, N + D + W + X))
+        J[:, :N] = np.diag(tested * own)
+        J[:, N + D : N + D + W] = own[:, None] * self._shares(self.dK) + np.outer(forms @ missed, self._heavier)
+        J[:, N + D + W :] = heavier * forms
+        return tested * own + heavier * (forms @ missed), J
+
+    def _shares(self, changes: Floats) -> Floats:
+        """Return what changes of the stiffness matrix are of each story's stiffness, shape (N, changes)."""
+        above = np.cumsum(np.cumsum(changes[:, ::-1, ::-1], axis=1), axis=2)[:, ::-1, ::-1]
+        result: Floats = np.diagonal(above, axis1=1, axis2=2).T / self.story_stiffness[:, None]
+        return result
+
+    @cached_property
+    def _heavier(self) -> Floats:
+        """Relative change of the masses, on average, along each of their directions, shape (W,)."""
+        result: Floats = np.mean(np.diagonal(self.dM, axis1=1, axis2=2) / np.diag(self.centre.model.M), axis=1)
+        return result
+
+    @cached_property
+    def heavier_floors(self) -> Floats:
+        """Changes of the unknowns by which each floor alone weighs twice as much, shape (N + D + W + X, N).
+
+        The directions of the masses move the stiffnesses as they were identified together; stories take that back.
+        Without columns where the floors have no masses of their own.
+        """
+        N, D, W, _ = self.sizes
+        result = np.zeros((sum(self.sizes), N))
+        share = np.diagonal(self.dM, axis1=1, axis2=2).reshape(W, N) / np.diag(self.centre.model.M)
+        if np.linalg.matrix_rank(share) < N:
+            return result[:, :0]
+        result[N + D : N + D + W] = np.linalg.pinv(share.T)
+        result[:N] = -self.story_factors(np.zeros(len(result)))[1] @ result
+        return result
 
     def model(self, unknowns: Floats) -> DampedModel:
         """Build the frame of given unknowns: logarithms, logarithms, standard deviations, and e_ij.
+
+        Factors, errors of the form and dashpots are of the frame as heavy as it is: with twice the masses and
+        stiffnesses they are the same, which base motion does not tell.
 
         Raises
         ------
@@ -161,11 +200,13 @@ class VariedFrame:
         stiffness, damping, nuisance, missed = np.split(unknowns, np.cumsum(self.sizes)[:3])
         old = self.centre.model
         M = old.M + np.tensordot(nuisance, self.dM, axes=1)
-        K = old.K + np.tensordot(nuisance, self.dK, axes=1) + np.tensordot(missed, self.form, axes=1)
-        K = K + stiffness_matrix(self.story_stiffness * np.expm1(stiffness))
+        heavier = 1.0 + self._heavier @ nuisance
+        K = old.K + np.tensordot(nuisance, self.dK, axes=1) + heavier * np.tensordot(missed, self.form, axes=1)
+        tested = self.story_stiffness * (1.0 + self._shares(self.dK) @ nuisance)
+        K = K + stiffness_matrix(tested * np.expm1(stiffness))
         scale = np.exp(damping)
         if self.centre.dashpots is not None:
-            C = stiffness_matrix(self.centre.dashpots.values * scale)
+            C = heavier * stiffness_matrix(self.centre.dashpots.values * scale)
         elif self.centre.rayleigh is not None:
             a, b = self.centre.rayleigh * scale
             C = a * M + b * K
@@ -266,6 +307,8 @@ class FramePrior:
         N, D, W and X.
     nuisance_share : ndarray, shape (W,)
         Relative change of the frame along each direction of masses and effects.
+    heavier_floors : ndarray, shape (N + D + W + X, N) or (N + D + W + X, 0)
+        Of the unknowns, where one floor weighs twice as much.
     others : int
         Number of noise levels.
     measured : ModalRows
@@ -277,6 +320,7 @@ class FramePrior:
     own_damping: Floats
     sizes: tuple[int, int, int, int]
     nuisance_share: Floats
+    heavier_floors: Floats
     others: int
     measured: ModalRows
 
@@ -288,7 +332,7 @@ class FramePrior:
         probability = 1.0 - (1.0 - change.probability) ** (1.0 / frame.fitted.experiment.stories)
         return FramePrior(
             frame.conditional_stiffness(), size, probability, varied.own_std, varied.sizes, varied.nuisance_share,
-            others, ModalRows.around(frame, varied),
+            varied.heavier_floors, others, ModalRows.around(frame, varied),
         )  # fmt: skip
 
     @property
@@ -296,7 +340,14 @@ class FramePrior:
         """Logarithm of the odds that one story changed."""
         return float(np.log(self.probability) - np.log1p(-self.probability))
 
-    def gaussian(self, changed: Sequence[int], form_std: float, scatter_std: float, *, same: bool = False) -> Gaussian:
+    @property
+    def mass_stds(self) -> tuple[float, ...]:
+        """What floor masses may have changed by since the tests."""
+        return MASS_STDS if self.heavier_floors.shape[1] else MASS_STDS[:1]
+
+    def gaussian(
+        self, changed: Sequence[int], form_std: float, scatter_std: float, mass_std: float = 0.0, *, same: bool = False
+    ) -> Gaussian:
         """Return the prior with given stories (from 0) changed, and given standard deviations.
 
         Parameters
@@ -306,6 +357,8 @@ class FramePrior:
             Of e_ij.
         scatter_std : float
             Of the factor of each story that did not change.
+        mass_std : float, optional
+            Of the factor of each floor mass since the tests.
         same : bool, optional
             Whether stiffnesses and damping are still those of the tests.
         """
@@ -319,6 +372,8 @@ class FramePrior:
         if not same:
             whole[:N, :N] += AMPLITUDE_STD**2 + scatter_std**2 * np.eye(N)
             whole[list(changed), list(changed)] += self.change_std**2
+            frame = N + D + W + X
+            whole[:frame, :frame] += mass_std**2 * self.heavier_floors @ self.heavier_floors.T
         # The record's stiffnesses are those of the tests times factors: both move along with the measured modes.
         crossed = np.zeros((len(whole), len(tested)))
         crossed[:N, :N] = self.identified

@@ -111,17 +111,14 @@ def masses_declared(experiment: Experiment) -> Iterator[Finding]:
     if best.frame.cost > UNEXPLAINED * given.cost or best.cost - given.cost > 2 * np.log(LEFT_TO_GIVEN):
         return
     named = [item for item in fitted if item.cost - best.cost < RIVAL_COST]
-    names = list(dict.fromkeys(item.declared.name for item in named))
-    yield Finding(
-        names[0],
-        None,
-        f"{' or '.join(item.declared.found.format(*_estimated(item)) for item in named)}: with the masses as declared "
-        f"the nearest frame is {np.sqrt(given.frame.cost):.0f} standard deviations from the modes, with the change "
-        f"{np.sqrt(best.frame.cost):.0f}",
-        f"{'One of: ' if len(named) > 1 else ''}{'; or '.join(item.declared.change for item in named)}",
-        refuses=names[0] == "masses_from_top",
-        rivals=tuple(names[1:]),
+    changes = [
+        (item.declared.name, item.declared.found.format(*_estimated(item)), item.declared.change) for item in named
+    ]
+    evidence = (
+        f"with the masses as declared the nearest frame is {np.sqrt(given.frame.cost):.0f} standard deviations from "
+        f"the modes, with the change {np.sqrt(best.frame.cost):.0f}"
     )
+    yield Finding.of_changes(None, changes, evidence, refuses=changes[0][0] == "masses_from_top")
 
 
 def _declared(experiment: Experiment, tests: Sequence[Configuration]) -> Declared | None:

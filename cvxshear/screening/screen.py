@@ -243,21 +243,15 @@ def mistakes(configuration: Configuration) -> list[Finding]:
         return []
     change = "no single change mends it: look for more than one mistake" if tried else "look for a mistake"
     found = "; ".join(broken[:SHOWN_MODES]) + ("; and so on" if len(broken) > SHOWN_MODES else "")
-    return [Finding("signs", configuration.name, found, f"{change} in mode_shapes and modes", refuses=True)]
+    change += " in mode_shapes and modes, or leave out a mode that is of no shear frame: torsion, a swing on a floor"
+    return [Finding("signs", configuration.name, found, change, refuses=True)]
 
 
 def _explained(name: str, given: NearestFrame, explaining: list[Judged], broken: list[str]) -> Finding:
     """Describe a mistake that one change mends, or one of several."""
     best = explaining[0]
-    names = list(dict.fromkeys(item.repair.name for item in explaining))
+    changes = [(item.repair.name, item.repair.found, item.repair.change) for item in explaining]
     evidence = broken[0] if broken else "no shear frame has these modes"
     before, after = (float(np.sqrt(cost)) for cost in (given.cost, best.cost - best.prior_cost))
-    return Finding(
-        names[0],
-        name,
-        f"{' or '.join(item.repair.found for item in explaining)}: {evidence} (the nearest frame is {before:.0f} "
-        f"standard deviations away, with the change {after:.0f})",
-        f"{'One of: ' if len(explaining) > 1 else ''}{'; or '.join(item.repair.change for item in explaining)}",
-        refuses=True,
-        rivals=tuple(names[1:]),
-    )
+    distances = f"(the nearest frame is {before:.0f} standard deviations away, with the change {after:.0f})"
+    return Finding.of_changes(name, changes, f"{evidence} {distances}", refuses=True)

@@ -215,8 +215,7 @@ def shape_residual(reading: Reading, found: Modes) -> Floats:
     """Shapes of a frame less those read, each scaled to it by least squares, in standard deviations, shape (m, n)."""
     psi, read, weights = found.shapes[np.ix_(reading.modes, reading.floors)], reading.scaled, reading.weights
     scale, _ = scaled(read, psi, weights)
-    residual: Floats = weights * (scale[:, None] * psi - read)
-    return residual
+    return np.asarray(weights * (scale[:, None] * psi - read))
 
 
 def misfit(reading: Reading, found: Modes) -> float:

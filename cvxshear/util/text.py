@@ -13,6 +13,7 @@ import re
 import secrets
 import shlex
 from collections.abc import Iterable
+from types import NoneType
 
 FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
 """First letters of a formula in spreadsheet programs, the full-width ones among them (OWASP, "CSV injection")."""
@@ -68,10 +69,26 @@ def _shell_escaped(text: str) -> str:
     )
 
 
+class Inserted:
+    """Pieces of a text that are written beforehand; a mark stands for each until the rest is written."""
+
+    def __init__(self) -> None:
+        self._mark = secrets.token_hex(8)
+        self._pieces: list[str] = []
+
+    def mark(self, piece: str) -> str:
+        """Take a piece, and return what stands for it: a text that is written in quotation marks."""
+        self._pieces.append(piece)
+        return f"{self._mark}{len(self._pieces) - 1}"
+
+    def put_into(self, text: str) -> str:
+        """Put every piece into its places."""
+        return re.sub(rf'"{self._mark}(\d+)"', lambda found: self._pieces[int(found[1])], text)
+
+
 def json_text(value: object, *, indent: int = 2, ascii_only: bool = False) -> str:
     """Write a value as JSON, each row of numbers in a line; nan cannot stand in JSON and has no place in a result."""
-    rows: list[str] = []
-    mark = secrets.token_hex(8)
+    rows, marks = Inserted(), dict[int, str]()
 
     def marked(item: object) -> object:
         # json writes indented text in Python, number by number, and a row without line breaks in C.
@@ -79,10 +96,12 @@ def json_text(value: object, *, indent: int = 2, ascii_only: bool = False) -> st
             return {key: marked(each) for key, each in item.items()}
         if not isinstance(item, list | tuple):
             return item
-        if not item or not all(each is None or isinstance(each, int | float) for each in item):
-            return [marked(each) for each in item]
-        rows.append(json.dumps(item, allow_nan=False))
-        return f"{mark}{len(rows) - 1}"
+        # A row that stands in several places is written once: the digits of its numbers are most of the time.
+        if id(item) not in marks:
+            if not item or not all(issubclass(kind, int | float | NoneType) for kind in set(map(type, item))):
+                return [marked(each) for each in item]
+            marks[id(item)] = rows.mark(json.dumps(item, allow_nan=False))
+        return marks[id(item)]
 
-    text = escaped(json.dumps(marked(value), indent=indent, allow_nan=False, ensure_ascii=ascii_only), surrogates=True)
-    return re.sub(rf'"{mark}(\d+)"', lambda found: rows[int(found[1])], text)
+    text = json.dumps(marked(value), indent=indent, allow_nan=False, ensure_ascii=ascii_only)
+    return rows.put_into(escaped(text, surrogates=True))

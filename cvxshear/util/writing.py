@@ -30,7 +30,7 @@ MOST_LINKS = 8
 PathLike = str | os.PathLike[str]
 
 
-def write_file(path: PathLike, content: str | bytes, *, keep: Iterable[PathLike] = ()) -> None:
+def write_file(path: PathLike, content: str | bytes) -> None:
     """Write a file in one piece.
 
     Parameters
@@ -38,15 +38,13 @@ def write_file(path: PathLike, content: str | bytes, *, keep: Iterable[PathLike]
     path : str or Path
     content : str or bytes
         A str is written as UTF-8; half a surrogate pair, which UTF-8 has no place for, as its escape.
-    keep : iterable of str or Path, optional
-        Files that must not be written over: what the content was made from.
 
     Raises
     ------
     InputError
         Where the file cannot be written; the old one is left as it was then, and nothing beside it.
     """
-    check_output(path, keep=keep)
+    check_output(path)
     data = content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
     try:
         if _is_stream(path):

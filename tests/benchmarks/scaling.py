@@ -1,18 +1,22 @@
 """How the cost of an identification grows with the number of stories: time, iterations, digits, peak memory."""
 
+import os
 import subprocess
 import sys
 import time
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import eigh
 
 from cvxshear import Experiment, backends, identify
 from cvxshear.measurement.experiment import Configuration, Frame
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.programs import one_shot_masses
 from cvxshear.programs.orthogonality import digits_lost
-from tests.benchmarks.timing import shown, table
+from cvxshear.util.text import json_text
+from cvxshear.util.writing import write_file
+from tests.benchmarks.timing import fastest, shown, table
 
 SIZES = (3, 10, 30, 100, 300, 1000)
 RUNS = {
@@ -118,6 +122,11 @@ def main():
     head = ["method", "stories", "`identify`", "iterations", "mass error", "stiffness error", "peak of the process"]
     table("Tall frames, exact modes", [*head, "from 100 stories on"], rows)
     table(
+        "One-shot beside the eigenproblem K phi = M phi lambda (scipy.linalg.eigh), processor time",
+        ["stories", "eigenproblem", "`identify`", "`to_dict`", "the JSON file"],
+        [_beside(n) for n in (300, 1000)],
+    )
+    table(
         "Rows against normal matrices",
         ["stories", "rows of pairs", "normal matrix", "ratio"],
         [_both(n) for n in (10, 30, 60, 100)],
@@ -127,6 +136,17 @@ def main():
         ["epsilon", "digits lost, estimated", "normal matrix", "and one centred program"],
         [_digits(part) for part in (1.0, 0.1, 0.01, 0.001)],
     )
+
+
+def _beside(stories):
+    """Processor time of an identification and of its file over that of the generalized eigenproblem."""
+    experiment, mass, stiffness = exact_experiment(stories)
+    M, K = mass_matrix(mass), stiffness_matrix(stiffness)
+    eigenproblem, _ = fastest(lambda: eigh(K, M), 3, time.process_time)
+    whole, found = fastest(lambda: identify(experiment, "one-shot"), 3, time.process_time)
+    as_dict, _ = fastest(found.to_dict, 3, time.process_time)
+    written, _ = fastest(lambda: write_file(os.devnull, json_text(found.to_dict())), 3, time.process_time)
+    return [stories, shown(eigenproblem), *(f"{each / eigenproblem:.1f}" for each in (whole, as_dict, written))]
 
 
 def _both(stories):

@@ -451,7 +451,8 @@ SCALE = Scale(10.0, 2e4, np.full(4, 0.4))
 SAID = [
     ("gravity", {}, 1.1, 0.05, "the weight above takes 1.100 ± 0.050 times P/h from every story's stiffness"),
     ("joint_rotation", {}, 0.3, 0.02, "adds 30.0 ± 2.0 % to the sway of a story among equal ones (eta = 0.3)"),
-    ("axial_columns", {}, 5e-6, 1e-6, "the columns stretch and shorten, which adds 3.4 % to the sway of the top"),
+    ("axial_columns", {}, 5e-6, 1e-6,
+     "the frame bends as a whole, by columns that stretch and shorten or a wall, which adds 3.4 % to the sway"),
     ("base_rocking", {}, 1e-5, 1e-6, "the base turns, which adds 13 % to the sway of the top"),
     ("ground_spring", {"floor": 3}, 2e4, 1e3, "a spring of 20.0 ± 1.0 kN/m ties floor 3 to the ground"),
     ("spring", {"floor": 2, "to": 4}, 746e3, 55e3, "a spring of 746 ± 55 kN/m ties floors 2 and 4"),

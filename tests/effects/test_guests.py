@@ -106,6 +106,8 @@ FAULTS = {
     "stage": ({"stage": "elastic"}, "stage = 'elastic' is unknown; the stages are bracing, story"),
     "place": ({"sits_at": ("level",)}, r"sits_at = \('level',\) must be a tuple of"),
     "needs": ({"needs": "heights"}, "needs = 'heights' must be a tuple of"),
+    "usual in": ({"usual_in": "stiffness"}, "usual_in = 'stiffness' must be one of '', 'floor_mass'"),
+    "no parameters": ({"parameters": None}, "parameters must be a tuple of objects of the class Parameter"),
     "certain": ({"probability": 1.0}, r"probability = 1\.0 must lie between 0 and 1"),
     "impossible": ({"probability": 0.0}, r"probability = 0\.0 must lie between 0 and 1"),
     "probability": ({"probability": float("nan")}, "probability = nan must lie between 0 and 1"),

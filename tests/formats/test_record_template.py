@@ -14,6 +14,7 @@ from scipy import io
 from cvxshear.files import formats
 from cvxshear.files.columns import Columns
 from cvxshear.files.record_file import read_record
+from cvxshear.util.errors import InputError
 from tests.fuzz.files import columns
 
 GRAVITY = 9.80665
@@ -50,6 +51,12 @@ HEADS = {
         1e-2,
     ),
     "levels of a building": ("time,GL,1F,2F,RF\ns,gal,gal,gal,gal\n", {}, 1e-2),
+    "a base between other words": ("time_s,base_acc_g,f1_acc_g,f2_acc_g,f3_acc_g\n", {}, GRAVITY),
+    "units after blanks, axes in brackets": (
+        "Time;Base g;Level 1 (N) g;Level 2 (North), g;Level 3 (N) g\n",
+        {"separator": ";"},
+        GRAVITY,
+    ),
     "units at the ends": ("time_s,table_x_mg,ch1_x_mg,ch2_x_mg,ch3_x_mg\n", {}, 1e-3 * GRAVITY),
 }
 
@@ -272,3 +279,25 @@ def test_a_format_of_ones_own(values, run, tmp_path, monkeypatch):
     assert ".raw64" in said
     with pytest.raises(ValueError, match=r"the ending \.csv is that of delimited text already"):
         formats.register(formats.Format("mine", (".csv",), "mine", read))
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (None, "cannot be read: No such file"),
+        ("1 x", r"cannot be read as a table: .*'x'"),
+        ("1", "cannot be read as a table: not enough"),
+    ],
+)
+def test_what_a_reader_of_ones_own_stumbles_on_is_an_error_of_the_file(tmp_path, content, said):
+    """The file does not exist, holds no number, or has too few cells a line."""
+
+    def read(path):
+        first, second = path.read_text().split()
+        return {"frequencies": [float(first)], "mode_shapes": [[float(second)]]}
+
+    path = tmp_path / "a.lab"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(InputError, match=said):
+        formats.Format("lab", (".lab",), "a table", modes=read).read_modes(path)

@@ -13,7 +13,7 @@ from scipy import io
 import cvxshear
 from cvxshear.files.csv import read_csv
 from cvxshear.files.mat import read_mat
-from cvxshear.files.modes import write_modes
+from cvxshear.files.modes import IdentifiedRecord, write_merged
 from cvxshear.files.record_file import read_record
 from cvxshear.files.toml import write_measurement
 from cvxshear.files.uff import read_modes, read_uff, write_uff
@@ -237,7 +237,8 @@ def test_frame_and_priors_pass_through(tmp_path, values):
     path.write_text("added_mass = [0.0, 1.5]\n" + path.read_text())
     found = read_record(path)
     given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]])
-    write_modes(tmp_path / "out.toml", given, found.frame, priors=found.priors, added_mass=found.added_mass)
+    test = IdentifiedRecord("a.toml", given, found.frame, found.priors, found.added_mass)
+    write_merged(tmp_path / "out.toml", [test])
     experiment = cvxshear.load(tmp_path / "out.toml")
     assert experiment.frame.total_mass == 20.0
     assert len(experiment.priors) == 1
@@ -247,13 +248,13 @@ def test_frame_and_priors_pass_through(tmp_path, values):
 def test_a_file_that_would_be_refused_is_not_written(tmp_path):
     given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]])
     with pytest.raises(InputError, match="floor_masses"):
-        write_modes(tmp_path / "out.toml", given, {"floor_masses": [1.0, -2.0]})
+        write_merged(tmp_path / "out.toml", [IdentifiedRecord("a.toml", given, {"floor_masses": [1.0, -2.0]})])
     assert not list(tmp_path.iterdir())
 
 
 def test_an_unknown_mass_is_said(tmp_path):
     given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]])
-    write_modes(tmp_path / "out.toml", given)
+    write_merged(tmp_path / "out.toml", [IdentifiedRecord("a.toml", given, {})])
     said = (tmp_path / "out.toml").read_text()
     assert "nothing tells how heavy the frame is: total_mass = 1 is written in its place" in said
     assert cvxshear.load(tmp_path / "out.toml").frame.total_mass == 1.0

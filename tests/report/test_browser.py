@@ -21,7 +21,7 @@ from cvxshear.modal import identify_modes
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.records.simulate import PAPER_FRAME, base_record, hammer_record
 from cvxshear.report.describe import describe
-from cvxshear.report.html import write_modal_report, write_report, write_response_report
+from cvxshear.report.html import render, render_modes, render_response
 from cvxshear.response import predict
 from tests.report.test_modal_figures import twenty_modes
 from tests.response.common import damped_frame, declared, shaking
@@ -74,12 +74,12 @@ def reports(paper, eight, unexplained, comparison, shared_drawings, tmp_path_fac
     folder = tmp_path_factory.mktemp("reports")
     results = {"paper": paper, "eight": eight, "unexplained": unexplained}
     for name, result in results.items():
-        write_report(result, folder / f"{name}.html", f"cvxshear loop {name}.toml", comparison)
+        (folder / f"{name}.html").write_text(render(result, f"cvxshear loop {name}.toml", comparison))
     base = base_record(PAPER_FRAME, 0, noise=0.01, duration=240.0)
     records = (hammer_record(PAPER_FRAME, 0, noise=0.01, hits=2), base)
     modes = [identify_modes(record, functions=True) for record in records]
-    write_modal_report(modes, folder / "modes.html", "cvxshear modes a.toml b.toml")
-    write_modal_report([twenty_modes(modes[0].sweep)], folder / "tall.html", "cvxshear modes c.toml")
+    (folder / "modes.html").write_text(render_modes(modes, "cvxshear modes a.toml b.toml"))
+    (folder / "tall.html").write_text(render_modes([twenty_modes(modes[0].sweep)], "cvxshear modes c.toml"))
     return folder, results
 
 
@@ -168,7 +168,8 @@ def test_figures_have_size_and_the_page_does_not_run_over_its_edge(opened, name,
 def test_a_prediction_does_not_run_over_its_edge(browser, tmp_path, viewport):
     mass, stiffness, _ = damped_frame(12)
     estimate = efficient(cvxshear.Experiment.from_dict(declared(mass, stiffness, [0.02] * 12)), backends.get("auto"))
-    write_response_report(predict(estimate, Motion((Drive(shaking(600)),), 100.0)), tmp_path / "p.html", "cvxshear")
+    prediction = predict(estimate, Motion((Drive(shaking(600)),), 100.0))
+    (tmp_path / "p.html").write_text(render_response(prediction, "cvxshear"))
     page = browser.new_page(viewport=viewport)
     page.goto((tmp_path / "p.html").as_uri())
     drawings = visible(page, ".drawing svg")

@@ -18,9 +18,10 @@ import cvxshear
 from cvxshear.cli import main
 from cvxshear.report import figures, html
 from cvxshear.report.figures import figure_table
+from cvxshear.report.figures.drawn_network import springs_between_levels
 from cvxshear.report.figures.drawn_shapes import mac_tables, mode_shapes
 from cvxshear.report.figures.modal_figures import written
-from cvxshear.report.figures.style import for_narrow_page, inline_svg, letters, power_of_ten, spread
+from cvxshear.report.figures.style import for_narrow_page, inline_svg, letters, power_of_ten, spread, styled
 from cvxshear.util.errors import InputError
 from tests import frames
 
@@ -355,7 +356,7 @@ def test_what_was_found_is_marked_at_its_place_with_its_probability(nine):
 def test_springs_that_stand_out_of_their_deviations_are_marked():
     values, stds = np.full((6, 6), 1e3), np.full((6, 6), 1e3)
     values[5, 2], stds[5, 2] = 746e3, 55e3
-    drawn = figures.springs_between_levels(values, stds)
+    drawn = styled(springs_between_levels)(values, stds)
     assert_readable(drawn)
     axes = drawn.axes[0]
     (mark,) = axes.patches

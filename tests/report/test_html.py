@@ -19,7 +19,7 @@ from cvxshear.loop.verdicts import VERDICTS
 from cvxshear.measurement.declaration import Heading
 from cvxshear.report import figures
 from cvxshear.report.describe.consequences import changes, consequences
-from cvxshear.report.html import render, write_report
+from cvxshear.report.html import render
 from cvxshear.report.pages import drawings
 from cvxshear.util.errors import InputError
 from tests.report.conftest import NASTY, experiment
@@ -208,15 +208,8 @@ def test_every_effect_of_the_catalogue_has_words_for_its_size(effect):
     assert all(sentence.endswith(".") and "nan" not in sentence for sentence in said)
 
 
-def test_a_report_is_written_whole(paper, comparison, of_paper, tmp_path, monkeypatch):
-    out = tmp_path / "report.html"
-    monkeypatch.setattr("cvxshear.report.html.render", lambda *_, **__: of_paper)
-    write_report(paper, out, COMMAND, comparison)
-    assert list(tmp_path.iterdir()) == [out]
-    assert out.read_text(encoding="utf-8") == of_paper
+def test_a_report_is_one_page(of_paper):
     assert Page(of_paper).tags[:1] == ["html"]
-    with pytest.raises(InputError, match="cannot be written"):
-        write_report(paper, tmp_path / "nowhere" / "report.html", COMMAND, comparison)
 
 
 def test_results_show_themselves_in_a_notebook(paper, unexplained, comparison):

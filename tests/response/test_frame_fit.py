@@ -9,7 +9,7 @@ from scipy import stats
 
 from cvxshear.response.frame_fit import LEAST_WEIGHT, _Linear, possible_answers
 from cvxshear.response.innovations import Likelihood
-from cvxshear.response.varied_frame import FORM_STDS, SCATTER_STDS, Gaussian
+from cvxshear.response.varied_frame import FORM_STDS, MASS_STDS, SCATTER_STDS, Gaussian
 
 STORIES, CHANGE, PROBABILITY = 3, 0.5, 0.07
 
@@ -20,9 +20,10 @@ def drawn(seed, inflation=1.7):
     return Likelihood(3.0 * rng.standard_normal((6, 5)), rng.standard_normal(6), inflation), rng.standard_normal(5)
 
 
-def gaussian(changed, form_std, scatter_std=0.003):
+def gaussian(changed, form_std, scatter_std=0.003, mass_std=0.0):
     """A prior whose mean, covariance and evidence depend on how well its form is known."""
-    spread = np.diag([0.1, 0.2, 0.1, 0.5, 0.5]) ** 2 + 0.3 * form_std + (form_std + 20 * scatter_std) ** 2 * np.eye(5)
+    wide = (form_std + 20 * scatter_std + 5 * mass_std) ** 2
+    spread = np.diag([0.1, 0.2, 0.1, 0.5, 0.5]) ** 2 + 0.3 * form_std + wide * np.eye(5)
     spread[list(changed), list(changed)] += CHANGE**2
     return Gaussian(np.array([0.1, -0.1, 0.0, 0.2, form_std]), spread, -30.0 * form_std)
 
@@ -51,18 +52,20 @@ def test_evidence_and_posterior_are_those_of_a_normal_distribution(seed):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_answers_have_the_probabilities_of_all_sets_of_stories_forms_and_scatters(seed):
-    """Odds of 0.07 a changed story; every size of the form's errors, and of the scatter, as probable as another."""
+def test_answers_have_the_probabilities_of_all_sets_of_stories_forms_scatters_and_masses(seed):
+    """Odds of 0.07 a changed story; every size of the form's errors, of the scatter, of the masses' as probable."""
     at, p = drawn(seed)
     log_odds = np.log(PROBABILITY / (1 - PROBABILITY))
-    prior = SimpleNamespace(identified=np.eye(STORIES), change_std=CHANGE, log_odds=log_odds, gaussian=gaussian)
+    prior = SimpleNamespace(
+        identified=np.eye(STORIES), change_std=CHANGE, log_odds=log_odds, gaussian=gaussian, mass_stds=MASS_STDS
+    )
     found = possible_answers(at, prior, p)
     logs = {
-        (stories, std, scatter): log_density(at, p, gaussian(stories, std, scatter)) - 30.0 * std
+        (stories, *widths): log_density(at, p, gaussian(stories, *widths)) - 30.0 * widths[0]
         + size * log_odds
         for size in range(STORIES + 1)
         for stories in itertools.combinations(range(STORIES), size)
-        for std, scatter in itertools.product(FORM_STDS, SCATTER_STDS)
+        for widths in itertools.product(FORM_STDS, SCATTER_STDS, MASS_STDS)
     }  # fmt: skip
     best = max(logs.values())
     kept = {key: np.exp(value - best) for key, value in logs.items() if value > best + np.log(LEAST_WEIGHT)}
@@ -70,5 +73,5 @@ def test_answers_have_the_probabilities_of_all_sets_of_stories_forms_and_scatter
     assert len(found) == len(kept) > 4
     assert sum(each.probability for each in found) == pytest.approx(1.0)
     for each in found:
-        assert each.probability == pytest.approx(kept[each.stories, each.form_std, each.scatter_std] / total)
+        assert each.probability == pytest.approx(kept[each.prior] / total)
     assert [each.probability for each in found] == sorted((each.probability for each in found), reverse=True)

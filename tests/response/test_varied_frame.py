@@ -25,15 +25,17 @@ SIZES = (3, 2, 2, 4)
 
 @pytest.mark.parametrize("changed", [(), (1,), (0, 2)])
 @pytest.mark.parametrize("same", [False, True])
-def test_the_prior_is_conditioned_on_the_modes_like_any_normal_numbers(changed, same):
+@pytest.mark.parametrize("mass_std", [0.0, 0.05])
+def test_the_prior_is_conditioned_on_the_modes_like_any_normal_numbers(changed, same, mass_std):
     """Everything is a sum of independent normal numbers w; the modes show some of them with errors of one."""
     rng = np.random.default_rng(3)
     root = 0.01 * rng.standard_normal((3, 3))
     own, share = np.array([0.3, 0.2]), np.array([0.02, 0.05])
     measured = ModalRows(20.0 * rng.standard_normal((7, 9)), rng.standard_normal(7))
-    prior = FramePrior(root @ root.T, 0.4, 0.1, own, SIZES, share, 2, measured)
+    heavier = rng.standard_normal((11, 3))
+    prior = FramePrior(root @ root.T, 0.4, 0.1, own, SIZES, share, heavier, 2, measured)
     form_std, scatter = 0.03, 0.003
-    found = prior.gaussian(changed, form_std, scatter, same=same)
+    found = prior.gaussian(changed, form_std, scatter, mass_std, same=same)
 
     nuisances = np.sqrt(1.0 + form_std**2 / share**2 / 2)
     shift = 0.0 if same else 1.0
@@ -49,9 +51,18 @@ def test_the_prior_is_conditioned_on_the_modes_like_any_normal_numbers(changed, 
     seen = measured.J @ numbers
     posterior = np.linalg.inv(np.eye(len(seen.T)) + seen.T @ seen)
     np.testing.assert_allclose(found.mean, unknowns @ posterior @ seen.T @ measured.data, atol=1e-12)
-    np.testing.assert_allclose(found.covariance, unknowns @ posterior @ unknowns.T, atol=1e-12)
+    covariance = unknowns @ posterior @ unknowns.T
+    covariance[:11, :11] += (0.0 if same else mass_std**2) * heavier @ heavier.T
+    np.testing.assert_allclose(found.covariance, covariance, atol=1e-12)
     density = stats.multivariate_normal.logpdf(measured.data, np.zeros(7), np.eye(7) + seen @ seen.T)
     assert found.evidence == pytest.approx(density + 3.5 * np.log(2 * np.pi), rel=1e-9)
+
+
+@pytest.mark.parametrize("sizes", [module.FORM_STDS, module.SCATTER_STDS])
+def test_sizes_that_are_compared_leave_no_gap_wider_than_half_a_decade(sizes):
+    """A size between two of them is off by a factor of 1.8 at most."""
+    steps = np.divide(sizes[1:], sizes[:-1])
+    assert np.all((steps > 3 - 1e-9) & (steps < 10 / 3 + 1e-9))
 
 
 def centre(kind):
@@ -86,16 +97,39 @@ def test_factors_and_directions_change_what_they_say(kind):
     story, damping = 0.2 * rng.standard_normal(3), 0.3 * rng.standard_normal(frame.sizes[1])
     found = frame.model(np.array([*story, *damping, 0.7, 0.02]))
     np.testing.assert_allclose(found.M, M + 0.7 * dM[0])
-    np.testing.assert_allclose(found.K, chain(np.ones(3), stiffness * np.exp(story))[1] + 0.007 * K + 0.02 * form[0])
+    heavier = np.mean(np.diag(found.M) / np.diag(M))
+    stories = chain(np.ones(3), 1.007 * stiffness * np.exp(story))[1]
+    np.testing.assert_allclose(found.K, stories + 0.02 * heavier * form[0])
     np.testing.assert_allclose(found.gain, [1.0, 1.07, 1.0])
     if kind == "story":
-        expected = chain(np.ones(3), damped_frame(3)[2] * np.exp(damping))[1]
+        expected = heavier * chain(np.ones(3), damped_frame(3)[2] * np.exp(damping))[1]
     elif kind == "rayleigh":
         expected = 0.4 * np.exp(damping[0]) * found.M + 1e-3 * np.exp(damping[1]) * found.K
     else:
         expected = found.C
         np.testing.assert_allclose(pole_ratios(found.M, found.C, found.K), ratios * np.exp(damping))
     np.testing.assert_allclose(found.C, expected)
+
+
+@pytest.mark.parametrize("kind", ["story", "modal"])
+def test_a_frame_with_all_masses_and_stiffnesses_larger_moves_alike(kind):
+    """Base motion does not tell it from the frame as it was, whatever its factors and errors of the form are."""
+    M, K = centre(kind)[0].model.M, centre(kind)[0].model.K
+    frame = varied(kind, dM=0.3 * M[None], dK=0.3 * K[None], form=50.0 * (K @ K / 1e5)[None])
+    unknowns = np.array([0.1, -0.2, 0.1, 0.3, 0.1, -0.1, 0.0, 0.02])
+    light, heavy = frame.model(unknowns), frame.model(unknowns + 0.5 * np.eye(8)[6])
+    for name in ("M", "C", "K"):
+        np.testing.assert_allclose(getattr(heavy, name), 1.15 * getattr(light, name))
+
+
+def test_a_heavier_floor_leaves_the_stories_as_they_are():
+    M, K = centre("modal")[0].model.M, centre("modal")[0].model.K
+    dM = np.array([np.diag(row) for row in ([0.1, 0.0, 0.0], [0.0, 0.2, 0.1], [0.1, 0.1, 0.3])]) * M
+    dK = np.array([0.1, 0.15, 0.2])[:, None, None] * K
+    frame = varied("modal", dM=dM, dK=dK, dgain=np.zeros((3, 3)))
+    found = frame.model(0.01 * frame.heavier_floors[:, 1])
+    np.testing.assert_allclose(found.M, M * np.array([1.0, 1.01, 1.0]))
+    np.testing.assert_allclose(found.K, K, rtol=1e-3)
 
 
 def test_errors_of_the_form_couple_the_modes_they_name():

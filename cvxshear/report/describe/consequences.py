@@ -218,8 +218,7 @@ def _sway_stiffness(state: State) -> Floats:
     K, n = state.system.K, len(state.story_stiffness)
     force = np.zeros(len(K))
     force[n - 1] = 1.0
-    stiffness: Floats = 1.0 / np.diff(np.linalg.solve(K, force)[:n], prepend=0.0)
-    return stiffness
+    return np.asarray(1.0 / np.diff(np.linalg.solve(K, force)[:n], prepend=0.0))
 
 
 def consequences(estimate: Estimate, placed: Placed, units: Units = AUTOMATIC) -> list[str]:

@@ -151,8 +151,9 @@ def _doubt(result: Closure) -> str:
     """Why the verdict is no surer than it is."""
     doubtful = [item for item in result.effects if item.rivals]
     said = ""
-    if result.verdict == "adequate" and result.candidates:
-        best = result.candidates[0]
+    raised = [each for each in result.candidates if each.probability and each.probability > each.prior]
+    if result.verdict == "adequate" and raised:
+        best = raised[0]
         said = f"of what it might lack, {best.placed.label} is the most probable ({chance(best.probability)})"
     elif doubtful and len(result.effects) <= NAMED:
         said = "; ".join(_rivals(item, several=len(result.effects) > 1) for item in doubtful)

@@ -10,6 +10,7 @@ from cvxshear.report.describe.consequences import MODELS
 from cvxshear.report.describe.identified import damping_section
 from cvxshear.report.describe.vocabulary import Document, Row, Section, Sentence, Table, describe, plain_rows
 from cvxshear.response import Peaks, Reconstruction, RecordComparison, RecordPrediction
+from cvxshear.response.reconstruction import SIGN_KNOWN
 from cvxshear.util.quantities import (
     AUTOMATIC,
     Units,
@@ -191,6 +192,10 @@ def _reconstructed(result: Reconstruction) -> str:
 
 def _findings(result: Reconstruction) -> Iterator[str]:
     """Say what an owner asks: which story drifted most, against which limit, and whether the building is the same."""
+    if result.frame_fitted and not result.frame.converged:
+        yield "the fit of the frame did not settle, so no number below is sure"
+    if result.nonlinear:
+        yield "the frame did not answer as a linear one, or a sensor is at fault: drifts are rough"
     yield _largest_drift(result.peaks).replace("drifts", "drifted")
     if result.limits is not None and result.passed is not None:
         for limit, word, chances in zip(result.limits.story_drift, result.limits.names, result.passed, strict=True):
@@ -199,6 +204,8 @@ def _findings(result: Reconstruction) -> Iterator[str]:
             open_ = [int(story) + 1 for story in np.flatnonzero(unsure)]
             label = f"{100 * limit:g} %" if word == f"{100 * limit:g} %" else f"{word} ({100 * limit:g} %)"
             passed = f"passed in {_stories(sure)}" if sure else "passed in no story"
+            if np.isnan(chances).any():
+                passed = f"passed in {_stories(sure)}, elsewhere that cannot be told" if sure else "cannot be told"
             yield f"limit {label}: {passed}" + (f", possibly in {_stories(open_)}" if open_ else "")
     if result.changed:
         for story in result.changed:
@@ -207,10 +214,17 @@ def _findings(result: Reconstruction) -> Iterator[str]:
             size = with_std(100 * abs(factor - 1), 100 * deviation, "%", factor=1.0)
             probable = chance(float(result.frame.story_probability[story - 1]))
             yield f"story {story} was {size} {word} than identified ({probable} probable)"
-    elif result.frame_fitted:
-        mean = float(np.mean(result.frame.factors)) - 1
-        word = "softer" if mean < 0 else "stiffer"
-        yield f"no single story changed; on average the stories were {100 * abs(mean):.1f} % {word} than identified"
+    elif result.frame_fitted and not result.nonlinear:
+        mean, deviation = result.frame.mean_factor
+        word = "softer" if mean < 1 else "stiffer"
+        size = with_std(100 * abs(mean - 1), 100 * deviation, "%", factor=1.0)
+        known = abs(mean - 1) > SIGN_KNOWN * deviation
+        average = f"; on average the stories were {size} {word} than identified" if known else ""
+        yield f"no single story changed{average}"
+    if result.heavier is not None:
+        changes = [f"{floor} {100 * change:+.0f} %" for floor, change in enumerate(result.heavier.tolist(), 1)]
+        probable = chance(result.frame.mass_probability)
+        yield f"the floors do not weigh what they did in the tests ({probable} probable): floor {', '.join(changes)}"
 
 
 def _stories(numbers: list[int]) -> str:
@@ -250,7 +264,7 @@ def stories(result: Reconstruction) -> Table:
             "–" if result.change_probability is None else chance(float(result.change_probability[story])),
         ]  # fmt: skip
         if result.passed is not None:
-            cells += [chance(float(each[story])) for each in result.passed]
+            cells += ["–" if np.isnan(each[story]) else chance(float(each[story])) for each in result.passed]
         rows.append(tuple(cells))
     return Table("reconstructed-stories", "peak drift ± standard deviation", tuple(head), plain_rows(rows))
 

@@ -4,7 +4,7 @@
 """
 
 from cvxshear.report.figures.drawn_frame import findings, frame
-from cvxshear.report.figures.drawn_network import springs, springs_between_levels
+from cvxshear.report.figures.drawn_network import springs
 from cvxshear.report.figures.drawn_shapes import shapes
 from cvxshear.report.figures.figure_table import FigureEntry, drawn_figure, figure, figures_of
 from cvxshear.report.figures.frequency_figures import coherence, functions, stabilization
@@ -26,5 +26,5 @@ __all__ = [
     "FigureEntry", "backend_differences", "coherence", "convergence", "drawn_figure", "figure", "figures_of",
     "findings", "floor_spectra", "frame", "functions", "mac", "modal_mac", "modal_shapes", "noise_boxes",
     "noise_variation", "plan", "ranking", "reconstructed_histories", "residual", "response_histories", "response_peaks",
-    "save", "shapes", "springs", "springs_between_levels", "stabilization", "story_drifts", "transfer_functions",
+    "save", "shapes", "springs", "stabilization", "story_drifts", "transfer_functions",
 ]  # fmt: skip

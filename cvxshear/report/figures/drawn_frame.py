@@ -96,9 +96,7 @@ def _structure(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns) -> N
                 (at.left - 0.02, level - slab / 2), wide + 0.04, slab, fc=style.PALE, ec="black", lw=0.8, zorder=3
             )
         )
-    axes.set_xlim(0, 1)
-    axes.set_ylim(-0.045 * total, total + float(slabs.max()))
-    axes.set_xticks([])
+    axes.set(xlim=(0, 1), ylim=(-0.045 * total, total + float(slabs.max())), xticks=[])
     axes.spines["bottom"].set_visible(False)
 
 

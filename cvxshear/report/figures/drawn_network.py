@@ -11,7 +11,7 @@ from cvxshear.loop import Closure
 from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_frame import networks
 from cvxshear.report.figures.figure_table import figure
-from cvxshear.util.quantities import AUTOMATIC, Units, capital, with_std
+from cvxshear.util.quantities import AUTOMATIC, capital, with_std
 from cvxshear.util.typing import Floats
 
 MOST_LEVELS = 9
@@ -37,33 +37,24 @@ def springs(result: Closure) -> Figure:
     for (low, high), name in zip(places, item.parameters, strict=True):
         std = item.std[name]
         values[high, low], stds[high, low] = item.parameters[name], np.nan if std is None else std
-    return _springs(values, stds, AUTOMATIC)
+    return springs_between_levels(values, stds)
 
 
-def springs_between_levels(values: Floats, stds: Floats, units: Units = AUTOMATIC) -> Figure:
+def springs_between_levels(values: Floats, stds: Floats) -> Figure:
     """Draw the matrix of springs between all pairs of levels, those marked that stand out of their deviations.
+
+    Colour and number say the same: orange is stiffer than the shear frame has it, purple softer; a heavy outline marks
+    what is more than `STANDS_OUT` standard deviations from zero.
 
     Parameters
     ----------
-    values, stds : array_like, shape (N + 1, N + 1)
+    values, stds : ndarray, shape (N + 1, N + 1)
         Stiffness of the spring between two levels and its standard deviation, N/m; level 0 is the ground. The lower
         triangle is read; nan where there is no such spring.
-    units : Units, optional
-        In which stiffnesses are shown.
-
-    Returns
-    -------
-    Figure
-        Colour and number say the same: orange is stiffer than the shear frame has it, purple softer; a heavy outline
-        marks what is more than `STANDS_OUT` standard deviations from zero.
     """
-    return style.styled(_springs)(np.asarray(values, dtype=float), np.asarray(stds, dtype=float), units)
-
-
-def _springs(values: Floats, stds: Floats, units: Units) -> Figure:
     count = len(values)
     lower = np.tril(np.ones((count, count), dtype=bool), -1) & np.isfinite(values)
-    factor, unit = units.of_stiffness(np.where(lower, values, 0.0).ravel().tolist())
+    factor, unit = AUTOMATIC.of_stiffness(np.where(lower, values, 0.0).ravel().tolist())
     with np.errstate(divide="ignore", invalid="ignore"):
         sizes = np.where(lower, values / stds, np.nan)
     side = style.page_width() if count > MOST_LEVELS // 2 else 4.2

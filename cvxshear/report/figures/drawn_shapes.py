@@ -39,8 +39,8 @@ class ModeShape:
         Of the entries, in the same scale.
     modelled : ndarray, shape (N,)
         At all floors as sensors would show them, scaled to the measured ones as the fit does.
-    measured_frequency, modelled_frequency : float
-        Hz.
+    frequency : float
+        Measured, Hz.
     """
 
     configuration: str
@@ -49,8 +49,7 @@ class ModeShape:
     measured: Floats
     std: Floats
     modelled: Floats
-    measured_frequency: float
-    modelled_frequency: float
+    frequency: float
 
 
 def mode_shapes(estimate: Estimate) -> list[ModeShape]:
@@ -76,7 +75,6 @@ def mode_shapes(estimate: Estimate) -> list[ModeShape]:
                     noise * configuration.entry_std[j] / abs(unit),
                     modelled[j] / unit,
                     float(configuration.frequencies[j]),
-                    float(model.modes.frequencies[model.paired[j]]),
                 )
             )
     return result
@@ -93,8 +91,7 @@ def _modelled(configuration: Configuration, model: Model, datum: Shapes | None) 
         at_sensors = full[datum.kept][:, configuration.measured_floors - 1]
         length = np.sum(at_sensors**2, axis=1)
         factor[datum.kept] = np.where(length > 0, np.sum(datum.seen(model) * at_sensors, axis=1) / length, 1.0)
-    laid: Floats = factor[:, None] * full
-    return laid
+    return np.asarray(factor[:, None] * full)
 
 
 def _unit(configuration: Configuration, j: int) -> float:
@@ -198,11 +195,9 @@ def _displaced_frame(axes: Axes, z: Floats, before: ModeShape, after: ModeShape)
     axes.plot(np.concatenate([[0.0], before.modelled]), base, **SHEAR)
     style.error_bars(axes, after.measured, z[after.floors - 1], after.std, zorder=5)
     axes.axhline(0, color=style.GREY, lw=0.8)
-    axes.set_xlim(-1.45, 1.45)
-    axes.set_xticks([-1, 0, 1])
-    axes.set_ylim(0, 1.07 * float(z[-1]))
+    axes.set(xlim=(-1.45, 1.45), xticks=[-1, 0, 1], ylim=(0, 1.07 * float(z[-1])))
     axes.set_title(
-        f"{style.letters(after.configuration, 16)}\nmode {after.mode}: {after.measured_frequency:#.4g} Hz", fontsize=7.5
+        f"{style.letters(after.configuration, 16)}\nmode {after.mode}: {after.frequency:#.4g} Hz", fontsize=7.5
     )
 
 

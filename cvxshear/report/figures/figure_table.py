@@ -89,7 +89,7 @@ def figure(
     *results : type
         Such as `Closure`; the first figure of a type is drawn where a file is named and no kind.
     title, caption, alternative, section, applies, needs, narrow
-        As in `FigureEntry`; the alternative text is the first sentence of the function's docstring where empty.
+        As in `FigureEntry`; the alternative text is the first line of the function's docstring where empty.
 
     Returns
     -------

@@ -220,8 +220,7 @@ def coherence(*results: ModalResult) -> Figure:
             for column in range(len(seen.inputs)):
                 values = seen.coherence[shown, output, column]
                 axes.plot(seen.frequencies[shown], values, **looks[_driver(seen, column)])
-            axes.set_ylim(0, 1.04)
-            axes.set_yticks([0, 0.5, 1])
+            axes.set(ylim=(0, 1.04), yticks=[0, 0.5, 1])
             _dress(axes, result, f"floor {seen.floors[output]}", several=len(results) > 1)
     figure.supylabel("coherence", fontsize=8.5)
     handles = [Line2D([], [], label=label, **look) for label, look in looks.items()]

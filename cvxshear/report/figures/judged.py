@@ -84,8 +84,7 @@ def ranking(result: Closure) -> Figure:
 def _log_odds(probabilities: list[float] | tuple[float, ...]) -> Floats:
     """log p / (1 - p), what is beyond the edges at them."""
     p = np.clip(np.asarray(probabilities, dtype=float), LEAST_DRAWN, 1.0 - LEAST_DRAWN)
-    odds: Floats = np.log(p) - np.log1p(-p)
-    return odds
+    return np.asarray(np.log(p) - np.log1p(-p))
 
 
 def _arrows(axes: Axes, bars: list[Candidate]) -> None:

@@ -61,9 +61,7 @@ def _matrices(matrices: Sequence[tuple[str, Floats, list[int], list[int]]], most
     drawn = style.panels(figure, len(matrices), columns)
     for axes, (name, table, measured, modelled) in zip(drawn, matrices, strict=True):
         image = draw_matrix(axes, table, measured, modelled)
-        axes.set_title(style.letters(name))
-        axes.set_xlabel(column)
-        axes.set_ylabel(row)
+        axes.set(title=style.letters(name), xlabel=column, ylabel=row)
     figure.colorbar(image, ax=drawn, label="MAC (1: the same shape)", shrink=0.8)
     return figure
 
@@ -175,9 +173,7 @@ def _panel(axes: Axes, result: ModalResult, row: int, shape: Floats, stories: in
     known = "assumed" not in result.uncertainty
     style.error_bars(axes, shape, result.floors, result.written_entry_std[row] if known else None)
     axes.axhline(0, color=style.GREY, lw=0.8)
-    axes.set_xlim(-1.3, 1.3)
-    axes.set_xticks([-1, 0, 1])
-    axes.set_ylim(0, 1.07 * stories)
+    axes.set(xlim=(-1.3, 1.3), xticks=[-1, 0, 1], ylim=(0, 1.07 * stories))
     axes.yaxis.set_major_locator(MaxNLocator(6, integer=True))
     std = f" ± {percents([float(result.written_frequency_std[row])])[0]}" if known else ""
     title = f"{style.letters(result.name, 18)}\nmode {result.modes[row]}\n{result.frequencies[row]:#.4g} Hz{std}"

@@ -107,8 +107,7 @@ def response_histories(result: RecordPrediction) -> Figure:
         after = seen(model, result.after.responses[run], own)[window, 0]
         band = SIDES * np.abs(model.gain[floor - 1]) * result.std[run]["floor_acceleration"][window, floor - 1]
         _band(axes, time, after, band, ls="--", label="predicted")
-        axes.set_title(f"floor {floor}")
-        axes.set_ylabel("m/s²")
+        axes.set(title=f"floor {floor}", ylabel="m/s²")
         # A number of its own: matplotlib's depends on the settings under which a figure is drawn in the end.
         axes.yaxis.set_major_locator(MaxNLocator(HISTORY_TICKS))
     axes.set_xlabel("time, s")
@@ -356,8 +355,7 @@ def reconstructed_histories(result: Reconstruction) -> Figure:
     for axes, story in zip(panels(figure, len(stories), 1, sharex=True), stories, strict=True):
         drift, band = 1000 * moved.drift[window, story - 1], 1000 * SIDES * std[window, story - 1]
         _band(axes, moved.time[window], drift, band, label="reconstructed")
-        axes.set_title(f"story {story}")
-        axes.set_ylabel("mm")
+        axes.set(title=f"story {story}", ylabel="mm")
     axes.set_xlabel("time, s")
     style.legend(figure, axes, left=True)
     return figure
