@@ -62,7 +62,8 @@ TABLES = {
     "no configuration": ({"frame": {}}, "at least one [[configuration]] is needed: none was found"),
     "design values alone": (
         {"prior": [{"kind": "nominal", "quantity": "floor_mass", "values": [1.0]}]},
-        "at least one [[configuration]] is needed: none was found; a file of design values, before any test, is for cvxshear plan",
+        "at least one [[configuration]] is needed: none was found; "
+        "a file of design values, before any test, is for cvxshear plan",
     ),
     "empty": ({}, "at least one [[configuration]] is needed: none was found"),
     "an empty list of configurations": (
