@@ -104,6 +104,21 @@ def test_every_symmetric_stiffness_matrix_is_a_network_of_springs():
     assert np.linalg.matrix_rank(dK.reshape(len(dK), -1)) == N * (N + 1) // 2
 
 
+def test_a_negative_spring_is_no_place():
+    """A soft foundation needs them all over the frame; a brace is positive where it stands."""
+    experiment = Experiment.from_dict(
+        {"frame": {"stories": 4, "total_mass": 4.0}, "configuration": [{"frequencies": [1.0, 2.0]}]}
+    )
+    effect = next(each for each in open_classes() if each.name == "other_stiffness").bound(experiment)
+    values, scale = np.zeros(len(effect.parameters)), Scale(1.0, 100.0, np.ones(4))
+    said = {}
+    for value in (-30.0, 30.0):
+        values[0] = value
+        said[value] = effect.phrase(Place(), values, np.full(len(values), 2.0), scale, ["N/m"] * len(values))
+    assert "the ground and floor 2: 30.0 ± 2.0 N/m" in said[30.0]
+    assert said[-30.0].endswith("no single place stands out, as no spring is negative")
+
+
 def test_ties_that_the_catalogue_does_not_hold_are_located():
     """Springs of both signs between several floors at once: no single cause."""
     rng, mass, stiffness = frame(3)

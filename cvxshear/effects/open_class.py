@@ -70,12 +70,16 @@ class OpenClass(Effect):
         named = self.conspicuous(values, std)
         if not named:
             return f"{failed}; no single place stands out"
+        if values[named[0]] < 0 and self.never_negative:
+            return f"{failed}; no single place stands out, as no {self.never_negative} is negative"
         entries = "; ".join(
             f"{self.parameters[i].name}: {with_std(float(values[i]), float(std[i]), units[i])}" for i in named
         )
         return f"{failed}: {self.place_in_words} {entries}"
 
     place_in_words: ClassVar[str] = "what stands out is"
+    never_negative: ClassVar[str] = ""
+    """What an entry alone would be that cannot be negative; a negative one has its cause elsewhere."""
 
     def cause_at(self, entry: int, place: Place, experiment: Experiment) -> tuple[str, Place] | None:
         """Name the effect of the catalogue, and its place, that one entry alone would be; None where there is none."""
@@ -118,6 +122,7 @@ class OtherStiffness(OpenClass):
     usual, usual_in = 0.02, "story_stiffness"
     holds_in_words = "that only neighboring floors are tied to each other"
     place_in_words = "something that the catalogue does not hold ties"
+    never_negative = "spring"
 
     def entries(self, experiment: Experiment) -> Sequence[Parameter]:
         return [Parameter(named_pair(i, j), "N/m") for i, j in pairs(experiment.stories, ground=True)]

@@ -110,10 +110,10 @@ _ALL = (
     ),
     Verdict(
         "located",
-        "No cause in the catalogue explains the data, but where the shear model fails is known.",
+        "No cause in the catalogue explains the data, but which statement of the shear model fails is known.",
         "",
         "{found}; no cause in the catalogue accounts for it; {doubt}; {change}",
-        "where the shear model fails is known; no cause in the catalogue accounts for it; {change}",
+        "which statement of the shear model fails is known; no cause in the catalogue accounts for it; {change}",
         "Look at the place that is named; a cause of your own can be added as an effect.",
         "#5a3f94",
         "#b39ddb",

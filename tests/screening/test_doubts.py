@@ -150,6 +150,20 @@ def test_a_copied_configuration_is_found():
     assert told(declared) == ["repeated"]
 
 
+def test_a_mode_that_looks_like_the_one_before_is_asked_about():
+    """Torsion at 1.6 times the first frequency, as sensors off the centre of a uniform frame show it: sin shapes."""
+    n, sensors = 8, np.array([2, 5, 8])
+    angle = (2 * np.arange(1, n + 1) - 1) * np.pi / (2 * n + 1)
+    frequency, shapes = 10.0 * np.sin(angle / 2), np.sin(np.outer(angle, sensors))
+    table = {"frequencies": frequency[:3].tolist(), "mode_shapes": shapes[:3].tolist(), "measured_floors": [2, 5, 8]}
+    declared = {"frame": {"stories": n, "total_mass": 8.0}, "configuration": [table]}
+    assert told(declared) == []
+    seen = [frequency[0], 1.6 * frequency[0], frequency[1]]
+    twisted = [shapes[0], shapes[0] + [0.03, -0.04, 0.0], shapes[1]]
+    table |= {"frequencies": seen, "mode_shapes": [row.tolist() for row in twisted]}
+    assert "look_alike" in [item.name for item in screen(Experiment.from_dict(declared))]
+
+
 def test_tests_that_were_repeated_are_no_copies():
     """Nor are two states of the same masses, or single frequencies that round alike."""
     declared = building()
