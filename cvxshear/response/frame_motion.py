@@ -10,7 +10,6 @@ import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import TypeVar
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from cvxshear.response.smoother import Observed, Smoothed, Steady, smooth
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import FramePrior, VariedFrame
 from cvxshear.util.errors import NoModesError
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Floats, T
 
 AT_REST = 0.05
 """Acceleration of the first period, relative to the whole record's, up to which a run counts as beginning at rest: what
@@ -52,9 +51,6 @@ together at least where fewer do; what the others add is allowed for."""
 
 MOST_SHORTENED = 20
 """Times that a step to a frame without modes is cut to a quarter: 1e-12 of it is left, which moves no frame."""
-
-T = TypeVar("T")
-
 
 @dataclass(frozen=True, eq=False)
 class ReconstructedRun:

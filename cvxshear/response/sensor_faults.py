@@ -21,7 +21,7 @@ from cvxshear.records.examination import examined
 from cvxshear.records.floors import ACROSS, center_weights
 from cvxshear.records.motion import DRIVEN, Motion
 from cvxshear.records.record import Channel, Finding, Run, TimeRecord
-from cvxshear.records.sick_channels import stuck_in
+from cvxshear.records.sick_channels import spikes_in, stuck_in
 from cvxshear.records.signals import SINC_TERMS, between
 from cvxshear.util.errors import InputError, NoSolutionError
 from cvxshear.util.typing import Floats, Ints
@@ -121,12 +121,13 @@ class SensorRecord:
         # A motion whose modes cannot be found, a short one say, is judged without them.
         with contextlib.suppress(NoSolutionError, InputError):
             findings = identify_modes(record, accept_swapped=True).findings
-        return [each for each in findings if each.kind in SAID]
+        return [each for each in findings if each.kind in (*SAID, "spikes")]
 
     def _less(self, findings: Sequence[Finding], pieces: Sequence[tuple[int, slice]]) -> SensorRecord:
         """Take out what was found for sure."""
         factors, late, out = np.ones(len(self.channels) + 1), np.zeros((len(self.channels) + 1, 2)), set()
         measured, said = [values.copy() for values in self.measured], list(self.remarks)
+        spikes = [np.zeros(values.shape, dtype=bool) for values in measured]
         for finding in findings:
             numbers, message = finding.numbers, finding.message
             columns = self._columns(numbers.get("channels", [numbers.get("channel")]))
@@ -142,13 +143,19 @@ class SensorRecord:
             elif finding.kind in ("clock offset", "clock drift"):
                 late[columns] += numbers["seconds"], numbers.get("drift", 0.0)
                 message = message if message.endswith("taken out") else f"{message}; taken out"
-            said.append(message)
+            if finding.kind == "spikes":
+                for column, (place, piece) in itertools.product(columns, pieces):
+                    spikes[place][piece][:, column] = spikes_in(self.measured[place][piece])[0][:, column]
+            else:
+                said.append(message)
         kept = [column for column in range(len(self.channels)) if column not in out]
         # An input that is late is every sensor that is early.
         late = late[:-1] - late[-1]
         started = 0
-        for values in measured:
+        for values, spiked in zip(measured, spikes, strict=True):
             for column in np.flatnonzero(late.any(axis=1)):
+                # What is made of samples on both sides would carry a spike to all of them.
+                values[spiked[:, column], column] = np.nan
                 time = (started + np.arange(len(values))) / self.sampling_rate
                 values[:, column] = _moved(
                     values[:, column], self.sampling_rate * (late[column, 0] + late[column, 1] * time)
