@@ -1,32 +1,31 @@
-"""Do the tests notice a wrong sign? Small changes are made to copies of modules, and the tests that run them are run.
+"""Do the tests notice a wrong sign? Small changes are made to copies of modules, and tests that concern them are run.
 
-`python -m tests.mutation --mutants 100 --seed 1 [--module planning/chances.py] [--limit 120]` draws changes (a
-sign, an operator, a comparison, a constant, a condition negated, a return dropped) over `ROOMS`, runs the tests that
-concern each on a copy of the project in a temporary folder, prints how many changes were found and lists the others. A
-change that takes the tests beyond the limit counts as found.
+`python -m tests.mutation --mutants 100 --seed 1 [--module planning/chances.py] [--seconds 40]` draws changes (a sign,
+an operator, a comparison, a constant, a condition negated, a return dropped) over `ROOMS`, runs the tests that concern
+each on a copy of the project in a temporary folder, prints how many changes were found and lists the others. A change
+that takes the tests beyond the limit counts as found.
 
-The tests that concern a change are those that run the function in which it is, or for a constant the functions that
-name it. Which these are is recorded once, while all tests of `ASKED` run, in the file `--map` (made where there is
-none; made again by hand, where tests were added). The quick ones run first, and no more of them than `AT_MOST` seconds.
+Which tests concern a change is read from what they import and name, see `tests_of`: nothing has to be recorded.
 """
 
 import argparse
 import ast
 import functools
-import json
 import os
 import random
+import re
 import resource
 import shutil
 import signal
 import sys
 import tempfile
-import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+
+import cvxshear
 
 ROOT = Path(__file__).resolve().parents[1]
 COPIED = ("cvxshear", "tests", "examples", "docs", "pyproject.toml", "README.md")
@@ -43,13 +42,9 @@ and take long."""
 
 LEFT_OUT = (
     "test_bad_input.py", "test_calibration.py", "test_house.py", "test_import.py", "test_lowest_versions.py",
-    "test_hostile_files.py", "test_measured_frames.py", "test_nested.py", "test_numbering.py", "test_streams.py",
-    "test_writing.py",
+    "test_hostile_files.py", "test_measured_frames.py", "test_nested.py", "test_streams.py", "test_writing.py",
 )  # fmt: skip
 """Of these, for the same reason."""
-
-AT_MOST = 40.0
-"""Seconds of computing that the tests of one change may have taken when they were recorded, which made them slower."""
 
 OPERATORS = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Pow: ast.Mult, ast.MatMult: ast.Mult,
@@ -181,77 +176,6 @@ def mutated(source, mutant):
     return ast.unparse(ast.fix_missing_locations(tree))
 
 
-@dataclass(frozen=True)
-class Unit:
-    """A test, or a file of tests that share what is made once: what it took, and the functions that it ran."""
-
-    name: str
-    seconds: float
-    ran: frozenset[str]
-
-
-class Recorder:
-    """A plugin of pytest that writes a line a test: its name, its seconds, and the functions of cvxshear it ran."""
-
-    def __init__(self, path):
-        self._path = path
-        self._package = str(Path.cwd() / "cvxshear") + os.sep
-        self._ran = set()
-        self._failed = False
-
-    @pytest.hookimpl(trylast=True)
-    def pytest_collection_modifyitems(self, items):
-        """Put what takes longest last."""
-        items.reverse()
-
-    def _traced(self, frame, event, argument):
-        code = frame.f_code
-        if code.co_filename.startswith(self._package):
-            self._ran.add(code)
-
-    def pytest_runtest_logreport(self, report):
-        self._failed |= report.failed or report.skipped
-
-    @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_protocol(self, item):
-        self._ran, self._failed = set(), False
-        began = time.process_time()
-        threading.settrace(self._traced)
-        sys.settrace(self._traced)
-        try:
-            return (yield)
-        finally:
-            sys.settrace(None)
-            threading.settrace(None)
-            if not self._failed:
-                ran = {f"{code.co_filename.removeprefix(self._package)}:{code.co_qualname}" for code in self._ran}
-                line = {"test": item.nodeid, "seconds": time.process_time() - began, "ran": sorted(ran)}
-                with self._path.open("a") as file:
-                    print(json.dumps(line), file=file)
-
-
-def record(path):
-    """Run all tests that may be asked, here, and write what each of them runs into a file."""
-    tests = [str(each) for name in ASKED for each in sorted(Path("tests").glob(name)) if each.name not in LEFT_OUT]
-    return pytest.main(["-q", "-n", "0", "-p", "no:cacheprovider", *QUIET, *tests], plugins=[Recorder(path)])
-
-
-def units(path):
-    """The tests of a file of `record`, those of a file that share something together."""
-    # Here, since pytest wants to be the first that imports its plugins, xdist among them.
-    from tests.conftest import shares  # noqa: PLC0415
-
-    found = {}
-    for line in path.read_text().splitlines():
-        said = json.loads(line)
-        file = said["test"].partition("::")[0]
-        found.setdefault(file if shares(ROOT / file) else said["test"], {})[said["test"]] = said
-    return [
-        Unit(name, sum(each["seconds"] for each in some), frozenset().union(*(each["ran"] for each in some)))
-        for name, some in ((name, each.values()) for name, each in found.items())
-    ]
-
-
 def functions(tree, around=""):
     """Name, as Python qualifies it, and node of each function of a module."""
     for node in ast.iter_child_nodes(tree):
@@ -292,14 +216,46 @@ def runs(mutant):
     }
 
 
-def tests_of(mutant, known):
-    """The tests that run a change, the quick ones first."""
-    where, seconds, found = runs(mutant), 0.0, []
-    for unit in sorted(known, key=lambda each: each.seconds):
-        if where & unit.ran and seconds + unit.seconds <= AT_MOST:
-            seconds += unit.seconds
-            found.append(unit.name)
-    return tuple(found)
+@functools.cache
+def asked():
+    """Of each file of tests that may be asked: the modules of cvxshear that it imports, and the words in it."""
+    found = {}
+    for path in sorted(path for name in ASKED for path in (ROOT / "tests").glob(name)):
+        for file in [path] if path.suffix else sorted(path.glob("test_*.py")):
+            if file.name not in LEFT_OUT:
+                text = file.read_text()
+                found[str(file.relative_to(ROOT))] = imported(ast.parse(text)), set(re.findall(r"\w+", text))
+    return found
+
+
+def imported(tree):
+    """The modules of cvxshear that a file imports, public names by where they are defined."""
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {each.name for each in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            for each in node.names:
+                home = cvxshear._HOMES.get(each.name, node.module) if node.module == "cvxshear" else node.module
+                found |= {home, f"{home}.{each.name}"}
+    return {each for each in found if each.startswith("cvxshear.")}
+
+
+def tests_of(mutant):
+    """The files of tests that concern a change, the nearest first.
+
+    Near are those that import its module, that name its function, or the constant's, and that stand in the folder of
+    its room, are called like its module, or import anything of its room.
+    """
+    room, stem = mutant.module.removesuffix(".py").split("/")[0], Path(mutant.module).stem
+    module = "cvxshear." + mutant.module.removesuffix(".py").replace("/", ".")
+    names = {each for where in runs(mutant) for each in where.partition(":")[2].split(".") if len(each) > 3}
+    near = {}
+    for file, (modules, words) in asked().items():
+        own = 4 * any(each.startswith(module) for each in modules) + 3 * bool(names & words)
+        place = 2 * (f"tests/{room}/" in file or f"test_{stem}" in file or f"test_{room}" in file)
+        near[file] = own + place + any(each.startswith(f"cvxshear.{room}") for each in modules)
+    return tuple(sorted((file for file in near if near[file]), key=lambda file: (-near[file], file)))
 
 
 def drawn(count, seed, only=()):
@@ -321,39 +277,40 @@ QUIET = ("-W", "ignore::pytest.PytestAssertRewriteWarning")
 """pytest has been imported, with its plugins, before it is asked."""
 
 
-class _Names:
-    """A plugin of pytest that keeps the names of the tests that it collects, and writes down the first that fails."""
+class Watcher:
+    """A plugin of pytest that runs files in the order given, writes down the first test that fails, and skips what is
+    left after so many seconds."""
 
-    def __init__(self, path=None):
-        self.names, self._path = set(), path
+    def __init__(self, path, tests, seconds):
+        self._path, self._tests, self._seconds = path, tests, seconds
 
+    @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items):
-        self.names.update(item.nodeid for item in items)
+        """Put the nearest first again, after `conftest` has put first what takes longest."""
+        order = {test.partition("::")[0]: place for place, test in enumerate(self._tests)}
+        items.sort(key=lambda item: order[item.nodeid.partition("::")[0]])
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_setup(self, item):
+        if time.process_time() > self._seconds:
+            pytest.skip("enough")
 
     def pytest_runtest_logreport(self, report):
-        if report.failed and self._path is not None and not self._path.exists():
+        if report.failed and not self._path.exists():
             self._path.write_text(report.nodeid)
 
     pytest_collectreport = pytest_runtest_logreport
 
 
-def warmed_up():
-    """Import what tests import, once: each change is tried in a process that is forked from this one.
-
-    Returns
-    -------
-    set of str
-        Names of all tests.
-    """
-    found = _Names()
-    pytest.main(["--collect-only", "-q", "-q", "-n", "0", "-p", "no:cacheprovider", *QUIET, "tests"], plugins=[found])
+def warm_up():
+    """Import what tests import, once: each change is tried in a process that is forked from this one."""
+    pytest.main(["--collect-only", "-q", "-q", "-n", "0", "-p", "no:cacheprovider", *QUIET, *asked()])
     for name in list(sys.modules):
         if name.partition(".")[0] in {"cvxshear", "tests"} and name != __name__:
             del sys.modules[name]
-    return found.names
 
 
-def first_failure(folder, tests, limit):
+def first_failure(folder, tests, given, broken=()):
     """Name the first of these tests that fails in a copy of the project; empty where the process ends before, or takes
     longer than the limit, None where all pass."""
     told = folder / "failed.txt"
@@ -368,13 +325,14 @@ def first_failure(folder, tests, limit):
         sys.path[:] = [str(folder), *(each for each in sys.path if each not in ("", str(ROOT)))]
         os.environ["PYTHONPATH"] = str(folder)
         # Seconds of computing: on a machine that is busy with something else no test takes longer by those.
-        resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
+        resource.setrlimit(resource.RLIMIT_CPU, (given.limit, given.limit))
         options = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", *QUIET]
+        options += [f"--deselect={each}" for each in broken]
         try:
-            os._exit(int(pytest.main([*options, *tests], plugins=[_Names(told)])))
+            os._exit(int(pytest.main([*options, *tests], plugins=[Watcher(told, tests, given.seconds)])))
         except BaseException:
             os._exit(99)
-    until = time.monotonic() + WAITED * limit
+    until = time.monotonic() + WAITED * given.limit
     while time.monotonic() < until:
         ended, status = os.waitpid(child, os.WNOHANG)
         if ended:
@@ -385,9 +343,9 @@ def first_failure(folder, tests, limit):
     return ""
 
 
-def survivors(some, known, limit, say=print):
+def survivors(some, given, say=print):
     """The changes that no test noticed. A test that fails without the change, too, has noticed nothing."""
-    left, sound = [], set()
+    left, sound, broken = [], set(), set()
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         for name in COPIED:
@@ -398,29 +356,28 @@ def survivors(some, known, limit, say=print):
                 shutil.copy(source, folder / name)
         for mutant in some:
             path, began = folder / "cvxshear" / mutant.module, time.monotonic()
-            before, failed, tests = path.read_text(), None, tests_of(mutant, known)
+            before, failed, tests = path.read_text(), None, tests_of(mutant)
             while tests:
                 path.write_text(mutated(before, mutant))
-                failed = first_failure(folder, tests, limit)
+                failed = first_failure(folder, tests, given, broken)
                 path.write_text(before)
                 if failed is None or failed in sound:
                     break
                 # A process that ends without a word has found the change only where it does not end so without it.
-                alone = first_failure(folder, (failed,) if failed else tests, limit)
-                if alone is None:
+                if first_failure(folder, (failed,) if failed else tests, given, broken) is None:
                     break
-                if not failed:
-                    # Without the change they take too long as well: the longest is left out.
-                    failed, tests = None, tests[:-1]
-                    continue
-                say(f"left out, since it fails without any change: {failed}")
-                known = [each for each in known if not (each.name.startswith(failed) or failed.startswith(each.name))]
-                failed, tests = None, tests_of(mutant, known)
+                if failed:
+                    say(f"left out, since it fails without any change: {failed}")
+                    broken.add(failed)
+                else:
+                    # Without the change they take too long as well: the last file is left out.
+                    tests = tests[:-1]
+                failed = None
             if failed is None:
                 left.append(mutant)
             elif failed:
                 sound.add(failed)
-            what = f"NOT FOUND by {len(tests)} tests" if failed is None else f"found by {failed.rpartition('::')[2]}"
+            what = f"NOT FOUND by {len(tests)} files" if failed is None else f"found by {failed.rpartition('::')[2]}"
             say(f"{what}: {mutant.module}:{mutant.line} {mutant.words[:100]} ({time.monotonic() - began:.0f} s)")
     return left
 
@@ -430,21 +387,13 @@ def main():
     parser.add_argument("--mutants", type=int, default=30, help="how many changes")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--module", action="append", default=[], help="a room or a module, such as fit/noise.py; again")
+    parser.add_argument("--seconds", type=int, default=40, help="of computing, after which no further test is begun")
     parser.add_argument("--limit", type=int, default=120, help="seconds of computing for the tests of one change")
-    parser.add_argument("--map", type=Path, default=Path("tests-run.jsonl"), help="which tests run what")
-    parser.add_argument("--record", action="store_true", help="make this file, and end")
     given = parser.parse_args()
-    if given.record or not given.map.exists():
-        record(given.map)
-        if given.record:
-            return
     some = drawn(given.mutants, given.seed, given.module)
     sys.dont_write_bytecode = True
-    known = units(given.map)
-    names = warmed_up()
-    names |= {name.partition("::")[0] for name in names}
-    known = [each for each in known if each.name in names]
-    left = survivors(some, known, given.limit, lambda line: print(line, flush=True))
+    warm_up()
+    left = survivors(some, given, lambda line: print(line, flush=True))
     print(f"{len(some) - len(left)} of {len(some)} changes found (seed {given.seed})")
     for mutant in left:
         print(f"  cvxshear/{mutant.module}:{mutant.line}: {mutant.words}")

@@ -337,14 +337,23 @@ def _rate(columns: Columns, time: str | None, preamble: str) -> str:
 def _unit(columns: Columns, name: str) -> tuple[str, str]:
     """Find the unit that a line of units or the header says, as it is called here and as it is spelled there."""
     said = columns.units[columns.names.index(name)] if columns.units else ""
-    if not said and (found := BRACKETED.search(name)):
-        said = found[1] or found[2] or ""
-    elif not said and (found := ENDING.search(name)):
-        said = re.sub(r"_?p?s2", "/s2", found[1])
+    candidates = [said] if said else [found[1] or found[2] or "" for found in BRACKETED.finditer(name)]
+    if not said and (found := ENDING.search(name)):
+        candidates.append(re.sub(r"_?p?s2", "/s2", found[1]))
+    known = [(unit, each) for each in candidates if (unit := _known_unit(each))]
+    # "Level 3 N" is to the north: of a last word only a unit of acceleration is taken for one.
+    last = name.rsplit(maxsplit=1)[-1] if " " in name.strip() else ""
+    if not said and CHANNEL_UNITS.get(_known_unit(last), ("",))[0] == "acceleration":
+        known.append((_known_unit(last), last))
+    return known[-1] if known else ("", candidates[0] if candidates else "")
+
+
+def _known_unit(said: str) -> str:
+    """Name a unit as it is called here; empty where none is known by that name."""
     plain = re.sub(r"[\s*^]", "", said.strip().replace("²", "2").replace("**", ""))
     known = {each.lower(): each for each in (*CHANNEL_UNITS, *TIME_UNITS)}
     lower = plain.lower()
-    return OTHER_SPELLINGS.get(lower, plain if plain in CHANNEL_UNITS else known.get(lower, "")), said
+    return OTHER_SPELLINGS.get(lower, plain if plain in CHANNEL_UNITS else known.get(lower, ""))
 
 
 def _guesses(columns: Columns, names: Sequence[str]) -> list[Guess]:
@@ -356,7 +365,7 @@ def _guesses(columns: Columns, names: Sequence[str]) -> list[Guess]:
         unit, said = _unit(columns, name)
         bare = ENDING.sub("", BRACKETED.sub("", name))
         force = bool(FORCE.search(bare)) or (unit in CHANNEL_UNITS and CHANNEL_UNITS[unit][0] == "force")
-        ground = not force and bool(GROUND.search(bare) or BASEMENT.search(bare))
+        ground = not force and bool(GROUND.search(bare.replace("_", " ")) or BASEMENT.search(bare))
         number = NUMBER.findall(bare)
         axis = AXIS.search(bare)
         floor = 0 if ground else int(number[-1]) if number and 0 < int(number[-1]) < 200 else -1

@@ -12,8 +12,9 @@ from cvxshear.modal.estimate import Details, Replication
 from cvxshear.modal.frf import FrfSource
 from cvxshear.modal.picking import FAINT, MOSTLY_ROTATION, PoleCandidate
 from cvxshear.modal.result import OVERLOOKED_KIND, ModalResult
+from cvxshear.records.clocks import Segments, straight
 from cvxshear.records.floors import ROTATES
-from cvxshear.records.record import Finding, FrfRecord, Record
+from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord
 from cvxshear.util.quantities import listed, ranged, significant
 from cvxshear.util.typing import Floats, Ints
 
@@ -111,7 +112,7 @@ def modal_findings(
 
     `wanted` is how many modes were asked for, `turning` the share of rotation at a frequency, Hz.
     """
-    found = clock_findings(result, full)
+    found = clock_findings(record, result, full)
     found += resolution_findings(record, result)
     found += reciprocity_findings(full, setting)
     found += hit_findings(record, setting)
@@ -151,19 +152,27 @@ def found_twice(item: PoleCandidate) -> Finding:
     )
 
 
-def clock_findings(result: ModalResult, full: Details) -> list[Finding]:
+def clock_findings(record: Record, result: ModalResult, full: Details) -> list[Finding]:
     """Clocks whose phase grows linearly with frequency, by more than the data's scatter."""
     highest = 2 * np.pi * float(full.frequencies.max())
+    typical = 2 * np.pi * float(np.sqrt(np.mean(full.frequencies**2)))
     names = list(result.clock_offsets)
+    segments = Segments.of(record) if isinstance(record, TimeRecord) else None
     found = []
     for (name, (late, std)), left, before in zip(
         result.clock_offsets.items(), full.clocks.unexplained, full.clocks.before, strict=False
     ):
         turn = float(np.degrees(highest * abs(late)))
-        if len(full.frequencies) < 2 or turn < LEAST_TURN or abs(late) < CLOCK_CERTAIN * std:
+        # The phases that the line leaves are no scatter, and as much in doubt of it.
+        doubt = float(np.hypot(std, np.radians(left) / typical))
+        if len(full.frequencies) < 2 or turn < LEAST_TURN or abs(late) < CLOCK_CERTAIN * doubt:
             continue
         if left > STRAIGHT * before:
             continue
+        if segments is not None:
+            first, second = names.index(name), full.clocks.reference
+            if not straight(segments, first, second, late):
+                continue
         found.append(
             Finding(
                 "clock offset",

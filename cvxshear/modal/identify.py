@@ -20,7 +20,7 @@ from cvxshear.modal.prepare import BLOCKS, MODAL_METHODS, Attempt, default_metho
 from cvxshear.modal.realization import Source
 from cvxshear.modal.result import ModalResult
 from cvxshear.modal.stabilization import Criteria
-from cvxshear.records.examination import Examined, clock_offset, examined
+from cvxshear.records.examination import CERTAIN_DELAY, Examined, clock_offset, examined
 from cvxshear.records.mode_shapes import RULES
 from cvxshear.records.placement import SURE, findings_of, weighed
 from cvxshear.records.record import Finding, FrfRecord, Record
@@ -243,6 +243,7 @@ def _repaired(
         order = list(range(len(record.channels)))
         low, high = best.places
         order[low], order[high] = high, low
+        record = scaled(record, {record.channels[place].name: -1.0 for place in best.turned})
         return record, settled(record, wanted, lambda record: attempt(record, order), highest=highest), findings
     if findings and findings[0].numbers["corrected"]:
         factor = -1.0 if best.kind == "sign" else best.factor
@@ -304,6 +305,9 @@ def _with_what_was_seen(looked: Examined, result: ModalResult) -> ModalResult:
         if finding.kind == "clock offset" and name in offsets:
             against = finding.numbers["reference"]
             (rest, std), (zero, spread) = result.clock_offsets[name], result.clock_offsets.get(against, (0.0, 0.0))
+            if abs(rest - zero) > CERTAIN_DELAY * finding.numbers["std"]:
+                # What the bands rule out is a damper's phase.
+                rest, zero, std, spread = 0.0, 0.0, finding.numbers["std"], 0.0
             offsets[name] = finding.numbers["seconds"] + rest - zero, float(np.hypot(std, spread))
             seen.append(clock_offset(name, against, *offsets[name]))
         else:

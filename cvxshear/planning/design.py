@@ -141,7 +141,9 @@ class Design:
     def shell(self) -> Experiment:
         """Make an experiment that holds the frame's dimensions for the forward model; its masses are those expected."""
         # The states that the file names are those of its tests, not of the one that is planned.
-        frame = dataclasses.replace(self.frame, floor_masses=self.floor_mass, total_mass=None, reference=None)
+        frame = dataclasses.replace(
+            self.frame, floor_masses=self.floor_mass, total_mass=None, total_mass_placeholder=False, reference=None
+        )
         return Experiment(frame, (self.blank(np.zeros(self.stories)),))
 
     def blank(self, added_mass: Floats, name: str = "planned test") -> Configuration:

@@ -9,7 +9,7 @@ between them: over the whole band the delay is the one straight line through the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
@@ -26,6 +26,18 @@ FASTEST_DRIFT = 1e-3
 """s a second; crystals differ by a tenth of that at most."""
 GROUPS = 12
 """Parts of a record in which the delay is estimated by itself."""
+DELAY_BANDS = 8
+"""Parts of the band, of equal weight, that must agree in a delay."""
+NO_PHASE = 3.0
+"""Degrees; a phase of a band that a delay leaves and that noise may have made; twice that in a part of a record."""
+WELL_TURNED = 30.0
+"""Degrees; a third of what chance leaves at most in a band that a long delay turns several times."""
+HEARD = 0.25
+"""Of the largest agreement of lines in a band; a band with less has little of what both channels show."""
+MOST_BANDS = 0.75
+"""Share of the bands whose phases a delay must make smaller; resonances turn the others."""
+TRUSTED_DRIFT = 4.0
+"""Standard deviations of a drift, or else the delay is looked for without one."""
 FINER = 4
 """Steps of the search in the time that a quarter of a sample makes."""
 NOISE_FLOOR = 10.0
@@ -178,10 +190,15 @@ class Segments:
             float(1.0 / np.sqrt(2.0 * max(many, 1.0))),
         )
 
+    @property
+    def omega(self) -> Floats:
+        """Angular frequency of each line, rad/s."""
+        return 2 * np.pi * np.arange(self.spectra.shape[1]) * self.rate / self.length
+
     def agreed(self, first: int, second: int, seconds: float) -> float:
         """Find how far the lines of two clocks agree in phase if the first is late by so much: 1 where all do."""
         squares, weights, _, _ = self.agreement(first, second)
-        turn = np.exp(4j * np.pi * np.arange(squares.shape[1]) * self.rate / self.length * seconds)
+        turn = np.exp(2j * self.omega * seconds)
         return float(np.sum((squares.sum(axis=0) * turn).real) / max(float(weights.sum()), 1e-300))
 
 
@@ -221,23 +238,128 @@ def band_clock(segments: Segments, first: int, second: int) -> BandClock:
     grid, step = grid[near], float(grid[1] - grid[0])
     time = float(np.average(times, weights=weights))
     around = times - time
-    place, turns = _best_line(table, around, step, grid)
+    drifting, steady = _best_lines(table, around, step, grid)
+    found = _fitted(squares, weights, around, grid[drifting[0]], drifting[1], step, segments)
+    if drifting[1] and abs(found.slope) < TRUSTED_DRIFT * found.slope_std:
+        # A sweep that passes a damper's phases one after the other looks like a drift as well.
+        found = _fitted(squares, weights, around, grid[steady], 0, step, segments)
+    return replace(found, chance=chance, time=time)
+
+
+def _fitted(
+    squares: Complexes, weights: Floats, around: Floats, start: float, turns: int, step: float, segments: Segments
+) -> BandClock:
+    """Fit delay and drift near a line: a delay at the middle, and steps of the grid from the middle to the end."""
     half = max(float(np.abs(around).max()), 1e-9)
-    line = grid[place] + turns * step / half * around
+    line = start + turns * step / half * around
     tops, heights = _climbed(squares, line, segments, step)
-    agreement = float(heights.sum()) / total
+    agreement = float(heights.sum()) / float(weights.sum())
     high = heights > 0.3 * np.median(heights / np.maximum(weights, 1e-300)) * weights
     sound = high & (np.abs(tops - line) < step * FINER)
     if np.count_nonzero(sound) < 3:
-        return BandClock(float(grid[place]), step, agreement, chance)
-    middle, slope, std, slope_std = _line(around[sound], tops[sound], heights[sound])
-    slope_std = float(np.hypot(slope_std, STEADY / segments.rate / half))
-    freedom = max(int(np.count_nonzero(sound)) - 2, 1)
-    return BandClock(middle, std, agreement, chance, slope, slope_std, freedom, time, half)
+        return BandClock(float(start), step, agreement, 0.0)
+    middle, slope = _line(around[sound], tops[sound], heights[sound])
+    fitted = _over_bands(squares[sound], around[sound], middle + slope * around[sound], segments)
+    return BandClock(
+        middle=middle + fitted.middle,
+        std=fitted.std,
+        agreement=agreement,
+        chance=0.0,
+        slope=slope + fitted.slope,
+        slope_std=float(np.hypot(fitted.slope_std, STEADY / segments.rate / half)),
+        freedom=fitted.freedom,
+        reach=half,
+    )
 
 
-def _best_line(table: Floats, around: Floats, step: float, grid: Floats) -> tuple[int, int]:
-    """Place on the grid, and steps of drift from the middle to the end, at which the agreement is largest."""
+def straight(
+    segments: Segments, first: int, second: int, seconds: float, slope: float = 0.0, time: float = 0.0
+) -> bool:
+    """Whether a delay, or a drift on top of it, makes the phases of two clocks smaller in nearly every band.
+
+    The phases that dampers make are small below the first mode, and grow there with the cube of the frequency: the
+    delay that explains them at the modes leaves more in the lowest bands than it takes.
+
+    Parameters
+    ----------
+    segments : Segments
+    first, second : int
+        Clocks.
+    seconds : float
+        How late the first is; at the time `time` where it drifts.
+    slope : float, optional
+        Seconds more in each second after. The phases in the parts of the record are then compared with those of the
+        delay alone.
+    time : float, optional
+        s.
+    """
+    squares, _, times, _ = segments.agreement(first, second)
+    edges, steady = _bands(squares), 0.0 if slope == 0.0 else seconds
+    parts = squares if slope else squares.sum(axis=0)[None]
+    before, _ = _phases(parts, np.full(len(times), steady), edges, segments.omega)
+    after, agreed = _phases(parts, seconds + slope * (times - time), edges, segments.omega)
+    # Turned by more than a right angle, what a band shows without the delay is anything.
+    middles = segments.omega[(edges + np.append(edges[1:], squares.shape[1])) // 2]
+    turned = middles * np.abs(seconds - steady) > np.pi / 2
+    noise = 2 * NO_PHASE if slope else NO_PHASE
+    allowed = np.maximum(before, np.radians(np.where(turned, WELL_TURNED, noise)))
+    low = slice(None, len(edges) // 4 + 1)
+    less = np.cumsum(after[low] ** 2) <= np.cumsum(allowed[low] ** 2)
+    # In the wind's own band the floors move each by itself.
+    heard = agreed > HEARD * agreed.max()
+    return bool(less.all() and np.mean(after[heard] <= allowed[heard]) >= MOST_BANDS)
+
+
+def _phases(squares: Complexes, late: Floats, edges: Ints, omega: Floats) -> tuple[Floats, Floats]:
+    """Root mean square phase of each band over the parts of a record, rad, with a delay in each part taken out.
+
+    The agreement of the lines in each band, between 0 and 1, comes second.
+    """
+    cells = np.add.reduceat(squares * np.exp(2j * late[: len(squares), None] * omega), edges, axis=1)
+    size = np.abs(cells)
+    total = np.maximum(size.sum(axis=0), 1e-300)
+    agreed = total / np.maximum(np.add.reduceat(np.abs(squares).sum(axis=0), edges), 1e-300)
+    return np.sqrt(np.sum(size * np.angle(cells) ** 2, axis=0) / total) / 2, agreed
+
+
+def _bands(squares: Complexes) -> Ints:
+    """Places of the first lines of bands of equal weight."""
+    loud = np.cumsum(np.abs(squares).sum(axis=0))
+    edges = np.searchsorted(loud, np.arange(DELAY_BANDS) / DELAY_BANDS * loud[-1], side="right")
+    return np.unique(np.minimum(edges, squares.shape[1] - 1))
+
+
+def _over_bands(squares: Complexes, times: Floats, line: Floats, segments: Segments) -> BandClock:
+    """Fit what a line leaves in each part of the record and each band: one delay a band, one drift of them all.
+
+    A clock is late by the same in every band. The phases that a damper makes differ from band to band, and those that a
+    sweep passes through at different times look like a drift where the bands may not have delays of their own.
+    """
+    omega, edges = segments.omega, _bands(squares)
+    turned = squares * np.exp(2j * line[:, None] * omega[None, :])
+    cells = np.add.reduceat(turned, edges, axis=1)
+    middles = np.add.reduceat(np.abs(turned) * omega, edges, axis=1) / np.maximum(
+        np.add.reduceat(np.abs(turned), edges, axis=1), 1e-300
+    )
+    middles = np.maximum(middles, omega[1])
+    late, weight = -np.angle(cells) / (2 * middles), np.abs(cells) * middles**2
+    of_bands = np.maximum(weight.sum(axis=0), 1e-300)
+    mean = (weight * late).sum(axis=0) / of_bands
+    around = times[:, None] - (weight * times[:, None]).sum(axis=0) / of_bands
+    information = float((weight * around**2).sum())
+    slope = float((weight * around * (late - mean)).sum()) / max(information, 1e-300)
+    parts = of_bands**2 / np.maximum((weight**2).sum(axis=0), 1e-300)
+    freedom = max(int(np.sum(parts - 1.0)) - 1, 1)
+    scatter = float((weight * (late - mean - slope * around) ** 2).sum()) / freedom
+    shares = of_bands / of_bands.sum()
+    middle = float(shares @ mean)
+    spread = float(shares @ (mean - middle) ** 2)
+    std = float(np.sqrt(scatter / of_bands.sum() + spread))
+    return BandClock(middle, std, 1.0, 0.0, slope, float(np.sqrt(scatter / max(information, 1e-300))), freedom)
+
+
+def _best_lines(table: Floats, around: Floats, step: float, grid: Floats) -> tuple[tuple[int, int], int]:
+    """Place on the grid, and steps of drift from the middle to the end, of the largest agreement; then without any."""
     half = max(float(np.abs(around).max()), 1e-9)
     most = int(FASTEST_DRIFT * half / step) if len(table) > 2 else 0
     best, without = (-np.inf, 0, 0), (-np.inf, 0)
@@ -254,12 +376,19 @@ def _best_line(table: Floats, around: Floats, step: float, grid: Floats) -> tupl
             without = (float(total[place]), place)
         if total[place] > best[0]:
             best = (float(total[place]), place, turns)
-    return (without[1], 0) if without[0] >= NO_DRIFT * best[0] else (best[1], best[2])
+    return ((without[1], 0) if without[0] >= NO_DRIFT * best[0] else (best[1], best[2])), without[1]
+
+
+def _line(times: Floats, tops: Floats, heights: Floats) -> tuple[float, float]:
+    """Value at 0 and slope of a weighted straight line."""
+    rows = np.column_stack([np.ones(len(times)), times]) * np.sqrt(heights)[:, None]
+    value, slope = np.linalg.lstsq(rows, tops * np.sqrt(heights), rcond=None)[0]
+    return float(value), float(slope)
 
 
 def _climbed(squares: Complexes, line: Floats, segments: Segments, step: float) -> tuple[Floats, Floats]:
     """Climb to the top of the agreement near a line, for each part of the record; its height comes second."""
-    omega = 2 * np.pi * np.arange(squares.shape[1]) * segments.rate / segments.length
+    omega = segments.omega
     tops, heights = [], []
     for square, start in zip(squares, line, strict=True):
         top = float(start)
@@ -272,17 +401,6 @@ def _climbed(squares: Complexes, line: Floats, segments: Segments, step: float) 
         tops.append(top)
         heights.append(max(0.0, float(np.sum((square * np.exp(2j * omega * top)).real))))
     return np.array(tops), np.array(heights)
-
-
-def _line(times: Floats, tops: Floats, heights: Floats) -> tuple[float, float, float, float]:
-    """Weighted straight line: value at 0, slope and their standard deviations from the scatter."""
-    weight = heights / heights.mean()
-    rows = np.column_stack([np.ones(len(times)), times])
-    normal = (rows * weight[:, None]).T @ rows
-    value, slope = np.linalg.solve(normal, (rows * weight[:, None]).T @ tops)
-    scatter = np.sum(weight * (tops - value - slope * times) ** 2) / max(len(times) - 2, 1)
-    spread = np.sqrt(np.diag(np.linalg.inv(normal)) * scatter)
-    return float(value), float(slope), float(spread[0]), float(spread[1])
 
 
 LONGEST = 0.05

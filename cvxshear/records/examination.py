@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 import scipy
 
-from cvxshear.records.clocks import BandClock, Segments, band_clock, drift_of
+from cvxshear.records.clocks import BandClock, Segments, band_clock, drift_of, straight
 from cvxshear.records.floors import one_a_floor, turning
 from cvxshear.records.record import Channel, Finding, FrfRecord, Record, TimeRecord
 from cvxshear.records.sick_channels import channel_findings, without_sick, without_spikes
@@ -26,6 +26,9 @@ LEAST_AGREEMENT, MOST_CHANCE = 0.08, 0.55
 AGREED = 0.25
 """Agreement of a channel's phases with the others' from which on its clock can be told; half of what is usual in an
 ambient record where that is less."""
+IN_COMMON = 30.0
+"""Times the agreement that chance makes, from which on drifts are looked for where less than `AGREED` is in common: of
+a long ambient record sampled far beyond its highest mode."""
 LATE = 0.5
 """Samples; a delay of less is left to the phases of the modes, which tell it finer."""
 IN_STEP = 0.6
@@ -119,8 +122,9 @@ def _in_step(record: TimeRecord) -> tuple[TimeRecord, list[Finding], dict[str, t
     silent = [i for i, item in against.items() if item.agreement < limits[i] and names[i : i + 1]]
     findings = [_silent(record, i, against[i]) for i in silent]
     heard_by[reference] = BandClock(0.0, 0.0, 1.0, 0.0)
-    # Where most of the band is not in common, the search over drifts finds one in its noise.
-    drifts = {i: _drift(segments, i, heard_by) if usual > AGREED else (0.0, np.inf) for i in heard_by}
+    # Where little more is in common than chance makes, the search over drifts finds one in its noise.
+    common = usual > min(AGREED, IN_COMMON * float(np.median([item.chance for item in against.values()])))
+    drifts = {i: _drift(segments, i, heard_by) if common else (0.0, np.inf) for i in heard_by}
     # The clock that is nearest to all others counts as right, of those that do not drift.
     middles = {i: item.middle for i, item in heard_by.items()}
     right = min(
@@ -135,6 +139,8 @@ def _in_step(record: TimeRecord) -> tuple[TimeRecord, list[Finding], dict[str, t
         if not slope and not _confirmed(segments, i, right, late, 2 * limit, clocks):
             continue
         if not slope and segments.agreed(i, right, 0.0) > IN_STEP * segments.agreed(i, right, late):
+            continue
+        if not straight(segments, i, right, late, slope, item.time):
             continue
         start = late - slope * (item if i != reference else heard_by[right]).time
         wrong[clocks[i]] = (start, slope)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import signal
+import scipy
 
 from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.records.floors import one_a_floor
@@ -203,7 +203,7 @@ def band_limited(samples: Floats) -> Floats:
     ----------
     samples : ndarray, shape (samples,)
     """
-    lines, power = signal.welch(samples - trend(samples), nperseg=min(SPECTRUM_SAMPLES, len(samples)))
+    lines, power = scipy.signal.welch(samples - trend(samples), nperseg=min(SPECTRUM_SAMPLES, len(samples)))
     # The lines of a few samples may end before that; the last one has to do then.
     noise = np.median(power[lines >= min(0.5 * NOISE_FROM, lines[-1])])
     above = np.clip(1.0 - NOISE_SCATTER * noise / np.maximum(power, np.finfo(float).tiny), 0.0, 1.0)

@@ -9,6 +9,7 @@ not found, or the second: what is then called the first has another shape, and a
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -65,6 +66,8 @@ class Hypothesis:
         After the modes have been seen.
     missed : float
         Probability of a missed mode, given the hypothesis.
+    turned : tuple of int
+        Channels that are reversed beside two that are exchanged.
     """
 
     kind: str
@@ -72,10 +75,12 @@ class Hypothesis:
     factor: float = 1.0
     probability: float = 0.0
     missed: float = 0.0
+    turned: tuple[int, ...] = ()
 
     def undone(self, shapes: Floats) -> Floats:
         """Return the shapes as they are where the hypothesis is true, shape (m, n)."""
         result = np.array(shapes, dtype=np.float64)
+        result[:, list(self.turned)] *= -1.0
         if self.kind == "swapped channels":
             result[:, list(self.places)] = result[:, list(self.places[::-1])]
         elif self.kind == "sign":
@@ -104,6 +109,13 @@ def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> 
     prior += [(Hypothesis("sign", (i,)), REVERSED) for i in range(count if count > 2 else 1)]
     prior += [(Hypothesis("sign", pair), REVERSED**2) for pair in (pairs if count > 4 else ())]
     prior += [(Hypothesis("swapped channels", pair), PRIOR_EXCHANGED / (count - 1)) for pair in pairs]
+    if count > 2:
+        # Whoever exchanges two cables may have reversed one as well.
+        prior += [
+            (Hypothesis("swapped channels", pair, turned=(i,)), PRIOR_EXCHANGED / (count - 1) * REVERSED)
+            for pair in pairs
+            for i in range(count)
+        ]
     prior += [
         (Hypothesis("unit", (i,), factor), OTHER_UNIT)
         for i in range(count)
@@ -123,7 +135,7 @@ def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> 
     shares /= shares.sum()
     each = shares.sum(axis=1)
     found = [
-        Hypothesis(item.kind, item.places, item.factor, float(p), float(row[1:].sum() / max(p, 1e-300)))
+        dataclasses.replace(item, probability=float(p), missed=float(row[1:].sum() / max(p, 1e-300)))
         for (item, _), p, row in zip(prior, each, shares, strict=True)
     ]
     return sorted(found, key=lambda item: -item.probability)
@@ -210,7 +222,7 @@ def findings_of(hypotheses: Sequence[Hypothesis], channels: Sequence[Channel], f
     rivals = [item for item in hypotheses if item.kind != "sound" and item.probability > best.probability / 3]
     if not rivals or rivals[0].probability < DOUBTFUL:
         return []
-    names = [channels[place].name for item in rivals for place in item.places]
+    names = list(dict.fromkeys(channels[place].name for item in rivals for place in (*item.places, *item.turned)))
     options = [f"{_in_words(item, channels)} ({chance(item.probability)})" for item in rivals]
     missed = next(item.missed for item in hypotheses if item.kind == "sound")
     otherwise = "a mode was missed and " if missed > 0.5 else ""
@@ -244,7 +256,8 @@ def _in_words(item: Hypothesis, channels: Sequence[Channel]) -> str:
         if channel.unit is not None:
             return f"{named} is in {unit or 'another unit'}, not in {channel.unit} as declared"
         return f"{named} is in {unit}" if unit is not None else f"{named} is in m/s2 and the others in g"
-    return f"{named} are in each other's place"
+    reversed_ = "".join(f" and {channels[place]} is reversed" for place in item.turned)
+    return f"{named} are in each other's place{reversed_}"
 
 
 def _said(item: Hypothesis, channels: Sequence[Channel], first: Floats, sound: float) -> Finding:
@@ -264,9 +277,12 @@ def _said(item: Hypothesis, channels: Sequence[Channel], first: Floats, sound: f
             {**numbers, **more, "corrected": True},
         )
     low, high = (channels[place] for place in item.places)
+    names = list(dict.fromkeys([*names, *(channels[place].name for place in item.turned)]))
+    also = "".join(f", and {channels[place]} reversed" for place in item.turned)
+    signs = ", and turn that sign round" if item.turned else ""
     return Finding(
         "swapped channels",
-        f"{low} and {high} look swapped: the lowest mode is {shape} from the ground up, which no shear frame has "
-        f"({odds}). Exchange their floors in the record file",
-        {**numbers, "corrected": False},
+        f"{low} and {high} look swapped{also}: the lowest mode is {shape} from the ground up, which no shear frame has "
+        f"({odds}). Exchange their floors in the record file{signs}",
+        {**numbers, "channels": names, "corrected": False},
     )

@@ -141,12 +141,14 @@ def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
 
 def _begins(values: Floats, place: int) -> bool:
     """Whether motion begins at a sample, and goes on as strongly after it."""
-    # The model looks so many samples ahead: it errs before the first sample that moves.
-    later = place + AR_ORDER + 1
-    before, after = np.abs(values[max(0, place - BEGINNING) : place]), np.abs(values[later : later + BEGINNING])
+    # The model looks so many samples ahead: it errs before the first sample that moves. A knock on the sensor's own
+    # floor dies away as fast as its highest modes, so what follows at once counts; a filter smears one sample to two.
+    before = np.abs(values[max(0, place - 2 - BEGINNING) : max(0, place - 2)])
+    after = np.abs(values[place + 3 : place + AR_ORDER + 1 + BEGINNING])
     if not len(before) or not len(after):
         return True
-    return bool(np.median(after) > 3.0 * np.median(before) and abs(values[place]) < 4.0 * after.max())
+    rises = np.quantile(after, 0.75) > 3.0 * np.quantile(before, 0.75)
+    return bool(rises and abs(values[place]) < 4.0 * after.max())
 
 
 def _interpolation_errors(values: Floats) -> Floats:

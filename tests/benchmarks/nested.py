@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from importlib import import_module
 
 import numpy as np
-from scipy import linalg, stats
+from scipy import linalg, special, stats
 
 from cvxshear import Experiment, backends
 from cvxshear.effects import Place, Placed, Scale, named, open_classes
@@ -196,15 +196,15 @@ class Integrand:
         own = slice(self.frame, self.frame + self.own)
         last = own.stop
         if self.open:
-            z[last] = SIZE_WIDTH * stats.norm.ppf(u[last])
-            z[own] = SIZES[self.problem.effect] * np.exp(z[last]) * stats.norm.ppf(u[own])
+            z[last] = SIZE_WIDTH * special.ndtri(u[last])
+            z[own] = SIZES[self.problem.effect] * np.exp(z[last]) * special.ndtri(u[own])
             last += 1
         elif self.own and self.problem.effect == "gravity":
             z[own] = 1.0 + 0.2 * u[own]
         elif self.own:
             half = self.problem.effect == "ground_spring"
-            z[own] = SIZES[self.problem.effect] * stats.t.ppf(0.5 + u[own] / 2 if half else u[own], TAIL)
-        z[last:] = NOISE_WIDTH * stats.norm.ppf(u[last:])
+            z[own] = SIZES[self.problem.effect] * special.stdtrit(TAIL, 0.5 + u[own] / 2 if half else u[own])
+        z[last:] = NOISE_WIDTH * special.ndtri(u[last:])
         return z
 
     def value(self, z):

@@ -152,10 +152,10 @@ def measurement(frame, seed):
     }  # fmt: skip
 
 
-def setting(stories, case, seed, finer=1):
+def setting(stories, case, seed, finer=1, seconds=SECONDS):
     """The model, the record, the true drifts, and the softer story."""
     sound, there, soft = building(stories, case, seed)
-    excitation = ground(seed, int(SECONDS * RATE))
+    excitation = ground(seed, int(seconds * RATE))
     total, moved = (
         shaken_while_it_yields(there, soft, excitation) if case == "yields" else shaken(there, excitation, finer)
     )
@@ -169,19 +169,21 @@ def setting(stories, case, seed, finer=1):
     return models, Motion((Drive(excitation, 0, seen),), RATE, floors=floors), np.diff(moved, axis=1, prepend=0.0), soft
 
 
+def against(found, drift):
+    """Errors of the peak drifts, the same in stated deviations, and the part of each drift within its band."""
+    true, peaks = np.abs(drift).max(axis=0), found.peaks
+    off = peaks.values["story_drift"] - true
+    within = np.abs(found.runs[0].response.drift - drift) <= NORMAL_95 * found.runs[0].std["story_drift"]
+    return off / true, off / peaks.std["story_drift"], np.mean(within, axis=0)
+
+
 def trial(seed, stories, case, finer=1):
     """Errors of the peak drifts by three ways, deviations in standard deviations, and what was named."""
     models, motion, drift, soft = setting(stories, case, seed, finer)
-    true = np.abs(drift).max(axis=0)
     alone = reconstruct(models, motion, fit=False, leave_out=False)
     found = reconstruct(models, motion, leave_out=False)
-    predicted = found.predicted_peaks.values["story_drift"] / true - 1
-    errors = [side.peaks.values["story_drift"] / true - 1 for side in (alone, found)]
-    peaks = [(side.peaks.values["story_drift"] - true) / side.peaks.std["story_drift"] for side in (alone, found)]
-    over_time = [
-        np.mean(np.abs(side.runs[0].response.drift - drift) <= NORMAL_95 * side.runs[0].std["story_drift"], axis=0)
-        for side in (alone, found)
-    ]
+    predicted = found.predicted_peaks.values["story_drift"] / np.abs(drift).max(axis=0) - 1
+    errors, peaks, over_time = zip(against(alone, drift), against(found, drift), strict=True)
     return [predicted, *errors], peaks, over_time, found.changed, soft
 
 

@@ -14,6 +14,7 @@ import contextlib
 import dataclasses
 import fcntl
 import functools
+import gc
 import hashlib
 import inspect
 import io
@@ -259,6 +260,9 @@ def share() -> None:
     from cvxshear.report import html  # noqa: PLC0415
 
     html.drawings, html.compare_backends = once(html.drawings), once(html.compare_backends)
+    # The search for garbage need not walk through what has been imported, as in `tests/conftest.py`.
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 20)
 
 
 def main(arguments: list[str]) -> None:

@@ -51,6 +51,12 @@ HEADS = {
         1e-2,
     ),
     "levels of a building": ("time,GL,1F,2F,RF\ns,gal,gal,gal,gal\n", {}, 1e-2),
+    "a base between other words": ("time_s,base_acc_g,f1_acc_g,f2_acc_g,f3_acc_g\n", {}, GRAVITY),
+    "units after blanks, axes in brackets": (
+        "Time;Base g;Level 1 (N) g;Level 2 (North), g;Level 3 (N) g\n",
+        {"separator": ";"},
+        GRAVITY,
+    ),
     "units at the ends": ("time_s,table_x_mg,ch1_x_mg,ch2_x_mg,ch3_x_mg\n", {}, 1e-3 * GRAVITY),
 }
 

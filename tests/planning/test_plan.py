@@ -308,6 +308,24 @@ def test_what_no_tests_of_the_grid_can_beat_is_printed_as_that(file, run):
     assert "masses of the limit or half of it" in out
 
 
+def test_a_plan_on_measured_modes_of_a_frame_that_nobody_weighed(tmp_path, capsys):
+    """Three equal floors on equal stories: 2 sin((2 r - 1) pi / 14) times the root of k / m, floors as sines."""
+    angles = np.pi / 14 * np.array([2, 6, 10])
+    shapes = np.sin(angles[:, None] * [1, 2, 3])
+    (tmp_path / "modes.toml").write_text(
+        "[frame]\ntotal_mass = 1.0\ntotal_mass_placeholder = true\n[[configuration]]\n"
+        f"frequencies = {(5 * np.sin(angles / 2)).tolist()}\nmode_shapes = {shapes.tolist()}\n"
+    )
+    with pytest.raises(SystemExit) as done:
+        main(["plan", str(tmp_path / "modes.toml"), "--sensors", "2"])
+    said = capsys.readouterr().out
+    assert not done.value.code
+    assert "mass, of the total" in said
+    assert "mass, kg  as planned" not in said
+    found = plan(tmp_path / "modes.toml", sensors=2)
+    np.testing.assert_allclose(found.model.design.floor_mass, 1 / 3, rtol=1e-3)
+
+
 def test_a_plan_on_measured_modes_expects_the_measured_frequencies_with_what_the_loop_found():
     """A ground spring carries a third of the load at the top: a shear frame misses its first frequency by percents."""
     mass, stiffness = np.array([10.0, 10.0, 9.0, 8.0]), np.array([24e3, 20e3, 16e3, 10e3])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, linalg
 
+from cvxshear.response.damped import poles
 from cvxshear.response.dynamics import Noise, Setting, dynamics, recursion, settled_covariance
 from tests.frames import chain
 
@@ -117,3 +118,13 @@ def test_a_recursion_by_blocks_is_the_one_sample_by_sample(samples, rows):
         expected.append(x if rows is None else rows @ x)
         x = F @ x + each
     np.testing.assert_allclose(found, expected, atol=1e-10)
+
+
+@pytest.mark.parametrize("slower", [1.0, 1e3])
+def test_the_poles_add_up_to_the_flexibility(slower):
+    """At rest the transfer function is K^-1, in a frame of some Hz and in one that takes minutes for a period."""
+    of = frame()
+    found = poles(of.M, of.C / slower, of.K / slower**2)
+    each = found.shapes[:, None, :] * found.shapes[None, :, :] / (-found.scales * found.values)
+    flexibility = np.sum(found.weights * each.real, axis=2)
+    np.testing.assert_allclose(flexibility, slower**2 * np.linalg.inv(of.K), rtol=1e-8)

@@ -111,8 +111,24 @@ def test_a_changed_frame_is_told(frame):
     assert 1 in [shift.mode for shift in shifts]
     first = shifts[0]
     assert first.measured / first.modelled == pytest.approx(np.sqrt(0.9), abs=0.01)
-    assert any("depend on the amplitude, or the frame has changed" in remark for remark in found.remarks)
+    (said,) = [remark for remark in found.remarks if "depend on the amplitude, or the frame has changed" in remark]
+    # Of the first mode, in percent: sqrt(0.9) - 1.
+    assert float(said.partition("Hz (")[2].partition(" %")[0]) == pytest.approx(-5.1, abs=1.0)
     assert predict(estimate, recorded(truth, samples=20_000)).after.comparison.shifts == ()
+
+
+def test_the_line_that_is_taken_off_is_told_with_its_floor(frame):
+    """Floor 2's sensor drifts from minus to plus twice the rms of what it would show."""
+    _, estimate, truth = frame
+    exact = recorded(truth)
+    run = exact.runs[0]
+    seen, rms = run.responses.copy(), float(np.sqrt(np.mean(run.responses[:, 1] ** 2)))
+    seen[:, 1] += 2.0 * rms * np.linspace(-1.0, 1.0, len(seen))
+    found = predict(estimate, dataclasses.replace(exact, runs=(Run(seen, run.excitation),)))
+    (said,) = [remark for remark in found.remarks if "a straight line of up to" in remark]
+    size, _, where = said.removeprefix("a straight line of up to ").partition(" % of ")
+    assert where.startswith("the rms (floor 2) ")
+    assert float(size) == pytest.approx(200.0, rel=0.05)
 
 
 def test_noise_on_the_record_of_the_same_frame_is_no_change_of_it(frame):

@@ -58,6 +58,13 @@ def test_the_prior_is_conditioned_on_the_modes_like_any_normal_numbers(changed, 
     assert found.evidence == pytest.approx(density + 3.5 * np.log(2 * np.pi), rel=1e-9)
 
 
+@pytest.mark.parametrize("sizes", [module.FORM_STDS, module.SCATTER_STDS])
+def test_sizes_that_are_compared_leave_no_gap_wider_than_half_a_decade(sizes):
+    """A size between two of them is off by a factor of 1.8 at most."""
+    steps = np.divide(sizes[1:], sizes[:-1])
+    assert np.all((steps > 3 - 1e-9) & (steps < 10 / 3 + 1e-9))
+
+
 def centre(kind):
     """A frame of three stories with damping of a kind, and its dashpots, factors or ratios."""
     mass, stiffness, dashpots = damped_frame(3)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from cvxshear.planning.chances import SUFFICES
@@ -163,6 +165,7 @@ def accuracy(result: Plan, units: Units) -> Table:
     )
     shown = [(name, each) for name, each in options if each is not None]
     names = tuple(name for name, _ in shown)
+    units = dataclasses.replace(units, relative=True) if design.frame.total_mass_placeholder else units
     mass_factor, mass_unit = units.of_mass(design.floor_mass.tolist())
     factor, unit = units.of_stiffness(design.story_stiffness.tolist())
     rows = plain_rows(
