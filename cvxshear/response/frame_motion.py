@@ -52,6 +52,7 @@ together at least where fewer do; what the others add is allowed for."""
 MOST_SHORTENED = 20
 """Times that a step to a frame without modes is cut to a quarter: 1e-12 of it is left, which moves no frame."""
 
+
 @dataclass(frozen=True, eq=False)
 class ReconstructedRun:
     """The motion during one run.
