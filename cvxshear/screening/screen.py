@@ -240,7 +240,8 @@ def mistakes(configuration: Configuration) -> list[Finding]:
         return []
     change = "no single change mends it: look for more than one mistake" if tried else "look for a mistake"
     found = "; ".join(broken[:SHOWN_MODES]) + ("; and so on" if len(broken) > SHOWN_MODES else "")
-    return [Finding("signs", configuration.name, found, f"{change} in mode_shapes and modes", refuses=True)]
+    change += " in mode_shapes and modes, or leave out a mode that is of no shear frame: torsion, a swing on a floor"
+    return [Finding("signs", configuration.name, found, change, refuses=True)]
 
 
 def _explained(name: str, given: NearestFrame, explaining: list[Judged], broken: list[str]) -> Finding:
