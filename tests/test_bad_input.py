@@ -60,6 +60,11 @@ def refused(table):
 TABLES_OF_A_FILE = "known keys are configuration, damping, effect, frame, limits, prior, report, static"
 TABLES = {
     "no configuration": ({"frame": {}}, "at least one [[configuration]] is needed: none was found"),
+    "design values alone": (
+        {"prior": [{"kind": "nominal", "quantity": "floor_mass", "values": [1.0]}]},
+        "at least one [[configuration]] is needed: none was found; "
+        "a file of design values, before any test, is for cvxshear plan",
+    ),
     "empty": ({}, "at least one [[configuration]] is needed: none was found"),
     "an empty list of configurations": (
         {"configuration": []},

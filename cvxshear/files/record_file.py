@@ -305,10 +305,11 @@ def _time_record(tables: RecordTables, notes: list[Finding]) -> TimeRecord:
         for each in pieces
     ]
     common = {**_common(tables), **({"quantity": quantities.pop()} if quantities else {})}
-    return TimeRecord(_made(responses), **common, runs=tuple(runs), sampling_rate=rate, input=tables.input)
+    return TimeRecord(channels_made(responses), **common, runs=tuple(runs), sampling_rate=rate, input=tables.input)
 
 
-def _made(responses: list[ChannelDeclaration]) -> tuple[Channel, ...]:
+def channels_made(responses: Sequence[ChannelDeclaration]) -> tuple[Channel, ...]:
+    """Make the channels that were declared."""
     return tuple(
         Channel(item.column, item.floor, item.axis, item.place, item.unit, item.position, item.direction)
         for item in responses
@@ -339,7 +340,7 @@ def _frf_record(tables: RecordTables) -> FrfRecord:
         if axis.shape != axes[0][0].shape or not np.allclose(axis, axes[0][0], rtol=1e-6):
             raise InputError(f"{source} and {axes[0][1]} have different frequency lines; a record has one axis")
     return FrfRecord(
-        _made(channels), **_common(tables), runs=tuple(made), frequencies=axes[0][0],
+        channels_made(channels), **_common(tables), runs=tuple(made), frequencies=axes[0][0],
         truncated=declared.get("truncated"),
     )  # fmt: skip
 

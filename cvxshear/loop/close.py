@@ -104,6 +104,27 @@ def close_loop(
     return result
 
 
+def begun(experiment: Experiment, there: tuple[Placed, ...] = ()) -> Search:
+    """Begin a search over the whole catalogue with the fit of the shear model; no effect is tried.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    there : tuple of Placed, optional
+        Effects that are in the model from the start.
+
+    Raises
+    ------
+    CvxshearError
+        Where the shear model could not be fitted.
+    """
+    solver = backends.get("auto")
+    looked_for = hypotheses(experiment, chosen(None), there)
+    start = _first(experiment, solver, there)
+    expectation = _expectation(experiment, start.theta, looked_for)
+    return _Loop(solver, there, looked_for, expectation, start, 1).begun(Numbering(experiment))
+
+
 def _sound(wanted: Sequence[Effect], experiment: Experiment) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
     """Find the effects that can take part, and why others, of one's own, cannot.
 

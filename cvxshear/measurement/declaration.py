@@ -32,6 +32,7 @@ MISTAKES = {
     "periods": "`frequencies` are periods, in s",
     "masses_from_top": "floor masses or design values are listed from the top",
     "frequency_unit": "one configuration's frequencies are in another unit than those of the others",
+    "frequency": "one frequency contradicts all other data, which agree without it",
     "signs": "a shape has signs that no mode of that number has, and no single change mends it",
 }
 """Findings of `check` that refuse a file unless they are accepted, each with what was done wrong."""
@@ -47,6 +48,7 @@ DOUBTS = {
     "time_unit": "frequencies are lower than those of any frame: times in ms, or frequencies in kHz",
     "deviations": "standard deviations are finer than any instrument measures, or look like percent",
     "repeated": "configurations repeat each other to the last digit",
+    "states": "two states have names that differ by one letter",
     "gravity": "gravity is not that of the Earth in m/s²",
     "total_mass": "the total mass contradicts what the added masses did to the frequencies",
     "floor_mass": "one entry of floor_masses contradicts the shapes",

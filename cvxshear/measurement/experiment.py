@@ -192,7 +192,8 @@ class Experiment(Shown):
         tables = ["frame", "configuration", "prior", "static", "effect", "damping", "report", "limits"]
         table = checks.keys(declared, tables, [], "the measurement file", elsewhere={**tested_keys, **frame_keys})
         if table.get("configuration") is None:
-            raise InputError("at least one [[configuration]] is needed: none was found")
+            design = table.get("prior") and "; a file of design values, before any test, is for cvxshear plan"
+            raise InputError(f"at least one [[configuration]] is needed: none was found{design or ''}")
         frame = Frame.from_dict({} if table.get("frame") is None else table["frame"], elsewhere=tested_keys)
         configurations = tuple(
             Configuration.from_dict(item, name=f"configuration {place}", elsewhere=frame_keys)

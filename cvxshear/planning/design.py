@@ -141,9 +141,10 @@ class Design:
     def shell(self) -> Experiment:
         """Make an experiment that holds the frame's dimensions for the forward model; its masses are those expected."""
         # The states that the file names are those of its tests, not of the one that is planned.
-        frame = dataclasses.replace(
-            self.frame, floor_masses=self.floor_mass, total_mass=None, total_mass_placeholder=False, reference=None
+        unsaid = dataclasses.replace(
+            self.frame, total_mass=None, total_mass_std=None, total_mass_placeholder=False, reference=None
         )
+        frame = dataclasses.replace(unsaid, floor_masses=self.floor_mass)
         return Experiment(frame, (self.blank(np.zeros(self.stories)),))
 
     def blank(self, added_mass: Floats, name: str = "planned test") -> Configuration:
@@ -162,8 +163,8 @@ class Design:
         rows = [np.zeros((0, 2 * n))]
         if self.frame.floor_masses is not None:
             rows.append(np.eye(n, 2 * n))
-        elif self.frame.total_mass is not None:
-            rows.append(np.concatenate([self.floor_mass, np.zeros(n)])[None] / self.floor_mass.sum())
+        elif self.frame.total_mass is not None and self.frame.total_mass_std is None:
+            rows.append(self._of_the_total)
         for prior in self.priors:
             A = prior.constraints(n).A
             if A is not None:
@@ -172,6 +173,12 @@ class Design:
                 row[:, at] = A * size[at]
                 rows.append(row / np.linalg.norm(row, axis=1, keepdims=True))
         return np.concatenate(rows)
+
+    @property
+    def _of_the_total(self) -> Floats:
+        """Relative change of the total mass by that of masses and stiffnesses, shape (1, 2N)."""
+        share: Floats = np.concatenate([self.floor_mass, np.zeros(self.stories)])[None] / self.floor_mass.sum()
+        return share
 
     def known(self, more: Sequence[Placed] = (), nulls: Sequence[float] = ()) -> Floats:
         """Return what is known before the test, rows in standard deviations, shape (k, 2N + e + m).
@@ -192,6 +199,8 @@ class Design:
             theta = np.concatenate([self.theta, nulls])
             return np.asarray(Misfit(self.measured, (*self.effects, *more)).evaluate(theta).J * units)
         rows = [np.zeros((0, len(units)))]
+        if self.frame.total_mass_std is not None:
+            rows.append(self._of_the_total @ np.eye(2 * n, len(units)) / self.frame.total_mass_std)
         for prior in self.priors:
             at = _place(prior, n)
             _, J = prior.residual(size[at])

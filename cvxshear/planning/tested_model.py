@@ -291,10 +291,11 @@ def possible(design: Design) -> tuple[Design, ...]:
 
 
 def _moved(design: Design, change: Floats) -> Design:
-    """Change masses and stiffnesses by these parts of themselves; the total mass stays as declared."""
+    """Change masses and stiffnesses by these parts of themselves; a total mass that is exact stays as declared."""
     # Below a half the logarithm is changed instead, which leaves every value positive.
     factor = np.where(change > -0.5, 1 + change, 0.5 * np.exp(2 * np.minimum(change, 0.0) + 1))
     mass, stiffness = np.split(design.sizes * factor, 2)
-    if design.frame.total_mass is not None and design.frame.floor_masses is None:
+    frame = design.frame
+    if frame.total_mass is not None and frame.floor_masses is None and frame.total_mass_std is None:
         mass *= design.floor_mass.sum() / mass.sum()
     return dataclasses.replace(design, floor_mass=mass, story_stiffness=stiffness)

@@ -8,7 +8,7 @@ declared, or the center lies far beyond the sensors, their mean stands for U.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -57,7 +57,7 @@ def one_a_floor(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
         channels.append(dataclasses.replace(first, name=name, position=None, direction=None))
         if len(group) > 1:
             findings.append(_rotation(record, group))
-    weights = [center_weights(record, group)[0] for group in groups]
+    weights = [center_weights(record.channels, group)[0] for group in groups]
     centers = [
         np.column_stack([run.responses[:, group] @ weight for group, weight in zip(groups, weights, strict=True)])
         for run in record.runs
@@ -65,9 +65,9 @@ def one_a_floor(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
     return with_responses(record, centers, tuple(channels)), findings
 
 
-def center_weights(record: Record, group: Ints) -> tuple[Floats, bool]:
+def center_weights(channels: Sequence[Channel], group: Ints) -> tuple[Floats, bool]:
     """Find the weights by which a floor's sensors make its motion, shape (sensors,), and whether by their positions."""
-    places = [record.channels[int(column)].position for column in group]
+    places = [channels[int(column)].position for column in group]
     across = np.array([0.0 if place is None else place[1] for place in places])
     if None not in places and np.ptp(across) > 1e-3 * np.abs(across).max():
         weights = np.asarray(np.linalg.pinv(np.column_stack([np.ones(len(group)), -across]))[0])
@@ -93,7 +93,7 @@ def turning(record: TimeRecord) -> Callable[[float], float] | None:
     for run in record.runs:
         for group in groups:
             values = run.responses[:, group]
-            middle = (values @ center_weights(record, group)[0])[:, None]
+            middle = (values @ center_weights(record.channels, group)[0])[:, None]
             mean += run.samples * scipy.signal.welch(middle, rate, nperseg=length, axis=0)[1].mean(axis=1)
             apart += run.samples * scipy.signal.welch(values - middle, rate, nperseg=length, axis=0)[1].mean(axis=1)
 
@@ -129,7 +129,7 @@ def _along(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
 def _rotation(record: Record, group: Ints) -> Finding:
     names = [record.channels[int(column)] for column in group]
     others = np.flatnonzero(record.floors != names[0].floor)
-    weights, placed = center_weights(record, group)
+    weights, placed = center_weights(record.channels, group)
     center, turned, together, against = np.zeros(4)
     for run in record.runs:
         values, rest = run.responses[:, group], None

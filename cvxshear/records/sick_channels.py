@@ -190,32 +190,51 @@ def _spiked(spikes: Bools, where: str, name: str) -> list[Finding]:
     ]
 
 
-def _stuck(responses: Floats, column: int, where: str, name: str, rate: float) -> list[Finding]:
-    """Find a value repeated for long while the other channels move as they do elsewhere."""
-    values = responses[:, column]
+def stuck_in(responses: Floats, column: int, rate: float) -> Bools:
+    """Find the samples of one channel that repeat one value for long while the other channels move as elsewhere.
+
+    Parameters
+    ----------
+    responses : ndarray, shape (samples, channels)
+    column : int
+        Of the channel.
+    rate : float
+        Hz.
+
+    Returns
+    -------
+    ndarray of bool, shape (samples,)
+    """
+    values, found = responses[:, column], np.zeros(len(responses), dtype=bool)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], np.diff(values) == 0, [False]]).astype(np.int8)))
     starts, stops = edges[::2], edges[1::2] + 1
     long = (stops - starts) >= max(20, int(STUCK * rate))
     others = np.delete(responses, column, axis=1)
     if not long.any() or not others.shape[1]:
-        return []
-    usual, count, longest, first = others.std(axis=0), 0, 0, -1
+        return found
+    usual = others.std(axis=0)
     for start, stop in zip(starts[long], stops[long], strict=True):
         moved = np.median(others[start:stop].std(axis=0) / np.maximum(usual, 1e-300)) > 0.3
         # Where all is quiet, converters of few bits repeat themselves; the others then do as well.
         if moved or np.median(np.mean(np.diff(others[start:stop], axis=0) == 0, axis=0)) < 0.2:
-            count, longest = int(count + stop - start), max(longest, int(stop - start))
-            first = int(start) if first < 0 else first
-    if not count:
+            found[start:stop] = True
+    return found
+
+
+def _stuck(responses: Floats, column: int, where: str, name: str, rate: float) -> list[Finding]:
+    stuck = stuck_in(responses, column, rate)
+    if not stuck.any():
         return []
-    out = bool(count > STUCK_SHARE * len(values))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], stuck, [False]]).astype(np.int8)))
+    count, longest, first = int(stuck.sum()), int(np.max(edges[1::2] - edges[::2])), int(edges[0])
+    out = bool(count > STUCK_SHARE * len(stuck))
     return [
         Finding(
             "stuck channel",
-            f"{where} sticks at {values[first]:.4g} from sample {first + 1} on: {count} of {len(values)} samples "
-            f"repeat the last, up to {longest / rate:.3g} s on end, while the others move"
+            f"{where} sticks at {responses[first, column]:.4g} from sample {first + 1} on: {count} of {len(stuck)} "
+            f"samples repeat the last, up to {longest / rate:.3g} s on end, while the others move"
             + ("; left out" if out else ""),
-            {"channel": name, "samples": int(count), "share": float(count / len(values)), "out": out},
+            {"channel": name, "samples": count, "share": float(count / len(stuck)), "out": out},
         )
     ]
 

@@ -135,17 +135,17 @@ def in_step(record: AnyRecord, late: Mapping[str, tuple[float, float]]) -> AnyRe
         responses = run.responses[inner].copy()
         for column, channel in enumerate(record.channels):
             if channel.name in moved:
-                responses[:, column] = _between(run.responses[:, column], (index + moved[channel.name])[inner])
+                responses[:, column] = between(run.responses[:, column], (index + moved[channel.name])[inner])
         excitation = run.excitation
         if excitation is not None:
             place = index + moved["input"] if "input" in moved else None
-            excitation = excitation[inner] if place is None else _between(excitation, place[inner])
+            excitation = excitation[inner] if place is None else between(excitation, place[inner])
         runs.append(dataclasses.replace(run, responses=responses, excitation=excitation))
         started += run.samples
     return dataclasses.replace(record, runs=tuple(runs))
 
 
-def _between(values: Floats, places: Floats) -> Floats:
+def between(values: Floats, places: Floats) -> Floats:
     """Values at places between the samples, by a windowed sinc."""
     whole = np.floor(places).astype(np.int64)
     offset = np.arange(1 - SINC_TERMS // 2, SINC_TERMS // 2 + 1)

@@ -321,6 +321,20 @@ def _around_modes(
     return result
 
 
+def moved_against(measured: Sequence[Floats], predicted: Sequence[Floats]) -> Bools:
+    """Whether each channel moved against its prediction where all others moved with theirs, shape (n,).
+
+    Parameters
+    ----------
+    measured, predicted : sequence of ndarray, shape (samples, n)
+    """
+    y, p = np.concatenate(measured), np.concatenate(predicted)
+    alike = np.sum(y * p, axis=0) / np.maximum(np.sqrt(np.sum(y**2, axis=0) * np.sum(p**2, axis=0)), 1e-300)
+    against = alike < -LIKE
+    sure = np.all(against | (alike > LIKE)) and 2 * np.sum(against) < len(against)
+    return np.asarray(against & sure, dtype=bool)
+
+
 def contradiction(measured: Sequence[Floats], predicted: Sequence[Floats], floors: Ints) -> str:
     """Say what one factor, a sign or an exchange of two channels would explain; empty where none does.
 

@@ -7,8 +7,9 @@ directions that move the motion most.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -22,7 +23,8 @@ from cvxshear.response.recording import Recording
 from cvxshear.response.smoother import Observed, Smoothed, Steady, smooth
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import FramePrior, VariedFrame
-from cvxshear.util.typing import Floats
+from cvxshear.util.errors import NoModesError
+from cvxshear.util.typing import Floats, T
 
 AT_REST = 0.05
 """Acceleration of the first period, relative to the whole record's, up to which a run counts as beginning at rest: what
@@ -45,6 +47,10 @@ MOST_DIRECTIONS = 8
 CARRIED_SHARE = 0.995
 """Directions of the frame's uncertainty that are propagated at most, and the share of the variance that they carry
 together at least where fewer do; what the others add is allowed for."""
+
+
+MOST_SHORTENED = 20
+"""Times that a step to a frame without modes is cut to a quarter: 1e-12 of it is left, which moves no frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,19 +80,23 @@ class ReconstructedRun:
     excitation: Floats
 
 
+Sides = tuple[DampedModel, DampedModel, float]
+
+
 @dataclass(frozen=True, eq=False)
 class FrameDirections:
     """Directions of the frame's uncertainty.
 
     Parameters
     ----------
-    sides : tuple of pairs of DampedModel
-        The frame one standard deviation to either side along each.
+    sides : tuple of (DampedModel, DampedModel, float)
+        The frame to either side along each, and by how much a standard deviation is longer: 1 where the frame has
+        modes so far away.
     allowance : ndarray, shape (outputs,)
         Variance of each output along all directions over that along these.
     """
 
-    sides: tuple[tuple[DampedModel, DampedModel], ...]
+    sides: tuple[Sides, ...]
     allowance: Floats
 
 
@@ -258,22 +268,21 @@ class FrameMotion:
             result.append(ReconstructedRun(run.name, motion, stds, base, base_std, run.measured, run.excitation))
         return result
 
-    def moved_by(
-        self, sides: tuple[DampedModel, DampedModel], noise: Noise, excitation: Floats, found: Smoothed
-    ) -> Floats:
-        """Half the difference of all outputs between two frames, shape (samples, outputs).
+    def moved_by(self, sides: Sides, noise: Noise, excitation: Floats, found: Smoothed) -> Floats:
+        """Half the difference of all outputs between two frames, for a standard deviation, shape (samples, outputs).
 
         Parameters
         ----------
-        sides : pair of DampedModel
+        sides : (DampedModel, DampedModel, float)
+            As in `FrameDirections`.
         noise : Noise
         excitation : ndarray, shape (samples,)
         found : Smoothed
             Whose measurements the frames are smoothed to.
         """
         driven, seen = excitation.astype(SHORT), found.completed.astype(SHORT)
-        there, back = (self._motion(model, noise, driven, seen, found.states[0]) for model in sides)
-        result: Floats = 0.5 * (there - back)
+        there, back = (self._motion(model, noise, driven, seen, found.states[0]) for model in sides[:2])
+        result: Floats = 0.5 * sides[2] * (there - back)
         return result
 
     def _motion(self, model: DampedModel, noise: Noise, excitation: Floats, y: Floats, start: Floats) -> Floats:
@@ -297,10 +306,13 @@ class FrameMotion:
         part = run.strongest(PROBED_SAMPLES)
         excitation, y, start = run.excitation[part], run.y[part], np.zeros(len(run.start))
 
-        def model_at(weights: Floats) -> DampedModel:
+        def model_at(weights: Floats, size: float) -> DampedModel:
             p = fitted.p.copy()
-            p[frame] += own @ weights
+            p[frame] += size * (own @ weights)
             return fitted.errors.model(p)
+
+        def either_side(weights: Floats, size: float) -> tuple[DampedModel, DampedModel]:
+            return model_at(weights, size), model_at(weights, -size)
 
         def moved(model: DampedModel) -> Floats:
             return self._motion(model, noise, excitation, y, start)
@@ -308,7 +320,8 @@ class FrameMotion:
         centre = moved(fitted.model)
         scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
         # A tenth of a standard deviation: the directions are needed to first order only.
-        slopes = np.array([(moved(model_at(0.1 * row)) - centre) / scale / 0.1 for row in np.eye(len(own))])
+        near = [_with_modes(partial(model_at, row), 0.1) for row in np.eye(len(own))]
+        slopes = np.array([(moved(model) - centre) / scale / size for model, size in near])
         flat = slopes.reshape(len(own), -1)
         strength, turned = np.linalg.eigh(flat @ flat.T)
         order = np.argsort(-strength)
@@ -317,8 +330,19 @@ class FrameMotion:
             return FrameDirections((), np.ones(len(scale)))
         chosen = order[: min(int(np.searchsorted(carried, CARRIED_SHARE * carried[-1])) + 1, most)]
         along = np.sum(np.tensordot(turned[:, chosen].T, slopes, axes=1) ** 2, axis=(0, 1))
-        sides = tuple((model_at(turned[:, k]), model_at(-turned[:, k])) for k in chosen)
+        pairs = (_with_modes(partial(either_side, row), 1.0) for row in turned[:, chosen].T)
+        sides = tuple((there, back, 1.0 / size) for (there, back), size in pairs)
         return FrameDirections(sides, np.sum(slopes**2, axis=(0, 1)) / np.maximum(along, 1e-300))
+
+
+def _with_modes(at: Callable[[float], T], size: float) -> tuple[T, float]:
+    """Build frames so far from one that has modes, or nearer where they have none; and the distance."""
+    for _ in range(MOST_SHORTENED):
+        try:
+            return at(size), size
+        except NoModesError:
+            size *= 0.25
+    return at(size), size
 
 
 def rms(values: Floats) -> float:

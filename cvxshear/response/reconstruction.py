@@ -25,7 +25,7 @@ from cvxshear.response.frame_fit import NONLINEAR, FittedFrame
 from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses, readings_of, shown_by
 from cvxshear.response.peaks import FloorSpectra, Peaks, largest_spectra, peaks_of
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
-from cvxshear.response.sensor_checks import SensorCheck, Whiteness, checked, whiteness, widening
+from cvxshear.response.sensor_checks import SensorCheck, Whiteness, checked, turned_round, whiteness, widening
 from cvxshear.response.smoother import Smoothed
 from cvxshear.response.sources import ModelSource, line_remarks, models_of, state_of, state_remarks
 from cvxshear.response.uncertain import UncertainFrame
@@ -103,6 +103,11 @@ class Reconstruction(Shown):
     limits: Limits | None
     passed: Floats | None
     remarks: tuple[str, ...]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Faults of sensors, and why the numbers are less sure than they look: to be read before them."""
+        return *self.recording.remarks, *_warnings(self)
 
     @property
     def widening(self) -> float:
@@ -191,7 +196,7 @@ class Reconstruction(Shown):
                 "predicted_peaks": self.predicted_peaks,
                 "limits": limits,
                 "floor_spectra": {**self.spectra.to_dict(), "acceleration_std": self.spectra_std},
-                "remarks": self.remarks,
+                "remarks": (*self.warnings, *self.remarks),
             }
         )
         return found
@@ -245,12 +250,13 @@ def reconstruct(
         Where the backend does not solve a program.
     """
     solver = backends.get(backend)
-    recording = recorded = recording_of(record)
     models = models_of(source, solver)
     experiment = models.after.experiment
+    recording = recording_of(record, experiment.stories)
     state = state_of(experiment, recording, configuration)
     frame = UncertainFrame.of(models.after, state, damping, solver)
     identified = frame.at(np.zeros(frame.size)).model
+    recording = recorded = turned_round(identified, recording)
     if detrend:
         recording = recording.without_base_line()
     readings = readings_of(identified, recording)
@@ -325,6 +331,34 @@ def _said_of_readings(straight: float, band_limited: float) -> str:
     return f"between its samples the base motion is taken as {taken}: {speaks}"
 
 
+def _warnings(found: Reconstruction) -> list[str]:
+    """Say why the numbers are less sure than they look."""
+    said = []
+    if found.fitted.lacking:
+        said.append(
+            f"the modes speak against the identified model (chi-square {found.fitted.misfit:.1f} a degree of freedom, "
+            f"shapes off by up to {percent(found.fitted.lacking, 1)}): the bands were widened for it; look for what it "
+            "lacks with cvxshear loop"
+        )
+    if found.frame_fitted and not found.frame.converged:
+        said.append("the fit of the frame did not settle; its deviations may be too small")
+    wider = widening(found.checks)
+    if wider > WIDER:
+        said.append(
+            f"sensors that were left out missed by {wider:.1f} times their stated deviation: the model lacks "
+            "something, and all bands are as much wider for it"
+        )
+    if found.nonlinear:
+        said.append(
+            "the record is not that of a linear frame with sound sensors (the scores of the stiffnesses scatter "
+            f"{found.frame.inflation:.0f} times as much): a story that yields or changes meanwhile does that, and so "
+            f"does a channel whose clock is late; a story of which a third yields drifted up to a sixth more than is "
+            f"said, and {percent(NONLINEAR_DRIFT, 0)} of each drift is in its deviation, but one that yields as a "
+            "whole drifted further: where a limit was not passed for sure, it is not said"
+        )
+    return said
+
+
 def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
     """Say what the reader has to know besides the numbers."""
     said = [
@@ -350,28 +384,6 @@ def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
         )
     if found.limits is not None and found.passed is None:
         said.append("drift ratios need story_heights in [frame]: the limits cannot be judged")
-    if found.fitted.lacking:
-        said.append(
-            f"the modes speak against the identified model (chi-square {found.fitted.misfit:.1f} a degree of freedom, "
-            f"shapes off by up to {percent(found.fitted.lacking, 1)}): the bands were widened for it; look for what it "
-            "lacks with cvxshear loop"
-        )
-    if found.frame_fitted and not found.frame.converged:
-        said.append("the fit of the frame did not settle; its deviations may be too small")
-    wider = widening(found.checks)
-    if wider > WIDER:
-        said.append(
-            f"sensors that were left out missed by {wider:.1f} times their stated deviation: the model lacks "
-            "something, and all bands are as much wider for it"
-        )
-    if found.nonlinear:
-        said.append(
-            "the record is not that of a linear frame with sound sensors (the scores of the stiffnesses scatter "
-            f"{found.frame.inflation:.0f} times as much): a story that yields or changes meanwhile does that, and so "
-            f"does a channel whose clock is late; a story of which a third yields drifted up to a sixth more than is "
-            f"said, and {percent(NONLINEAR_DRIFT, 0)} of each drift is in its deviation, but one that yields as a "
-            "whole drifted further: where a limit was not passed for sure, it is not said"
-        )
     coloured = [each for each in found.whiteness if abs(each.correlation) > COLOURED]
     if coloured:
         inflated = np.sqrt(found.frame.inflation)

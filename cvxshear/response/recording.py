@@ -6,16 +6,17 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
 
 from cvxshear.files.columns import Columns
-from cvxshear.files.record_file import RecordTables
+from cvxshear.files.record_file import RecordTables, channels_made
 from cvxshear.files.record_tables import ChannelDeclaration, placed
-from cvxshear.records.floors import ACROSS, one_a_floor
-from cvxshear.records.motion import Motion, band_limited, trend
-from cvxshear.records.record import TimeRecord
+from cvxshear.records.motion import DRIVEN, Motion, band_limited, trend
+from cvxshear.records.record import Channel, TimeRecord
+from cvxshear.response.sensor_faults import SensorRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
@@ -70,6 +71,8 @@ class Recording:
         kg.
     state : str, optional
     name : str
+    remarks : tuple of str
+        What was found wrong with the sensors, and what was done about it.
     """
 
     runs: tuple[RecordedRun, ...]
@@ -79,12 +82,11 @@ class Recording:
     added_mass: Floats | None = None
     state: str | None = None
     name: str = "record"
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not len(self.floors):
             raise InputError(f"{self.name}: no floor's acceleration was recorded; a reconstruction needs one at least")
-        if len({run.floor for run in self.runs}) > 1:
-            raise InputError(f"{self.name}: the force acts on several floors; reconstruct these runs one by one")
         together = np.concatenate([run.measured for run in self.runs])
         for column, floor in enumerate(self.floors):
             there = together[np.isfinite(together[:, column]), column]
@@ -193,13 +195,15 @@ class Recording:
         return [np.exp2(np.round(np.log2(each))).astype(np.float64) for each in strengths]
 
 
-def recording_of(source: RecordingSource) -> Recording:
-    """Read what sensors recorded.
+def recording_of(source: RecordingSource, stories: int = 0) -> Recording:
+    """Read what sensors recorded, and set right what is surely wrong with them (`sensor_faults`).
 
     Parameters
     ----------
     source : str, Path, TimeRecord or Motion
         A file is a record file; cells of its floors' columns may be nan or empty.
+    stories : int, optional
+        Of the frame; as many as the highest floor with a sensor where not given.
 
     Raises
     ------
@@ -208,28 +212,55 @@ def recording_of(source: RecordingSource) -> Recording:
     """
     match source:
         case Motion():
-            return _of_motion(source)
+            return _of_motion(source, stories)
         case TimeRecord():
-            if source.input in ("base", "force"):
-                return _of_motion(Motion.of(source))
             _refuse_other_quantity(source.quantity, source.name)
-            record, _ = one_a_floor(source)
-            runs = tuple(RecordedRun(run.responses, np.zeros(run.samples), run.name) for run in record.runs)
-            return Recording(runs, record.sampling_rate, record.floors, "none", name=record.name)
+            known = source.input in DRIVEN
+            runs = [
+                (run.excitation if known and run.excitation is not None else np.zeros(run.samples), run)
+                for run in source.runs
+            ]
+            return _recording(
+                source.channels, source.sampling_rate, source.input,
+                [RecordedRun(run.responses, drive, run.name, run.floor) for drive, run in runs], stories,
+                name=source.name,
+            )  # fmt: skip
         case str() | Path():
-            return _of_file(Path(source))
+            return _of_file(Path(source), stories)
     raise InputError(f"a reconstruction needs a record file, a TimeRecord or a Motion, not {checks.shown(source)}")
 
 
-def _of_motion(motion: Motion) -> Recording:
+def _recording(
+    channels: Sequence[Channel], rate: float, driven: str, runs: Sequence[RecordedRun], stories: int, **described: Any
+) -> Recording:
+    """Set sensors right, and make those of one floor one; runs come with a column a channel."""
+    driven = driven if driven in DRIVEN else "none"
+    forces = {run.floor for run in runs} if driven == "force" else {0}
+    if len(forces) > 1:
+        raise InputError(f"{described['name']}: the force acts on several floors; reconstruct these runs one by one")
+    sensors = SensorRecord(
+        tuple(channels), tuple(run.measured for run in runs), tuple(run.excitation for run in runs), rate, driven,
+        forces.pop(),
+    ).set_right(stories)  # fmt: skip
+    floors, measured = sensors.by_floor()
+    right = tuple(
+        dataclasses.replace(run, measured=values, excitation=excitation)
+        for run, values, excitation in zip(runs, measured, sensors.excitations, strict=True)
+    )
+    return Recording(right, rate, floors, driven, **described, remarks=sensors.remarks)
+
+
+def _of_motion(motion: Motion, stories: int) -> Recording:
     runs = []
     for drive in motion.drives:
         nothing = np.full((drive.samples, len(motion.floors)), np.nan)
         measured = nothing if drive.responses is None else drive.responses
         runs.append(RecordedRun(measured, drive.excitation, drive.name, drive.floor))
-    return Recording(
-        tuple(runs), motion.sampling_rate, motion.floors, motion.input, motion.added_mass, motion.state, motion.name
-    )
+    channels = [Channel(f"floor {floor}", int(floor)) for floor in motion.floors]
+    return _recording(
+        channels, motion.sampling_rate, motion.input, runs, stories, added_mass=motion.added_mass, state=motion.state,
+        name=motion.name,
+    )  # fmt: skip
 
 
 def _refuse_other_quantity(quantity: str, name: str) -> None:
@@ -237,49 +268,32 @@ def _refuse_other_quantity(quantity: str, name: str) -> None:
         raise InputError(f"{name}: the floors' {quantity}s were recorded; a reconstruction needs accelerations")
 
 
-def _of_file(path: Path) -> Recording:
+def _of_file(path: Path, stories: int) -> Recording:
     """Read the recording that a record file names."""
     tables = RecordTables(path)
     with placed(path):
         checks.choice(tables.kind, ("time",), "record: kind, for a reconstruction,")
-        floors = _by_floor(tables.responses)
+        for item in tables.responses:
+            _refuse_other_quantity(item.quantity, f'channel "{item.column}"')
         # Jumps of the clock and the ends asked for part the file; what a floor misses does not.
         pieces, rate = tables.pieces([])
         runs = []
         for piece in pieces:
-            measured = np.column_stack([_with_gaps(piece.columns, group, path) for group in floors.values()])
-            excitation = np.zeros(len(measured)) if piece.excitation is None else piece.excitation
-            runs.append(RecordedRun(measured, excitation, piece.name, piece.floor))
-        return Recording(
-            tuple(runs), rate, np.array(list(floors), dtype=np.int64),
-            tables.input if tables.input in ("base", "force") else "none",
-            None if tables.added_mass is None else np.array(tables.added_mass), tables.state, tables.name,
+            measured = [_with_gaps(piece.columns, item, path) for item in tables.responses]
+            excitation = np.zeros(len(piece.columns.values)) if piece.excitation is None else piece.excitation
+            together = np.column_stack(measured) if measured else np.zeros((len(excitation), 0))
+            runs.append(RecordedRun(together, excitation, piece.name, piece.floor))
+        return _recording(
+            channels_made(tables.responses), rate, tables.input, runs, stories,
+            added_mass=None if tables.added_mass is None else np.array(tables.added_mass), state=tables.state,
+            name=tables.name,
         )  # fmt: skip
 
 
-def _by_floor(channels: Sequence[ChannelDeclaration]) -> dict[int, list[ChannelDeclaration]]:
-    """Group the channels by floor, from the ground up, without those across the direction of test."""
-    for item in channels:
-        _refuse_other_quantity(item.quantity, f'channel "{item.column}"')
-    along = [item for item in channels if abs(_cosine(item)) >= np.cos(np.radians(ACROSS))]
-    if not along:
-        raise InputError("no floor's acceleration was recorded; a reconstruction needs one at least")
-    return {floor: [item for item in along if item.floor == floor] for floor in sorted({each.floor for each in along})}
-
-
-def _cosine(item: ChannelDeclaration) -> float:
-    """Return the share of a motion along the direction of test that a sensor shows."""
-    return float(np.cos(np.radians(item.direction or 0.0)))
-
-
-def _with_gaps(columns: Columns, group: Sequence[ChannelDeclaration], path: Path) -> Floats:
-    """Return a floor's motion, the mean of its sensors; nan where a sample of one is missing."""
-    total = np.zeros(len(columns.values))
-    for item in group:
-        columns.check(item.column, item.place or path.name)
-        values = columns.values[:, columns.names.index(item.column)]
-        if np.isinf(values).any() or np.any(np.abs(values[np.isfinite(values)]) > checks.LARGEST):
-            values = columns.column(item.column, item.place or path.name)
-        total += item.factor / _cosine(item) * values
-    result: Floats = total / len(group)
-    return result
+def _with_gaps(columns: Columns, item: ChannelDeclaration, path: Path) -> Floats:
+    """Return what a sensor recorded; nan where a sample is missing."""
+    columns.check(item.column, item.place or path.name)
+    values = columns.values[:, columns.names.index(item.column)]
+    if np.isinf(values).any() or np.any(np.abs(values[np.isfinite(values)]) > checks.LARGEST):
+        values = columns.column(item.column, item.place or path.name)
+    return item.factor * values

@@ -9,10 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from cvxshear.response.damped import Response
+from cvxshear.records.motion import trend
+from cvxshear.response.compare import contradiction, moved_against
+from cvxshear.response.damped import DampedModel, Response
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, refitted
-from cvxshear.response.frame_motion import FrameMotion, rms
+from cvxshear.response.frame_motion import FrameMotion, predicted_responses, rms, shown_by
 from cvxshear.response.innovations import PredictionErrors, Stretch
+from cvxshear.response.recording import Recording
 from cvxshear.response.smoother import SPIKE, Smoothed
 from cvxshear.util.quantities import NORMAL_95
 
@@ -82,6 +85,39 @@ class Whiteness:
     p_value: float
     spikes: int
     missing: int
+
+
+def turned_round(model: DampedModel, recording: Recording) -> Recording:
+    """Return a recording with channels that move against their prediction, and no other does, turned round.
+
+    What else the prediction contradicts is added to its remarks.
+
+    Parameters
+    ----------
+    model : DampedModel
+        As identified.
+    recording : Recording
+    """
+    responses = predicted_responses(model, recording)
+    if responses is None:
+        return recording
+    measured = [run.measured - trend(run.measured) for run in recording.runs]
+    predicted = [
+        np.where(np.isfinite(values), own - trend(own), 0.0)
+        for values, own in zip(measured, shown_by(model, responses, recording), strict=True)
+    ]
+    measured = [np.nan_to_num(values) for values in measured]
+    against = moved_against(measured, predicted)
+    signs = np.where(against, -1.0, 1.0)
+    said = [
+        f"the sensor of floor {floor} is reversed: it moves against the prediction, where all others move with it; "
+        "turned round, check its sign in the record file"
+        for floor in recording.floors[against]
+    ]
+    contradicted = contradiction([signs * values for values in measured], predicted, recording.floors)
+    runs = tuple(dataclasses.replace(run, measured=signs * run.measured) for run in recording.runs)
+    remarks = (*recording.remarks, *said, *([contradicted] if contradicted else []))
+    return dataclasses.replace(recording, runs=runs, remarks=remarks)
 
 
 def checked(

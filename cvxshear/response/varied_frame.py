@@ -204,14 +204,14 @@ class VariedFrame:
         K = old.K + np.tensordot(nuisance, self.dK, axes=1) + heavier * np.tensordot(missed, self.form, axes=1)
         tested = self.story_stiffness * (1.0 + self._shares(self.dK) @ nuisance)
         K = K + stiffness_matrix(tested * np.expm1(stiffness))
-        scale = np.exp(damping)
+        scale, own = np.exp(damping), modes(M, K)
         if self.centre.dashpots is not None:
             C = heavier * stiffness_matrix(self.centre.dashpots.values * scale)
         elif self.centre.rayleigh is not None:
             a, b = self.centre.rayleigh * scale
             C = a * M + b * K
         else:
-            C = modal_matrix(M, modes(M, K), self.ratios * scale)
+            C = modal_matrix(M, own, self.ratios * scale)
         return DampedModel(M, C, K, old.gain + nuisance @ self.dgain, old.heights, old.mass_known)
 
 

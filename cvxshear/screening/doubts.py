@@ -8,9 +8,10 @@ own: that of the shear frame nearest to all of them together, its scale free.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -98,6 +99,13 @@ LOAD_UNITS = (("t", 1e3), ("kN", 1e3 / 9.81), ("g", 1e-3), ("N", 1 / 9.81))
 
 UNIT_OFF = 0.5
 """Difference of logarithms within which the ratio of two totals is taken for 1000 or its inverse, a unit."""
+
+
+SHOWN_LOAD = 5.0
+"""Standard deviations by which a load of the mean floors must have changed the frequencies to be missed in them."""
+
+WORD = re.compile(r"[^\W\d_]{4,}")
+"""Letters in which a slip is seen; a shorter word with another letter is mostly another word."""
 
 
 @dataclass(frozen=True)
@@ -267,10 +275,61 @@ def _deviation(configuration: str | None, said: str) -> Finding:
 
 def repeats(experiment: Experiment) -> Iterator[Finding]:
     """Two tests never agree to the last digit."""
-    for names in repeated_configurations(experiment):
-        listed = ", ".join(f'"{name}"' for name in names)
-        said = f"configurations {listed} repeat each other to the last digit"
-        yield _doubt("repeated", said, "leave all but one of them out: a copy is no further test", names[1])
+    change = "leave all but one of them out: a copy is no further test"
+    copies = repeated_configurations(experiment)
+    for names in copies:
+        said = f"configurations {_listed(names)} repeat each other to the last digit"
+        yield _doubt("repeated", said, change, names[1])
+    for names in repeated_configurations(experiment, loads=False):
+        tests = [each for each in experiment.configurations if each.name in names]
+        if any(set(names) <= set(group) for group in copies) or not _shows_load(experiment, tests):
+            continue
+        said = f"configurations {_listed(names)} have other added mass, and the same modes to the last digit"
+        yield _doubt("repeated", said, "write what each of them measured: a load changes the frequencies", names[1])
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(f'"{name}"' for name in names)
+
+
+def _shows_load(experiment: Experiment, tests: Sequence[Configuration]) -> bool:
+    """Whether the loads of tests with equal modes differ by as much as their frequencies must have shown.
+
+    Entries of shapes never agree. Frequencies alone can, read off lines of a spectrum, under a load that is light.
+    """
+    if any(each.measured.any() for each in tests):
+        return True
+    total = experiment.frame.known_total
+    lightest, heaviest = (pick(float(each.added_mass.sum()) for each in tests) for pick in (min, max))
+    std = max(float(np.max(each.log_frequency_std)) for each in tests)
+    return total is not None and (heaviest - lightest) / (2 * total) > SHOWN_LOAD * std
+
+
+def state_names(experiment: Experiment) -> Iterator[Finding]:
+    """Doubt that two states whose names differ by one letter of a word are two."""
+    declared = {each.state for each in experiment.tested if each.state != each.name}
+    for first, second in combinations(experiment.states, 2):
+        if declared & {first, second} and (_one_slip(first, second) or _one_slip(second, first)):
+            said = f"states {_listed((first, second))} differ by one letter and count as two"
+            yield _doubt("states", said, "write the same state where it is one, and names that differ by more if not")
+
+
+def _one_slip(name: str, other: str) -> bool:
+    """Whether a name is another with one letter of a word too many, wrong, or exchanged with the next one.
+
+    Numbers, short words and letters at the end are how states are counted (1 and 2, NE and N, case a and case b).
+    """
+    if name.casefold().split() == other.casefold().split():
+        return True
+    for word in WORD.finditer(name):
+        for at in range(*word.span()):
+            head, letter, tail = name[:at], name[at], name[at + 1 :]
+            exchanged = at + 1 < word.end() and head + tail[0] + letter + tail[1:] == other
+            inside = word.start() < at < word.end() - 1
+            wrong = inside and other[at : at + 1].islower() and head + other[at] + tail == other
+            if letter.islower() and (head + tail == other or exchanged or wrong):
+                return True
+    return False
 
 
 def look_alike(experiment: Experiment) -> Iterator[Finding]:
@@ -449,5 +508,7 @@ def implied_total(experiment: Experiment) -> tuple[float, float]:
     return float(share.sum()), float(np.sqrt(scatter * by_masses @ covariance[:N, :N] @ by_masses))
 
 
-DOUBT_CHECKS = (angular_frequency, heights, added_up, masses, gravity, slow, deviations, repeats, look_alike)
+DOUBT_CHECKS = (
+    angular_frequency, heights, added_up, masses, gravity, slow, deviations, repeats, state_names, look_alike
+)  # fmt: skip
 """What is looked for in the declaration, whatever the shapes are like."""

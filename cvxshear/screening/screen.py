@@ -49,6 +49,7 @@ from cvxshear.screening.shear_fit import (
     starts,
     story_starts,
 )
+from cvxshear.screening.wrong_frequency import wrong_frequency
 from cvxshear.util.errors import InputError
 from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats
@@ -124,6 +125,8 @@ def screen(experiment: Measurement) -> tuple[Finding, ...]:
     """
     experiment = opened(experiment)
     found = [*frequency_units(experiment), *(item for each in experiment.configurations for item in mistakes(each))]
+    if not found and "frequency" not in experiment.frame.accept:
+        found += wrong_frequency(experiment)
     # Frequencies and shapes that are wrong tell no mass.
     for doubt in DOUBT_CHECKS if found else (total_mass, masses_declared, *DOUBT_CHECKS):
         said = {item.name for item in found}
@@ -240,7 +243,8 @@ def mistakes(configuration: Configuration) -> list[Finding]:
         return []
     change = "no single change mends it: look for more than one mistake" if tried else "look for a mistake"
     found = "; ".join(broken[:SHOWN_MODES]) + ("; and so on" if len(broken) > SHOWN_MODES else "")
-    return [Finding("signs", configuration.name, found, f"{change} in mode_shapes and modes", refuses=True)]
+    change += " in mode_shapes and modes, or leave out a mode that is of no shear frame: torsion, a swing on a floor"
+    return [Finding("signs", configuration.name, found, change, refuses=True)]
 
 
 def _explained(name: str, given: NearestFrame, explaining: list[Judged], broken: list[str]) -> Finding:

@@ -16,6 +16,7 @@ from cvxshear.files.modes import IdentifiedRecord, merged
 from cvxshear.files.to_fill_in import template
 from cvxshear.modal import from_arrays, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, base_record
+from cvxshear.screening.screen import Screening
 from cvxshear.util.errors import InputError
 from tests import closed
 from tests.frames import EXAMPLES, MEASURED
@@ -36,7 +37,8 @@ def faults(name, said):
 
 
 def test_every_schema_is_one():
-    assert {path.stem for path in SCHEMAS.glob("*.json")} == {"measurement", "identify", "loop", "modes", "backends"}
+    results = {"backends", "check", "identify", "loop", "modes", "plan", "predict", "reconstruct"}
+    assert {path.stem for path in SCHEMAS.glob("*.json")} == {"measurement", *results}
     for path in SCHEMAS.glob("*.json"):
         validator(path.stem)
 
@@ -95,6 +97,36 @@ def test_loop_and_backends():
     assert not validator("loop").is_valid(broken)
     three = cvxshear.load(EXAMPLES / "three_story.toml")
     assert faults("backends", cvxshear.compare_backends(three, names=["kkt", "clarabel"]).to_dict()) == []
+
+
+def test_checks_of_a_sound_file_and_of_one_with_a_mistake():
+    declared = cvxshear.load(EXAMPLES / "three_story.toml").to_dict()
+    assert faults("check", Screening.of(cvxshear.Experiment.from_dict(declared)).to_dict()) == []
+    declared["frame"]["gravity"] = 981.0
+    said = Screening.of(cvxshear.Experiment.from_dict(declared)).to_dict()
+    assert said["findings"]
+    assert faults("check", said) == []
+
+
+@pytest.mark.parametrize("more", [{}, {"tests": 2, "added_mass": 2.0, "goal": "joint_rotation"}])
+def test_plans(more):
+    assert faults("plan", cvxshear.plan(EXAMPLES / "three_story.toml", sensors=2, **more).to_dict()) == []
+
+
+def test_motions_in_a_record():
+    """Predicted and reconstructed, with a measured base and without, with limits and without."""
+    record = base_record(PAPER_FRAME, 0, noise=0.01, duration=20.0)
+    declared = cvxshear.load(EXAMPLES / "three_story.toml").to_dict()
+    declared["frame"] |= {"story_heights": 0.3}
+    declared["configuration"][0]["damping_ratios"] = [0.01] * 3
+    plain = cvxshear.Experiment.from_dict(declared)
+    limited = cvxshear.Experiment.from_dict({**declared, "limits": {"story_drift": [0.005, 0.01]}})
+    assert faults("predict", cvxshear.predict(plain, record).to_dict()) == []
+    found = cvxshear.reconstruct(limited, record).to_dict()
+    assert faults("reconstruct", found) == []
+    found["limits"][0]["probability"][0] = 1.0000000000000002
+    assert not validator("reconstruct").is_valid(found)
+    assert faults("reconstruct", cvxshear.reconstruct(plain, record, fit=False, leave_out=False).to_dict()) == []
 
 
 def test_modes_of_one_record_and_of_several():

@@ -308,6 +308,23 @@ def test_what_no_tests_of_the_grid_can_beat_is_printed_as_that(file, run):
     assert "masses of the limit or half of it" in out
 
 
+@pytest.mark.parametrize("fresh", [False, True])
+def test_a_total_mass_that_is_known_to_some_percent_is_no_better_known_by_a_plan(fresh, tmp_path):
+    """Modes tell masses up to one factor: that of every floor is known as the total is, and as its share is."""
+    angles = np.pi / 14 * np.array([2, 6, 10])
+    shapes = np.sin(angles[:, None] * [1, 2, 3])
+    declared = (
+        "[frame]\ntotal_mass = 30.0\n{}\n[[configuration]]\n"
+        f"frequencies = {(5 * np.sin(angles / 2)).tolist()}\nmode_shapes = {shapes.tolist()}\n"
+    )
+    std = []
+    for name, line in (("exact", ""), ("vague", "total_mass_std = 0.1")):
+        (tmp_path / f"{name}.toml").write_text(declared.format(line))
+        found = plan(tmp_path / f"{name}.toml", sensors=3, fresh=fresh).to_dict()
+        std.append(np.array(found["std"]["floor_mass"]) / found["frame"]["floor_mass"])
+    np.testing.assert_allclose(std[1], np.hypot(std[0], 0.1), rtol=0.02)
+
+
 def test_a_plan_on_measured_modes_of_a_frame_that_nobody_weighed(tmp_path, capsys):
     """Three equal floors on equal stories: 2 sin((2 r - 1) pi / 14) times the root of k / m, floors as sines."""
     angles = np.pi / 14 * np.array([2, 6, 10])

@@ -176,6 +176,36 @@ def test_tests_that_were_repeated_are_no_copies():
     assert repeated_configurations(Experiment.from_dict(few)) == ()
 
 
+@pytest.mark.parametrize(
+    ("load", "shapes", "names"), [(0.5, True, ["repeated"]), (0.5, False, ["repeated"]), (1e-3, False, [])]
+)
+def test_a_copy_under_another_load_is_asked_about_where_the_load_must_have_shown(load, shapes, names):
+    table = configuration(MASS, STIFFNESS)
+    if not shapes:
+        del table["mode_shapes"], table["mode_shape_std"], table["measured_floors"]
+    loaded = table | {"added_mass": (load * MASS).tolist()}
+    declared = experiment(MASS, STIFFNESS, table, loaded)
+    found = [item for item in screen(Experiment.from_dict(declared)) if item.name == "repeated"]
+    assert [item.name for item in found] == names
+    assert all("have other added mass, and the same modes" in item.found for item in found)
+
+
+@pytest.mark.parametrize(
+    ("states", "asked"),
+    [
+        (("before", "befor"), True), (("before", "beofre"), True), (("after", "After"), True),
+        (("before", "after"), False),
+        (("day 1", "day 11"), False), (("case a", "case b"), False), (("NE", "N"), False), (("storyA", "story"), False),
+    ],
+)  # fmt: skip
+def test_states_one_letter_apart_are_asked_about(states, asked):
+    tables = [configuration(MASS, STIFFNESS, rng=np.random.default_rng(len(name)), state=name) for name in states]
+    declared = experiment(MASS, STIFFNESS, *tables)
+    found = [item for item in screen(Experiment.from_dict(declared)) if item.name == "states"]
+    assert bool(found) == asked
+    assert all(f'"{states[0]}", "{states[1]}"' in item.found for item in found)
+
+
 @pytest.mark.parametrize("factor", [2 * np.pi, 60.0, 1000.0])
 def test_one_configuration_in_another_unit_of_frequency_is_refused_until_it_is_accepted(factor):
     declared = building()

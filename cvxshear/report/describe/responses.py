@@ -168,7 +168,9 @@ def _drift_ratios(found: Peaks) -> Iterator[Table]:
 def _reconstruction(result: Reconstruction, units: Units = AUTOMATIC) -> Document:
     checks = (Section("checks", "Each sensor from the others", (left_out(result),)),) if result.checks else ()
     sections = (
-        Section("findings", "", (Sentence(_reconstructed(result)),)),
+        Section(
+            "findings", "", (*(Sentence(each, "warning") for each in result.warnings), Sentence(_reconstructed(result)))
+        ),
         *checks,
         Section("motion", "What the stories did", (stories(result), *peaks(result.peaks))),
         Section("frame", "The frame in this record", tuple(_frame_parts(result))),

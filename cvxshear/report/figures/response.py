@@ -17,7 +17,7 @@ from cvxshear.report.figures.figure_table import figure
 from cvxshear.report.figures.style import AFTER, BEFORE, GREY, MEASURED, new_figure, page_width, panels
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.response.compare import seen
-from cvxshear.util.quantities import scaled, with_std
+from cvxshear.util.quantities import listed, scaled, with_std
 from cvxshear.util.typing import Floats, Ints
 
 MOST_FLOORS = 4
@@ -283,10 +283,14 @@ def floor_spectra(result: RecordPrediction) -> Figure:
     "drifts",
     Reconstruction,
     title="Drift of every story",
-    caption="The frame, each story coloured by its peak drift, with its standard deviation; * marks a story that "
-    "changed, triangles the floors with sensors. Beside or below it the same with bars that hold "
-    "95\N{NO-BREAK SPACE}%, the prediction that looks at no sensor, and the limits.",
-    alternative="The frame with the peak drift of each story; the numbers are in the table of the stories.",
+    caption=lambda result: (
+        f"The frame, each story coloured by its peak drift, with its standard deviation; {_changes(result)}. Triangles "
+        "mark the floors with sensors. Beside or below it the same with bars that hold "
+        "95\N{NO-BREAK SPACE}%, the prediction that looks at no sensor, and the limits."
+    ),
+    alternative=lambda result: (
+        f"The frame with the peak drift of each story; {_changes(result)}. The numbers are in the table of the stories."
+    ),
     section="findings",
     narrow=True,
 )
@@ -305,9 +309,9 @@ def story_drifts(result: Reconstruction) -> Figure:
     for story, (low, high) in enumerate(pairwise(levels)):
         share = float(peaks[story] / max(float(peaks.max()), 1e-300))
         left.add_patch(Rectangle((0.2, low), 0.6, high - low, fc=colours(share), ec=GREY, lw=0.8))
-        mark = " *" if story + 1 in result.changed else ""
+        change = f", {_change(result, story + 1)}" if story + 1 in result.changed else ""
         left.text(
-            0.5, 0.5 * (low + high), with_std(float(peaks[story]), float(std[story]), factor=1.0) + mark, ha="center",
+            0.5, 0.5 * (low + high), with_std(float(peaks[story]), float(std[story]), factor=1.0) + change, ha="center",
             # Not quite black and white, which a dark page would exchange; the stories keep their colours.
             va="center", fontsize=8, color="#fefefe" if share > 0.5 else "#010101",
         )  # fmt: skip
@@ -359,6 +363,20 @@ def reconstructed_histories(result: Reconstruction) -> Figure:
     axes.set_xlabel("time, s")
     style.legend(figure, axes, left=True)
     return figure
+
+
+def _change(result: Reconstruction, story: int) -> str:
+    """By how much a story is softer or stiffer than it was identified, in a few letters."""
+    change = 100 * (float(result.frame.factors[story - 1]) - 1)
+    return f"{abs(change):.0f} % {'softer' if change < 0 else 'stiffer'}"
+
+
+def _changes(result: Reconstruction) -> str:
+    """Name the stories that changed, as the drawing does."""
+    if not result.frame_fitted:
+        return "whether a story changed was not asked"
+    said = [f"story {story} is {_change(result, story)} than identified" for story in result.changed]
+    return listed(said) if said else "no story is named as changed"
 
 
 def _drawn_stories(result: Reconstruction) -> Ints:

@@ -1,0 +1,241 @@
+"""One frequency of a file that is wrong: a digit that was mistyped, or the frequency of another mode.
+
+The tests of one state, and all tests together, are compared with the nearest shear frame, the noise being what the file
+states and nothing more. Then each frequency in turn is left to the others: its logarithm has the standard deviation
+`MISTYPED`. As for the other mistakes (`declared_masses`) the odds decide. With C the cost of a fit, minus twice the
+logarithm of its likelihood, and J its residuals' derivatives, minus twice the logarithm of the probability is
+
+    C + log det J'J + 2 log (std / stated std) + 2 log (K / q)
+
+for one of K frequencies in a share q of all files. A frequency is named only where everything else then fits as its
+deviations say, on more data than the frame takes up, and where no single effect of the catalogue, and no change between
+the tests, accounts for the data nearly as well.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from cvxshear.effects import Placed
+from cvxshear.effects.stories import StoryChange
+from cvxshear.loop.close import begun
+from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.measurement.reading import FARTHER, FREQUENCY_TOLERANCE, Reading
+from cvxshear.screening.doubts import Finding
+from cvxshear.screening.repairs import LEFT_TO_GIVEN, MISTAKEN, RIVAL_COST, SUSPICIOUS
+from cvxshear.screening.shear_fit import TALLEST_FITTED, NearestFrame, ShearFrames, modes_of
+from cvxshear.util.errors import CvxshearError
+from cvxshear.util.quantities import significant
+from cvxshear.util.typing import Floats
+
+MISTYPED = 0.3
+"""Standard deviation of the logarithm of a frequency that is wrong: a wrong digit changes it by a few to 100 %."""
+
+AS_STATED = 0.01
+"""Probability of the other data's chi-square below which they do not fit as their deviations say."""
+
+FEWEST_SPARE = 3.0
+"""Data beyond those that the frame takes up, from which on that the others fit means anything."""
+
+
+@dataclass(frozen=True, eq=False)
+class Freed:
+    """A fit in which one frequency counts for nothing.
+
+    Parameters
+    ----------
+    test, row : int
+        The configuration, and the frequency in it, from 0.
+    frame : NearestFrame
+    cost : float
+        Minus twice the logarithm of its probability, but for a constant.
+    expected, std : float
+        Logarithm of the frequency that the other data ask for, Hz, and its standard deviation.
+    """
+
+    test: int
+    row: int
+    frame: NearestFrame
+    cost: float
+    expected: float
+    std: float
+
+
+def wrong_frequency(experiment: Experiment) -> Iterator[Finding]:
+    """Find a frequency that no other datum agrees with, in the tests of one state or in all of them."""
+    states: dict[str, list[Configuration]] = {}
+    for each in experiment.configurations:
+        states.setdefault(each.state, []).append(each)
+    groups = [*states.values()] + ([list(experiment.configurations)] if len(states) > 1 else [])
+    if experiment.stories > TALLEST_FITTED:
+        return
+    for tests in groups:
+        # Of deviations that nobody stated none can say that the rest fits.
+        if not all(_noise_stated(each) for each in tests):
+            continue
+        found = _explaining(experiment, tests)
+        if found:
+            yield found
+            return
+
+
+def _noise_stated(test: Configuration) -> bool:
+    """Whether the file says how accurate a test's frequencies are, and its shapes where it has any."""
+    return test.frequency_std is not None and (test.mode_shape_std is not None or not test.measured.any())
+
+
+def _explaining(experiment: Experiment, tests: Sequence[Configuration]) -> Finding | None:
+    """Say which frequency of these tests is wrong; None where it may be none."""
+    readings = [dataclasses.replace(Reading.of(each), part=0.0) for each in tests]
+    count = sum(len(each.modes) for each in tests)
+    spare = sum(reading.count - int(reading.known.any(axis=1).sum()) for reading in readings) - 1
+    if spare < FEWEST_SPARE:
+        return None
+    problem = _problem(experiment, tests, [dataclasses.replace(each, part=FARTHER) for each in readings])
+    about = problem.nearest(_start(experiment, tests, readings)).theta
+    given = _problem(experiment, tests, readings).nearest(about)
+    if given.cost < SUSPICIOUS:
+        return None
+    freed = [
+        _freed(experiment, tests, readings, about, (test, row), count)
+        for test, reading in enumerate(readings)
+        for row in range(len(reading.modes))
+    ]
+    freed.sort(key=lambda item: item.cost)
+    best = freed[0]
+    given = min(given, _problem(experiment, tests, readings).nearest(best.frame.theta), key=lambda item: item.cost)
+    if best.cost - given.cost - _log_det(given) > 2 * np.log(LEFT_TO_GIVEN) or not _as_stated(best, spare):
+        return None
+    named = [item for item in freed if item.cost - best.cost < RIVAL_COST and _as_stated(item, spare)]
+    off = [abs(np.log(tests[item.test].frequencies[item.row]) - item.expected) for item in named]
+    if min(off) < FREQUENCY_TOLERANCE or not _beyond_effects(experiment, tests, best, count):
+        return None
+    return _said(tests, named, given)
+
+
+def _problem(experiment: Experiment, tests: Sequence[Configuration], readings: Sequence[Reading]) -> ShearFrames:
+    total = experiment.frame.known_total
+    N = experiment.stories
+    floor = max(float(each.added_mass.sum()) for each in tests) / N if total is None else total / N
+    expected = np.repeat([np.log(floor or 1.0), 0.0], N)
+    return ShearFrames(
+        [(reading, each.added_mass, reading.weights) for reading, each in zip(readings, tests, strict=True)],
+        expected=expected,
+    )
+
+
+def _start(experiment: Experiment, tests: Sequence[Configuration], readings: Sequence[Reading]) -> Floats:
+    """Even floors under even stories, at the right mean frequency."""
+    start = _problem(experiment, tests, readings).expected.copy()
+    N = experiment.stories
+    found = modes_of(np.exp(start[:N]) + tests[0].added_mass, np.ones(N))
+    start[N:] += 2 * np.mean(readings[0].log_frequencies - np.log(found.frequencies[readings[0].modes]))
+    return start
+
+
+def _log_det(found: NearestFrame) -> float:
+    if found.at is None:
+        return -np.inf
+    return float(np.linalg.slogdet(found.at.J.T @ found.at.J)[1])
+
+
+def _freed(
+    experiment: Experiment,
+    tests: Sequence[Configuration],
+    readings: Sequence[Reading],
+    about: Floats,
+    place: tuple[int, int],
+    count: int,
+) -> Freed:
+    """Fit with one frequency left to the others."""
+    test, row = place
+    reading = readings[test]
+    noise = np.where(np.arange(len(reading.modes)) == row, MISTYPED, reading.frequency_noise)
+    others = [*readings[:test], dataclasses.replace(reading, frequency_noise=noise), *readings[test + 1 :]]
+    found = _problem(experiment, tests, others).nearest(about)
+    if found.at is None:
+        return Freed(test, row, found, np.inf, 0.0, np.inf)
+    at = row + sum(each.shapes.size + len(each.modes) for each in readings[:test])
+    slope = MISTYPED * found.at.J[at]
+    std = float(np.sqrt(slope @ np.linalg.pinv(found.at.J.T @ found.at.J) @ slope))
+    wider = 2 * float(np.log(MISTYPED / reading.frequency_noise[row]))
+    cost = found.cost + _log_det(found) + wider + 2 * float(np.log(count / MISTAKEN))
+    return Freed(test, row, found, cost, float(reading.log_frequencies[row] + MISTYPED * found.at.r[at]), std)
+
+
+def _as_stated(freed: Freed, data: int) -> bool:
+    """Whether the other data, so many, are more than the frame takes up and fit as their deviations say."""
+    at = freed.frame.at
+    if at is None:
+        return False
+    own = len(freed.frame.theta)
+    J = at.J[:-own]
+    # The frequency that counts for nothing adds next to nothing to either sum.
+    taken = float(np.trace(J @ np.linalg.pinv(at.J.T @ at.J) @ J.T))
+    spare = data - taken
+    chi2 = float(at.r[:-own] @ at.r[:-own])
+    return spare >= FEWEST_SPARE and float(stats.chi2.sf(chi2, spare)) > AS_STATED
+
+
+def _beyond_effects(experiment: Experiment, tests: Sequence[Configuration], best: Freed, count: int) -> bool:
+    """Whether no single effect, of the frame or of one of the tests, makes the data as given nearly as probable."""
+    wrong = tests[best.test]
+    std = wrong.log_frequency_std.copy()
+    std[best.row] = MISTYPED
+    given = dataclasses.replace(
+        experiment,
+        # Somebody may have changed something between two tests of one state.
+        configurations=tuple(
+            dataclasses.replace(each, state=f"{each.state}, {each.name}") if each in tests else each
+            for each in experiment.configurations
+            if each in tests or _noise_stated(each)
+        ),
+        frame=dataclasses.replace(experiment.frame, reference=None),
+        static=(),
+        expected=(),
+    )
+    freed = dataclasses.replace(
+        given,
+        configurations=tuple(
+            dataclasses.replace(each, frequency_std=std) if each.name == wrong.name else each
+            for each in given.configurations
+        ),
+    )
+    # What any story lost or gained in the other states is theirs.
+    changed = StoryChange()
+    others = tuple(Placed(changed, place) for place in changed.places(given) if place.state in experiment.states)
+    try:
+        with_effect, without = begun(given, others), begun(freed, others)
+        with_effect.probe()
+    except CvxshearError:
+        return False
+    paid = float(np.log(MISTYPED / wrong.log_frequency_std[best.row]) + np.log(count / MISTAKEN))
+    return bool(without.base.score - paid - with_effect.best.score > -np.log(LEFT_TO_GIVEN))
+
+
+def _said(tests: Sequence[Configuration], named: Sequence[Freed], given: NearestFrame) -> Finding:
+    """Name the frequency, or those of which one is wrong, with what the other data say."""
+    said, change = [], []
+    for item in named:
+        test = tests[item.test]
+        mode, value = int(test.modes[item.row]), float(test.frequencies[item.row])
+        expected = float(np.exp(item.expected))
+        off = abs(np.log(value) - item.expected) / np.hypot(item.std, test.log_frequency_std[item.row])
+        said.append(
+            f'mode {mode} of "{test.name}" has {significant(value, 5)} Hz, where all other data say '
+            f"{significant(expected, 5)} ± {significant(expected * item.std, 2)} Hz ({off:.0f} standard deviations)"
+        )
+        change.append(f'check the frequency of mode {mode} of "{test.name}", its digits and whether it is that mode\'s')
+    before, after = (float(np.sqrt(each.cost)) for each in (given, named[0].frame))
+    return Finding(
+        "frequency",
+        tests[named[0].test].name if len(named) == 1 else None,
+        f"{' or '.join(said)}: the nearest frame is {before:.0f} standard deviations away, without it {after:.0f}",
+        f"{'One of: ' if len(named) > 1 else ''}{'; or '.join(change)}",
+        refuses=True,
+    )
