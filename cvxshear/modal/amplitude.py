@@ -44,10 +44,11 @@ def amplitude_findings(setting: Replication, result: ModalResult) -> list[Findin
 def _strong_against_weak(setting: Replication, result: ModalResult) -> list[Finding]:
     energies = setting.source.energies
     strong = energies > np.median(energies)
-    halves = [_half(setting, keep) for keep in (strong, ~strong)]
-    if halves[0] is None or halves[1] is None:
+    stronger, weaker = _half(setting, strong), _half(setting, ~strong)
+    if stronger is None or weaker is None:
         return []
-    (first, first_std, first_freedom), (second, second_std, second_freedom) = halves
+    first, first_std, first_freedom = stronger
+    second, second_std, second_freedom = weaker
     ratio = float(np.sqrt(energies[strong].mean() / energies[~strong].mean()))
     # Noise that the stronger half hardly shows may be a tenth of the weaker: each half says itself how it scatters.
     student = special.stdtrit(np.minimum(first_freedom, second_freedom), special.ndtr(SIGNIFICANT))
