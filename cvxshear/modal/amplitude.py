@@ -10,6 +10,7 @@ from scipy import special
 from cvxshear.modal.estimate import Replication, jackknife
 from cvxshear.modal.frf import ImpulseSource
 from cvxshear.modal.picking import Parts
+from cvxshear.modal.realization import Impulse
 from cvxshear.modal.result import ModalResult
 from cvxshear.records.record import Finding
 from cvxshear.util.errors import InputError
@@ -116,10 +117,10 @@ def _early_against_late(setting: Replication, result: ModalResult) -> list[Findi
     change = np.log(result.frequencies) - later
     if np.all(np.abs(change) < SMALLEST_CHANGE):
         return []
-    std = _std_of_change(setting)
+    std = np.maximum(result.frequency_std * _grown(setting, result), _std_of_change(setting))
     found = []
     for place, mode in enumerate(result.modes):
-        bound = SIGNIFICANT * (result.frequency_std[place] if std is None else std[place])
+        bound = SIGNIFICANT * std[place]
         if abs(change[place]) > max(bound, SMALLEST_CHANGE):
             found.append(
                 Finding(
@@ -133,10 +134,21 @@ def _early_against_late(setting: Replication, result: ModalResult) -> list[Findi
     return found
 
 
-def _std_of_change(setting: Replication) -> Floats | None:
+def _grown(setting: Replication, result: ModalResult) -> Floats:
+    """How much less a mode stands out of the same noise once the decay is weak, by what it has lost itself."""
+    impulse = setting.source.impulse()
+    begun = None if impulse is None else _weak_from(impulse)
+    if impulse is None or begun is None:
+        return np.ones(len(result.modes))
+    lost = 2 * np.pi * result.frequencies * result.damping_ratios * (begun - impulse.start)
+    return np.asarray(np.exp(np.clip(lost / setting.source.sampling_rate, 0.0, 50.0)))
+
+
+def _std_of_change(setting: Replication) -> Floats | float:
+    """Find the deviation of the change by leaving hits or releases out; 0 where they are too few for that."""
     groups = setting.source.groups
     if len(groups) < 4:
-        return None
+        return 0.0
     changes = []
     for piece in range(len(groups)):
         keep = np.arange(len(groups)) != piece
@@ -144,7 +156,7 @@ def _std_of_change(setting: Replication) -> Floats | None:
         if whole is not None and later is not None:
             changes.append(whole - later)
     if len(changes) < 4:
-        return None
+        return 0.0
     return np.asarray(np.sqrt((len(changes) - 1) * np.var(changes, axis=0)))
 
 
@@ -152,13 +164,19 @@ def _later(setting: Replication, keep: Bools | None) -> Floats | None:
     impulse = setting.source.impulse(keep)
     if impulse is None:
         return None
-    power = np.sum(impulse.sequence**2, axis=(1, 2))
-    left = np.cumsum(power[::-1])[::-1]
-    weak = np.flatnonzero(left < left[impulse.start] / 9)
-    if not weak.size or weak[0] > 0.6 * len(power):
+    begun = _weak_from(impulse)
+    if begun is None:
         return None
-    source = ImpulseSource(dataclasses.replace(impulse, start=int(weak[0])), setting.source.sampling_rate)
+    source = ImpulseSource(dataclasses.replace(impulse, start=begun), setting.source.sampling_rate)
     values = Parts(source, setting.sweep.poles).values(setting.sweep.chosen, None)
     if values is None:
         return None
     return np.asarray(np.log(np.abs(values.eigenvalues + setting.shift) / (2 * np.pi)))
+
+
+def _weak_from(impulse: Impulse) -> int | None:
+    """Find the sample from which a ninth of the energy is left; None where what follows is too short."""
+    power = np.sum(impulse.sequence**2, axis=(1, 2))
+    left = np.cumsum(power[::-1])[::-1]
+    weak = np.flatnonzero(left < left[impulse.start] / 9)
+    return None if not weak.size or weak[0] > 0.6 * len(power) else int(weak[0])

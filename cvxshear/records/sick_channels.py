@@ -346,9 +346,19 @@ def _humming(values: Floats, where: str, name: str, rate: float) -> Finding | No
     if share < HUM_SHARE:
         return None
     loudest = float(frequencies[lines[np.argmax(power[lines])]])
+    early, late = (_level(half, loudest, rate) for half in np.array_split(values, 2))
+    if min(early, late) < 0.5 * max(early, late):
+        # A mode that dies away may be as narrow; hum lasts.
+        return None
     return Finding(
         "mains hum",
         f"{where} hums: {100 * share:.0f} % of its power stands in a line at {loudest:.4g} Hz, where the mains' 50 or "
         "60 Hz, or a multiple, shows at this sampling rate",
         {"channel": name, "share": share, "frequency": loudest},
     )
+
+
+def _level(values: Floats, frequency: float, rate: float) -> float:
+    """Root mean square of what stands within a fifth of a hertz of a frequency."""
+    near = np.abs(np.fft.rfftfreq(len(values), 1 / rate) - frequency) < 0.2
+    return float(np.linalg.norm(np.fft.rfft(values * np.hanning(len(values)))[near]) / len(values))

@@ -303,6 +303,17 @@ def earthquake(seed: int, limit: float | None = None, rate: float = 20.0, steps:
     return TimeRecord(channels, runs=(Run(noisy[:, 1:], noisy[:, 0]),), sampling_rate=rate, input="base")
 
 
+@pytest.mark.parametrize("decay", [0.0, 0.3])
+def test_a_mode_that_dies_away_where_hum_folds_to_is_no_hum(decay):
+    """50 Hz sampled at 40 Hz shows at 10 Hz, where a lightly damped mode may be, narrower than a line of 20 s."""
+    time = np.arange(0.0, 30.0, 1 / 40.0)
+    noise = 0.01 * np.random.default_rng(1).standard_normal((len(time), 2))
+    motion = noise + np.outer(np.exp(-decay * time) * np.cos(20.0 * np.pi * time), [1.0, 0.6])
+    channels = (Channel("floor1", 1), Channel("floor2", 2))
+    record = TimeRecord(channels, runs=(Run(motion),), sampling_rate=40.0, input="free_decay")
+    assert ("mains hum" in {finding.kind for finding in channel_findings(record)}) == (decay == 0.0)
+
+
 @pytest.mark.parametrize("seed", [5, 6, 7, 9])
 def test_earthquake_on_a_linear_frame_has_no_amplitude_in_its_frequencies(seed):
     """The weaker half of its record is a tenth of the motion and all of the noise."""
