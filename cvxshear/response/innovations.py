@@ -38,6 +38,9 @@ FURTHEST = np.log(10.0)
 FURTHEST_STDS = 20.0
 """Bound on masses and effects, in standard deviations that may be far too small where the model lacks something."""
 
+FURTHEST_MASS = 0.25
+"""Bound on the change of a floor's mass since the tests, five times its larger standard deviation."""
+
 FURTHEST_FORM = 0.5
 """Bound on the errors of the model's form: beyond 1 the frame could have no modes."""
 
@@ -156,6 +159,10 @@ class PredictionErrors:
         self.size = force + (1 if setting.base_measured else 2)
         self.upper = np.full(self.size, FURTHEST_NOISE)
         self.upper[self.frame] = np.repeat([FURTHEST, FURTHEST, FURTHEST_STDS, FURTHEST_FORM], varied.sizes)
+        heavier = FURTHEST_MASS * np.linalg.norm(varied.heavier_floors, axis=1)
+        N, D, W, _ = varied.sizes
+        masses = slice(N + D, N + D + W)
+        self.upper[masses] = np.maximum(self.upper[masses], heavier[masses])
         self.upper[force] = np.log(MOST_MISSED / noise.force)
         self._force = force
 

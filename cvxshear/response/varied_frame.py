@@ -47,6 +47,13 @@ MASS_STDS = (0.0, 0.05)
 """Relative standard deviations by which floor masses changed since the tests, compared by their evidence: not at all,
 or by what is carried into a furnished floor and out of it."""
 
+EXACT_MASS = 1e-6
+"""Relative standard deviation of masses below which they were declared as exact."""
+
+SAME_MASSES = 1e-3
+"""Smallest standard deviation of a pattern of floor masses, relative to the largest, that is not rounding of one that
+is exact, as the total may be."""
+
 FORM_STDS = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1)
 """Standard deviations of e_ij that are compared by their evidence: from a shear frame, in which the best data would
 show no error, to one whose modes have little to do with the model's."""
@@ -175,14 +182,15 @@ class VariedFrame:
         """Changes of the unknowns by which each floor alone weighs twice as much, shape (N + D + W + X, N).
 
         The directions of the masses move the stiffnesses as they were identified together; stories take that back.
-        Without columns where the floors have no masses of their own.
+        Where the total is exact, the others weigh less by as much, which base motion does not tell from that. Without
+        columns where all floors are exact.
         """
         N, D, W, _ = self.sizes
         result = np.zeros((sum(self.sizes), N))
         share = np.diagonal(self.dM, axis1=1, axis2=2).reshape(W, N) / np.diag(self.centre.model.M)
-        if np.linalg.matrix_rank(share) < N:
+        if np.max(np.abs(share), initial=0.0) < EXACT_MASS:
             return result[:, :0]
-        result[N + D : N + D + W] = np.linalg.pinv(share.T)
+        result[N + D : N + D + W] = np.linalg.pinv(share.T, rcond=SAME_MASSES)
         result[:N] = -self.story_factors(np.zeros(len(result)))[1] @ result
         return result
 
