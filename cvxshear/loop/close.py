@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -36,6 +37,9 @@ from cvxshear.util.typing import Floats
 
 SAME_FRAME = 1e-3
 """Relative difference of masses and stiffnesses below which two fits have one frame: fits end closer than that."""
+
+MOST_PAIRED = 10
+"""Stories up to which all pairs of changes of a state are tried: 90 fits a state."""
 
 MOST_WIDENINGS = 3
 """Times that the noise is widened where nothing explains a residual: under wider noise other sets are best."""
@@ -211,7 +215,11 @@ class _Loop:
         numbering = search.fitter.numbering
         if search.base.estimate is None or not few_floors_seen(numbering.experiment):
             return None
-        if search.visit_from([*self._duals(search), *self._changes(search)]):
+        best = search.best
+        search.visit(self._pairs(search))
+        if search.visit_from([*self._duals(search), *self._changes(search)]) or search.best is not best:
+            search.run()
+        while search.visit_exchanges():
             search.run()
         if not dual_fits_as_well(numbering.experiment):
             return None
@@ -238,6 +246,16 @@ class _Loop:
             (dual, dual_frame(model.estimate.theta[: 2 * n]))
             for model in search.beam
             if model.estimate is not None and (dual := dual_set(model.effects, known, n)) is not None
+        ]
+
+    def _pairs(self, search: Search) -> list[frozenset[Placed]]:
+        """List two changes of a kind in one state: two that are seen only together are seen by no step towards one."""
+        n = search.fitter.experiment.stories
+        placed = [item.placed for item in self.looked_for if item.placed.effect.dual(item.placed.place, n) is not None]
+        return [
+            frozenset([a, b])
+            for a, b in itertools.combinations(placed if n <= MOST_PAIRED else (), 2)
+            if (a.effect.name, a.place.state) == (b.effect.name, b.place.state)
         ]
 
     def _changes(self, search: Search) -> list[tuple[frozenset[Placed], Floats]]:

@@ -221,6 +221,28 @@ class Search:
         assert base is not None, "the shear model was fitted"
         return self._record(self.fitter.models(from_frames(starts, base, self.fitter)))
 
+    def visit_exchanges(self) -> bool:
+        """Visit the best set with each of its effects at every other place; tell whether a better set was found.
+
+        Far from the frame at which a model was linearised it says little of where a change sits.
+        """
+        best = self.best
+        assert best.estimate is not None, "a best set has a fit"
+        sets = [
+            (best.effects - {placed}) | {other}
+            for placed in best.effects
+            for other in self._lacking(best)
+            if (other.effect.name, other.place.state) == (placed.effect.name, placed.place.state)
+        ]
+        order = [item.placed for item in self.fitter.hypotheses]
+        proposals = [
+            self.fitter.proposal(best.estimate, (*self.fitter.assumed, *(each for each in order if each in effects)))
+            for effects in sets
+            if effects not in self.visited
+        ]
+        self._record(self.fitter.models(proposals))
+        return self.best is not best
+
     def visit_twins(self) -> None:
         """Visit, beside each of the best sets, those in which an effect has given its place to a twin."""
         for model in [each for each in self.beam if each.score >= self.best.score - WITHIN]:

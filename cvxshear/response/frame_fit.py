@@ -154,6 +154,38 @@ class FittedFrame:
         """Mean of the factors, and its standard deviation."""
         return float(np.mean(self.factors)), float(np.sqrt(np.mean(self._factors_covariance)))
 
+    @property
+    def against_others(self) -> tuple[Floats, Floats]:
+        """Each story's factor over that of the stories that hardly changed, less one, and its deviation, shapes (N,).
+
+        What all stories share, such as the scale of the masses, is in neither.
+        """
+        N, f = len(self.factors), self.factors
+        weights = np.maximum(1.0 - self.story_probability, 1e-6) * (1.0 - np.eye(N)) + 1e-12
+        weights /= weights.sum(axis=1, keepdims=True)
+        others = weights @ f if N > 1 else np.ones(1)
+        J = np.diag(1.0 / others) - (f / others**2)[:, None] * (weights if N > 1 else 0.0)
+        std = np.sqrt(np.maximum(np.sum((J @ self._factors_covariance) * J, axis=1), 0.0))
+        return f / others - 1.0, std
+
+    @cached_property
+    def mass_change(self) -> tuple[Floats, Floats]:
+        """Relative change of each floor's mass since the tests, and its standard deviation, shapes (N,).
+
+        Under the most probable answer in which they changed; zeros where there is none. The difference from the
+        identified masses is partly the error of these.
+        """
+        N = self.errors.stories
+        answer = next((each for each in self.answers if each.mass_std > 0), None)
+        if answer is None:
+            return np.zeros(N), np.zeros(N)
+        prior, variance = self.prior.gaussian(*answer.prior), answer.mass_std**2
+        heavier = np.zeros((len(self.p), self.prior.heavier_floors.shape[1]))
+        heavier[self.errors.frame] = self.prior.heavier_floors
+        G = variance * np.linalg.solve(prior.covariance, heavier).T
+        covariance = variance * (np.eye(N) - G @ heavier) + G @ self.covariance @ G.T
+        return G @ (self.p - prior.mean), np.sqrt(np.maximum(np.diag(covariance), 0.0))
+
     @cached_property
     def _factors_covariance(self) -> Floats:
         varied, frame = self.errors.varied, self.errors.frame
@@ -266,7 +298,8 @@ def fit_frame(
     rough_likelihood = errors.linearised(p, along)
     answer = possible_answers(rough_likelihood, prior, p)[0]
     nearer, _ = _Linear(rough_likelihood, p, prior.gaussian(*answer.prior)).posterior()
-    p = np.clip(nearer, errors.lower(answer.form_std), errors.upper)
+    nearer = np.clip(nearer, errors.lower(answer.form_std), errors.upper)
+    p = nearer if errors.stable(nearer) else p
     for _ in range(MOST_DECISIONS):
         posterior = _Posterior(errors, along, prior.gaussian(*answer.prior), inflation)
         at, converged = posterior.maximum(p, backend, MOST_FIT_STEPS, answer.form_std)
@@ -278,7 +311,12 @@ def fit_frame(
     if answer.mass_std and at.likelihood.inflation > NONLINEAR:
         # Masses that leave the record as unlike a linear frame's as this take up what is none of theirs.
         return fit_frame(errors, dataclasses.replace(prior, heavier_floors=prior.heavier_floors[:, :0]), backend, start)
-    return _mixed(errors, prior, at, answers, converged)
+    found = _mixed(errors, prior, at, answers, converged)
+    if converged or start is not None:
+        return found
+    # From the frame as it was identified the way may be another.
+    again = fit_frame(errors, prior, backend, np.zeros(errors.size))
+    return again if again.converged or again.log_evidence > found.log_evidence else found
 
 
 def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: float = LEAST_INFORMATION) -> Directions:

@@ -25,6 +25,7 @@ from cvxshear.response.damped import DampedModel
 from cvxshear.response.dynamics import BLOCK, SHORT, Dynamics, Noise, Setting, doubled, dynamics, recursion
 from cvxshear.response.smoother import Steady
 from cvxshear.response.varied_frame import VariedFrame
+from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
 FIRST_SENSOR = 0.02
@@ -220,6 +221,14 @@ class PredictionErrors:
     def model(self, p: Floats) -> DampedModel:
         """Return the frame at a point."""
         return self.varied.model(p[self.frame])
+
+    def stable(self, p: Floats) -> bool:
+        """Whether the frame at a point has modes."""
+        try:
+            self.model(p)
+        except NoModesError:
+            return False
+        return True
 
     def noise_at(self, p: Floats) -> Noise:
         """Return the noise at a point."""

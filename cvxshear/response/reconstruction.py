@@ -118,13 +118,13 @@ class Reconstruction(Shown):
     def changed(self) -> tuple[int, ...]:
         """Stories (from 1) that changed by themselves with a probability of at least `NAMED_CHANGE`.
 
-        Only those of which it is known whether they are softer or stiffer and, where the modes speak against the model,
-        that changed by more than twice what it lacks.
+        None where the fit did not settle; only those of which it is known whether they are softer or stiffer and, where
+        the modes speak against the model, that changed by more than twice what it lacks.
         """
-        if self.change_probability is None:
+        if self.change_probability is None or not self.frame.converged:
             return ()
-        least = np.maximum(2.0 * self.fitted.lacking, SIGN_KNOWN * self.frame.factors_std)
-        large = np.abs(self.frame.factors - 1.0) > least
+        change, std = self.frame.against_others
+        large = np.abs(change) > np.maximum(2.0 * self.fitted.lacking, SIGN_KNOWN * std)
         return tuple(int(j) + 1 for j in np.flatnonzero((self.change_probability >= NAMED_CHANGE) & large))
 
     @property
@@ -133,14 +133,10 @@ class Reconstruction(Shown):
         return self.frame.inflation > NONLINEAR
 
     @property
-    def heavier(self) -> Floats | None:
-        """Relative change of each floor's mass since the tests, shape (N,); None where none is named.
-
-        Base motion does not tell the scale of the masses: their total is as it was declared.
-        """
-        if not self.frame_fitted or self.frame.mass_probability < NAMED_CHANGE:
-            return None
-        return np.asarray(np.diag(self.model.M) / np.diag(self.frame.errors.varied.centre.model.M) - 1.0)
+    def masses_changed(self) -> bool:
+        """Whether it is named that floors do not weigh what they did in the tests."""
+        settled = self.frame_fitted and self.frame.converged and not self.nonlinear
+        return settled and self.frame.mass_probability >= NAMED_CHANGE
 
     @property
     def change_probability(self) -> Floats | None:
@@ -185,7 +181,8 @@ class Reconstruction(Shown):
                     "change_probability": none if self.change_probability is None else self.change_probability,
                     "changed": self.changed,
                     "mass_change_probability": frame.mass_probability if self.frame_fitted else None,
-                    "mass_change": none if self.heavier is None else self.heavier,
+                    "mass_change": self.frame.mass_change[0] if self.masses_changed else none,
+                    "mass_change_std": self.frame.mass_change[1] if self.masses_changed else none,
                     "frequencies": self.model.modes.frequencies,
                     "damping_ratios": self.model.ratios,
                     "converged": frame.converged,
@@ -377,7 +374,7 @@ def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
         )
     if not found.fitted.mass_known:
         said.append("the masses have no scale (give total_mass): forces and moments are left out")
-    if found.heavier is not None:
+    if found.masses_changed:
         said.append(
             "the floors do not weigh what they did in the tests: base motion tells the change of each against the "
             "others, not that of all together"

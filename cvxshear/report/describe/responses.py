@@ -211,22 +211,27 @@ def _findings(result: Reconstruction) -> Iterator[str]:
             yield f"limit {label}: {passed}" + (f", possibly in {_stories(open_)}" if open_ else "")
     if result.changed:
         for story in result.changed:
-            factor, deviation = float(result.frame.factors[story - 1]), float(result.frame.factors_std[story - 1])
-            word = "softer" if factor < 1 else "stiffer"
-            size = with_std(100 * abs(factor - 1), 100 * deviation, "%", factor=1.0)
+            change, deviation = (float(each[story - 1]) for each in result.frame.against_others)
+            word = "softer" if change < 0 else "stiffer"
+            size = with_std(100 * abs(change), 100 * deviation, "%", factor=1.0)
             probable = chance(float(result.frame.story_probability[story - 1]))
-            yield f"story {story} was {size} {word} than identified ({probable} probable)"
-    elif result.frame_fitted and not result.nonlinear:
+            yield f"story {story} was {size} {word} than identified, against the others ({probable} probable)"
+    elif result.frame_fitted and result.frame.converged and not result.nonlinear:
         mean, deviation = result.frame.mean_factor
         word = "softer" if mean < 1 else "stiffer"
         size = with_std(100 * abs(mean - 1), 100 * deviation, "%", factor=1.0)
         known = abs(mean - 1) > SIGN_KNOWN * deviation
         average = f"; on average the stories were {size} {word} than identified" if known else ""
         yield f"no single story changed{average}"
-    if result.heavier is not None:
-        changes = [f"{floor} {100 * change:+.0f} %" for floor, change in enumerate(result.heavier.tolist(), 1)]
+    if result.masses_changed:
+        sizes = [
+            f"floor {floor} by {100 * change:+.0f} ± {100 * std:.0f} %"
+            for floor, (change, std) in enumerate(zip(*result.frame.mass_change, strict=True), 1)
+            if abs(change) > SIGN_KNOWN * std
+        ]
         probable = chance(result.frame.mass_probability)
-        yield f"the floors do not weigh what they did in the tests ({probable} probable): floor {', '.join(changes)}"
+        where = f": {', '.join(sizes)}" if sizes else "; which of them is open"
+        yield f"the floors do not weigh what they did in the tests ({probable} probable){where}"
 
 
 def _stories(numbers: list[int]) -> str:

@@ -367,7 +367,7 @@ def reconstructed_histories(result: Reconstruction) -> Figure:
 
 def _change(result: Reconstruction, story: int) -> str:
     """By how much a story is softer or stiffer than it was identified, in a few letters."""
-    change = 100 * (float(result.frame.factors[story - 1]) - 1)
+    change = 100 * float(result.frame.against_others[0][story - 1])
     return f"{abs(change):.0f} % {'softer' if change < 0 else 'stiffer'}"
 
 
@@ -375,7 +375,7 @@ def _changes(result: Reconstruction) -> str:
     """Name the stories that changed, as the drawing does."""
     if not result.frame_fitted:
         return "whether a story changed was not asked"
-    said = [f"story {story} is {_change(result, story)} than identified" for story in result.changed]
+    said = [f"story {each} is {_change(result, each)} than identified, against the others" for each in result.changed]
     return listed(said) if said else "no story is named as changed"
 
 
