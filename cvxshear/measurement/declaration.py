@@ -47,6 +47,7 @@ DOUBTS = {
     "elevations": "story heights are added up: elevations of the floors",
     "time_unit": "frequencies are lower than those of any frame: times in ms, or frequencies in kHz",
     "deviations": "standard deviations are finer than any instrument measures, or look like percent",
+    "look_alike": "two modes look alike at all sensors",
     "repeated": "configurations repeat each other to the last digit",
     "states": "two states have names that differ by one letter",
     "gravity": "gravity is not that of the Earth in m/s²",

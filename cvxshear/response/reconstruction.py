@@ -25,7 +25,7 @@ from cvxshear.response.frame_fit import NONLINEAR, FittedFrame
 from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses, readings_of, shown_by
 from cvxshear.response.peaks import FloorSpectra, Peaks, largest_spectra, peaks_of
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
-from cvxshear.response.sensor_checks import SensorCheck, Whiteness, checked, turned_round, whiteness, widening
+from cvxshear.response.sensor_checks import SensorCheck, Whiteness, as_predicted, checked, whiteness, widening
 from cvxshear.response.smoother import Smoothed
 from cvxshear.response.sources import ModelSource, line_remarks, models_of, state_of, state_remarks
 from cvxshear.response.uncertain import UncertainFrame
@@ -253,7 +253,7 @@ def reconstruct(
     state = state_of(experiment, recording, configuration)
     frame = UncertainFrame.of(models.after, state, damping, solver)
     identified = frame.at(np.zeros(frame.size)).model
-    recording = recorded = turned_round(identified, recording)
+    recording = recorded = as_predicted(identified, recording)
     if detrend:
         recording = recording.without_base_line()
     readings = readings_of(identified, recording)

@@ -73,6 +73,10 @@ class Recording:
     name : str
     remarks : tuple of str
         What was found wrong with the sensors, and what was done about it.
+    late : ndarray, shape (m, 2), optional
+        Delay (s) and its growth (s/s) that were taken out of each floor's motion.
+    late_remarks : tuple of str, optional
+        What was said of it, for each floor.
     """
 
     runs: tuple[RecordedRun, ...]
@@ -83,6 +87,8 @@ class Recording:
     state: str | None = None
     name: str = "record"
     remarks: tuple[str, ...] = ()
+    late: Floats | None = None
+    late_remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not len(self.floors):
@@ -242,12 +248,14 @@ def _recording(
         tuple(channels), tuple(run.measured for run in runs), tuple(run.excitation for run in runs), rate, driven,
         forces.pop(),
     ).set_right(stories)  # fmt: skip
-    floors, measured = sensors.by_floor()
+    floors, measured, late, late_remarks = sensors.by_floor()
     right = tuple(
         dataclasses.replace(run, measured=values, excitation=excitation)
         for run, values, excitation in zip(runs, measured, sensors.excitations, strict=True)
     )
-    return Recording(right, rate, floors, driven, **described, remarks=sensors.remarks)
+    return Recording(
+        right, rate, floors, driven, **described, remarks=sensors.remarks, late=late, late_remarks=late_remarks
+    )
 
 
 def _of_motion(motion: Motion, stories: int) -> Recording:

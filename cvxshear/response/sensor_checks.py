@@ -16,8 +16,10 @@ from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, refitted
 from cvxshear.response.frame_motion import FrameMotion, predicted_responses, rms, shown_by
 from cvxshear.response.innovations import PredictionErrors, Stretch
 from cvxshear.response.recording import Recording
+from cvxshear.response.sensor_faults import earlier
 from cvxshear.response.smoother import SPIKE, Smoothed
 from cvxshear.util.quantities import NORMAL_95
+from cvxshear.util.typing import Floats
 
 CHECK_STEPS = 1
 """Gauss-Newton steps of the frame without one sensor: it starts from the fit to all, and what it needs is the
@@ -87,10 +89,12 @@ class Whiteness:
     missing: int
 
 
-def turned_round(model: DampedModel, recording: Recording) -> Recording:
-    """Return a recording with channels that move against their prediction, and no other does, turned round.
+def as_predicted(model: DampedModel, recording: Recording) -> Recording:
+    """Return a recording set right by its prediction.
 
-    What else the prediction contradicts is added to its remarks.
+    Channels that move against it, where no other does, are turned round. A delay that was taken out is put back where
+    the sensor was nearer to its prediction with it: dampers shift phases as clocks do, and the model has them. What
+    else the prediction contradicts is added to the remarks.
 
     Parameters
     ----------
@@ -101,6 +105,7 @@ def turned_round(model: DampedModel, recording: Recording) -> Recording:
     responses = predicted_responses(model, recording)
     if responses is None:
         return recording
+    recording = _with_delays(recording, shown_by(model, responses, recording))
     measured = [run.measured - trend(run.measured) for run in recording.runs]
     predicted = [
         np.where(np.isfinite(values), own - trend(own), 0.0)
@@ -118,6 +123,28 @@ def turned_round(model: DampedModel, recording: Recording) -> Recording:
     runs = tuple(dataclasses.replace(run, measured=signs * run.measured) for run in recording.runs)
     remarks = (*recording.remarks, *said, *([contradicted] if contradicted else []))
     return dataclasses.replace(recording, runs=runs, remarks=remarks)
+
+
+def _with_delays(recording: Recording, predicted: Sequence[Floats]) -> Recording:
+    """Put delays back without which the sensors are farther from their prediction."""
+    late = np.zeros((len(recording.floors), 2)) if recording.late is None else recording.late
+    measured, remarks = [run.measured.copy() for run in recording.runs], list(recording.remarks)
+    for column in np.flatnonzero(late.any(axis=1)):
+        started, delayed = 0, []
+        for values in measured:
+            delayed.append(earlier(values[:, column], -late[column], recording.sampling_rate, started))
+            started += len(values)
+        own = [values[:, column] for values in predicted]
+        if _misfit(delayed, own) < _misfit([values[:, column] for values in measured], own):
+            for values, with_delay in zip(measured, delayed, strict=True):
+                values[:, column] = with_delay
+            remarks = [each for each in remarks if each != recording.late_remarks[column]]
+    runs = tuple(dataclasses.replace(run, measured=each) for run, each in zip(recording.runs, measured, strict=True))
+    return dataclasses.replace(recording, runs=runs, remarks=tuple(remarks))
+
+
+def _misfit(measured: Sequence[Floats], predicted: Sequence[Floats]) -> float:
+    return sum(rms(seen - trend(seen) - own + trend(own)) for seen, own in zip(measured, predicted, strict=True))
 
 
 def checked(

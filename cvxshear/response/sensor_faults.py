@@ -57,6 +57,10 @@ class SensorRecord:
         Where a measured force acts.
     remarks : tuple of str, optional
         What was found wrong with the sensors.
+    late : ndarray, shape (channels, 2), optional
+        Delay (s) and its growth (s/s) that were taken out of each channel.
+    late_remarks : tuple of str, optional
+        What was said of it, for each channel.
     """
 
     channels: tuple[Channel, ...]
@@ -66,6 +70,8 @@ class SensorRecord:
     input: str
     force_floor: int = 0
     remarks: tuple[str, ...] = ()
+    late: Floats | None = None
+    late_remarks: tuple[str, ...] = ()
 
     def set_right(self, stories: int) -> SensorRecord:
         """Return the record without the faults that are sure, each said in a remark.
@@ -131,6 +137,7 @@ class SensorRecord:
         """Take out what was found for sure."""
         factors, late, out = np.ones(len(self.channels) + 1), np.zeros((len(self.channels) + 1, 2)), set()
         measured, said = [values.copy() for values in self.measured], list(self.remarks)
+        of_clocks: dict[int, str] = {}
         spikes = [np.zeros(values.shape, dtype=bool) for values in measured]
         for finding in findings:
             numbers, message = finding.numbers, finding.message
@@ -149,6 +156,7 @@ class SensorRecord:
             elif finding.kind in ("clock offset", "clock drift"):
                 late[columns] += numbers["seconds"], numbers.get("drift", 0.0)
                 message = message if message.endswith("taken out") else f"{message}; taken out"
+                of_clocks.update(dict.fromkeys(columns, message))
             if finding.kind == "spikes":
                 for column, (place, piece) in itertools.product(columns, pieces):
                     spikes[place][piece][:, column] = spikes_in(self.measured[place][piece])[0][:, column]
@@ -162,10 +170,7 @@ class SensorRecord:
             for column in np.flatnonzero(late.any(axis=1)):
                 # What is made of samples on both sides would carry a spike to all of them.
                 values[spiked[:, column], column] = np.nan
-                time = (started + np.arange(len(values))) / self.sampling_rate
-                values[:, column] = _moved(
-                    values[:, column], self.sampling_rate * (late[column, 0] + late[column, 1] * time)
-                )
+                values[:, column] = earlier(values[:, column], late[column], self.sampling_rate, started)
             started += len(values)
         return dataclasses.replace(
             self,
@@ -173,6 +178,8 @@ class SensorRecord:
             measured=tuple((factors[:-1] * values)[:, kept] for values in measured),
             excitations=tuple(factors[-1] * each for each in self.excitations),
             remarks=tuple(said),
+            late=late[kept],
+            late_remarks=tuple(of_clocks.get(column, "") for column in kept),
         )
 
     def _columns(self, names: Sequence[str | None]) -> list[int]:
@@ -181,8 +188,10 @@ class SensorRecord:
         found = [column for column, channel in enumerate(self.channels) if channel.name in single]
         return [*found, -1] if "input" in single and not found else found
 
-    def by_floor(self) -> tuple[Ints, list[Floats]]:
-        """Return the floors, ascending, and their motions in each run; nan where a sample of one sensor is missing.
+    def by_floor(self) -> tuple[Ints, list[Floats], Floats, tuple[str, ...]]:
+        """Return the floors, ascending, their motions in each run, the delays taken out of them, and what was said.
+
+        A motion is nan where a sample of one sensor is missing.
 
         Sensors across the direction of test are left out; of several on a floor the motion of its center is taken.
         """
@@ -197,10 +206,20 @@ class SensorRecord:
             group = np.flatnonzero(along & (floors == floor))
             weights[group, place] = center_weights(self.channels, group)[0] / cosines[group]
         groups = [np.flatnonzero(column) for column in weights.T]
-        return named, [
+        motions = [
             np.column_stack([values[:, group] @ weights[group, place] for place, group in enumerate(groups)])
             for values in self.measured
         ]
+        late = np.zeros((len(floors), 2)) if self.late is None else self.late
+        firsts = [int(group[0]) for group in groups]
+        remarks = self.late_remarks or ("",) * len(floors)
+        return named, motions, late[firsts], tuple(remarks[first] for first in firsts)
+
+
+def earlier(values: Floats, late: Floats, rate: float, started: int) -> Floats:
+    """Move a channel of a run that begins so many samples after the first to where it would be without its delay."""
+    time = (started + np.arange(len(values))) / rate
+    return _moved(values, rate * (late[0] + late[1] * time))
 
 
 def _moved(values: Floats, samples: Floats) -> Floats:

@@ -350,6 +350,7 @@ def look_alike(experiment: Experiment) -> Iterator[Finding]:
                 said = f"modes {mode} and {following} look alike at all {there.sum()} sensors"
                 change = "leave out what is no sway mode (torsion, another direction, found twice), number the others"
                 yield _doubt("look_alike", said, change, each.name)
+                break
 
 
 def frequency_units(experiment: Experiment) -> Iterator[Finding]:
@@ -509,6 +510,6 @@ def implied_total(experiment: Experiment) -> tuple[float, float]:
 
 
 DOUBT_CHECKS = (
-    angular_frequency, heights, added_up, masses, gravity, slow, deviations, repeats, state_names, look_alike
+    angular_frequency, heights, added_up, masses, gravity, slow, deviations, repeats, state_names
 )  # fmt: skip
 """What is looked for in the declaration, whatever the shapes are like."""

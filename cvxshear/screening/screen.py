@@ -23,7 +23,7 @@ from cvxshear.measurement.declaration import NUMBERS
 from cvxshear.measurement.experiment import Configuration, Measurement, opened
 from cvxshear.measurement.reading import Reading, violations
 from cvxshear.screening.declared_masses import masses_declared
-from cvxshear.screening.doubts import DOUBT_CHECKS, Finding, frequency_units, total_mass
+from cvxshear.screening.doubts import DOUBT_CHECKS, Finding, frequency_units, look_alike, total_mass
 from cvxshear.screening.repairs import (
     FITTED,
     KINDS,
@@ -128,7 +128,7 @@ def screen(experiment: Measurement) -> tuple[Finding, ...]:
     if not found and "frequency" not in experiment.frame.accept:
         found += wrong_frequency(experiment)
     # Frequencies and shapes that are wrong tell no mass.
-    for doubt in DOUBT_CHECKS if found else (total_mass, masses_declared, *DOUBT_CHECKS):
+    for doubt in DOUBT_CHECKS if found else (total_mass, masses_declared, look_alike, *DOUBT_CHECKS):
         said = {item.name for item in found}
         found += [item for item in doubt(experiment) if item.name not in said]
     return tuple(item for item in found if not item.accepted(experiment.frame.accept))

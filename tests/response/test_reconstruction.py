@@ -20,7 +20,7 @@ from cvxshear.response.dynamics import Noise, Setting, doubled, dynamics, recurs
 from cvxshear.response.frame_motion import FrameMotion, readings_of
 from cvxshear.response.innovations import Directions, PredictionErrors, Stretch
 from cvxshear.response.recording import RecordedRun, Recording, recording_of
-from cvxshear.response.sensor_checks import turned_round
+from cvxshear.response.sensor_checks import as_predicted
 from cvxshear.response.smoother import Observed, Steady, smooth
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import VariedFrame
@@ -300,21 +300,21 @@ def test_what_is_surely_wrong_with_a_sensor_is_set_right_and_said(softened, faul
     assert found.remarks == () if said is None else re.search(said, " ".join(found.remarks))
 
 
-def test_a_sensor_that_moves_against_the_prediction_is_turned_round(three):
+def test_a_sensor_that_moves_against_the_prediction_is_as_predicted(three):
     """A record too short to be looked at by itself: the identified frame tells."""
     model = three[0]
     ground = shaking(100, STEP)
     exact = response(model, Drive(ground), STEP).acceleration * model.gain
     floors = np.array([1, 2, 3])
     wrong = Recording((RecordedRun(exact * [1.0, 1.0, -1.0], ground, "run"),), 1 / STEP, floors, "base")
-    found = turned_round(model, wrong)
+    found = as_predicted(model, wrong)
     np.testing.assert_allclose(found.runs[0].measured, exact)
     (said,) = found.remarks
     assert said.startswith("the sensor of floor 3 is reversed")
-    assert turned_round(model, found).remarks == found.remarks
+    assert as_predicted(model, found).remarks == found.remarks
     # Where most move against it the ground's own sign may be the wrong one.
     several = dataclasses.replace(wrong, runs=(RecordedRun(exact * [-1.0, 1.0, -1.0], ground, "run"),))
-    np.testing.assert_allclose(turned_round(model, several).runs[0].measured, several.runs[0].measured)
+    np.testing.assert_allclose(as_predicted(model, several).runs[0].measured, several.runs[0].measured)
 
 
 def test_a_deviation_that_leads_to_no_frame_is_followed_less_far(softened):
