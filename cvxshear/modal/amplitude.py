@@ -18,14 +18,14 @@ from cvxshear.util.typing import Bools, Floats
 
 SIGNIFICANT = 3.0
 """Standard deviations of a change of frequency that is said: chance makes one in 370 modes."""
-SMALLEST_CHANGE = 5e-4
-"""Relative change of a frequency that is said: two degrees of temperature change a steel frame's by as much."""
+SMALLEST_CHANGE = 1e-3
+"""Relative change of a frequency that is said: four degrees of temperature change a steel frame's by as much."""
 SCATTERED = 2.5
 """The same of the scatter that the two halves have by themselves, by Student's t, besides: of a dozen blocks it is
 known to a fifth."""
-ALL_TOGETHER = 3.6
-"""Standard deviations that the changes of all modes have together, their sum over the root of their number: three times
-its root mean square over 88 simulated records of linear frames, of which one reached 3.0."""
+ALL_TOGETHER = 4.0
+"""Standard deviations that the changes of all modes have together, their sum over the root of their number: one of 88
+simulated records of linear frames reached 3.0, and their root mean square was 1.2."""
 SCATTERS = 3.0
 """Times that a frequency scatters in the stronger half of a record what it does in the weaker: the variances of ten
 equal blocks each have that ratio by chance once in 740 modes, and noise, which is less of the stronger half, makes it
