@@ -118,8 +118,8 @@ class Reconstruction(Shown):
     def changed(self) -> tuple[int, ...]:
         """Stories (from 1) that changed by themselves with a probability of at least `NAMED_CHANGE`.
 
-        None where the fit did not settle; only those of which it is known whether they are softer or stiffer and, where
-        the modes speak against the model, that changed by more than twice what it lacks.
+        No story where the fit did not settle; only those of which it is known whether they are softer or stiffer and,
+        where the modes speak against the model, that changed by more than twice what it lacks.
         """
         if self.change_probability is None or not self.frame.converged:
             return ()

@@ -105,11 +105,12 @@ def as_predicted(model: DampedModel, recording: Recording) -> Recording:
     responses = predicted_responses(model, recording)
     if responses is None:
         return recording
-    recording = _with_delays(recording, shown_by(model, responses, recording))
+    shown = shown_by(model, responses, recording)
+    recording = _with_delays(recording, shown)
     measured = [run.measured - trend(run.measured) for run in recording.runs]
     predicted = [
         np.where(np.isfinite(values), own - trend(own), 0.0)
-        for values, own in zip(measured, shown_by(model, responses, recording), strict=True)
+        for values, own in zip(measured, shown, strict=True)
     ]
     measured = [np.nan_to_num(values) for values in measured]
     against = moved_against(measured, predicted)
@@ -138,7 +139,11 @@ def _with_delays(recording: Recording, predicted: Sequence[Floats]) -> Recording
         if _misfit(delayed, own) < _misfit([values[:, column] for values in measured], own):
             for values, with_delay in zip(measured, delayed, strict=True):
                 values[:, column] = with_delay
-            remarks = [each for each in remarks if each != recording.late_remarks[column]]
+            message = recording.late_remarks[column]
+            remarks = [each for each in remarks if each != message]
+            if recording.late_remarks.count(message) > 1:
+                # The clock of the input is that of all sensors, of which others may be moved.
+                remarks.append(f"{message}; left in for floor {recording.floors[column]}")
     runs = tuple(dataclasses.replace(run, measured=each) for run, each in zip(recording.runs, measured, strict=True))
     return dataclasses.replace(recording, runs=runs, remarks=tuple(remarks))
 

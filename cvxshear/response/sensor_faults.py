@@ -179,7 +179,7 @@ class SensorRecord:
             excitations=tuple(factors[-1] * each for each in self.excitations),
             remarks=tuple(said),
             late=late[kept],
-            late_remarks=tuple(of_clocks.get(column, "") for column in kept),
+            late_remarks=tuple(of_clocks.get(column, of_clocks.get(-1, "")) for column in kept),
         )
 
     def _columns(self, names: Sequence[str | None]) -> list[int]:
