@@ -138,7 +138,7 @@ def _in_step(record: TimeRecord) -> tuple[TimeRecord, list[Finding], dict[str, t
     limit = LATE / record.sampling_rate
     for i, item in heard_by.items():
         late, std, (slope, slope_std) = item.middle - middles[right], np.hypot(item.std, heard_by[right].std), drifts[i]
-        if not slope and i != reference and not struck(record):
+        if not slope and i < len(names) and i != reference and not struck(record):
             findings += _perhaps_drifting(clocks[i], [band_clock(segments, i, k) for k in heard_by if k != i], limit / 2)
         if i == right or (abs(late) < max(limit, CERTAIN_DELAY * std) and not slope):
             continue
