@@ -44,6 +44,9 @@ LIGHTEST_FLOOR = 300.0
 HEAVIEST_MODEL_FLOOR = 3000.0
 """Mass (kg) that no floor of a laboratory's model reaches: it would need a crane of its own."""
 
+LIGHTEST_PLATE = 1.0
+"""Mass (kg/m²) of a model's floor that is as wide as its story is high: a plate of aluminium of 0.4 mm has as much."""
+
 HIGHEST_TIMES_FREQUENCY = 130.0
 """Largest product (m Hz) of a building's height and first frequency. The mean is 46 (Ellis 1980), within a factor of
 two or so, and with walls nearly three; rad/s would make the mean 290."""
@@ -191,7 +194,7 @@ def masses(experiment: Experiment) -> Iterator[Finding]:
     height, floor = float(np.mean(frame.story_heights)), frame.known_total / experiment.stories
     if _right_in_kg(experiment, floor) is not False:
         return
-    unit = "t" if height >= BUILDING_STORY else "g"
+    unit = "g" if floor > HEAVIEST_MODEL_FLOOR else "t"
     weights = f"floors of {quantity(floor, 'kg', 3)} each under stories of {significant(height, 3)} m"
     yield _doubt("masses", f"{weights} look like masses in {unit}", "write masses in kg")
 
@@ -464,7 +467,7 @@ def _right_in_kg(experiment: Experiment, floor: float) -> bool | None:
     height = float(np.mean(heights))
     if BUILDING_STORY <= height <= HIGHEST_STORY:
         return floor >= LIGHTEST_FLOOR
-    return floor <= HEAVIEST_MODEL_FLOOR if height <= MODEL_STORY else None
+    return LIGHTEST_PLATE * height**2 <= floor <= HEAVIEST_MODEL_FLOOR if height <= MODEL_STORY else None
 
 
 def implied_total(experiment: Experiment) -> tuple[float, float]:

@@ -39,7 +39,7 @@ MISTYPED = 0.3
 AS_STATED = 0.01
 """Probability of the other data's chi-square below which they do not fit as their deviations say."""
 
-FEWEST_SPARE = 3.0
+FEWEST_SPARE = 2.0
 """Data beyond those that the frame takes up, from which on that the others fit means anything."""
 
 

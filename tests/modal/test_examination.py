@@ -322,6 +322,31 @@ def test_a_center_somewhere_between_two_sensors_makes_its_entries_as_uncertain()
     np.testing.assert_allclose(stated, 0.2 / 1.1 / np.sqrt(3.0), rtol=0.05)
 
 
+def test_one_sensor_beside_the_center_is_as_uncertain_as_the_other_floors_turn():
+    """The roof turns by 0.2 of 1.1 a metre; a sensor half a metre off the center then errs by half of that."""
+    record = base_record(PAPER_FRAME, 0, noise=0.005, duration=300.0)
+    run = record.runs[0]
+    top = run.responses[:, 2]
+    both = np.column_stack([run.responses[:, :2], 1.3 * top, 0.9 * top])
+    places = {"left": (0.0, -1.0), "right": (0.0, 1.0)}
+    roof = [Channel(name, 3, position=place) for name, place in places.items()]
+    middle = dataclasses.replace(record.channels[1], position=(0.0, -0.5))
+    channels = (record.channels[0], middle, *roof)
+    result = identify_modes(dataclasses.replace(record, channels=channels, runs=(Run(both, run.excitation),)))
+    largest = np.abs(result.mode_shapes).max(axis=1)
+    stated = result.entry_std[:, 1] * largest / np.abs(result.mode_shapes[:, 1])
+    np.testing.assert_allclose(stated[:2], 0.1 / 1.1, rtol=0.05)
+    assert any('floor 2 has one sensor, 0.5 m across' in item.message for item in result.findings)
+
+
+def test_a_sensor_that_points_backwards_is_turned_before_rotation_is_looked_for():
+    record, torsion = torsional_record()
+    expected = examined(record).turning(torsion)
+    channels = (*record.channels[:3], dataclasses.replace(record.channels[3], direction=180.0))
+    turned = examined(dataclasses.replace(scaled(record, {"right": -1.0}), channels=channels))
+    assert turned.turning(torsion) == pytest.approx(expected)
+
+
 def test_of_two_channels_either_may_be_the_reversed_one():
     frequencies, shapes = PAPER_FRAME.modes()
     seen = shapes[:, [0, 2]] * np.array([1.0, -1.0])
