@@ -80,7 +80,9 @@ def _beside_the_center(record: Record, groups: Sequence[Ints]) -> list[Finding]:
     for group in groups:
         channel, off = record.channels[int(group[0])], abs(float(across[group[0]]))
         if len(group) == 1 and off > 0:
-            seen = "its entries are as uncertain as the other floors turn" if half else "no floor shows how much it turns"
+            seen = (
+                "its entries are as uncertain as the other floors turn" if half else "no floor shows how much it turns"
+            )
             # The sensor's place is known, where that of a center between two is anywhere: see `modal.identify`.
             arm = off * np.sqrt(3.0) / np.mean(half) if half else 0.0
             found.append(

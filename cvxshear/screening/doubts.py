@@ -483,22 +483,13 @@ def implied_total(experiment: Experiment) -> tuple[float, float]:
     N = experiment.stories
     readings = [Reading.of(each) for each in experiment.configurations]
     added = [each.added_mass for each in experiment.configurations]
-    problem = ShearFrames(
-        [(reading, mass, reading.weights) for reading, mass in zip(readings, added, strict=True)], centred=True
-    )
-    heaviest = max(float(mass.sum()) for mass in added) / N
-
-    def tuned(start: Floats) -> Floats:
-        """Give the floors the added mass, and scale the stiffnesses to the first reading's mean frequency."""
-        start = start + np.repeat([np.log(heaviest), 0.0], N)
-        mass, stiffness = np.split(np.exp(start), 2)
-        off = readings[0].log_frequencies - np.log(modes_of(mass + added[0], stiffness).frequencies[readings[0].modes])
-        return np.asarray(start + np.repeat([0.0, 2 * np.mean(off)], N))
-
-    found = problem.nearest(tuned(np.zeros(2 * N)))
+    problem = ShearFrames(list(zip(readings, added, strict=True)), centred=True)
+    # Floors as heavy as the added mass.
+    begin = np.repeat([np.log(max(float(mass.sum()) for mass in added) / N), 0.0], N)
+    found = problem.nearest(problem.tuned(begin))
     count = sum(reading.count for reading in readings)
     if found.cost > POOR * count:
-        others = (problem.nearest(tuned(start), ROUGH_STEPS) for start in odd_starts(N))
+        others = (problem.nearest(problem.tuned(begin + start), ROUGH_STEPS) for start in odd_starts(N))
         found = problem.nearest(min((found, *others), key=lambda item: item.cost).theta)
     share = np.exp(found.theta[:N])
     if found.at is None or found.cost > POOR * count:

@@ -336,7 +336,7 @@ def test_one_sensor_beside_the_center_is_as_uncertain_as_the_other_floors_turn()
     largest = np.abs(result.mode_shapes).max(axis=1)
     stated = result.entry_std[:, 1] * largest / np.abs(result.mode_shapes[:, 1])
     np.testing.assert_allclose(stated[:2], 0.1 / 1.1, rtol=0.05)
-    assert any('floor 2 has one sensor, 0.5 m across' in item.message for item in result.findings)
+    assert any("floor 2 has one sensor, 0.5 m across" in item.message for item in result.findings)
 
 
 def test_a_sensor_that_points_backwards_is_turned_before_rotation_is_looked_for():
