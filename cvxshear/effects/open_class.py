@@ -165,8 +165,7 @@ class OtherInertia(OpenClass):
 class OtherBeams(OpenClass):
     """Joints of floor j that are 1 + b_j times as flexible as joint_rotation's, for every floor.
 
-    Joints that turn resist by the beams of their floor, which joint_rotation takes for alike at every floor. Alone this
-    class does nothing.
+    Joints that turn resist by the beams of their floor, which joint_rotation takes for alike at every floor.
 
     Expected size: 20 % of each floor's flexibility, between 4 and 90 % in two thirds of all cases. One frame in ten: a
     podium, a setback or a roof has beams of its own, and the slab that stiffens them differs.
@@ -177,6 +176,7 @@ class OtherBeams(OpenClass):
     formula = "flexibility of the joints of every floor j times 1 + b_j"
     source = "beams of each floor by themselves: other spans, depths, slabs"
     stage = "beams"
+    beside = "joint_rotation"
     usual = 0.2
     probability = 0.1
     holds_in_words = "that the beams of all floors are alike"

@@ -218,8 +218,8 @@ class _Loop:
         best = search.best
         pairs = self._pairs(search)
         search.visit(pairs)
-        scale = self.expectation.scale
-        even = np.repeat([scale.floor_mass, scale.story_stiffness], numbering.experiment.stories)
+        typical = np.median(search.base.estimate.theta[: 2 * numbering.experiment.stories].reshape(2, -1), axis=1)
+        even = np.repeat(typical, numbering.experiment.stories)
         found = search.visit_from([*self._duals(search), *self._changes(search)])
         if search.visit_from([(each, even) for each in pairs]) or found or search.best is not best:
             search.run()
