@@ -8,17 +8,17 @@ from typing import Annotated, Any
 
 import typer
 
-from cvxshear.cli.checked import input_files
-from cvxshear.cli.output import BackendName, BoxesOut, FigureOut, JsonOut, Quiet, deliver, figures_for, names, progress
+from cvxshear.cli.options import FIGURES, BackendName, FigureOut, JsonOut, Quiet, input_files, writes
+from cvxshear.cli.output import deliver, figures_for, names, progress
 from cvxshear.util.errors import InputError
+
+Samples = Annotated[int, typer.Option(min=2)]
 
 
 def reproduce(
     backend: BackendName = "auto",
-    samples: Annotated[
-        int, typer.Option(help="Samples of the larger noise study, beside the paper's 100.", min=2)
-    ] = 10_000,
-    seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 2023,
+    samples: Samples = 10_000,
+    seed: int = 2023,
     figure: FigureOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
@@ -26,6 +26,13 @@ def reproduce(
     """Print the paper's figures beside recomputed ones, with the difference.
 
     Example: cvxshear reproduce
+
+    Parameters
+    ----------
+    samples
+        Samples of the larger noise study, beside the paper's 100.
+    seed
+        Seed of the noise.
     """
     from cvxshear.paper import reproduce as run
     from cvxshear.report import terminal
@@ -49,18 +56,31 @@ def _mass_iteration(drawing: ModuleType) -> Any:
 
 
 def noise(
-    samples: Annotated[int, typer.Option(help="Samples of each noise level and method.", min=2)] = 2000,
-    seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 2023,
-    methods: Annotated[str, typer.Option(help="Methods, commas between.")] = "two-stage,one-shot,efficient",
-    jobs: Annotated[int, typer.Option(help="Processes; -1 takes every core.")] = 1,
+    samples: Samples = 2000,
+    seed: int = 2023,
+    methods: str = "two-stage,one-shot,efficient",
+    jobs: int = 1,
     figure: FigureOut = None,
-    boxes: BoxesOut = None,
+    boxes: Annotated[str | None, writes("--boxes", endings=FIGURES)] = None,
     quiet: Quiet = False,
     out: JsonOut = None,
 ) -> None:
     """Print the scatter of each method under noise beside the Cramer-Rao bound: Table 3, Figs. 5 and 6, six stories.
 
     Example: cvxshear study noise --samples 200
+
+    Parameters
+    ----------
+    samples
+        Samples of each noise level and method.
+    seed
+        Seed of the noise.
+    methods
+        Methods, commas between.
+    jobs
+        Processes; -1 takes every core.
+    boxes
+        Draw box plots (Fig. 5) into this file.
     """
     from cvxshear.paper import noise_study, paper_setups, six_story_study
     from cvxshear.report import terminal
@@ -79,25 +99,12 @@ def noise(
     deliver(said, out, lambda: [*terminal.shown(three), *terminal.shown(six)], *files)
 
 
-OptionalFile = Annotated[
-    str | None,
-    typer.Argument(help="A measurement file (TOML), or 'paper'; without one: what is installed.", callback=input_files),
-]
-
-
 def backends(
-    file: OptionalFile = None,
-    only: Annotated[
-        str | None, typer.Option(help="Which backends, commas between; all that are installed where not given.")
-    ] = None,
-    repeat: Annotated[int, typer.Option(help="Solves of each program of which the fastest counts.")] = 3,
-    tolerance: Annotated[
-        float | None, typer.Option(help="Accuracy asked of the solvers, in place of their settings here.")
-    ] = None,
-    export: Annotated[
-        str | None,
-        typer.Option(help="Write the programs into this new folder, as NPZ and for qpbenchmark.", metavar="DIR"),
-    ] = None,
+    file: Annotated[str | None, typer.Argument(callback=input_files)] = None,
+    only: str | None = None,
+    repeat: int = 3,
+    tolerance: float | None = None,
+    export: str | None = None,
     figure: FigureOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
@@ -105,6 +112,19 @@ def backends(
     """List the backends; with a file, solve its programs with every one and compare them to the closed form.
 
     Example: cvxshear backends paper --repeat 10
+
+    Parameters
+    ----------
+    file
+        A measurement file (TOML), or 'paper'; without one: what is installed.
+    only
+        Which backends, commas between; all that are installed where not given.
+    repeat
+        Solves of each program of which the fastest counts.
+    tolerance
+        Accuracy asked of the solvers, in place of their settings here.
+    export : DIR
+        Write the programs into this new folder, as NPZ and for qpbenchmark.
     """
     if file is None:
         given = {"--only": only, "--tolerance": tolerance, "--export": export, "--figure": figure}

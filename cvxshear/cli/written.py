@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cvxshear.cli.checked import claim
-from cvxshear.cli.output import FIGURES, figures_for, show, writes
+from cvxshear.cli.options import FIGURES, claim, writes
+from cvxshear.cli.output import figures_for, show
 from cvxshear.util.errors import InputError
 
 if TYPE_CHECKING:
