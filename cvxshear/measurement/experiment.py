@@ -20,8 +20,7 @@ from cvxshear.priors import Prior, check_prior
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError, NoScaleError
-from cvxshear.util.later import ask
-from cvxshear.util.results import Shown, as_table
+from cvxshear.util.results import Shown, as_table, ask
 from cvxshear.util.typing import Json, T
 
 __all__ = [
