@@ -131,7 +131,11 @@ def backends(
         for option, value in given.items():
             if value is not None:
                 raise InputError(f"{option} needs programs: name a measurement file, or 'paper'")
-        _list(out)
+        from cvxshear.backends import listed
+        from cvxshear.report import terminal
+
+        there = listed()
+        deliver({"backends": [each.to_dict() for each in there]}, out, lambda: terminal.listed_backends(there))
         return
     from cvxshear import compare_backends, load
     from cvxshear.report import terminal
@@ -148,11 +152,3 @@ def backends(
     if drawing is not None:
         drawing.save(drawing.backend_differences(result), figure)
     deliver(result.to_dict(), out, lambda: terminal.shown(result), title=experiment.report.title or experiment.name)
-
-
-def _list(out: str | None) -> None:
-    from cvxshear.backends import listed
-    from cvxshear.report import terminal
-
-    found = listed()
-    deliver({"backends": [each.to_dict() for each in found]}, out, lambda: terminal.listed_backends(found))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,6 +10,7 @@ import typer
 
 from cvxshear.cli.options import FIGURES, claim, writes
 from cvxshear.cli.output import figures_for, show
+from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 
 if TYPE_CHECKING:
@@ -115,8 +115,7 @@ def _split(text: str, figures: Mapping[str, FigureEntry]) -> tuple[FigureEntry, 
         return next(iter(figures.values())), text
     kind = text[: -len(path) - 1]
     if kind not in figures:
-        near = difflib.get_close_matches(kind.lower(), list(figures), n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
+        hint = checks.near(kind, figures)
         raise InputError(f"--figure: there is no figure {kind!r} here; there are {', '.join(figures)}{hint}")
     return figures[kind], path
 

@@ -195,11 +195,6 @@ class Damping:
     def __post_init__(self) -> None:
         checks.choice(self.kind, DAMPING_KINDS, "damping: kind")
 
-    @staticmethod
-    def from_dict(declared: object) -> Damping:
-        """Read the damping that the table `[damping]` of a measurement file declares."""
-        return Damping(**checks.keys(declared, ["kind"], [], "damping"))
-
 
 @dataclass(frozen=True)
 class Heading(InTable):
@@ -275,11 +270,6 @@ class Limits(InTable):
             raise InputError(f"limits: names must have {checks.entries(len(drift))}, one a value of story_drift")
         object.__setattr__(self, "names", tuple(checks.text(each, "limits: names") for each in given))
 
-    @staticmethod
-    def from_dict(declared: object) -> Limits:
-        """Read the limits that the table `[limits]` of a measurement file declares."""
-        return Limits.of_table(declared, "limits", "story_drift")
-
 
 @dataclass(frozen=True)
 class ExpectedEffect(InTable):
@@ -331,11 +321,6 @@ class ExpectedEffect(InTable):
 
     def _at(self, key: str) -> str:
         return f"effect {self.name}: {key}"
-
-    @staticmethod
-    def from_dict(declared: object, where: str) -> ExpectedEffect:
-        """Read what a table `[[effect]]` declares."""
-        return ExpectedEffect.of_table(declared, where, "name")
 
     def check(self, stories: int, states: Sequence[str]) -> None:
         """Raise `InputError` where it names a floor, story or state that an experiment has not."""

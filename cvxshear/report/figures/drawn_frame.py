@@ -117,19 +117,15 @@ def _findings_caption(result: Closure) -> str:
     )
 
 
-def _findings_alternative(result: Closure) -> str:
-    return (
-        f"The frame to scale, one drawing a state; {counted(len(result.effects), 'effect')} marked at the places where "
-        "they act. The sentences above and the table of effects say the same."
-    )
-
-
 @figure(
     "findings",
     Closure,
     title="What was found, and where",
     caption=_findings_caption,
-    alternative=_findings_alternative,
+    alternative=lambda result: (
+        f"The frame to scale, one drawing a state; {counted(len(result.effects), 'effect')} marked at the places where "
+        "they act. The sentences above and the table of effects say the same."
+    ),
     section="verdict",
     narrow=True,
 )
@@ -322,7 +318,11 @@ def frame(result: Closure | Identification) -> Figure:
 
     Of an identification of each configuration by itself every one has its panel.
     """
-    frames = _frames(result)
+    if isinstance(result, Closure):
+        frames = [("", result.frame)]
+    else:
+        several = len(result.parts) > 1
+        frames = [(style.letters(part.name) if several else "", part.frame) for part in result.parts]
     rows, columns = style.grid_of(len(frames), 2)
     height = float(np.clip(result.experiment.stories * 2 * LINE, 2.2, 8.0))
     drawn = style.new_figure(
@@ -331,12 +331,6 @@ def frame(result: Closure | Identification) -> Figure:
     for axes, (title, found) in zip(style.panels(drawn, len(frames), columns), frames, strict=True):
         _numbered(axes, result.experiment, found, title, height)
     return drawn
-
-
-def _frames(result: Closure | Identification) -> list[tuple[str, IdentifiedFrame]]:
-    if isinstance(result, Closure):
-        return [("", result.frame)]
-    return [(style.letters(part.name) if len(result.parts) > 1 else "", part.frame) for part in result.parts]
 
 
 def _numbered(axes: Axes, experiment: Experiment, found: IdentifiedFrame, title: str, inches: float) -> None:
