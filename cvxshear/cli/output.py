@@ -13,7 +13,6 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from cvxshear.cli.options import used
@@ -155,21 +154,6 @@ def heading_of(report: str | None, **parts: str | None) -> dict[str, str]:
     if given and report is None:
         raise InputError(f"--{next(iter(given))} belongs to a report: add --report OUT.html")
     return given
-
-
-def figures_for(*paths: str | None) -> ModuleType | None:
-    """Import the figures, where one is asked for; refuse a wrong ending or a missing package before anything runs."""
-    asked = [path for path in paths if path is not None]
-    if not asked:
-        return None
-    try:
-        from cvxshear.report import figures
-        from cvxshear.report.figures.style import kind_of
-    except ImportError as error:
-        raise InputError(f"--figure needs {error.name}: pip install matplotlib") from error
-    for path in asked:
-        kind_of(path)
-    return figures
 
 
 _silent: list[bool] = [False]

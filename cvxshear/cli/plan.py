@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from cvxshear.cli.options import FigureOut, File, JsonOut, Quiet, TomlOut, UnitsOption
-from cvxshear.cli.output import deliver, figures_for, numbers, progress
+from cvxshear.cli.output import deliver, numbers, progress
+from cvxshear.cli.written import Pictures
 from cvxshear.util.errors import InputError
 
 if TYPE_CHECKING:
@@ -83,13 +83,13 @@ def plan(
     output
         Write a measurement file to fill in.
     """
-    from cvxshear.planning import measurement_of, write_template
+    from cvxshear.planning import Plan, measurement_of, write_template
     from cvxshear.planning import plan as run
     from cvxshear.report import terminal
     from cvxshear.screening import in_json, refuse_mistakes
     from cvxshear.util.quantities import Units
 
-    drawing, display = figures_for(figure), Units.parse(units)
+    pictures, display = Pictures.named(Plan, plan=figure), Units.parse(units)
     noise = _noise((frequency_std, mode_shape_std), duration, (excitation, damping, sensor_noise))
     wanted = numbers(modes, "--modes", "a number of modes such as 3, or which, such as 1,2,4", int)
     masses = numbers(added_mass, "--added-mass", "kg, such as 40, or one a floor, such as 0,20,40")
@@ -102,11 +102,9 @@ def plan(
             added_mass_total=added_mass_total, goal=goal, criterion=criterion, fresh=fresh, loop=loop, state=state,
             solver=solver,
         )  # fmt: skip
-    files: list[Callable[[], None]] = []
+    files = pictures.of(result)
     if output is not None:
         files.append(lambda: write_template(output, result))
-    if drawing is not None:
-        files.append(lambda: drawing.save(drawing.plan(result), figure))
     said = {**result.to_dict(), **in_json(doubts)}
     deliver(said, out, lambda: [*terminal.doubts(doubts or ()), *terminal.shown(result, display)], *files)
 

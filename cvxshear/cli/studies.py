@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from types import ModuleType
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from cvxshear.cli.options import FIGURES, BackendName, FigureOut, JsonOut, Quiet, input_files, writes
-from cvxshear.cli.output import deliver, figures_for, names, progress
+from cvxshear.cli.output import deliver, names, progress
+from cvxshear.cli.written import Pictures
 from cvxshear.util.errors import InputError
 
 Samples = Annotated[int, typer.Option(min=2)]
@@ -34,25 +33,22 @@ def reproduce(
     seed
         Seed of the noise.
     """
+    from cvxshear import Identification, identify
     from cvxshear.paper import reproduce as run
-    from cvxshear.report import terminal
-
-    drawing = figures_for(figure)
-    with progress("reproducing the paper", quiet):
-        result = run(backend, samples=tuple(sorted({100, samples})), seed=seed)
-    files = [] if drawing is None else [lambda: drawing.save(_mass_iteration(drawing), figure)]
-    deliver(result.to_dict(), out, lambda: terminal.shown(result), *files)
-
-
-def _mass_iteration(drawing: ModuleType) -> Any:
-    """Recompute the paper's Fig. 4: errors of the masses in each iteration, from its two initial masses."""
-    from cvxshear import identify as run
     from cvxshear.paper import tables
     from cvxshear.paper.three_story import ThreeStory
+    from cvxshear.report import terminal
 
-    frame = ThreeStory("auto")
-    found = [run(frame.experiment, "two-stage", initial_mass=start) for start in tables.INITIAL_MASS.values()]
-    return drawing.convergence(*found, true_mass=frame.truth.floor_mass)
+    pictures = Pictures.named(Identification, convergence=figure)
+    with progress("reproducing the paper", quiet):
+        result = run(backend, samples=tuple(sorted({100, samples})), seed=seed)
+    files = []
+    if pictures:
+        # The paper's Fig. 4: errors of the masses in each iteration, from its two initial masses.
+        frame = ThreeStory("auto")
+        found = [identify(frame.experiment, "two-stage", initial_mass=start) for start in tables.INITIAL_MASS.values()]
+        files = pictures.of(*found, true_mass=frame.truth.floor_mass)
+    deliver(result.to_dict(), out, lambda: terminal.shown(result), *files)
 
 
 def noise(
@@ -82,21 +78,16 @@ def noise(
     boxes
         Draw box plots (Fig. 5) into this file.
     """
-    from cvxshear.paper import noise_study, paper_setups, six_story_study
+    from cvxshear.paper import NoiseStudy, noise_study, paper_setups, six_story_study
     from cvxshear.report import terminal
 
-    drawing = figures_for(figure, boxes)
+    pictures = Pictures.named(NoiseStudy, variation=figure, boxes=boxes)
     with progress("three stories", quiet) as advance:
         three = noise_study(paper_setups(), tuple(names(methods) or ()), samples, seed, jobs=jobs, progress=advance)
     with progress("six stories", quiet) as advance:
         six = six_story_study(samples, seed, jobs=jobs, progress=advance)
-    files: list[Callable[[], None]] = []
-    if drawing is not None and figure is not None:
-        files.append(lambda: drawing.save(drawing.noise_variation(three), figure))
-    if drawing is not None and boxes is not None:
-        files.append(lambda: drawing.save(drawing.noise_boxes(three), boxes))
     said = {"three_story": three.to_dict(), "six_story": six.to_dict()}
-    deliver(said, out, lambda: [*terminal.shown(three), *terminal.shown(six)], *files)
+    deliver(said, out, lambda: [*terminal.shown(three), *terminal.shown(six)], *pictures.of(three))
 
 
 def backends(
@@ -137,10 +128,10 @@ def backends(
         there = listed()
         deliver({"backends": [each.to_dict() for each in there]}, out, lambda: terminal.listed_backends(there))
         return
-    from cvxshear import compare_backends, load
+    from cvxshear import Comparison, compare_backends, load
     from cvxshear.report import terminal
 
-    drawing = figures_for(figure)
+    pictures = Pictures.named(Comparison, backends=figure)
     experiment = load(file)
     if export is not None:
         from cvxshear.backends.export import export as write
@@ -149,6 +140,5 @@ def backends(
         write(programs_of(experiment)[0], export)
     with progress("comparing backends", quiet):
         result = compare_backends(experiment, names(only), repeats=repeat, tolerance=tolerance)
-    if drawing is not None:
-        drawing.save(drawing.backend_differences(result), figure)
-    deliver(result.to_dict(), out, lambda: terminal.shown(result), title=experiment.report.title or experiment.name)
+    title = experiment.report.title or experiment.name
+    deliver(result.to_dict(), out, lambda: terminal.shown(result), *pictures.of(result), title=title)

@@ -121,10 +121,6 @@ def headline(result: Closure) -> str:
     """
     verdict, found = verdict_of(result), result.numberings[0]
     spread = "in no single part" if verdict.provisional else ""
-    assumed = [placed.label for placed in result.assumed]
-    within = f"within {noise_in_words(result) or 'the stated noise'}"
-    if result.estimate.dof <= 0:
-        within = "exactly, as it has as many parameters as there are data"
     added = bool(result.effects)
     before = result.before
     renumbered = ""
@@ -135,14 +131,20 @@ def headline(result: Closure) -> str:
         renumbered = f"{numbers}, and with these numbers {moved}; "
     said = verdict.says(
         added=added,
-        model=f"the shear model with {listed(assumed)}" if assumed else "the shear model",
+        model=_model(result),
         found=_effects(result.effects),
         doubt=_doubt(result),
         place=f"in {listed(result.remains[:2])}" if result.remains else spread,
         change="" if found.changes and not added else change_in_words(before.estimate, result.estimate),
-        within=within,
+        within=_within(result),
     )
     return f"{renumbered}{said}."
+
+
+def _within(result: Closure) -> str:
+    if result.estimate.dof <= 0:
+        return "exactly, as it has as many parameters as there are data"
+    return f"within {noise_in_words(result) or 'the stated noise'}"
 
 
 def _doubt(result: Closure) -> str:
@@ -162,6 +164,12 @@ def _doubt(result: Closure) -> str:
     elif any(item.probability < CERTAINLY_THERE for item in result.effects):
         said = f"that {'it' if len(result.effects) == 1 else 'each of them'} is there at all is less sure than 95 %"
     return said
+
+
+def _model(result: Closure) -> str:
+    if not result.assumed:
+        return "the shear model"
+    return f"the shear model with {listed([placed.label for placed in result.assumed])}"
 
 
 def _effects(effects: tuple[AddedEffect, ...]) -> str:
