@@ -307,14 +307,15 @@ def _tie(axes: Axes, low: int, high: int, z: Floats, at: _Columns, *, sure: bool
     Closure,
     Identification,
     title="The identified frame",
-    caption="The frame, heights to scale; a slab is the thicker the heavier its floor, a column the wider the stiffer "
-    "its story.",
     alternative="The frame to scale with its identified masses and stiffnesses; the numbers are in the table above.",
     section="frame",
     narrow=True,
 )
 def frame(result: Closure | Identification) -> Figure:
     """Draw the identified frame: heights to scale, slabs by the masses, columns by the stiffnesses.
+
+    The frame, heights to scale; a slab is the thicker the heavier its floor, a column the wider the stiffer its
+    story.
 
     Of an identification of each configuration by itself every one has its panel.
     """

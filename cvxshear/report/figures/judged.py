@@ -43,8 +43,6 @@ TICKS = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999)
     "ranking",
     Closure,
     title="Probabilities of the effects",
-    caption="How probable each effect is: before the data (hollow diamonds) and with them (dots). Beyond the dotted "
-    "line an effect is more probable than not.",
     alternative="How probable each effect is before and with the data; the numbers are in the table above.",
     section="candidates",
     applies=lambda result: bool(result.candidates),
@@ -53,6 +51,9 @@ TICKS = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999)
 )
 def ranking(result: Closure) -> Figure:
     """Draw the probability of each effect before the data and with them, on an axis of log odds.
+
+    How probable each effect is: before the data (hollow diamonds) and with them (dots). Beyond the dotted line an
+    effect is more probable than not.
 
     What was added above, what else was looked for below.
     """
@@ -133,9 +134,6 @@ Pair = tuple[Deviation, Deviation]
     "residual",
     Closure,
     title="Residuals",
-    caption="The residual of every part of the measurement for the shear model (hollow diamonds) and with effects "
-    "(dots), both in standard deviations of the final model's noise. Within the grey band it is what noise alone "
-    "makes.",
     alternative="Residual of each part of the measurement in standard deviations, for the shear model and with "
     "effects; the numbers are in the tables above.",
     section="residual",
@@ -143,6 +141,9 @@ Pair = tuple[Deviation, Deviation]
 )
 def residual(result: Closure) -> Figure:
     """How far the model is from each part of the measurement, in standard deviations, before and after.
+
+    The residual of every part of the measurement for the shear model (hollow diamonds) and with effects (dots),
+    both in standard deviations of the final model's noise. Within the grey band it is what noise alone makes.
 
     Both are counted in the noise of the final model.
 
@@ -222,8 +223,6 @@ MOST_LEVELS = 9
     "springs",
     Closure,
     title="Springs between levels",
-    caption="Every symmetric stiffness is a network of springs between levels. Shown is what the stories do not have: "
-    "stiffness and standard deviation of each spring; a heavy outline marks what stands out of its deviation.",
     alternative="Matrix of the springs between all pairs of levels; the largest are named in the table of effects.",
     section="effects",
     applies=lambda result: bool(networks(result)),
@@ -231,7 +230,11 @@ MOST_LEVELS = 9
     narrow=True,
 )
 def springs(result: Closure) -> Figure:
-    """Fill the matrix of springs between levels of the effect that has them."""
+    """Fill the matrix of springs between levels of the effect that has them.
+
+    Every symmetric stiffness is a network of springs between levels. Shown is what the stories do not have:
+    stiffness and standard deviation of each spring; a heavy outline marks what stands out of its deviation.
+    """
     item, places = networks(result)[0]
     values, stds = np.full((2, result.experiment.stories + 1, result.experiment.stories + 1), np.nan)
     for (low, high), name in zip(places, item.parameters, strict=True):
