@@ -77,7 +77,9 @@ def effects_section(result: Closure) -> Section:
     parts: list[Block] = []
     if verdict_of(result).provisional:
         title, caption = "Provisional effects", "Effects that survive while a residual is left"
-        parts.append(Sentence("None of them counts as found, as long as a residual is left.", "warning"))
+        among = "the probabilities are among causes that were tried, none of which explains the data"
+        said = f"None of them counts as found, as long as a residual is left: {among}."
+        parts.append(Sentence(said, "warning"))
     parts.append(Table("effects-table", caption, ("effect", "probability"), rows))
     return Section("effects", title, (*parts, *([Points("remarks", remarks)] if remarks else [])))
 
