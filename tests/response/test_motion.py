@@ -49,20 +49,25 @@ def test_one_mass_under_a_ramp():
     np.testing.assert_allclose(found.acceleration[:, 0], 3.0 / 2 * np.sin(5 * time) / 5, atol=1e-11)
 
 
-def test_samples_of_a_band_limited_motion_move_an_oscillator_as_its_harmonics_do():
-    """Against the steady state; straight lines between the samples themselves lose 1 - sinc(f h)^2 of each harmonic."""
+@pytest.mark.parametrize("floor", [0, 1])
+def test_samples_of_a_band_limited_motion_move_an_oscillator_as_its_harmonics_do(floor):
+    """Against the steady state; straight lines between the samples themselves lose 1 - sinc(f h)^2 of each harmonic.
+
+    A force moves its floor at once, by what it is at the samples; the base does not.
+    """
     omega, ratio, time = 2 * np.pi * 12.0, 0.05, STEP * np.arange(4000)
     of = DampedModel(np.array([[1.0]]), np.array([[2 * ratio * omega]]), np.array([[omega**2]]), np.ones(1))
     expected, excitation = np.zeros(4000), np.zeros(4000)
     for frequency, phase in ((5.0, 0.3), (11.0, 1.1), (20.0, 2.0)):
         w = 2 * np.pi * frequency
-        transmitted = (omega**2 + 2j * ratio * omega * w) / (omega**2 - w**2 + 2j * ratio * omega * w)
+        shown = -(w**2) if floor else omega**2 + 2j * ratio * omega * w
+        transmitted = shown / (omega**2 - w**2 + 2j * ratio * omega * w)
         excitation += np.cos(w * time + phase)
         expected += (transmitted * np.exp(1j * (w * time + phase))).real
     middle = slice(2000, 3800)
     errors = [
-        np.max(np.abs(response(of, Drive(samples), STEP).acceleration[:, 0] - expected)[middle])
-        for samples in (band_limited(excitation), excitation)
+        np.max(np.abs(response(of, Drive(excitation, floor, between=lines), STEP).acceleration[:, 0] - expected)[middle])
+        for lines in (band_limited(excitation), None)
     ]
     assert errors[0] < 1e-3 * np.max(np.abs(expected))
     assert errors[1] > 0.03 * np.max(np.abs(expected))
