@@ -6,8 +6,9 @@ from scipy import signal
 
 from cvxshear.records.motion import band_limited
 from cvxshear.report.handover import state_space
-from cvxshear.response import DampedModel, Drive, Motion, floor_spectra, response
+from cvxshear.response import DampedModel, Drive, Motion, Response, floor_spectra, response
 from cvxshear.response.damped import SMALL, hold
+from cvxshear.response.peaks import peaks_of
 from cvxshear.util.errors import InputError
 from tests.response.common import damped_frame, integrated, matrices, shaking
 
@@ -152,3 +153,18 @@ def test_excitations_that_cannot_be_right():
         Motion((Drive([0.0, 1.0], responses=np.zeros((2, 1))),), 100.0, floors=np.array([1, 2]))
     with pytest.raises(InputError, match="the force acts on floor 4 of a frame of 3 stories"):
         response(model_of(3), Drive([0.0, 1.0], floor=4), STEP)
+
+
+def test_a_peak_is_known_no_better_than_the_strong_part_of_its_motion():
+    """A deviation that passes through zero at the peak, as 0.02 |sin t| of cos t does: the rms over |cos t| > 1/2."""
+    time = np.linspace(0.0, 20 * np.pi, 100_001)
+    nothing, moved = np.zeros((len(time), 1)), 3.0 * np.cos(time)[:, None]
+    moved[50_000] *= 1.001
+    run = Response(time, nothing, moved, nothing, None, mass_known=False)
+    (std,) = peaks_of([(run, {"floor_displacement": 0.06 * np.abs(np.sin(time))[:, None]})]).std["floor_displacement"]
+    # The integrals of sin^2 and cos^2 over |t| < pi / 3 are pi / 3 -+ sqrt(3) / 4.
+    expected = 0.02 * np.sqrt((np.pi / 3 - np.sqrt(3) / 4) / (np.pi / 3 + np.sqrt(3) / 4))
+    assert std == pytest.approx(3.003 * expected, rel=1e-3)
+    # One in proportion to the motion is what it is at the peak.
+    (std,) = peaks_of([(run, {"floor_displacement": 0.02 * np.abs(moved)})]).std["floor_displacement"]
+    assert std == pytest.approx(0.02 * 3.003)
