@@ -10,7 +10,7 @@ leave the band empty. The second shows by its steps, which are all alike but for
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NoReturn
 
 import numpy as np
@@ -89,7 +89,7 @@ class Columns:
     def rows(self, which: slice) -> Columns:
         """Keep some of the rows."""
         lines = None if self.lines is None else self.lines[which]
-        return Columns(self.source, self.names, self.values[which], lines, self.units, self.stated_rate)
+        return replace(self, values=self.values[which], lines=lines)
 
     def check(self, name: str, asked: str) -> None:
         """Raise `InputError` where there is no such column; `asked` says who asks for it."""
@@ -227,12 +227,7 @@ def rate_within_rounding(time: Floats, declared: float | None = None) -> float |
         return None
     if declared is None and interval < SHORTEST * rounding:
         return None
-    if interval < LONGEST_IN_BAND * rounding and _share_of_odd_steps(time, rounding) < LEAST_SHARE:
+    _, counts = np.unique(np.round(np.diff(time) / rounding), return_counts=True)
+    if interval < LONGEST_IN_BAND * rounding and 1.0 - counts.max() / (len(time) - 1) < LEAST_SHARE:
         return None
     return 1.0 / interval
-
-
-def _share_of_odd_steps(time: Floats, rounding: float) -> float:
-    steps = np.round(np.diff(time) / rounding)
-    _, counts = np.unique(steps, return_counts=True)
-    return 1.0 - float(counts.max()) / len(steps)

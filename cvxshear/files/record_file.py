@@ -32,7 +32,7 @@ from cvxshear.files.record_tables import (
 from cvxshear.files.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.records.motion import Drive, Motion
-from cvxshear.records.record import INPUTS, Channel, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord
+from cvxshear.records.record import INPUTS, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
@@ -238,7 +238,7 @@ class RecordTables:
                 part = columns.rows(rows)
                 excitation = None
                 if driver is not None:
-                    excitation = driver.factor * part.column(driver.column, driver.place or self.path.name)
+                    excitation = driver.factor * part.column(driver.name, driver.place or self.path.name)
                 called = name if len(stretches) == 1 else f"{name}, piece {number}"
                 whole = rows == slice(0, len(columns.values))
                 span = (None, None) if whole else (round(rows.start / rate, 9), round(rows.stop / rate, 9))
@@ -305,21 +305,13 @@ def _time_record(tables: RecordTables, notes: list[Finding]) -> TimeRecord:
         for each in pieces
     ]
     common = {**_common(tables), **({"quantity": quantities.pop()} if quantities else {})}
-    return TimeRecord(channels_made(responses), **common, runs=tuple(runs), sampling_rate=rate, input=tables.input)
-
-
-def channels_made(responses: Sequence[ChannelDeclaration]) -> tuple[Channel, ...]:
-    """Make the channels that were declared."""
-    return tuple(
-        Channel(item.column, item.floor, item.axis, item.place, item.unit, item.position, item.direction)
-        for item in responses
-    )
+    return TimeRecord(tuple(responses), **common, runs=tuple(runs), sampling_rate=rate, input=tables.input)
 
 
 def _table(columns: Columns, responses: list[ChannelDeclaration], path: Path) -> Floats:
     if not responses:
         raise InputError("no channel is on a floor above the ground")
-    return np.column_stack([item.factor * columns.column(item.column, item.place or path.name) for item in responses])
+    return np.column_stack([item.factor * columns.column(item.name, item.place or path.name) for item in responses])
 
 
 def _frf_record(tables: RecordTables) -> FrfRecord:
@@ -340,14 +332,14 @@ def _frf_record(tables: RecordTables) -> FrfRecord:
         if axis.shape != axes[0][0].shape or not np.allclose(axis, axes[0][0], rtol=1e-6):
             raise InputError(f"{source} and {axes[0][1]} have different frequency lines; a record has one axis")
     return FrfRecord(
-        channels_made(channels), **_common(tables), runs=tuple(made), frequencies=axes[0][0],
+        tuple(channels), **_common(tables), runs=tuple(made), frequencies=axes[0][0],
         truncated=declared.get("truncated"),
     )  # fmt: skip
 
 
 def _complex(columns: Columns, item: ChannelDeclaration, path: Path) -> Any:
     asked = item.place or path.name
-    real, imaginary = f"{item.column}_re", f"{item.column}_im"
+    real, imaginary = f"{item.name}_re", f"{item.name}_im"
     return item.factor * (columns.column(real, asked) + 1j * columns.column(imaginary, asked))
 
 

@@ -60,9 +60,9 @@ def pieces_of(
         Where most of the samples would be left out, or none is between `start` and `end`.
     """
     for item in needed:
-        columns.check(item.column, item.place or path.name)
+        columns.check(item.name, item.place or path.name)
     name = time_column_of(declared, columns)
-    sound: Bools = np.all(np.isfinite(columns.values[:, [columns.names.index(item.column) for item in needed]]), axis=1)
+    sound: Bools = np.all(np.isfinite(columns.values[:, [columns.names.index(item.name) for item in needed]]), axis=1)
     # A break stands before each row that does not follow the one before.
     breaks = np.zeros(len(columns.values), dtype=np.bool_)
     if name is None:
@@ -89,7 +89,7 @@ def pieces_of(
         # Whatever is wrong with the whole is said by those who read it.
         kept = [slice(first, last)]
         for item in needed:
-            columns.rows(kept[0]).column(item.column, item.place or path.name)
+            columns.rows(kept[0]).column(item.name, item.place or path.name)
     if name is not None:
         rate = rate_of(declared, columns.rows(max(kept, key=lambda each: each.stop - each.start)))
     if len(kept) == 1 and kept[0] == slice(first, last):

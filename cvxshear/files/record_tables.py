@@ -12,7 +12,7 @@ from typing import Any
 from cvxshear.files.formats import refuse_data
 from cvxshear.files.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES
-from cvxshear.records.record import RECORDED_QUANTITIES
+from cvxshear.records.record import RECORDED_QUANTITIES, Channel
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import CHANNEL_UNITS
@@ -23,18 +23,19 @@ PASSED_ON = ("frame", "prior", "added_mass", "state")
 
 
 @dataclass(frozen=True)
-class ChannelDeclaration:
-    """One channel as the record file declares it."""
+class ChannelDeclaration(Channel):
+    """One channel as the record file declares it, named as its column.
 
-    column: str
-    floor: int
-    axis: str
-    factor: float
-    quantity: str
-    place: str
-    unit: str | None = None
-    position: tuple[float, float] | None = None
-    direction: float | None = None
+    Parameters
+    ----------
+    factor : float, optional
+        From the column to SI units, sign and calibration included.
+    quantity : str, optional
+        "force", or one of `RECORDED_QUANTITIES`.
+    """
+
+    factor: float = 1.0
+    quantity: str = "acceleration"
 
     @property
     def responds(self) -> bool:
@@ -98,14 +99,11 @@ def channels_of(tables: object, declared: Mapping[str, Any], path: Path, lines: 
         floor = checks.whole(one.get("floor", 0), f"{where}: floor", least=0, most=MOST_STORIES)
         axis = checks.text(one.get("axis", "x"), f"{where}: axis")
         stands = f"line {line} of {path.name}" if line else ""
-        position, direction = one.get("position"), one.get("direction")
-        if position is not None:
-            x, y = checks.vector(position, f"{where}: position (m, along and across)", length=2).tolist()
-            position = (x, y)
-        if direction is not None:
-            direction = checks.number(direction, f"{where}: direction (degrees)")
-        found.append(ChannelDeclaration(column, floor, axis, factor, quantity, stands, unit, position, direction))
-    _refuse_twice(found)
+        direction = one.get("position"), one.get("direction")
+        found.append(ChannelDeclaration(column, floor, axis, stands, unit, *direction, factor, quantity))
+        for other in found[:-1]:
+            if other.name == column:
+                raise InputError(f'{stands}: channel "{column}" was declared before, in {other.place}')
     axes = {item.axis for item in found if item.quantity != "force"}
     wanted = declared.get("axis")
     if wanted is None and len(axes) > 1:
@@ -124,13 +122,6 @@ def _quantity(given: object, unit: str | None, usual: object, where: str) -> tup
     if unit is not None and quantity != measured:
         raise InputError(f"{where}: unit = {unit!r} is one of {measured}, not of {quantity}")
     return quantity, in_si
-
-
-def _refuse_twice(found: list[ChannelDeclaration]) -> None:
-    for place, item in enumerate(found):
-        for other in found[:place]:
-            if other.column == item.column:
-                raise InputError(f'{item.place}: channel "{item.column}" was declared before, in {other.place}')
 
 
 def runs_of(table: Mapping[str, Any], declared: Mapping[str, Any]) -> list[Mapping[str, Any]]:
@@ -166,7 +157,7 @@ def driver_of(channels: list[ChannelDeclaration], kind: str) -> ChannelDeclarati
         if len(ground) != 1:
             raise InputError(f'input = "base" needs one channel on the ground (floor = 0), there are {len(ground)}')
         if ground[0].quantity != "acceleration":
-            raise InputError(f'channel "{ground[0].column}": the base input must be an acceleration')
+            raise InputError(f'channel "{ground[0].name}": the base input must be an acceleration')
         return ground[0]
     if kind == "force":
         if len(forces) != 1:

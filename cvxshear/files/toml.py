@@ -266,13 +266,12 @@ def write_measurement(path: str | Path, declared: Mapping[str, Any], comments: I
                                   break_long_words=False, break_on_hyphens=False)
     ]  # fmt: skip
     tables = Inserted()
-    text = _NUMBERS.sub(_in_one_line, escaped(tomli_w.dumps(_plain(declared, tables))))
+    # A row of a shape is a line of the file.
+    text = _NUMBERS.sub(
+        lambda numbers: "[" + ", ".join(numbers[1].replace(",", " ").split()) + "]",
+        escaped(tomli_w.dumps(_plain(declared, tables))),
+    )
     write_file(path, "".join([*head, "\n" * bool(head), tables.put_into(text)]))
-
-
-def _in_one_line(numbers: re.Match[str]) -> str:
-    """Write a row of a shape as a line of the file."""
-    return "[" + ", ".join(numbers[1].replace(",", " ").split()) + "]"
 
 
 def _rows(table: np.ndarray[Any, Any]) -> str:

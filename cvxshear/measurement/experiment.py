@@ -14,14 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from cvxshear.measurement.configuration import Configuration
-from cvxshear.measurement.declaration import DAMPING_KINDS, Damping, ExpectedEffect, Frame, Heading, Limits
+from cvxshear.measurement.declaration import DAMPING_KINDS, Damping, ExpectedEffect, Frame, Heading, Limits, named_in
 from cvxshear.measurement.static_test import StaticTest
 from cvxshear.priors import Prior, check_prior
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError, NoScaleError
-from cvxshear.util.later import ask
-from cvxshear.util.results import Shown, as_table
+from cvxshear.util.results import Shown, as_table, ask
 from cvxshear.util.typing import Json, T
 
 __all__ = [
@@ -203,14 +202,21 @@ class Experiment(Shown):
         for place, item in checks.tables(table, "prior"):
             with _named(place):
                 priors.append(Prior.from_dict(item))
-        static = tuple(
-            StaticTest.from_dict(item, name=f"static test {at}") for at, item in checks.tables(table, "static")
+        static = []
+        for place, item in checks.tables(table, "static"):
+            name_of_test = f"static test {place}"
+            where = named_in(item, "static test", name_of_test)
+            static.append(StaticTest.of_table(item, where, "force", "displacement", name=name_of_test))
+        expected = [
+            ExpectedEffect.of_table(item, f"effect {at}", "name") for at, item in checks.tables(table, "effect")
+        ]
+        said = {key: value for key, value in table.items() if value is not None}
+        damping = Damping(**checks.keys(said.get("damping", {}), ["kind"], [], "damping"))
+        report = Heading.from_dict(said.get("report", {}))
+        limits = Limits.of_table(said["limits"], "limits", "story_drift") if "limits" in said else None
+        return Experiment(
+            frame, configurations, tuple(priors), name, tuple(static), tuple(expected), damping, report, limits
         )
-        expected = tuple(ExpectedEffect.from_dict(item, f"effect {at}") for at, item in checks.tables(table, "effect"))
-        damping = Damping() if table.get("damping") is None else Damping.from_dict(table["damping"])
-        report = Heading() if table.get("report") is None else Heading.from_dict(table["report"])
-        limits = None if table.get("limits") is None else Limits.from_dict(table["limits"])
-        return Experiment(frame, configurations, tuple(priors), name, static, expected, damping, report, limits)
 
     def to_dict(self) -> Json:
         """Return the dict of the measurement file's shape that declares this experiment."""

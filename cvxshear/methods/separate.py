@@ -6,7 +6,9 @@ What they need, the story stiffnesses once the masses are known (Eqs. 20-24), an
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -16,7 +18,7 @@ from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.quality import quality
 from cvxshear.fit.results import IdentifiedFrame, SingleIdentification, predictions
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.programs import story_stiffnesses
+from cvxshear.programs import LeastSquares, story_stiffnesses
 from cvxshear.programs.orthogonality import LOST, digits_lost, keeps_rows, normalized
 from cvxshear.programs.statements import NamedConstraints, constrained, softened, statements
 from cvxshear.util.errors import UnsuitableError
@@ -33,7 +35,7 @@ MOST_ROUNDS = 50
 """Times that soft priors, which need not be linear, are linearised again where the last solution lies."""
 
 UNCHANGED = 1e-10
-"""Relative change of the stiffnesses at which soft priors count as linearised where they belong."""
+"""Relative change of masses or stiffnesses at which soft priors count as linearised where they belong."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,24 +147,51 @@ def identified_stiffness(test: CompleteTest, mass: Floats, backend: Backend) -> 
     ndarray, shape (N,)
         N/m.
     """
-    shapes = normalized(test.shapes, mass)
-    plain = story_stiffnesses(shapes, test.eigenvalues, rows=test.rows)
-    origin = np.zeros(plain.unknowns)
-    solution = backend.solve(constrained(plain, test.stiffness_statements, origin))
-    k = solution.x
-    if not keeps_rows(test.rows, len(k)) and digits_lost(plain.R) > LOST:
-        again = story_stiffnesses(shapes, test.eigenvalues, rows=test.rows, at=k)
-        k = k + backend.solve(constrained(again, test.stiffness_statements, k)).x
-    row_std = test.shape_std * float(test.eigenvalues.max())
-    for _ in range(MOST_ROUNDS):
-        soft = softened(plain, test.experiment.priors, "story_stiffness", k, row_std, step=False)
+    program = partial(story_stiffnesses, normalized(test.shapes, mass), test.eigenvalues, rows=test.rows)
+    return solved(test, program, "story_stiffness", test.shape_std * float(test.eigenvalues.max()), backend)[0]
+
+
+def solved(
+    test: CompleteTest, program: Callable[..., LeastSquares], quantity: str, row_std: float, backend: Backend
+) -> tuple[Floats, int]:
+    """Solve a program of one quantity with its exact statements and its soft priors.
+
+    Parameters
+    ----------
+    test : CompleteTest
+    program : callable
+        Makes the program of the masses with added mass, or of the stiffnesses; of their change from `at` where given.
+    quantity : str
+        "floor_mass" or "story_stiffness".
+    row_std : float
+        Standard deviation of the program's rows, against which soft priors weigh.
+    backend : Backend
+
+    Returns
+    -------
+    x : ndarray, shape (N,)
+    iterations : int
+        Programs solved; more than `MOST_ROUNDS` where soft priors did not settle.
+    """
+    of_mass = quantity == "floor_mass"
+    exact = test.mass_statements if of_mass else test.stiffness_statements
+    # Statements and priors do not speak of the added mass.
+    added = test.configuration.added_mass if of_mass else np.zeros(test.experiment.stories)
+    plain = program()
+    solution = backend.solve(constrained(plain, exact, -added))
+    x = solution.x
+    if not keeps_rows(test.rows, len(x)) and digits_lost(plain.R) > LOST:
+        x = x + backend.solve(constrained(program(at=x), exact, x - added)).x
+    for iterations in range(1, MOST_ROUNDS + 1):
+        soft = softened(plain, test.experiment.priors, quantity, x - added, row_std, step=False)
         if soft is plain:
-            return k
-        solution = backend.solve(constrained(soft, test.stiffness_statements, origin), solution)
-        before, k = k, solution.x
-        if np.max(np.abs(k - before)) <= UNCHANGED * np.max(np.abs(k)):
-            break
-    return k
+            return x, iterations
+        shift = np.concatenate([np.zeros(len(plain.s)), soft.R[len(plain.s) :] @ added])
+        solution = backend.solve(constrained(soft.replace(s=soft.s + shift), exact, -added), solution)
+        before, x = x, solution.x
+        if np.max(np.abs(x - before)) <= UNCHANGED * np.max(np.abs(x)):
+            return x, iterations + 1
+    return x, MOST_ROUNDS + 1
 
 
 def finished(test: CompleteTest, mass: Floats, backend: Backend, **more: object) -> SingleIdentification:

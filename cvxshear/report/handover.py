@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from importlib import resources
 from io import BytesIO, StringIO
 from pathlib import Path
@@ -241,20 +240,12 @@ COLUMN_NAMES = {
 Moved = RecordPrediction | Reconstruction
 
 
-@dataclass(frozen=True, eq=False)
-class _Run:
-    """One run's motion: excitation (m/s2 or N), response, and the deviations that are known, by quantity."""
-
-    excitation: Floats
-    response: Response
-    std: dict[str, Floats]
-
-
-def _runs(result: Moved) -> list[_Run]:
+def _runs(result: Moved) -> list[tuple[Floats, Response, dict[str, Floats]]]:
+    """List each run's excitation (m/s2 or N), its response, and the deviations that are known, by quantity."""
     if isinstance(result, Reconstruction):
-        return [_Run(run.excitation if run.base is None else run.base, run.response, run.std) for run in result.runs]
+        return [(run.excitation if run.base is None else run.base, run.response, run.std) for run in result.runs]
     return [
-        _Run(drive.excitation, response, {name: band for name, band in std.items() if np.isfinite(band).all()})
+        (drive.excitation, response, {name: band for name, band in std.items() if np.isfinite(band).all()})
         for drive, response, std in zip(result.motion.drives, result.after.responses, result.std, strict=True)
     ]
 
@@ -269,15 +260,13 @@ def series(result: Moved) -> dict[str, Floats]:
         those of `COLUMN_NAMES` that apply, each followed by its standard deviations (`drift_std_1`) where known.
     """
     runs = []
-    for place, run in enumerate(_runs(result), 1):
-        columns = {
-            "run": np.full(len(run.excitation), float(place)), "time": run.response.time, "excitation": run.excitation
-        }  # fmt: skip
-        for quantity, values in histories(run.response).items():
+    for place, (excitation, response, std) in enumerate(_runs(result), 1):
+        columns = {"run": np.full(len(excitation), float(place)), "time": response.time, "excitation": excitation}
+        for quantity, values in histories(response).items():
             if values is not None:
                 columns |= _columns(COLUMN_NAMES[quantity], values)
-                if quantity in run.std:
-                    columns |= _columns(f"{COLUMN_NAMES[quantity]}_std", run.std[quantity])
+                if quantity in std:
+                    columns |= _columns(f"{COLUMN_NAMES[quantity]}_std", std[quantity])
         runs.append(columns)
     return {name: np.concatenate([columns[name] for columns in runs]) for name in runs[0]}
 
@@ -330,23 +319,17 @@ def _uff(result: Moved) -> bytes:
     pyuff = load_pyuff()
     sets: list[Json] = []
     forced = (result.recording if isinstance(result, Reconstruction) else result.motion).input == "force"
-    for run, moved in enumerate(_runs(result), 1):
-        response = moved.response
-        driven = "force" if forced else "base acceleration"
-        kind = FORCE if forced else ACCELERATION
-        sets.append(_function(pyuff, f"{driven}, run {run}", kind, 0, response.time, moved.excitation))
-        quantities: list[tuple[str, int, Floats | None]] = [
+    driven, kind_of_drive = ("force", FORCE) if forced else ("base acceleration", ACCELERATION)
+    for run, (excitation, response, _) in enumerate(_runs(result), 1):
+        sets.append(_function(pyuff, f"{driven}, run {run}", kind_of_drive, 0, response.time, excitation))
+        for name, kind, values in (
             ("acceleration", ACCELERATION, response.acceleration),
             ("displacement", DISPLACEMENT, response.displacement),
             ("drift", DISPLACEMENT, response.drift),
             ("story shear", FORCE, response.story_shear),
-        ]
-        for name, kind, values in quantities:
-            if values is not None:
-                sets += [
-                    _function(pyuff, f"{name}, run {run}", kind, floor, response.time, values[:, floor - 1])
-                    for floor in range(1, values.shape[1] + 1)
-                ]
+        ):
+            for floor, history in enumerate(() if values is None else values.T, 1):
+                sets.append(_function(pyuff, f"{name}, run {run}", kind, floor, response.time, history))
     return universal_file(sets)
 
 

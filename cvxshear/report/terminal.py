@@ -20,7 +20,7 @@ from cvxshear.effects import catalogue
 from cvxshear.loop import VERDICTS
 from cvxshear.methods import Identification
 from cvxshear.modal import ModalResult
-from cvxshear.report.describe import Document, Facts, Points, Section, Sentence, Table, describe, line
+from cvxshear.report.describe import Facts, Points, Section, Sentence, Table, describe, line
 from cvxshear.report.describe.from_records import doubts_section, poles_table
 from cvxshear.report.describe.identified import damping_section
 from cvxshear.response import IdentifiedDamping
@@ -127,7 +127,7 @@ PAGE = 80
 
 
 def shown(result: object, units: Units = AUTOMATIC) -> Iterator[RenderableType]:
-    """Render a result for a terminal.
+    """Render a result for a terminal: its headline, and every section but those of a full report.
 
     Parameters
     ----------
@@ -136,11 +136,7 @@ def shown(result: object, units: Units = AUTOMATIC) -> Iterator[RenderableType]:
     units : Units, optional
         In which quantities are shown.
     """
-    yield from rendered(describe(result, units))
-
-
-def rendered(document: Document) -> Iterator[RenderableType]:
-    """Render a description for a terminal: its headline, and every section but those of a full report."""
+    document = describe(result, units)
     yield Text(printable(document.headline), style="bold")
     for section in document.brief:
         yield from _section(section)

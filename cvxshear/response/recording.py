@@ -12,7 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from cvxshear.files.columns import Columns
-from cvxshear.files.record_file import RecordTables, channels_made
+from cvxshear.files.record_file import RecordTables
 from cvxshear.files.record_tables import ChannelDeclaration, placed
 from cvxshear.records.motion import DRIVEN, Motion, band_limited, trend
 from cvxshear.records.record import Channel, TimeRecord
@@ -46,12 +46,20 @@ class RecordedRun:
     name : str
     floor : int, optional
         Where a measured force acts.
+    between : ndarray, shape (samples,), optional
+        Samples whose straight lines act between the samples; those of the excitation where not given.
     """
 
     measured: Floats
     excitation: Floats
     name: str
     floor: int = 0
+    between: Floats | None = None
+
+    @property
+    def drive(self) -> Floats:
+        """What acts between the samples and at them, as in `Dynamics`, shape (samples, 2)."""
+        return np.column_stack([self.excitation if self.between is None else self.between, self.excitation])
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,8 +148,8 @@ class Recording:
         return dataclasses.replace(self, runs=tuple(runs))
 
     def band_limited(self) -> Recording:
-        """Take a measured base acceleration as band-limited between its samples, not as straight lines."""
-        runs = [dataclasses.replace(run, excitation=band_limited(run.excitation)) for run in self.runs]
+        """Take a measured excitation as band-limited between its samples, not as straight lines."""
+        runs = [dataclasses.replace(run, between=band_limited(run.excitation)) for run in self.runs]
         return dataclasses.replace(self, runs=tuple(runs))
 
     def lines(self, expected: Sequence[Floats]) -> list[Floats]:
@@ -172,7 +180,10 @@ class Recording:
     def cut(self, parts: Sequence[slice]) -> Recording:
         """Return the recording with one part of each run."""
         runs = [
-            dataclasses.replace(run, measured=run.measured[part], excitation=run.excitation[part])
+            dataclasses.replace(
+                run, measured=run.measured[part], excitation=run.excitation[part],
+                between=None if run.between is None else run.between[part],
+            )
             for run, part in zip(self.runs, parts, strict=True)
         ]
         return dataclasses.replace(self, runs=tuple(runs))
@@ -282,7 +293,7 @@ def _of_file(path: Path, stories: int) -> Recording:
     with placed(path):
         checks.choice(tables.kind, ("time",), "record: kind, for a reconstruction,")
         for item in tables.responses:
-            _refuse_other_quantity(item.quantity, f'channel "{item.column}"')
+            _refuse_other_quantity(item.quantity, f'channel "{item.name}"')
         # Jumps of the clock and the ends asked for part the file; what a floor misses does not.
         pieces, rate = tables.pieces([])
         runs = []
@@ -292,7 +303,7 @@ def _of_file(path: Path, stories: int) -> Recording:
             together = np.column_stack(measured) if measured else np.zeros((len(excitation), 0))
             runs.append(RecordedRun(together, excitation, piece.name, piece.floor))
         return _recording(
-            channels_made(tables.responses), rate, tables.input, runs, stories,
+            tuple(tables.responses), rate, tables.input, runs, stories,
             added_mass=None if tables.added_mass is None else np.array(tables.added_mass), state=tables.state,
             name=tables.name,
         )  # fmt: skip
@@ -300,8 +311,8 @@ def _of_file(path: Path, stories: int) -> Recording:
 
 def _with_gaps(columns: Columns, item: ChannelDeclaration, path: Path) -> Floats:
     """Return what a sensor recorded; nan where a sample is missing."""
-    columns.check(item.column, item.place or path.name)
-    values = columns.values[:, columns.names.index(item.column)]
+    columns.check(item.name, item.place or path.name)
+    values = columns.values[:, columns.names.index(item.name)]
     if np.isinf(values).any() or np.any(np.abs(values[np.isfinite(values)]) > checks.LARGEST):
-        values = columns.column(item.column, item.place or path.name)
+        values = columns.column(item.name, item.place or path.name)
     return item.factor * values

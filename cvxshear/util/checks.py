@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import math
 import reprlib
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -105,8 +105,13 @@ def _hint(key: object, known: Collection[str], elsewhere: Mapping[str, str]) -> 
     """Say what to do about a key that nothing knows."""
     if isinstance(key, str) and key in elsewhere:
         return f"it belongs in {elsewhere[key]}"
-    near = difflib.get_close_matches(str(key)[:60].lower(), list(known), n=1, cutoff=0.5)
-    return f"did you mean {near[0]!r}?" if near else f"known keys are {', '.join(sorted(known))}"
+    return near(key, known, 0.5).removeprefix("; ") or f"known keys are {', '.join(sorted(known))}"
+
+
+def near(word: object, known: Iterable[str], cutoff: float = 0.6) -> str:
+    """Guess which of the known names was meant, as the end of a message; empty where none is near."""
+    found = difflib.get_close_matches(str(word)[:60].lower(), list(known), n=1, cutoff=cutoff)
+    return f"; did you mean {found[0]!r}?" if found else ""
 
 
 def number(value: object, where: str, *, above: float = -math.inf, least: float = -math.inf) -> float:
@@ -157,8 +162,7 @@ def text(value: object, where: str) -> str:
 def choice(value: object, options: Sequence[str], where: str) -> str:
     """One of the named options."""
     if not isinstance(value, str) or value not in options:
-        near = difflib.get_close_matches(value[:60].lower(), list(options), n=1) if isinstance(value, str) else []
-        hint = f"; did you mean {near[0]!r}?" if near else ""
+        hint = near(value, options) if isinstance(value, str) else ""
         raise InputError(f"{where} must be one of {', '.join(options)}, not {shown(value)}{hint}")
     return value
 

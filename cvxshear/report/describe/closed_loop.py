@@ -77,7 +77,9 @@ def effects_section(result: Closure) -> Section:
     parts: list[Block] = []
     if verdict_of(result).provisional:
         title, caption = "Provisional effects", "Effects that survive while a residual is left"
-        parts.append(Sentence("None of them counts as found, as long as a residual is left.", "warning"))
+        among = "the probabilities are among causes that were tried, none of which explains the data"
+        said = f"None of them counts as found, as long as a residual is left: {among}."
+        parts.append(Sentence(said, "warning"))
     parts.append(Table("effects-table", caption, ("effect", "probability"), rows))
     return Section("effects", title, (*parts, *([Points("remarks", remarks)] if remarks else [])))
 
@@ -273,12 +275,16 @@ def limits_section(result: Closure) -> Section:
 
 
 def _limits(result: Closure) -> Iterator[str]:
+    yield from _undetermined(result)
+    for name, lacking in result.not_considered.items():
+        yield f"{capital(name.replace('_', ' '))} was not looked for: that needs {lacking.replace('_', ' ')}."
+
+
+def _undetermined(result: Closure) -> Iterator[str]:
     for names in result.estimate.uncertainty.null_directions:
         yield f"Not determined: {in_words(names)}."
     for text in (*generous_noise(result.estimate.quality), *result.information):
         yield f"{capital(text)}."
-    for name, lacking in result.not_considered.items():
-        yield f"{capital(name.replace('_', ' '))} was not looked for: that needs {lacking.replace('_', ' ')}."
 
 
 def open_questions(result: Closure) -> tuple[str, ...]:
@@ -296,8 +302,7 @@ def open_questions(result: Closure) -> tuple[str, ...]:
             said.append(f"{capital(item.placed.label)} {how} {first.placed.label} ({chance(first.probability)}).")
     if in_doubt(result):
         said.append("The numbers of the measured modes are in question.")
-    said += [f"Not determined: {in_words(names)}." for names in result.estimate.uncertainty.null_directions]
-    said += [f"{capital(text)}." for text in (*generous_noise(result.estimate.quality), *result.information)]
+    said += _undetermined(result)
     more = len(said) - MOST_QUESTIONS
     return (*said[:MOST_QUESTIONS], *([f"{more} more below."] if more > 0 else []))
 

@@ -21,7 +21,6 @@ from cvxshear.report.describe.vocabulary import (
 from cvxshear.screening import Finding, Screening
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import AUTOMATIC, Units, capital, counted, listed, percent, ranged, with_std, with_stds
-from cvxshear.util.typing import Floats
 
 METHOD_WORDS = {
     "era": "eigensystem realization (era)", "okid": "observer identification and eigensystem realization (okid)",
@@ -34,17 +33,6 @@ METHOD_WORDS = {
 def method_in_words(result: ModalResult) -> str:
     """How the modes were found."""
     return METHOD_WORDS.get(result.method, result.method)
-
-
-def scale_in_words(result: ModalResult) -> str:
-    """In what the shapes are given."""
-    return "1/√kg" if result.mass_normalized else "the largest entry is 1"
-
-
-def shape_deviations(result: ModalResult) -> Floats:
-    """Find the standard deviations of the shapes' entries, in the unit of the shapes, shape (m, n)."""
-    largest = np.abs(result.mode_shapes).max(axis=1, keepdims=True)
-    return np.asarray(result.written_entry_std * largest)
 
 
 @describe.register
@@ -117,12 +105,14 @@ def poles_table(result: ModalResult) -> Table:
 
 def _shapes(result: ModalResult) -> Table:
     """Set the shapes side by side, the top of the frame first."""
-    shapes, stds = result.mode_shapes.tolist(), shape_deviations(result).tolist()
+    largest = np.abs(result.mode_shapes).max(axis=1, keepdims=True)
+    shapes, stds = result.mode_shapes.tolist(), (result.written_entry_std * largest).tolist()
     rows = columns(
         [str(floor) for floor in result.floors],
         *(with_stds(values, std) for values, std in zip(shapes, stds, strict=True)),
     )
-    title = f"Mode shapes ± standard deviation ({scale_in_words(result)})"
+    scale = "1/√kg" if result.mass_normalized else "the largest entry is 1"
+    title = f"Mode shapes ± standard deviation ({scale})"
     return Table(
         "identified-shapes", title, ("floor", *(f"mode {mode}" for mode in result.modes)), tuple(reversed(rows))
     )
@@ -130,8 +120,10 @@ def _shapes(result: ModalResult) -> Table:
 
 @describe.register
 def _screening(result: Screening, units: Units = AUTOMATIC) -> Document:
-    accepted = [Sentence(f"accepted beforehand: {', '.join(result.accepted)}")] if result.accepted else []
-    parts = [*accepted, *(part for item in result.findings for part in _finding(item)), *_record(result)]
+    accepted: list[Block] = [Sentence(f"accepted beforehand: {', '.join(result.accepted)}")] if result.accepted else []
+    parts = [*accepted, *(part for item in result.findings for part in _finding(item))]
+    for said in result.record:
+        parts += [Sentence(f"RECORD: {said.kind}", "warning"), Facts((("  found", said.message),))]
     return Document(
         result.name, f"{result.name}: {_screening_headline(result)}", (Section("findings", "", tuple(parts)),)
     )
@@ -155,13 +147,6 @@ def _finding(item: Finding) -> Iterator[Block]:
             ("  accept", f"{item.how_to_accept}, if it is right as it is"),
         )
     )
-
-
-def _record(result: Screening) -> Iterator[Block]:
-    """List what a record's own diagnostics say."""
-    for item in result.record:
-        yield Sentence(f"RECORD: {item.kind}", "warning")
-        yield Facts((("  found", item.message),))
 
 
 def doubts_section(found: Sequence[Finding]) -> Section:

@@ -75,7 +75,7 @@ def frame_table(
     key: str = "identified",
     averaged: IdentifiedFrame | None = None,
 ) -> Table:
-    """Floor masses and story stiffnesses, the top of the frame first, and beside them those averaged over models."""
+    """Floor masses with their sum and story stiffnesses, the top first, and beside them those averaged over models."""
     mass_factor, mass_unit = units.of_mass(frame.floor_mass.tolist())
     factor, unit = units.of_stiffness(frame.story_stiffness.tolist())
     head = ["floor / story", f"mass, {mass_unit}", f"stiffness, {unit}"]
@@ -94,7 +94,8 @@ def frame_table(
                 f"{significant(value / size, 2)} (at a bound)" if at_bound else text
                 for value, text, at_bound in zip(values.tolist(), written, stopped, strict=True)
             ])  # fmt: skip
-    return Table(key, title, tuple(head), tuple(reversed(columns(*cells))))
+    sums = [text for each in shown for text in (significant(float(each.floor_mass.sum()) / mass_factor, 5), "")]
+    return Table(key, title, tuple(head), (*reversed(columns(*cells)), Row(("sum", *sums))))
 
 
 def in_one_unit(

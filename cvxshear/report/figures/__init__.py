@@ -4,7 +4,6 @@
 """
 
 from cvxshear.report.figures.drawn_frame import findings, frame
-from cvxshear.report.figures.drawn_network import springs
 from cvxshear.report.figures.drawn_shapes import shapes
 from cvxshear.report.figures.figure_table import FigureEntry, drawn_figure, figure, figures_of
 from cvxshear.report.figures.frequency_figures import coherence, functions, stabilization

@@ -143,14 +143,15 @@ HALF_WIDTH = 0.16
     "shapes",
     Closure,
     title="Mode shapes",
-    caption="Each measured mode: dots with error bars are measured, the dashed line is the shear model, the frame is "
-    "the final model.",
     alternative="Measured mode shapes with error bars beside those of the shear model and of the final model.",
     section="shapes",
     narrow=True,
 )
 def shapes(result: Closure) -> Figure:
     """Every measured mode with its error bars, the final model's as a displaced frame, and the first model's as a line.
+
+    Each measured mode: dots with error bars are measured, the dashed line is the shear model, the frame is the
+    final model.
 
     One panel a configuration and measured mode.
     """

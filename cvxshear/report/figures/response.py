@@ -332,7 +332,7 @@ def story_drifts(result: Reconstruction) -> Figure:
                 right.text(100 * limit, levels[-1], style.letters(word), rotation=90, va="top", ha="right", fontsize=7)
     right.set_xlim(left=0)
     right.set_xlabel(unit)
-    right.legend(loc="best")
+    right.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return figure
 
 

@@ -24,14 +24,11 @@ BOX = 0.8
 """Of the distance between two noise levels, what the boxes of all methods take."""
 
 
-@figure(
-    "boxes",
-    NoiseStudy,
-    title="Scatter of the estimates",
-    caption="Boxes hold the middle half of the estimates with the median; whiskers reach 1.5 box lengths at most.",
-)
+@figure("boxes", NoiseStudy, title="Scatter of the estimates")
 def noise_boxes(study: NoiseStudy) -> Figure:
     """Box plots of the identified masses and stiffnesses at each noise level (the paper's Fig. 5).
+
+    Boxes hold the middle half of the estimates with the median; whiskers reach 1.5 box lengths at most.
 
     Parameters
     ----------
@@ -60,14 +57,11 @@ def noise_boxes(study: NoiseStudy) -> Figure:
     return figure
 
 
-@figure(
-    "variation",
-    NoiseStudy,
-    title="Coefficients of variation",
-    caption="Coefficient of variation of each estimate over the noise level, beside the Cramér-Rao bound.",
-)
+@figure("variation", NoiseStudy, title="Coefficients of variation")
 def noise_variation(study: NoiseStudy) -> Figure:
     """Coefficients of variation beside the Cramer-Rao bound (the paper's Fig. 6).
+
+    Coefficient of variation of each estimate over the noise level, beside the Cramér-Rao bound.
 
     Parameters
     ----------
@@ -178,12 +172,13 @@ MOST_LINES = 6
     "convergence",
     Identification,
     title="The mass iteration",
-    caption="Error of each floor mass over the iterations of the two-stage method.",
     applies=lambda *results: bool(_iterated(*results)),
     needs="a method that iterates on the masses: two-stage",
 )
 def convergence(*results: Identification, true_mass: Floats | None = None) -> Figure:
     """Error of each floor mass over the iterations of the two-stage method (the paper's Fig. 4).
+
+    Error of each floor mass over the iterations of the two-stage method.
 
     Parameters
     ----------
@@ -255,14 +250,15 @@ DRAWN_AS_NOTHING = 1e-17
     "backends",
     Comparison,
     title="Agreement of the backends",
-    caption="Left: how far each backend's answer is from the closed form (from the median of all where a bound is "
-    "active). Right: its time over that of the closed form, on this machine.",
     alternative="Differences between the backends and their times; the numbers are in the table that follows.",
     section="worst",
     narrow=True,
 )
 def backend_differences(comparison: Comparison) -> Figure:
     """Each backend's largest difference from the reference, and its time over that of the closed form.
+
+    Left: how far each backend's answer is from the closed form (from the median of all where a bound is active).
+    Right: its time over that of the closed form, on this machine.
 
     One row a backend, one marker a kind of program; a program that a backend does not take has none.
     """
