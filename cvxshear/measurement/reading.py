@@ -166,14 +166,12 @@ def _times(count: int) -> str:
     return {0: "not at all", 1: "once", 2: "twice"}.get(count, f"{count} times")
 
 
-def repeated_configurations(experiment: Experiment, *, loads: bool = True) -> tuple[tuple[str, ...], ...]:
+def repeated_configurations(experiment: Experiment) -> tuple[tuple[str, ...], ...]:
     """Group configurations that repeat each other to the last digit: one test, however often it is listed.
 
     Parameters
     ----------
     experiment : Experiment
-    loads : bool, optional
-        Whether their added mass is the same as well; where not, it is not looked at.
 
     Returns
     -------
@@ -185,7 +183,6 @@ def repeated_configurations(experiment: Experiment, *, loads: bool = True) -> tu
     for each in experiment.configurations:
         if len(each.frequencies) + int(np.isfinite(each.mode_shapes).sum()) < NUMBERS_OF_A_COPY:
             continue
-        load = (each.added_mass,) if loads else ()
-        parts = (*load, each.modes, each.measured_floors, each.frequencies, each.mode_shapes)
+        parts = (each.added_mass, each.modes, each.measured_floors, each.frequencies, each.mode_shapes)
         groups.setdefault(tuple(np.asarray(part).tobytes() for part in parts), []).append(each.name)
     return tuple(tuple(names) for names in groups.values() if len(names) > 1)

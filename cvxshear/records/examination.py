@@ -39,6 +39,8 @@ CERTAIN_DELAY = 4.0
 """Standard deviations of a delay that is taken out."""
 DELAYS_AGREE = 0.05
 """Of a delay: as near half of the other clocks must come to it. Dampers part them by a fraction of a sample."""
+SLOPES_AGREE = 0.6
+"""Of a drift: as near the drifts against every other clock must come to it. Those that dampers feign differ by more."""
 HINT = 2.0
 """Standard deviations of a drift against one clock from which on the others are asked."""
 QUIET = 0.5
@@ -127,8 +129,10 @@ def _in_step(record: TimeRecord) -> tuple[TimeRecord, list[Finding], dict[str, t
     silent = [i for i, item in against.items() if item.agreement < limits[i] and names[i : i + 1]]
     findings = [_silent(record, i, against[i]) for i in silent]
     heard_by[reference] = BandClock(0.0, 0.0, 1.0, 0.0)
-    # Where little more is in common than chance makes, the search over drifts finds one in its noise.
-    common = usual > min(AGREED, IN_COMMON * float(np.median([item.chance for item in against.values()])))
+    # Where little more is in common than chance makes, the search over drifts finds one in its noise. Several blows in
+    # one run may be at several floors, whatever is declared, and with dampers the phases are other ones at each.
+    apart = len(record.runs) > 1 or not struck(record)
+    common = apart and usual > min(AGREED, IN_COMMON * float(np.median([item.chance for item in against.values()])))
     drifts = {i: _drift(segments, i, heard_by) if common else (0.0, np.inf) for i in heard_by}
     # The clock that is nearest to all others counts as right, of those that do not drift.
     middles = {i: item.middle for i, item in heard_by.items()}
@@ -207,7 +211,7 @@ def _perhaps_drifting(name: str, clocks: list[BandClock], least: float) -> list[
     """Report a clock that seems to drift against every other, in a record that passes one mode after the other."""
     slopes = np.array([clock.steepest for clock in clocks])
     slope, reach = float(np.median(slopes)), float(np.median([clock.reach for clock in clocks]))
-    alike = np.abs(slopes - slope).max() < 0.6 * abs(slope)
+    alike = np.abs(slopes - slope).max() < SLOPES_AGREE * abs(slope)
     if len(slopes) < 3 or not alike or abs(slope) * reach < least:
         return []
     return [

@@ -288,9 +288,11 @@ def _said(item: Hypothesis, channels: Sequence[Channel], first: Floats, sound: f
     low, high = (channels[place] for place in item.places)
     also = "".join(f", and {channels[place]} reversed" for place in item.turned)
     signs = ", and turn that sign round" if item.turned else ""
+    still = [channels[place] for place in item.places if abs(first[place]) < SHAPE_ERROR * np.abs(first).max()]
+    dead = "".join(f", unless {channel} carries no motion at all: is its cable cut?" for channel in still)
     return Finding(
         "swapped channels",
         f"{low} and {high} look swapped{also}: the lowest mode is {shape} from the ground up, which no shear frame has "
-        f"({odds}). Exchange their floors in the record file{signs}",
+        f"({odds}). Exchange their floors in the record file{signs}{dead}",
         {**numbers, "corrected": False},
     )

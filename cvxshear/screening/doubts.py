@@ -17,7 +17,7 @@ import numpy as np
 
 from cvxshear.data.pairing import mac
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.measurement.reading import Reading, repeated_configurations
+from cvxshear.measurement.reading import NUMBERS_OF_A_COPY, Reading, repeated_configurations
 from cvxshear.screening.shear_fit import ROUGH_STEPS, TALLEST_FITTED, ShearFrames, modes_of, odd_starts
 from cvxshear.util.quantities import quantity, significant
 from cvxshear.util.results import InJson
@@ -283,11 +283,15 @@ def repeats(experiment: Experiment) -> Iterator[Finding]:
     for names in copies:
         said = f"configurations {_listed(names)} repeat each other to the last digit"
         yield _doubt("repeated", said, change, names[1])
-    for names in repeated_configurations(experiment, loads=False):
-        tests = [each for each in experiment.configurations if each.name in names]
+    alike: dict[tuple[bytes, bytes], list[Configuration]] = {}
+    for each in experiment.configurations:
+        alike.setdefault((each.modes.tobytes(), each.frequencies.tobytes()), []).append(each)
+    for tests in alike.values():
+        names = [each.name for each in tests]
         if any(set(names) <= set(group) for group in copies) or not _shows_load(experiment, tests):
             continue
-        said = f"configurations {_listed(names)} have other added mass, and the same modes to the last digit"
+        what = "modes" if _same_shapes(tests) else "frequencies"
+        said = f"configurations {_listed(names)} have other added mass, and the same {what} to the last digit"
         yield _doubt("repeated", said, "write what each of them measured: a load changes the frequencies", names[1])
 
 
@@ -296,16 +300,29 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def _shows_load(experiment: Experiment, tests: Sequence[Configuration]) -> bool:
-    """Whether the loads of tests with equal modes differ by as much as their frequencies must have shown.
+    """Whether the loads of tests with equal frequencies differ by as much as these must have shown.
 
     Entries of shapes never agree. Frequencies alone can, read off lines of a spectrum, under a load that is light.
     """
-    if any(each.measured.any() for each in tests):
+    copied = int(tests[0].measured.sum()) if _same_shapes(tests) else 0
+    if len(tests) < 2 or len(tests[0].frequencies) + copied < NUMBERS_OF_A_COPY:
+        return False
+    if copied:
         return True
     total = experiment.frame.known_total
     lightest, heaviest = (pick(float(each.added_mass.sum()) for each in tests) for pick in (min, max))
     std = max(float(np.max(each.log_frequency_std)) for each in tests)
     return total is not None and (heaviest - lightest) / (2 * total) > SHOWN_LOAD * std
+
+
+def _same_shapes(tests: Sequence[Configuration]) -> bool:
+    """Whether all tests have the same shapes at the same floors, to the last digit."""
+    first = tests[0]
+    return all(
+        np.array_equal(each.measured_floors, first.measured_floors)
+        and np.array_equal(each.mode_shapes, first.mode_shapes, equal_nan=True)
+        for each in tests
+    )
 
 
 def state_names(experiment: Experiment) -> Iterator[Finding]:

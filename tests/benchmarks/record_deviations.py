@@ -19,6 +19,9 @@ from tests.benchmarks.record_faults import only
 
 METHODS = {"subspace": "base", "okid": "base", "ssi": "none", "era": "force"}
 WITHIN = 1.96
+RATE = {"none": 4.0}
+"""Sampling rate over the highest frequency, 2.6 where nothing else is said: the load of `ambient_record` ends at 0.4 of
+the rate, and a load that falls through a mode's band is not white: damping of the highest mode comes out low."""
 
 
 def frame_of(stories: int, random: np.random.Generator) -> KnownFrame:
@@ -43,8 +46,8 @@ def errors(method: str, stories: int, seed: int) -> tuple[np.ndarray, np.ndarray
     frame = frame_of(stories, random)
     frequencies, shapes = frame.modes()
     absent = random.choice(stories - 1, stories // 3, replace=False)
-    kept = np.setdiff1d(np.arange(stories), absent)
-    record = only(record_of(frame, METHODS[method], seed, float(np.ceil(2.6 * frequencies[-1]))), kept)
+    kept, kind = np.setdiff1d(np.arange(stories), absent), METHODS[method]
+    record = only(record_of(frame, kind, seed, float(np.ceil(RATE.get(kind, 2.6) * frequencies[-1]))), kept)
     found = identify_modes(record, method=method)
     of_frequency, of_damping, of_entries = np.full(stories, np.nan), np.full(stories, np.nan), []
     for row, frequency in enumerate(found.frequencies):

@@ -199,6 +199,15 @@ def test_a_copy_under_another_load_is_asked_about_where_the_load_must_have_shown
     assert all("have other added mass, and the same modes" in item.found for item in found)
 
 
+@pytest.mark.parametrize(("load", "asked"), [(0.5, True), (1e-3, False)])
+def test_frequencies_pasted_from_a_test_under_another_load_are_asked_about(load, asked):
+    table, loaded = configuration(MASS, STIFFNESS), configuration(MASS, STIFFNESS, (load * MASS).tolist())
+    table["mode_shapes"] = (np.array(table["mode_shapes"]) * 1.001).tolist()
+    loaded["frequencies"] = table["frequencies"]
+    found = screen(Experiment.from_dict(experiment(MASS, STIFFNESS, table, loaded)))
+    assert any("and the same frequencies to the last digit" in item.found for item in found) == asked
+
+
 @pytest.mark.parametrize(
     ("states", "asked"),
     [
