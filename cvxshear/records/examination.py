@@ -143,7 +143,7 @@ def _in_step(record: TimeRecord) -> tuple[TimeRecord, list[Finding], dict[str, t
     limit = LATE / record.sampling_rate
     for i, item in heard_by.items():
         late, std, (slope, slope_std) = item.middle - middles[right], np.hypot(item.std, heard_by[right].std), drifts[i]
-        if not slope and i < len(names) and i != reference and not struck(record):
+        if driven and not slope and i < len(names) and i != reference and not struck(record):
             others = [band_clock(segments, i, k) for k in heard_by if k != i]
             findings += _perhaps_drifting(clocks[i], others, limit / 2)
         if i == right or (abs(late) < max(limit, CERTAIN_DELAY * std) and not slope):
@@ -219,7 +219,7 @@ def _perhaps_drifting(name: str, clocks: list[BandClock], least: float) -> list[
             "clock drift",
             f'the clock of "{name}" may run {"slow" if slope > 0 else "fast"} by {1e6 * abs(slope):.0f} ppm, by the '
             "phases against every other clock, or a damper acts near it: where one mode after the other is driven the "
-            "record cannot tell which; nothing is changed",
+            "record cannot tell which, and the drift is left in",
             {"channel": name, "drift": slope, "corrected": False},
         )
     ]

@@ -15,7 +15,7 @@ from cvxshear.modal.diagnostics import cables_changed
 from cvxshear.records.examination import examined
 from cvxshear.records.floors import one_a_floor
 from cvxshear.records.placement import Hypothesis, findings_of, weighed
-from cvxshear.records.signals import scaled
+from cvxshear.records.signals import in_step, scaled
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, base_record
 from cvxshear.report import terminal
 from cvxshear.response.sources import load_unscaled
@@ -106,6 +106,25 @@ def test_a_damper_is_no_drift_where_one_floor_is_hit_after_another():
             runs.append(Run(whole.responses[:1600] + noise, whole.excitation[:1600], floor))
     found = examined(dataclasses.replace(record, runs=tuple(runs))).findings
     assert "clock drift" not in {finding.kind for finding in found}
+
+
+@pytest.mark.parametrize("drift", [0.0, 4e-4])
+def test_a_drift_under_a_sweep_is_said_with_both_its_causes(drift):
+    """A sweep passes each mode once: a damper could turn the phases as the clock does, so the drift is left in."""
+    frame, rate, finer = KnownFrame(np.full(6, 1e3), np.full(6, 8e5), 0.01), 40.0, 4
+    time = np.arange(int(120 * rate) * finer) / (rate * finer)
+    base = signal.chirp(time, 0.4, time[-1], 12.0, method="logarithmic")
+    moved = (frame.accelerations(-base[:, None] * frame.masses, time[1]) + base[:, None])[::finer]
+    moved += 0.01 * moved.std(axis=0) * np.random.default_rng(0).standard_normal(moved.shape)
+    channels = [Channel(f"floor{floor}", floor) for floor in range(1, 7)]
+    record = TimeRecord(channels, runs=[Run(moved, base[::finer])], sampling_rate=rate, input="base")
+    # A clock that is set right though it was right runs slow.
+    found = examined(in_step(record, {"floor3": (0.0, -drift)}) if drift else record).findings
+    assert {item.numbers["channel"] for item in found} == ({"floor3"} if drift else set())
+    for item in (item for item in found if item.kind == "clock drift"):
+        assert not item.numbers["corrected"]
+        assert item.numbers["drift"] == pytest.approx(drift, rel=0.2)
+    assert len([item for item in found if item.kind == "clock drift"]) == bool(drift)
 
 
 @pytest.mark.parametrize("kind", INPUTS)
