@@ -15,7 +15,6 @@ from cvxshear.backends import solvers
 from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
 from cvxshear.util.errors import NoSolutionError
-from cvxshear.util.typing import Floats
 
 CVXPY_OPTIONS: dict[str, dict[str, Any]] = {
     "CLARABEL": solvers.accurate("clarabel"),
@@ -114,14 +113,9 @@ class Cvxpy(Backend):
         if status != cp.OPTIMAL or z is None:
             seconds = time.perf_counter() - began
             raise NoSolutionError(self.name, solvers.why_not(self._solver.lower(), self._options, status, seconds))
-        y, w = (_multipliers(compiled.constraints.get(name)) for name in ("E", "F"))
+        given = (getattr(compiled.constraints.get(name), "dual_value", None) for name in ("E", "F"))
+        y, w = (np.zeros(0) if value is None else np.atleast_1d(np.asarray(value, dtype=float)) for value in given)
         return Answer(np.asarray(z), y, w[:inequalities], status, compiled.problem.solver_stats.num_iters)
-
-
-def _multipliers(constraint: cp.Constraint | None) -> Floats:
-    """Return the multipliers of a constraint, none where there is no constraint or the solver gives none."""
-    value = None if constraint is None else constraint.dual_value
-    return np.zeros(0) if value is None else np.atleast_1d(np.asarray(value, dtype=float))
 
 
 def _padding(equalities: int, inequalities: int) -> int:

@@ -300,18 +300,14 @@ def _time_record(tables: RecordTables, notes: list[Finding]) -> TimeRecord:
         if piece.left_out:
             count = sum(each.place == piece.place for each in pieces)
             notes.append(Finding("pieces", f"{piece.run}: {piece.left_out}", {"pieces": count}))
-    runs = [
-        Run(_table(each.columns, responses, tables.path), each.excitation, each.floor, each.name, *each.span)
-        for each in pieces
-    ]
-    common = {**_common(tables), **({"quantity": quantities.pop()} if quantities else {})}
-    return TimeRecord(tuple(responses), **common, runs=tuple(runs), sampling_rate=rate, input=tables.input)
-
-
-def _table(columns: Columns, responses: list[ChannelDeclaration], path: Path) -> Floats:
     if not responses:
         raise InputError("no channel is on a floor above the ground")
-    return np.column_stack([item.factor * columns.column(item.name, item.place or path.name) for item in responses])
+    runs = []
+    for each in pieces:
+        table = [item.factor * each.columns.column(item.name, item.place or tables.path.name) for item in responses]
+        runs.append(Run(np.column_stack(table), each.excitation, each.floor, each.name, *each.span))
+    common = {**_common(tables), **({"quantity": quantities.pop()} if quantities else {})}
+    return TimeRecord(tuple(responses), **common, runs=tuple(runs), sampling_rate=rate, input=tables.input)
 
 
 def _frf_record(tables: RecordTables) -> FrfRecord:

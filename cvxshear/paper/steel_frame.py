@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import optimize
@@ -19,8 +19,7 @@ from cvxshear.programs.orthogonality import normalized
 from cvxshear.util.typing import Floats
 
 
-@dataclass(frozen=True)
-class RecoveredShapes:
+class RecoveredShapes(NamedTuple):
     """The two modes of a two-story frame.
 
     Parameters
