@@ -197,7 +197,7 @@ def numbers(
 
 SPELLED = "cvxshear.spelled"
 SPELLINGS = {"±": "+-", "–": "-", "−": "-", "·": "*", "°": " deg", "²": "2", "χ": "chi", "≤": "<=", "≥": ">="}
-"""For a terminal that lacks them."""
+"""Spellings of characters that a terminal lacks."""
 
 
 class OutputError(Exception):

@@ -50,7 +50,7 @@ STAMP = re.compile(
 ISO_DATE = re.compile(r"\d{4}-\d\d-\d\d")
 EPOCH = datetime(1970, 1, 1)
 DAY = 86_400.0
-"""s."""
+"""Seconds of a day."""
 
 Line = tuple[int, str]
 

@@ -131,10 +131,10 @@ def _split(name: str, array: Array) -> dict[str, Array]:
 
 
 MOST_SECONDS = 60.0
-"""That reading a MAT file may take: a sound one of 100 MB takes two, and a damaged one may never end."""
+"""Seconds that reading a MAT file may take: a sound one of 100 MB takes two, and a damaged one may never end."""
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""Of the process that reads a MAT file: each thread of a library of linear algebra takes memory that is limited."""
+"""Environment of the process that reads a MAT file: each thread of linear algebra takes memory that is limited."""
 
 
 def _read_mat5(content: bytes, where: str, limit: float) -> Mapping[str, Any]:
@@ -163,7 +163,7 @@ DEFLATE, SHUFFLE, CHECKSUM = 1, 2, 3
 """Numbers of HDF5's own filters."""
 
 MOST_INFLATION = 1032
-"""Times its size, that deflate can make of any content."""
+"""Largest ratio of a content's size to what deflate makes of it."""
 
 
 def _read_hdf5(path: Path, where: str, limit: float) -> Mapping[str, Any]:

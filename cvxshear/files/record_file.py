@@ -45,7 +45,7 @@ RECORD_KEYS = (
 HEADER = re.compile(r"^[ \t]*\[record\][ \t]*(#.*)?\n", re.MULTILINE)
 NEXT_TABLE = re.compile(r"^[ \t]*\[+\w", re.MULTILINE)
 PICK = re.compile(r"^[ \t]*pick[ \t]*=[ \t]*\[[^\]]*\]", re.MULTILINE)
-"""Where the table of the record begins and the next one, and what stands in it of poles picked by hand."""
+"""Patterns of the header of the record's table, of the next table's, and of the line of poles picked by hand."""
 
 FREQUENCY_NAMES = ("frequency", "frequency_hz", "freq", "f", "f_hz", "Frequency", "hz")
 

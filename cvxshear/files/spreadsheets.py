@@ -29,7 +29,7 @@ LONGEST_CELL = 32_767
 """Letters that a cell may have (Excel)."""
 
 MOST_INFLATED = 20
-"""Times the limit of a file that its parts may have once inflated: workbooks of numbers shrink to about a tenth."""
+"""Size of a workbook's parts once inflated, as a multiple of the file's limit: numbers shrink to about a tenth."""
 
 WIDEST = 28
 """Letters that a column of a workbook is made wide for at most."""

@@ -31,7 +31,7 @@ from cvxshear.util.text import escaped, printable
 from cvxshear.util.typing import Floats
 
 MASS, STIFFNESS, PULL = 10.0, 10e3, 100.0
-"""Of the floors (kg) and stories (N/m) of the frame that stands for the user's, and a pull at its top (N)."""
+"""Floor mass (kg) and story stiffness (N/m) of the frame that stands for the user's, and a pull at its top (N)."""
 
 TOTAL = "total_mass = {total}  # kg, all floors without added mass; not needed with two different added masses"
 """The line that a new file has where its modes are made up."""

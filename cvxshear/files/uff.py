@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 X_TRANSLATION = 1
 AXES = ("", "x", "y", "z", "rx", "ry", "rz")
-"""Of the directions 0 to 6, negative ones the other way."""
+"""Names of the directions 0 to 6; negative ones point the other way."""
 TIME, FRF = 1, 4
 """Function types of data set 58."""
 FUNCTION, MODE = 58, 55

@@ -26,13 +26,13 @@ from cvxshear.util.quantities import ranged
 from cvxshear.util.typing import Floats
 
 LEAST_POSITIVE = 1e-3
-"""Of the mean floor mass, and of the stiffness that would carry it at the first frequency: less is not positive.
+"""Least positive mass, as a fraction of the mean floor mass, and stiffness, of that which carries it at the first mode.
 
 A bound much smaller than this is lost in a solver's own tolerances; HiGHS 1.15 ends with an error on one of 1e-6."""
 
 
 MOST_ROUNDS = 50
-"""Times that soft priors, which need not be linear, are linearised again where the last solution lies."""
+"""Rounds in which soft priors, which need not be linear, are linearised again at the last solution."""
 
 UNCHANGED = 1e-10
 """Relative change of masses or stiffnesses at which soft priors count as linearised where they belong."""

@@ -21,13 +21,13 @@ from cvxshear.util.typing import Floats, Ints
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 MOST_STORIES = 2000
-"""More are taken for a mistake in the file: the matrices alone would fill the memory."""
+"""Largest number of stories; more are taken for a mistake, since the matrices alone would fill the memory."""
 
 LARGEST = 1e30
-"""No quantity of a structure is larger in SI units, and squares of what passes do not overflow."""
+"""Largest size of a quantity in SI units: none of a structure is larger, and its square does not overflow."""
 
 SMALLEST = 1e-30
-"""Nor is a positive one smaller; squares of what passes do not vanish."""
+"""Smallest positive quantity in SI units: none of a structure is smaller, and its square does not vanish."""
 
 _short = reprlib.Repr()
 _short.maxlevel, _short.maxlist, _short.maxtuple, _short.maxdict = 3, 6, 6, 3

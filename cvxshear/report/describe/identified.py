@@ -44,7 +44,7 @@ from cvxshear.util.quantities import (
 from cvxshear.util.typing import Floats
 
 PLURALS = {"floor_mass": "floor masses", "story_stiffness": "story stiffnesses"}
-"""Of what a frame has one at each floor or story."""
+"""Plurals of the quantities that a frame has one of at each floor or story."""
 
 
 def in_words(names: Iterable[str]) -> str:

@@ -136,7 +136,7 @@ SHEAR: dict[str, Any] = {"color": style.BEFORE, "ls": "--", "marker": "D", "mfc"
 """How the shear model's shape is drawn."""
 
 HALF_WIDTH = 0.16
-"""Of the drawn frame, where the largest entry of a shape is 1."""
+"""Half the width of the drawn frame, in units of the largest entry of a shape."""
 
 
 @figure(

@@ -67,7 +67,7 @@ class FigureEntry:
 
 
 _TABLE: dict[type, dict[str, FigureEntry]] = {}
-"""By the type of the result, in the order in which a report shows them."""
+"""Figures by the type of their result, in the order in which a report shows them."""
 
 
 def figure(

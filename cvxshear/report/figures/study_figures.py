@@ -21,7 +21,7 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
 
 BOX = 0.8
-"""Of the distance between two noise levels, what the boxes of all methods take."""
+"""Width of the boxes of all methods together, as a fraction of the distance between two noise levels."""
 
 
 @figure("boxes", NoiseStudy, title="Scatter of the estimates")
@@ -243,7 +243,7 @@ def _panel(axes: Axes, part: SingleIdentification, true_mass: Floats | None) -> 
 
 
 DRAWN_AS_NOTHING = 1e-17
-"""Where an answer without any difference is drawn: below what a number of 64 bits can tell."""
+"""Difference at which an answer without any is drawn: below what a number of 64 bits can tell."""
 
 
 @figure(
