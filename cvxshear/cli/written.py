@@ -10,7 +10,6 @@ import typer
 
 from cvxshear.cli.options import FIGURES, claim, writes
 from cvxshear.cli.output import show
-from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 
 if TYPE_CHECKING:
@@ -118,6 +117,8 @@ def _split(text: str, figures: Mapping[str, FigureEntry]) -> tuple[FigureEntry, 
         return next(iter(figures.values())), text
     kind = text[: -len(path) - 1]
     if kind not in figures:
+        from cvxshear.util import checks
+
         hint = checks.near(kind, figures)
         raise InputError(f"--figure: there is no figure {kind!r} here; there are {', '.join(figures)}{hint}")
     return figures[kind], path

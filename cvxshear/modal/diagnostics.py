@@ -155,7 +155,6 @@ def found_twice(item: PoleCandidate) -> Finding:
 def clock_findings(record: Record, result: ModalResult, full: Details) -> list[Finding]:
     """Clocks whose phase grows linearly with frequency, by more than the data's scatter."""
     highest = 2 * np.pi * float(full.frequencies.max())
-    typical = 2 * np.pi * float(np.sqrt(np.mean(full.frequencies**2)))
     names = list(result.clock_offsets)
     segments = Segments.of(record) if isinstance(record, TimeRecord) else None
     found = []
@@ -163,9 +162,7 @@ def clock_findings(record: Record, result: ModalResult, full: Details) -> list[F
         result.clock_offsets.items(), full.clocks.unexplained, full.clocks.before, strict=False
     ):
         turn = float(np.degrees(highest * abs(late)))
-        # The phases that the line leaves are no scatter, and as much in doubt of it.
-        doubt = float(np.hypot(std, np.radians(left) / typical))
-        if len(full.frequencies) < 2 or turn < LEAST_TURN or abs(late) < CLOCK_CERTAIN * doubt:
+        if len(full.frequencies) < 2 or turn < LEAST_TURN or abs(late) < CLOCK_CERTAIN * std:
             continue
         if left > STRAIGHT * before:
             continue

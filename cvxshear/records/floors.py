@@ -17,6 +17,7 @@ import scipy
 from cvxshear.records.record import Channel, Finding, Record, Run, TimeRecord
 from cvxshear.records.signals import AnyRecord, only, scaled, with_responses
 from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import STANDARD_GRAVITY
 from cvxshear.util.typing import Floats, Ints
 
 ACROSS = 30.0
@@ -31,6 +32,11 @@ them that their noise grows by half is not reached, and their mean (0.7 for two)
 CONTRADICTING = 4.0
 """Mean square of the difference over that of the mean from which on two sensors on one floor contradict each other,
 both counted as far as they move with the other floors, where there are any: a rotation that only they see is none."""
+
+
+SAME_SCALE = 4.0
+"""Ratio of what two sensors on one floor show of the other floors' motion, from which on one is in another unit. Sensors
+5 m from the center of floors that turn reached 1.9 in 56 simulated records, and the smallest ratio of units is 9.8."""
 
 
 def one_a_floor(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
@@ -131,6 +137,7 @@ def _rotation(record: Record, group: Ints) -> Finding:
     others = np.flatnonzero(record.floors != names[0].floor)
     weights, placed = center_weights(record.channels, group)
     center, turned, together, against = np.zeros(4)
+    shown = np.zeros(len(group))
     for run in record.runs:
         values, rest = run.responses[:, group], None
         if isinstance(run, Run):
@@ -139,10 +146,18 @@ def _rotation(record: Record, group: Ints) -> Finding:
         center += _mean_square((values @ weights)[:, None])
         turned += _mean_square(values - (values @ weights)[:, None])
         middle = values.mean(axis=1, keepdims=True)
+        shown += np.mean(np.abs(_moving_with(rest, values)) ** 2, axis=0)
         together += _mean_square(_moving_with(rest, middle))
         against += _mean_square(_moving_with(rest, values - middle))
+    what = "what moves with the other floors is" if len(others) else "the motion is"
+    least, most = names[int(np.argmin(shown))], names[int(np.argmax(shown))]
+    ratio = float(np.sqrt(shown.max() / max(shown.min(), 1e-300)))
+    if ratio > SAME_SCALE:
+        raise InputError(
+            f"{most} and {least} are on one floor and contradict each other: {what} {ratio:.1f} times as large in the "
+            f"first; is one of them in another unit (g is {STANDARD_GRAVITY:.3g} m/s2), or is its cable cut?"
+        )
     if against > CONTRADICTING * together:
-        what = "what moves with the other floors is" if len(others) else "the motion is"
         raise InputError(
             f"{' and '.join(map(str, names))} are on one floor and contradict each other: {what} "
             f"{np.sqrt(against / max(together, 1e-300)):.1f} times as large in their difference as in their mean; is "
@@ -150,12 +165,16 @@ def _rotation(record: Record, group: Ints) -> Finding:
         )
     share = float(turned / max(center + turned, 1e-300))
     said = "the floor turns as well" if share > ROTATES else "the floor hardly turns"
-    how = "by their positions they give its center's motion" if placed else "their mean is its motion"
+    how = (
+        "by their positions they give its center's motion"
+        if placed
+        else "their mean is its motion, and its entries as uncertain as its center is between them"
+    )
     return Finding(
         "rotation",
         f"floor {names[0].floor} has {len(names)} sensors, {', '.join(item.name for item in names)}: {how}, "
         f"and {100 * share:.1f} % of the mean square is in their difference; {said}",
-        {"floor": names[0].floor, "channels": [item.name for item in names], "share": share},
+        {"floor": names[0].floor, "channels": [item.name for item in names], "share": share, "placed": placed},
     )
 
 

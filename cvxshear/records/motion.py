@@ -27,18 +27,21 @@ class Drive:
     Parameters
     ----------
     excitation : array_like, shape (samples,)
-        m/s2 for a base acceleration, N for a force; a straight line between samples.
+        m/s2 for a base acceleration, N for a force.
     floor : int, optional
         Where the force acts; 0 for a base acceleration.
     responses : array_like, shape (samples, floors), optional
         Total accelerations of the floors that `Motion.floors` names, m/s2; nan where a piece is missing.
     name : str, optional
+    between : ndarray, shape (samples,), optional
+        Samples whose straight lines act between the samples (`band_limited`); those of the excitation where not given.
     """
 
     excitation: Floats
     floor: int = 0
     responses: Floats | None = None
     name: str = "run 1"
+    between: Floats | None = None
 
     def __post_init__(self) -> None:
         excitation = checks.vector(self.excitation, f"{self.name}: excitation")
@@ -130,10 +133,8 @@ class Motion:
         return dataclasses.replace(self, drives=drives)
 
     def band_limited(self) -> Motion:
-        """Take a base acceleration as band-limited between its samples, not as straight lines; a force stays."""
-        if self.input != "base":
-            return self
-        drives = [dataclasses.replace(drive, excitation=band_limited(drive.excitation)) for drive in self.drives]
+        """Take the excitation as band-limited between its samples, not as straight lines."""
+        drives = [dataclasses.replace(drive, between=band_limited(drive.excitation)) for drive in self.drives]
         return dataclasses.replace(self, drives=tuple(drives))
 
     @staticmethod

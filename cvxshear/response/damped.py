@@ -302,10 +302,11 @@ def response(model: DampedModel, drive: Drive, step: float) -> Response:
         Where the force acts on a floor that the frame has not.
     """
     n, p = len(model.M), drive.excitation
+    lines = p if drive.between is None else drive.between
     load = _load(model, drive.floor)
     own = model.poles
     factors = own.weights * (own.shapes.T @ load) / own.scales
-    z = driven_poles(own.values, p, step)
+    z = driven_poles(own.values, lines, step)
     # u = Re(sum of shapes factors z); its second derivative has s^2 in each term, and a jump at the load itself that
     # for base motion is the ground's own acceleration, which the total one has besides.
     table = own.shapes * factors

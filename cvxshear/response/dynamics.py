@@ -61,7 +61,11 @@ class Noise:
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """Discrete state-space model x+ = A x + before p + after p+ + w, y = H x + direct p + e.
+    """Discrete state-space model x+ = A x + before q + after q+ + w, y = H x + direct p + e.
+
+    The excitation goes along straight lines through the samples q, and is p at the samples. Both are the same where it
+    is a straight line between its samples; where it is band-limited, the lines through q have its spectrum. An array
+    of shape (samples, 2) has q and p.
 
     Parameters
     ----------
@@ -93,11 +97,15 @@ class Dynamics:
 
     def driven(self, excitation: Floats) -> Floats:
         """Return what the excitation adds to the state over each step, shape (samples, n); the last row is not used."""
-        following = np.append(excitation[1:], excitation[-1])
-        kind = excitation.dtype
-        driven: Floats = np.outer(excitation, self.before.astype(kind))
+        lines, kind = excitation[:, 0], excitation.dtype
+        following = np.append(lines[1:], lines[-1])
+        driven: Floats = np.outer(lines, self.before.astype(kind))
         driven += np.outer(following, self.after.astype(kind))
         return driven
+
+    def shown(self, excitation: Floats) -> Floats:
+        """Return what the sensors show of the excitation besides the state, shape (samples, m)."""
+        return np.outer(excitation[:, 1], self.direct.astype(excitation.dtype))
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +128,7 @@ class Outputs:
     def of(self, states: Floats, excitation: Floats) -> Floats:
         """Return the outputs over time, shape (samples, outputs), in the precision of the states."""
         result: Floats = states @ self.rows.T.astype(states.dtype)
-        result += np.outer(excitation, self.direct.astype(states.dtype))
+        result += np.outer(excitation[:, 1], self.direct.astype(states.dtype))
         return result
 
 

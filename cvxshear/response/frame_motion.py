@@ -171,7 +171,7 @@ class FrameMotion:
         if detrend:
             model = errors.dynamics(fitted.p)
             lines = [
-                trend(found.completed - found.states @ model.H.T - np.outer(run.excitation, model.direct))
+                trend(found.completed - found.states @ model.H.T - model.shown(run.drive))
                 for run, found in zip(self.recording.runs, smoothed, strict=True)
             ]
             work = dataclasses.replace(self, recording=self.recording.less(lines))
@@ -199,7 +199,7 @@ class FrameMotion:
         for place, run in enumerate(self.recording.runs):
             y = np.nan_to_num(run.measured) if smoothed is None else smoothed[place].completed
             start = np.zeros(self.setting.states) if smoothed is None else smoothed[place].states[0]
-            stretches.append(Stretch(run.excitation, y, start))
+            stretches.append(Stretch(run.drive, y, start))
         errors = PredictionErrors(self.varied, self.setting, stretches, self.noise)
         at = np.zeros(errors.size) if p is None else p
         if self.moves_at_first:
@@ -226,7 +226,7 @@ class FrameMotion:
             begins = run.measured[: self.varied.first_samples(self.recording.step)]
             moved = rms(begins if np.isfinite(begins).any() else run.measured)
             scale = max(float(envelope[0]), moved / rms(stationary))
-            found.append(smooth(model, Observed(run.excitation, run.measured, envelope, scale), asked))
+            found.append(smooth(model, Observed(run.drive, run.measured, envelope, scale), asked))
         return found
 
     def runs(
@@ -248,10 +248,10 @@ class FrameMotion:
         model, n = fitted.model, len(self.varied.story_stiffness)
         result = []
         for run, found in zip(self.recording.runs, smoothed, strict=True):
-            moved = rows.of(found.states, run.excitation)
+            moved = rows.of(found.states, run.drive)
             std = found.output_std**2
             for sides in directions.sides:
-                std += directions.allowance * self.moved_by(sides, noise, run.excitation, found) ** 2
+                std += directions.allowance * self.moved_by(sides, noise, run.drive, found) ** 2
             np.sqrt(std, out=std)
             std *= wider
             acceleration, displacement, drift, force = (moved[:, k * n : (k + 1) * n] for k in range(4))
@@ -276,7 +276,7 @@ class FrameMotion:
         sides : (DampedModel, DampedModel, float)
             As in `FrameDirections`.
         noise : Noise
-        excitation : ndarray, shape (samples,)
+        excitation : ndarray, shape (samples, 2)
         found : Smoothed
             Whose measurements the frames are smoothed to.
         """
@@ -355,12 +355,12 @@ def predicted_responses(model: DampedModel, recording: Recording) -> list[Respon
     """Compute the motion of a frame without a look at the sensors; None where the excitation was not measured."""
     if recording.input == "none":
         return None
-    drives = [Drive(run.excitation, recording.force_floor, name=run.name) for run in recording.runs]
+    drives = [Drive(run.excitation, recording.force_floor, None, run.name, run.between) for run in recording.runs]
     return [response(model, drive, recording.step) for drive in drives]
 
 
 def readings_of(model: DampedModel, recording: Recording) -> list[Recording]:
-    """List how a measured base motion may have gone between its samples: in straight lines, and band-limited.
+    """List how a measured excitation may have gone between its samples: in straight lines, and band-limited.
 
     One of them where both move the floors alike.
 
@@ -371,11 +371,11 @@ def readings_of(model: DampedModel, recording: Recording) -> list[Recording]:
     recording : Recording
     """
     straight = predicted_responses(model, recording)
-    if straight is None or recording.input != "base":
+    if straight is None:
         return [recording]
     other = recording.band_limited()
     smooth_one = predicted_responses(model, other)
-    assert smooth_one is not None, "the base motion was measured"
+    assert smooth_one is not None, "the excitation was measured"
     motion, moved = (np.concatenate([each.acceleration for each in runs]) for runs in (straight, smooth_one))
     return [recording, other] if rms(moved - motion) > MOVED_ALIKE * rms(motion) else [recording]
 

@@ -73,7 +73,8 @@ class Stretch:
 
     Parameters
     ----------
-    excitation : ndarray, shape (samples,)
+    excitation : ndarray, shape (samples, 2)
+        As in `Dynamics`.
     y : ndarray, shape (samples, m)
         Accelerations, spikes and gaps filled in.
     start : ndarray, shape (n,)
@@ -303,8 +304,8 @@ class PredictionErrors:
         mean = np.zeros((m, m))
         for run in self.stretches:
             x, e = here.predicted(run.excitation, run.y, run.start)
-            seen = run.y - np.outer(run.excitation, here.model.direct)
-            following = np.append(run.excitation[1:], run.excitation[-1])
+            seen = run.y - here.model.shown(run.excitation)
+            following = np.append(run.excitation[1:, 0], run.excitation[-1, 0])
             signals = np.column_stack([x, seen, run.excitation, following]).astype(SHORT)
             J = np.empty((e.size, len(slopes)), dtype=SHORT)
             for j, slope in enumerate(slopes):
@@ -370,8 +371,9 @@ class PredictionErrors:
             dS = crossed + crossed.T + model.H @ dP @ model.H.T + np.diag(each["R"])
             dK = (dA @ P @ model.H.T + model.A @ (dP @ model.H.T + P @ dH.T) - K @ dS) @ inverse
             # y - D p changes by -D' p, which the gain turns into a change of the state.
-            inputs = np.vstack([(dA - dK @ model.H - K @ dH).T, dK.T, each["before"] - K @ direct, each["after"]])
-            outputs = whitening @ np.hstack([dH, np.zeros_like(here.S), direct[:, None], np.zeros((len(direct), 1))])
+            inputs = np.vstack([(dA - dK @ model.H - K @ dH).T, dK.T, each["before"], -K @ direct, each["after"]])
+            nothing = np.zeros((len(direct), 1))
+            outputs = whitening @ np.hstack([dH, np.zeros_like(here.S), nothing, direct[:, None], nothing])
             slopes.append(_Slope(inputs.astype(SHORT), outputs.T.astype(SHORT), whitening @ dS @ whitening.T))
         return slopes
 
@@ -405,8 +407,8 @@ class _Slope:
 
     Parameters
     ----------
-    inputs, outputs : ndarray, shapes (n + m + 2, n) and (n + m + 2, m)
-        By which states, sensors and the excitation at both ends of a step change the state and the whitened
+    inputs, outputs : ndarray, shapes (n + m + 3, n) and (n + m + 3, m)
+        By which states, sensors, the excitation (q and p) and q at the end of a step change the state and the whitened
         innovations.
     S : ndarray, shape (m, m)
         Of the innovations' covariance, whitened.

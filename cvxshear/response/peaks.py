@@ -52,8 +52,17 @@ class Peaks:
         return result
 
 
+STRONG = 0.5
+"""Size of a sample, relative to the peak, from which on it belongs to the strong part of a motion."""
+
+
 def peaks_of(runs: Iterable[tuple[Response, Mapping[str, Floats]]]) -> Peaks:
-    """Find the largest size of each quantity that applies, with the deviation of the sample at which it stands.
+    """Find the largest size of each quantity that applies, with its deviation.
+
+    That is the deviation of the sample at which the peak stands, but no less, relative to the peak, than the rms
+    deviation of the strong part is to the rms motion there. What one direction of the frame's uncertainty moves swings
+    as the motion does, and where it passes through zero at the peak the deviation of that one sample says nothing of
+    what is known to second order, or of what the model lacks.
 
     Parameters
     ----------
@@ -72,7 +81,9 @@ def peaks_of(runs: Iterable[tuple[Response, Mapping[str, Floats]]]) -> Peaks:
             peak = np.abs(columns[at, take])
             std = np.full(len(peak), np.nan)
             if name in deviations:
-                std = deviations[name].reshape(columns.shape)[at, take]
+                band, strong = deviations[name].reshape(columns.shape), np.abs(columns) >= STRONG * peak
+                of_motion = np.sum(band**2 * strong, axis=0) / np.maximum(np.sum(columns**2 * strong, axis=0), 1e-300)
+                std = np.maximum(band[at, take], peak * np.sqrt(of_motion))
             if name in values:
                 larger = peak > values[name]
                 peak, std = np.where(larger, peak, values[name]), np.where(larger, std, stds[name])

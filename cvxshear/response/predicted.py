@@ -18,6 +18,7 @@ from cvxshear.response.damped import Response, response
 from cvxshear.response.fitted import Fitted, Models
 from cvxshear.response.peaks import FloorSpectra, Peaks, histories, largest_spectra, peaks_of
 from cvxshear.response.sources import (
+    DRIVING,
     WORTH_A_WORD,
     ModelSource,
     MotionSource,
@@ -77,7 +78,7 @@ class RecordPrediction(Shown):
         Of `after`.
     std : tuple of dict of str to ndarray
         Standard deviations over time of `after`, one a run, by the names in `BANDS`; nan where nothing tells the noise.
-        What the frame leaves uncertain, and how the base moved between its samples.
+        What the frame leaves uncertain, and how the excitation went between its samples.
     missed : float or None
         Error of the predicted accelerations of the measured floors, over their size, beyond these deviations; None
         where the record has none to compare with.
@@ -181,7 +182,7 @@ def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Si
         return np.concatenate([parts_of(damped), *_largest(responses).values(), *bands])
 
     centre, std = propagated(frame, everything)
-    # Nobody saw how the base moved between its samples: in straight lines, or as a band-limited motion does.
+    # Nobody saw how the excitation went between its samples: in straight lines, or band-limited.
     between = everything(centre, motion.band_limited()) - everything(centre)
     std = np.hypot(std, between)
     after = _side(models.after, centre, motion)
@@ -209,7 +210,7 @@ def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Si
         damping=damping,
         std=over_time,
         missed=missed,
-        remarks=(*damping.remarks, *_between_samples(unseen), *_remarks(after, motion)),
+        remarks=(*damping.remarks, *_between_samples(unseen, DRIVING[motion.input]), *_remarks(after, motion)),
     )
 
 
@@ -273,12 +274,12 @@ def _taken_off(recorded: Motion, motion: Motion) -> list[str]:
     return line_remarks(largest, f"the rms ({where})")
 
 
-def _between_samples(unseen: float) -> list[str]:
-    """Say by how much it matters how the base moved between its samples, where that is worth a word."""
+def _between_samples(unseen: float, excitation: str) -> list[str]:
+    """Say by how much it matters how the excitation went between its samples, where that is worth a word."""
     if unseen < WORTH_A_WORD:
         return []
     return [
-        f"between its samples the base motion is taken as straight lines; were it band-limited, peaks would be up to "
+        f"between its samples the {excitation} is taken as straight lines; were it band-limited, peaks would be up to "
         f"{percent(unseen, 1)} larger, which the deviations include: a record at a higher rate tells"
     ]
 

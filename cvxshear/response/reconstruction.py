@@ -27,7 +27,7 @@ from cvxshear.response.peaks import FloorSpectra, Peaks, largest_spectra, peaks_
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
 from cvxshear.response.sensor_checks import SensorCheck, Whiteness, as_predicted, checked, whiteness, widening
 from cvxshear.response.smoother import Smoothed
-from cvxshear.response.sources import ModelSource, line_remarks, models_of, state_of, state_remarks
+from cvxshear.response.sources import DRIVING, ModelSource, line_remarks, models_of, state_of, state_remarks
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util.quantities import percent, ranged
 from cvxshear.util.results import Shown, as_json
@@ -296,7 +296,7 @@ def reconstruct(
     advance()
     said = state_remarks(experiment, recording, state, named=configuration is not None)
     if len(evidences) > 1:
-        said.append(_said_of_readings(*evidences))
+        said.append(_said_of_readings(DRIVING[recording.input], *evidences))
     return dataclasses.replace(found, remarks=(*said, *_remarks(found, recorded)))
 
 
@@ -315,8 +315,8 @@ def _most_probable(fits: Iterator[_Fit]) -> tuple[_Fit, list[float]]:
     return best, evidences
 
 
-def _said_of_readings(straight: float, band_limited: float) -> str:
-    """Say how the base motion was taken to go between its samples, and what speaks for that."""
+def _said_of_readings(excitation: str, straight: float, band_limited: float) -> str:
+    """Say how the excitation was taken to go between its samples, and what speaks for that."""
     taken, other = "band-limited", "straight lines"
     if straight >= band_limited:
         taken, other = other, taken
@@ -325,7 +325,7 @@ def _said_of_readings(straight: float, band_limited: float) -> str:
     speaks = f"that makes what the floors did more probable than {other} would (odds {shown})"
     if odds < np.log(10):
         speaks = f"the floors hardly tell that from {other}; a record at a higher rate would"
-    return f"between its samples the base motion is taken as {taken}: {speaks}"
+    return f"between its samples the {excitation} is taken as {taken}: {speaks}"
 
 
 def _warnings(found: Reconstruction) -> list[str]:

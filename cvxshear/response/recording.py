@@ -46,12 +46,20 @@ class RecordedRun:
     name : str
     floor : int, optional
         Where a measured force acts.
+    between : ndarray, shape (samples,), optional
+        Samples whose straight lines act between the samples; those of the excitation where not given.
     """
 
     measured: Floats
     excitation: Floats
     name: str
     floor: int = 0
+    between: Floats | None = None
+
+    @property
+    def drive(self) -> Floats:
+        """What acts between the samples and at them, as in `Dynamics`, shape (samples, 2)."""
+        return np.column_stack([self.excitation if self.between is None else self.between, self.excitation])
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,8 +148,8 @@ class Recording:
         return dataclasses.replace(self, runs=tuple(runs))
 
     def band_limited(self) -> Recording:
-        """Take a measured base acceleration as band-limited between its samples, not as straight lines."""
-        runs = [dataclasses.replace(run, excitation=band_limited(run.excitation)) for run in self.runs]
+        """Take a measured excitation as band-limited between its samples, not as straight lines."""
+        runs = [dataclasses.replace(run, between=band_limited(run.excitation)) for run in self.runs]
         return dataclasses.replace(self, runs=tuple(runs))
 
     def lines(self, expected: Sequence[Floats]) -> list[Floats]:
@@ -172,7 +180,10 @@ class Recording:
     def cut(self, parts: Sequence[slice]) -> Recording:
         """Return the recording with one part of each run."""
         runs = [
-            dataclasses.replace(run, measured=run.measured[part], excitation=run.excitation[part])
+            dataclasses.replace(
+                run, measured=run.measured[part], excitation=run.excitation[part],
+                between=None if run.between is None else run.between[part],
+            )
             for run, part in zip(self.runs, parts, strict=True)
         ]
         return dataclasses.replace(self, runs=tuple(runs))

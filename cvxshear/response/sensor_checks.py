@@ -169,7 +169,7 @@ def checked(
     predicted : sequence of Response or None
         Motion without a look at the sensors.
     """
-    whole = [Stretch(run.excitation, each.completed, each.states[0])
+    whole = [Stretch(run.drive, each.completed, each.states[0])
              for run, each in zip(work.recording.runs, smoothed, strict=True)]  # fmt: skip
     parts = [each.strongest(FITTED_SAMPLES) for each in whole]
     other = work.without(channel, parts)
@@ -188,7 +188,7 @@ def checked(
     for number, (run, each, part) in enumerate(zip(other.recording.runs, found, parts, strict=True)):
         variance = each.output_std[:, 0] ** 2 + sigma**2
         for sides in directions.sides:
-            moved = other.moved_by(sides, noise, run.excitation, each)[:, place]
+            moved = other.moved_by(sides, noise, run.drive, each)[:, place]
             variance += directions.allowance[place] * (gain * moved) ** 2
         there = smoothed[number].weights[part, channel] == 1.0
         seen = work.recording.runs[number].measured[part, channel]

@@ -50,8 +50,8 @@ class Observed:
 
     Parameters
     ----------
-    excitation : ndarray, shape (samples,)
-        Zeros where nothing was measured.
+    excitation : ndarray, shape (samples, 2)
+        As in `Dynamics`; zeros where nothing was measured.
     measured : ndarray, shape (samples, m)
         m/s2; nan where missing.
     envelope : ndarray, shape (samples,)
@@ -129,13 +129,13 @@ def smooth(model: Dynamics, run: Observed, rows: Floats) -> Smoothed:
     for _ in range(MOST_REWEIGHTINGS):
         gains, which = _gains(model, run, weights)
         states, innovations = _sweeps(model, run, gains, which, weights)
-        residual = run.measured - states @ model.H.T - np.outer(run.excitation, model.direct)
+        residual = run.measured - states @ model.H.T - model.shown(run.excitation)
         size = np.abs(np.nan_to_num(residual)) / sigma
         found = np.where(run.present, np.minimum(1.0, SPIKE / np.maximum(size, SPIKE)), 0.0)
         if np.max(np.abs(found - weights), initial=0.0) <= SAME_WEIGHT:
             break
         weights = found
-    fitted = states @ model.H.T + np.outer(run.excitation, model.direct)
+    fitted = states @ model.H.T + model.shown(run.excitation)
     completed = np.where(run.present, fitted + weights * np.nan_to_num(residual), fitted)
     std = _deviations(rows, gains, which)
     return Smoothed(states, innovations, weights, std, completed)
@@ -202,7 +202,7 @@ def _constant(which: Ints) -> Iterator[tuple[int, int, int]]:
 
 def _sweeps(model: Dynamics, run: Observed, gains: list[_Gain], which: Ints, weights: Floats) -> tuple[Floats, Floats]:
     """Smoothed states and innovations in standard deviations: forward, then back."""
-    y = np.nan_to_num(run.measured) - np.outer(run.excitation, model.direct)
+    y = np.nan_to_num(run.measured) - model.shown(run.excitation)
     y = np.where(weights > 0, y, 0.0)
     driven = model.driven(run.excitation)
     samples, n = driven.shape
@@ -305,7 +305,7 @@ class Steady:
     def predicted(self, excitation: Floats, y: Floats, start: Floats) -> tuple[Floats, Floats]:
         """States predicted from the past, shape (samples, n), and innovations, (samples, m), in y's precision."""
         model, kind = self.model, y.dtype
-        seen = y - np.outer(excitation, model.direct.astype(kind))
+        seen = y - model.shown(excitation)
         inputs = model.driven(excitation)
         inputs += seen @ self.K.T.astype(kind)
         x = recursion(self.F, inputs, start)

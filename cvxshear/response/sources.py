@@ -24,6 +24,9 @@ from cvxshear.util.errors import InputError, NoScaleError
 from cvxshear.util.quantities import listed, percent
 from cvxshear.util.typing import Floats
 
+DRIVING = {"base": "base motion", "force": "force"}
+"""Kinds of measured excitation, in words."""
+
 ModelSource = str | Path | Experiment | Closure | Estimate | Models
 MotionSource = str | Path | Record | Motion
 

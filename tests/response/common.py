@@ -65,6 +65,11 @@ def shaking(samples=400, step=0.01, seed=4):
     return envelope * np.convolve(rng.standard_normal(samples + 4), np.ones(5) / 5, mode="valid")
 
 
+def straight(excitation):
+    """An excitation in straight lines between its samples, as `Dynamics` takes it, shape (samples, 2)."""
+    return np.column_stack([excitation, excitation])
+
+
 def declared(
     mass, stiffness, ratios, *, frequency_std=0.002, shape_std=0.01, ratio_std=0.1, rng=None, modes=None, **more
 ):

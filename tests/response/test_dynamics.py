@@ -9,6 +9,7 @@ from scipy import integrate, linalg
 from cvxshear.response.damped import poles
 from cvxshear.response.dynamics import Noise, Setting, dynamics, recursion, settled_covariance
 from tests.frames import chain
+from tests.response.common import straight
 
 MASS, STIFFNESS = np.array([4.0, 3.0, 2.0]), np.array([900.0, 700.0, 500.0])
 HEIGHTS = np.array([3.0, 2.8, 2.5])
@@ -61,7 +62,7 @@ def test_a_step_is_the_solution_of_the_differential_equations(case):
         np.testing.assert_allclose(found.before, stepped(np.zeros(n), 1.0, 0.0), atol=1e-9)
         np.testing.assert_allclose(found.after, stepped(np.zeros(n), 0.0, 1.0), atol=1e-9)
         p = np.array([0.3, -1.0, 2.0])
-        np.testing.assert_allclose(found.driven(p)[1], found.before * -1.0 + found.after * 2.0)
+        np.testing.assert_allclose(found.driven(straight(p))[1], found.before * -1.0 + found.after * 2.0)
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -75,7 +76,7 @@ def test_sensors_and_outputs_show_what_the_equations_say(case):
     story = [np.sum((acting - MASS * total)[i:]) for i in range(3)]
     # The moment about the base where heights are known, and the ground's acceleration where it is estimated.
     expected = [*total, *x[:3], *np.diff(x[:3], prepend=0.0), *story, HEIGHTS @ story, *x[9:]]
-    np.testing.assert_allclose(found.outputs.of(x[None], np.array([p]))[0], expected)
+    np.testing.assert_allclose(found.outputs.of(x[None], np.array([[9.0, p]]))[0], expected)
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -6,8 +6,9 @@ from scipy import signal
 
 from cvxshear.records.motion import band_limited
 from cvxshear.report.handover import state_space
-from cvxshear.response import DampedModel, Drive, Motion, floor_spectra, response
+from cvxshear.response import DampedModel, Drive, Motion, Response, floor_spectra, response
 from cvxshear.response.damped import SMALL, hold
+from cvxshear.response.peaks import peaks_of
 from cvxshear.util.errors import InputError
 from tests.response.common import damped_frame, integrated, matrices, shaking
 
@@ -49,20 +50,25 @@ def test_one_mass_under_a_ramp():
     np.testing.assert_allclose(found.acceleration[:, 0], 3.0 / 2 * np.sin(5 * time) / 5, atol=1e-11)
 
 
-def test_samples_of_a_band_limited_motion_move_an_oscillator_as_its_harmonics_do():
-    """Against the steady state; straight lines between the samples themselves lose 1 - sinc(f h)^2 of each harmonic."""
+@pytest.mark.parametrize("floor", [0, 1])
+def test_samples_of_a_band_limited_motion_move_an_oscillator_as_its_harmonics_do(floor):
+    """Against the steady state; straight lines between the samples themselves lose 1 - sinc(f h)^2 of each harmonic.
+
+    A force moves its floor at once, by what it is at the samples; the base does not.
+    """
     omega, ratio, time = 2 * np.pi * 12.0, 0.05, STEP * np.arange(4000)
     of = DampedModel(np.array([[1.0]]), np.array([[2 * ratio * omega]]), np.array([[omega**2]]), np.ones(1))
     expected, excitation = np.zeros(4000), np.zeros(4000)
     for frequency, phase in ((5.0, 0.3), (11.0, 1.1), (20.0, 2.0)):
         w = 2 * np.pi * frequency
-        transmitted = (omega**2 + 2j * ratio * omega * w) / (omega**2 - w**2 + 2j * ratio * omega * w)
+        shown = -(w**2) if floor else omega**2 + 2j * ratio * omega * w
+        transmitted = shown / (omega**2 - w**2 + 2j * ratio * omega * w)
         excitation += np.cos(w * time + phase)
         expected += (transmitted * np.exp(1j * (w * time + phase))).real
     middle = slice(2000, 3800)
     errors = [
-        np.max(np.abs(response(of, Drive(samples), STEP).acceleration[:, 0] - expected)[middle])
-        for samples in (band_limited(excitation), excitation)
+        np.max(np.abs(response(of, Drive(excitation, floor, between=lines), STEP).acceleration[:, 0] - expected)[middle])
+        for lines in (band_limited(excitation), None)
     ]
     assert errors[0] < 1e-3 * np.max(np.abs(expected))
     assert errors[1] > 0.03 * np.max(np.abs(expected))
@@ -147,3 +153,18 @@ def test_excitations_that_cannot_be_right():
         Motion((Drive([0.0, 1.0], responses=np.zeros((2, 1))),), 100.0, floors=np.array([1, 2]))
     with pytest.raises(InputError, match="the force acts on floor 4 of a frame of 3 stories"):
         response(model_of(3), Drive([0.0, 1.0], floor=4), STEP)
+
+
+def test_a_peak_is_known_no_better_than_the_strong_part_of_its_motion():
+    """A deviation that passes through zero at the peak, as 0.02 |sin t| of cos t does: the rms over |cos t| > 1/2."""
+    time = np.linspace(0.0, 20 * np.pi, 100_001)
+    nothing, moved = np.zeros((len(time), 1)), 3.0 * np.cos(time)[:, None]
+    moved[50_000] *= 1.001
+    run = Response(time, nothing, moved, nothing, None, mass_known=False)
+    (std,) = peaks_of([(run, {"floor_displacement": 0.06 * np.abs(np.sin(time))[:, None]})]).std["floor_displacement"]
+    # The integrals of sin^2 and cos^2 over |t| < pi / 3 are pi / 3 -+ sqrt(3) / 4.
+    expected = 0.02 * np.sqrt((np.pi / 3 - np.sqrt(3) / 4) / (np.pi / 3 + np.sqrt(3) / 4))
+    assert std == pytest.approx(3.003 * expected, rel=1e-3)
+    # One in proportion to the motion is what it is at the peak.
+    (std,) = peaks_of([(run, {"floor_displacement": 0.02 * np.abs(moved)})]).std["floor_displacement"]
+    assert std == pytest.approx(0.02 * 3.003)

@@ -13,7 +13,7 @@ from cvxshear.fit.efficient import efficient
 from cvxshear.measurement.declaration import Limits
 from cvxshear.modal import Channel, Run, TimeRecord
 from cvxshear.programs import LeastSquares
-from cvxshear.records.motion import Drive, Motion
+from cvxshear.records.motion import Drive, Motion, band_limited
 from cvxshear.report.describe import describe
 from cvxshear.response import DampedModel, Fitted, Models, reconstruct, response
 from cvxshear.response.dynamics import Noise, Setting, doubled, dynamics, recursion, settled_covariance
@@ -26,7 +26,7 @@ from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util.errors import InputError
 from tests.benchmarks import reconstruction as study
-from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
+from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking, straight
 
 STEP = 0.01
 
@@ -46,7 +46,7 @@ def three():
     y = exact + np.array([0.05, 0.08]) * rng.standard_normal((60, 2))
     y[20] += 4.0
     y[35:42, 0] = np.nan
-    return model, setting, system, Observed(excitation, y, np.repeat([1.0, 2.0], 30), 1.5)
+    return model, setting, system, Observed(straight(excitation), y, np.repeat([1.0, 2.0], 30), 1.5)
 
 
 def motion_program(model, run, weights):
@@ -69,7 +69,7 @@ def motion_program(model, run, weights):
     for t in range(samples):
         own = weights[t] > 0
         root = np.sqrt(weights[t, own] / model.R[own])
-        side = run.measured[t, own] - model.direct[own] * run.excitation[t]
+        side = run.measured[t, own] - model.direct[own] * run.excitation[t, 1]
         add({t: root[:, None] * model.H[own]}, root * side)
     return LeastSquares(np.concatenate(scaled), np.concatenate(sides))
 
@@ -107,7 +107,7 @@ def kalman(system, run, weights):
     for t, row in enumerate(run.measured):
         foretold.append((x, P))
         own = weights[t] > 0
-        H, e = system.H[own], row[own] - system.direct[own] * run.excitation[t] - system.H[own] @ x
+        H, e = system.H[own], row[own] - system.direct[own] * run.excitation[t, 1] - system.H[own] @ x
         gain = np.linalg.solve(H @ P @ H.T + np.diag(system.R[own] / weights[t, own]), H @ P).T
         x, P = x + gain @ e, P - gain @ H @ P
         told.append((x, P))
@@ -129,7 +129,7 @@ def test_long_stretches_are_smoothed_as_sample_by_sample(three):
     y = exact + np.array([0.05, 0.08]) * np.random.default_rng(2).standard_normal((samples, 2))
     y[700, 1] += 5.0
     y[900:1250, 0] = np.nan
-    run = Observed(excitation, y, np.repeat([1.0, 2.0, 0.5], 500), 2.0)
+    run = Observed(straight(excitation), y, np.repeat([1.0, 2.0, 0.5], 500), 2.0)
     found = smooth(system, run, system.outputs.rows)
     states, covariances = kalman(system, run, found.weights)
     np.testing.assert_allclose(
@@ -140,7 +140,7 @@ def test_long_stretches_are_smoothed_as_sample_by_sample(three):
     # The limit of a covariance is taken within a twentieth.
     np.testing.assert_allclose(found.output_std, std, rtol=0.025)
     assert np.sqrt(np.mean((found.output_std / std - 1.0) ** 2)) < 2e-3
-    filled = states @ system.H.T + np.outer(excitation, system.direct)
+    filled = states @ system.H.T + system.shown(run.excitation)
     np.testing.assert_allclose(found.completed[900:1250, 0], filled[900:1250, 0], atol=1e-3)
     np.testing.assert_allclose(found.completed[:600], y[:600], atol=1e-9)
 
@@ -149,15 +149,18 @@ def test_without_noise_the_state_space_model_moves_as_the_modes_do(three):
     model, setting, system, _ = three
     excitation = shaking(300, STEP, seed=2)
     exact = response(model, Drive(excitation), STEP)
-    states = recursion(system.A, system.driven(excitation), np.zeros(len(system.A)))
-    outputs = states @ system.outputs.rows.T + np.outer(excitation, system.outputs.direct)
+    states = recursion(system.A, system.driven(straight(excitation)), np.zeros(len(system.A)))
+    outputs = system.outputs.of(states, straight(excitation))
     for place, values in enumerate((exact.acceleration, exact.displacement, exact.drift, exact.story_force)):
         own = outputs[:, 3 * place : 3 * place + 3]
         np.testing.assert_allclose(own, values, atol=1e-9 * np.abs(values).max())
     forced = dynamics(model, Noise(np.ones(2), 0.01), dataclasses.replace(setting, force_floor=2))
-    exact = response(model, Drive(1e3 * excitation, 2), STEP)
-    states = recursion(forced.A, forced.driven(1e3 * excitation), np.zeros(len(forced.A)))
-    outputs = states @ forced.outputs.rows.T + np.outer(1e3 * excitation, forced.outputs.direct)
+    drive = Drive(1e3 * excitation, 2, between=band_limited(1e3 * excitation))
+    exact = response(model, drive, STEP)
+    both = np.column_stack([drive.between, drive.excitation])
+    states = recursion(forced.A, forced.driven(both), np.zeros(len(forced.A)))
+    outputs = forced.outputs.of(states, both)
+    np.testing.assert_allclose(outputs[:, :3], exact.acceleration, atol=1e-9 * np.abs(exact.acceleration).max())
     np.testing.assert_allclose(outputs[:, 9:], exact.story_force, atol=1e-9 * np.abs(exact.story_force).max())
 
 
@@ -175,7 +178,9 @@ def test_settled_covariances_solve_their_equations(three):
     np.testing.assert_allclose(following / np.outer(unit, unit), P / np.outer(unit, unit), atol=1e-9)
 
 
-def test_the_gradient_of_the_likelihood_is_that_of_differences():
+@pytest.mark.parametrize("force_floor", [0, 3])
+def test_the_gradient_of_the_likelihood_is_that_of_differences(force_floor):
+    """With a force whose part between the samples is another than at them; masses show it at once."""
     mass, stiffness, dashpots = damped_frame(3)
     M, C, K = matrices(mass, stiffness, dashpots)
     rng = np.random.default_rng(1)
@@ -184,13 +189,15 @@ def test_the_gradient_of_the_likelihood_is_that_of_differences():
     frame = UncertainFrame.of(
         Fitted.of(efficient(experiment, solver)), experiment.configurations[0], None, solver
     )  # fmt: skip
-    excitation = shaking(500, STEP)
-    y = response(DampedModel(M, C, K, np.ones(3)), Drive(excitation), STEP).acceleration[:, [0, 2]]
+    excitation = shaking(500, STEP) * (5.0 if force_floor else 1.0)
+    drive = Drive(excitation, force_floor, between=band_limited(excitation))
+    both = np.column_stack([drive.between, excitation])
+    y = response(DampedModel(M, C, K, np.ones(3)), drive, STEP).acceleration[:, [0, 2]]
     y = y + 0.02 * rng.standard_normal(y.shape)
     omega = 2 * np.pi * 8.0
-    setting = Setting(np.array([1, 3]), STEP, 0, True, omega, omega, 1e-3 * stiffness, M)
+    setting = Setting(np.array([1, 3]), STEP, force_floor, True, omega, omega, 1e-3 * stiffness, M)
     errors = PredictionErrors(
-        VariedFrame.around(frame), setting, [Stretch(excitation, y, np.zeros(9))], Noise(np.array([0.03, 0.02]), 0.02)
+        VariedFrame.around(frame), setting, [Stretch(both, y, np.zeros(9))], Noise(np.array([0.03, 0.02]), 0.02)
     )  # fmt: skip
     p = 0.02 * rng.standard_normal(errors.size)
     at = errors.linearised(p, Directions(np.eye(errors.size), np.eye(errors.size)))
@@ -200,7 +207,7 @@ def test_the_gradient_of_the_likelihood_is_that_of_differences():
     # A settled filter's own objective: innovations of the plain recursion.
     filtered = Steady.of(errors.dynamics(p))
     x, total = np.zeros(9), 0.0
-    driven = filtered.model.driven(excitation)
+    driven = filtered.model.driven(both)
     for t in range(500):
         e = y[t] - filtered.model.H @ x - filtered.model.direct * excitation[t]
         total += e @ np.linalg.solve(filtered.S, e)
@@ -470,8 +477,8 @@ def test_a_ground_that_stands_still_is_refused_and_a_slow_one_has_one_reading():
     with pytest.raises(InputError, match="run 1: the input channel is zero throughout"):
         recorded(np.zeros(400))
     assert len(readings_of(model, recording_of(recorded(slow)))) == 1
-    straight, band_limited = readings_of(model, recording_of(recorded(shaking(400))))
-    np.testing.assert_allclose(band_limited.runs[0].measured, straight.runs[0].measured)
+    lines, smooth_one = readings_of(model, recording_of(recorded(shaking(400))))
+    np.testing.assert_allclose(smooth_one.runs[0].measured, lines.runs[0].measured)
     nobodys = TimeRecord((Channel("f2", 2),), runs=(Run(shaking(400)[:, None]),), sampling_rate=1 / STEP)
     assert len(readings_of(model, recording_of(nobodys))) == 1
 
