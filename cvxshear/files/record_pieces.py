@@ -20,7 +20,7 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 """Units of a time column, s."""
 
 LONG_STEP = 1.75
-"""Longest step without a gap, as a multiple of the usual one; a longer one has lost a sample, however stamps are rounded."""
+"""Longest step without a gap, as a multiple of the usual one; a longer one lost a sample, whatever the rounding."""
 
 MOST_GAPS = 0.01
 """Share of the steps: where more are too long it is no gap but another sampling rate, which is refused."""
