@@ -126,9 +126,6 @@ def _mac(experiment: Experiment, name: str, modelled: Floats) -> Floats:
     return table
 
 
-SHAPES_A_ROW = 5
-"""Panels of mode shapes side by side on a page."""
-
 ABOVE, BELOW, TITLE = 0.3, 0.55, 0.5
 """Room, inch, for the legend, the common label, and the two lines of title of a panel."""
 
@@ -156,15 +153,9 @@ def shapes(result: Closure) -> Figure:
     One panel a configuration and measured mode.
     """
     before, after = mode_shapes(result.before.estimate), mode_shapes(result.estimate)
-    most = max(len(each.frequencies) for each in result.experiment.configurations)
-    fitting = 2 if style.narrow_page() else SHAPES_A_ROW
-    columns = style.even_columns(most, fitting)
-    stories = result.experiment.stories
-    tall = float(np.clip(0.16 * stories, 1.6, 3.0))
     counts = [len(each.frequencies) for each in result.experiment.configurations]
-    rows = sum(-(-count // columns) for count in counts)
+    columns, rows, tall, width = style.shape_grid(counts, result.experiment.stories, 5.6)
     above = 3 * ABOVE if style.narrow_page() else ABOVE
-    width = style.page_width() if style.narrow_page() else max(style.page_width() * columns / fitting, 5.6)
     height = rows * (tall + TITLE) + above + BELOW
     # Panels of one size need no search for a layout, which takes long for many of them.
     figure = style.new_figure(width, height, fixed=True)

@@ -47,6 +47,9 @@ PAGE_WIDTH = 7.2
 NARROW_WIDTH = 3.6
 """Width of a figure on a telephone of 390 pixels, inch: letters are as large as on a wide page."""
 
+SHAPES_A_ROW = 5
+"""Panels of mode shapes side by side on a page."""
+
 LONGEST_NAME = 26
 """Letters of a name that a figure shows."""
 
@@ -217,6 +220,14 @@ def error_bars(axes: Axes, values: Floats, heights: Floats | Ints, std: Floats |
 def even_columns(most: int, fitting: int) -> int:
     """Columns for so many panels a group where so many fit: those that fill its rows best."""
     return -(-most // -(-most // fitting))
+
+
+def shape_grid(counts: Sequence[int], stories: int, narrowest: float) -> tuple[int, int, float, float]:
+    """Lay out panels of mode shapes, so many a group: columns, rows, and height of a panel and width of all, inch."""
+    fitting = 2 if narrow_page() else SHAPES_A_ROW
+    columns = even_columns(max(counts), fitting)
+    width = page_width() if narrow_page() else max(PAGE_WIDTH * columns / fitting, narrowest)
+    return columns, sum(-(-count // columns) for count in counts), float(np.clip(0.16 * stories, 1.6, 3.0)), width
 
 
 def letters(text: str, longest: int = LONGEST_NAME) -> str:
