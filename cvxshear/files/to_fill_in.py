@@ -22,7 +22,7 @@ from cvxshear.files.csv import preamble_of
 from cvxshear.files.formats import format_of, read_columns, read_modes_of
 from cvxshear.files.inputs import named_after
 from cvxshear.files.record_file import FREQUENCY_NAMES
-from cvxshear.files.record_pieces import TIME_UNITS
+from cvxshear.files.record_tables import TIME_UNITS
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
