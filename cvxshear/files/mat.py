@@ -73,7 +73,8 @@ def columns_of_arrays(read: Mapping[str, Any], where: str) -> Columns:
     """List the longest vectors, and matrices of as many rows or columns, of named arrays, as `read_mat` names them."""
     found: dict[str, Array] = {}
     for name, array in _arrays(read):
-        for part, values in _real_parts(name, array):
+        parts = {f"{name}_re": array.real, f"{name}_im": array.imag} if array.dtype.kind == "c" else {name: array}
+        for part, values in parts.items():
             found.update(_split(part, values))
     if not found:
         raise InputError(f"{where} holds no numeric vector or matrix")
@@ -111,13 +112,6 @@ def _arrays(content: Mapping[str, Any], prefix: str = "", *, lone: bool = False)
             and (value.size == 1 if lone else value.size > 1)
         ):
             yield prefix + name, value
-
-
-def _real_parts(name: str, array: Array) -> Iterator[tuple[str, Array]]:
-    if array.dtype.kind == "c":
-        yield from ((f"{name}_re", array.real), (f"{name}_im", array.imag))
-    else:
-        yield name, array
 
 
 def _split(name: str, array: Array) -> dict[str, Array]:

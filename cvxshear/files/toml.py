@@ -274,12 +274,6 @@ def write_measurement(path: str | Path, declared: Mapping[str, Any], comments: I
     write_file(path, "".join([*head, "\n" * bool(head), tables.put_into(text)]))
 
 
-def _rows(table: np.ndarray[Any, Any]) -> str:
-    """Write a large table row by row: number by number takes ten times as long."""
-    row = "    [" + ", ".join([f"%.{WRITTEN_DIGITS}g"] * table.shape[1]) + "],\n"
-    return "[\n" + "".join(row % tuple(numbers) for numbers in table.tolist()) + "]"
-
-
 def _table_of(value: Any) -> np.ndarray[Any, Any] | None:
     """Return the value as a table, where it is a large one of numbers."""
     rows = len(value)
@@ -300,7 +294,9 @@ def _plain(value: Any, tables: Inserted) -> Any:
     if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim):
         table = _table_of(value)
         if table is not None:
-            return tables.mark(_rows(table))
+            # Written row by row: number by number takes ten times as long.
+            row = "    [" + ", ".join([f"%.{WRITTEN_DIGITS}g"] * table.shape[1]) + "],\n"
+            return tables.mark("[\n" + "".join(row % tuple(numbers) for numbers in table.tolist()) + "]")
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, list | tuple):

@@ -116,7 +116,7 @@ def _residuals(result: RecordPrediction) -> Sheet:
     measures = ["relative error", "standard deviations off"]
     header = ("configuration", "part", "quantity", *(f"{measure}, {word}" for measure in measures for word in words))
     rows: list[tuple[Cell, ...]] = []
-    for parts in zip(*(_parts(each) for each in sides), strict=True):
+    for parts in zip(*map(_parts, sides), strict=True):
         what = parts[0].noise.replace("_", " ")
         numbers = [*(part.error for part in parts), *(part.deviations for part in parts)]
         rows.append((parts[0].configuration, parts[0].place, what, *numbers))

@@ -63,7 +63,9 @@ def mode_shapes(estimate: Estimate) -> list[ModeShape]:
         modelled = _modelled(configuration, model, datum)
         noise = estimate.misfit.noise.of(Shapes.noise.name) if datum is not None and not datum.declared else 1.0
         for j, mode in enumerate(configuration.modes.tolist()):
-            unit = _unit(configuration, j)
+            # The largest measured entry, with its sign; 1 where none was measured.
+            entries = configuration.mode_shapes[j, configuration.measured[j]]
+            unit = float(entries[np.argmax(np.abs(entries))]) if entries.size else 1.0
             # Which entry is largest may change with the configuration; the mode keeps its sign.
             unit = -unit if facing.setdefault(mode, modelled[j] / unit) @ modelled[j] / unit < 0 else unit
             result.append(
@@ -92,12 +94,6 @@ def _modelled(configuration: Configuration, model: Model, datum: Shapes | None) 
         length = np.sum(at_sensors**2, axis=1)
         factor[datum.kept] = np.where(length > 0, np.sum(datum.seen(model) * at_sensors, axis=1) / length, 1.0)
     return np.asarray(factor[:, None] * full)
-
-
-def _unit(configuration: Configuration, j: int) -> float:
-    """Find the largest measured entry of a mode, with its sign; 1 where none was measured."""
-    entries = configuration.mode_shapes[j, configuration.measured[j]]
-    return float(entries[np.argmax(np.abs(entries))]) if entries.size else 1.0
 
 
 def mac_tables(result: Closure | Identification) -> list[tuple[str, Floats]]:
