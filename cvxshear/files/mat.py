@@ -7,7 +7,6 @@ The rest (links by name, other files, other filters) is refused before anything 
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
 import re
@@ -25,7 +24,7 @@ import numpy as np
 
 from cvxshear.files.columns import LIMIT, TOO_LARGE, Columns
 from cvxshear.files.inputs import MEGABYTE, read_bytes
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, optional
 from cvxshear.util.text import printable
 
 Array = np.ndarray[Any, Any]
@@ -171,10 +170,7 @@ def _read_hdf5(path: Path, where: str, limit: float) -> Mapping[str, Any]:
     limit : float
         Bytes of its numbers.
     """
-    try:
-        h5py = importlib.import_module("h5py")
-    except ImportError:
-        raise InputError(f"{where} is a MAT file of version 7.3; reading it needs h5py: pip install h5py") from None
+    h5py = optional("h5py", f"{where} is a MAT file of version 7.3; reading it needs")
     try:
         with h5py.File(path, "r") as file:
             return _Walk(h5py, limit, path.stat().st_size, limit).group(file, "", 1)

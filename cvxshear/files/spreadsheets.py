@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import io
 import math
 import re
@@ -16,7 +15,7 @@ from typing import Any
 from cvxshear.files.columns import TOO_LARGE, Columns
 from cvxshear.files.csv import columns_of
 from cvxshear.files.inputs import MEGABYTE, read_bytes
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, optional
 from cvxshear.util.text import cell_text, printable
 from cvxshear.util.writing import write_file
 
@@ -175,10 +174,7 @@ def load_openpyxl() -> Any:
     InputError
         Where it is not installed.
     """
-    try:
-        return importlib.import_module("openpyxl")
-    except ImportError:
-        raise InputError("workbooks need openpyxl: pip install openpyxl") from None
+    return optional("openpyxl", "workbooks need")
 
 
 def _title(name: str, taken: set[str]) -> str:

@@ -307,18 +307,7 @@ def save(figure: Figure, path: str | Path) -> None:
     InputError
         Where the ending is another, or the file cannot be written.
     """
-    write_file(path, encoded(figure, kind_of(path)))
-
-
-def kind_of(path: str | Path) -> str:
-    """Tell the kind of figure that a file name asks for.
-
-    Raises
-    ------
-    InputError
-        Where it ends in something else.
-    """
-    return ending_of(path, FIGURE_KINDS, "a figure is written as")
+    write_file(path, encoded(figure, ending_of(path, FIGURE_KINDS, "a figure is written as")))
 
 
 def encoded(figure: Figure, kind: str, *, transparent: bool = False) -> bytes:
