@@ -9,7 +9,8 @@ from __future__ import annotations
 import difflib
 import math
 import reprlib
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -44,6 +45,15 @@ def shown(value: object) -> str:
         # Python refuses to print whole numbers of more than a few thousand digits.
         text = "a number too long to print"
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+@contextmanager
+def named(where: str) -> Iterator[None]:
+    """Begin the message of an error inside with where it was found."""
+    try:
+        yield
+    except InputError as error:
+        raise type(error)(f"{where}: {error}") from error
 
 
 def put(target: object, name: str, check: Callable[..., object], where: str, **limits: object) -> None:
