@@ -6,12 +6,12 @@ All of this is known without importing any of them, which takes seconds for all 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import metadata, resources, util
 from typing import Any
 
-from cvxshear.backends.base import TIME_LIMIT
+from cvxshear.backends.base import TIME_LIMIT, Backend
+from cvxshear.util.errors import NoSolutionError
 from cvxshear.util.results import InJson
 
 
@@ -96,20 +96,37 @@ def accurate(solver: str) -> dict[str, Any]:
     return {**TOLERANCES.get(solver, {}), **_TABLES.get(solver, {}).get("options", {}), **limit}
 
 
-def loosest(solver: str, options: Mapping[str, Any]) -> float | None:
-    """Find the loosest accuracy among a solver's options; None where they have none."""
-    given = [float(options[name]) for name in TOLERANCES.get(solver, {}) if name in options]
-    return max(given, default=None)
+class CalledSolver(Backend):
+    """A solver that another package calls, with the options that it gets.
 
+    Parameters
+    ----------
+    solver : str
+        As qpsolvers or cvxpy calls it.
+    options : dict, optional
+        The solver's own, in place of those of `solvers.toml`.
+    """
 
-def with_tolerance(solver: str, options: Mapping[str, Any], tolerance: float) -> dict[str, Any]:
-    """Replace the accuracy in a solver's options."""
-    return {**options, **dict.fromkeys(TOLERANCES.get(solver, {}), tolerance)}
+    time_limit = None
+    through = "qpsolvers"
 
+    def __init__(self, solver: str, options: dict[str, Any] | None = None) -> None:
+        self.solver, self._listed = solver, solver.lower()
+        self.name = self._listed if self.through == "qpsolvers" else f"{self.through}-{self._listed}"
+        further = _TABLES.get(self._listed, {}).get(self.through, {})
+        self.options = {**accurate(self._listed), **further} if options is None else options
 
-def why_not(solver: str, options: Mapping[str, Any], status: str, seconds: float) -> str:
-    """Why a solver has no solution: its time was over, or what it says itself."""
-    limit = options.get(TIME_LIMITS.get(solver, ""))
-    if limit is not None and seconds >= limit:
-        return f"stopped at its time limit of {limit:g} s (its status: {status})"
-    return f"no solution found (its status: {status})"
+    @property
+    def tolerance(self) -> float | None:
+        given = [float(self.options[name]) for name in TOLERANCES.get(self._listed, {}) if name in self.options]
+        return max(given, default=None)
+
+    def with_tolerance(self, tolerance: float) -> CalledSolver:
+        return type(self)(self.solver, {**self.options, **dict.fromkeys(TOLERANCES.get(self._listed, {}), tolerance)})
+
+    def unsolved(self, status: str, seconds: float) -> NoSolutionError:
+        """Make the error of a solver without a solution: its time was over, or what it says itself."""
+        limit = self.options.get(TIME_LIMITS.get(self._listed, ""))
+        if limit is not None and seconds >= limit:
+            return NoSolutionError(self.name, f"stopped at its time limit of {limit:g} s (its status: {status})")
+        return NoSolutionError(self.name, f"no solution found (its status: {status})")

@@ -22,7 +22,7 @@ used: list[str] = []
 """The files that the running command reads, as they were named; what it writes says which they were."""
 
 WRITTEN, READ = f"{__name__}.written", f"{__name__}.read"
-"""Under which a command's context notes its files; options are checked in the order in which they were typed."""
+"""Keys of a command's context for the files it writes and reads; options are checked in the order they were typed."""
 
 
 def output_file(*endings: str) -> Callable[[typer.Context, typer.CallbackParam, str | None], str | None]:

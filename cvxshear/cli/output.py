@@ -23,7 +23,6 @@ from cvxshear.version import __version__
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
-    from rich.segment import Segment
 
     from cvxshear.util.typing import Json
 
@@ -42,21 +41,18 @@ def show(parts: Iterable[RenderableType]) -> None:
     Names come from files: nothing in a text is markup, and what would steer the terminal stands as its escape.
     """
     from rich.console import Console
-    from rich.segment import Segments
+    from rich.segment import Segment, Segments
 
     plain: dict[str, Any] = {} if sys.stdout.isatty() else {"width": 200, "no_color": True}
     console = Console(highlight=False, markup=False, emoji=False, **plain)
     with printing():
         for part in parts:
             whole = console.render_str(part) if isinstance(part, str) else part
-            console.print(Segments([_harmless(each) for each in console.render(whole)]), end="")
-
-
-def _harmless(segment: Segment) -> Segment:
-    from rich.segment import Segment
-
-    lines = segment.text.split("\n")
-    return Segment("\n".join(map(printable, lines)), segment.style, segment.control)
+            harmless = (
+                Segment("\n".join(map(printable, each.text.split("\n"))), each.style, each.control)
+                for each in console.render(whole)
+            )
+            console.print(Segments(harmless), end="")
 
 
 def deliver(
@@ -98,7 +94,8 @@ def deliver(
             failures.append(str(error))
     if out == "-":
         with printing():
-            sys.stdout.write(json_text(result, ascii_only=not takes_unicode()) + "\n")
+            every_letter = (sys.stdout.encoding or "").lower().replace("-", "").startswith("utf")
+            sys.stdout.write(json_text(result, ascii_only=not every_letter) + "\n")
     else:
         show(tables())
     if failures:
@@ -200,16 +197,11 @@ def numbers(
 
 SPELLED = "cvxshear.spelled"
 SPELLINGS = {"±": "+-", "–": "-", "−": "-", "·": "*", "°": " deg", "²": "2", "χ": "chi", "≤": "<=", "≥": ">="}
-"""For a terminal that lacks them."""
+"""Spellings of characters that a terminal lacks."""
 
 
 class OutputError(Exception):
     """Standard output took no more."""
-
-
-def takes_unicode() -> bool:
-    """Whether standard output has every letter."""
-    return (sys.stdout.encoding or "").lower().replace("-", "").startswith("utf")
 
 
 @contextmanager

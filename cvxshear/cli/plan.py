@@ -95,9 +95,10 @@ def plan(
     masses = numbers(added_mass, "--added-mass", "kg, such as 40, or one a floor, such as 0,20,40")
     measured = measurement_of(file)
     doubts = None if measured is None else refuse_mistakes(measured)
+    count = int(tests) if tests.strip().lstrip("-").isdigit() else tests
     with progress("planning", quiet):
         result = run(
-            measured or file, sensors, _count(tests), modes=_one_or_many(wanted), noise=noise,
+            measured or file, sensors, count, modes=_one_or_many(wanted), noise=noise,
             added_mass=_one_or_many(masses),
             added_mass_total=added_mass_total, goal=goal, criterion=criterion, fresh=fresh, loop=loop, state=state,
             solver=solver,
@@ -129,10 +130,6 @@ def _noise(
         raise InputError("give --duration, from which the noise follows, or --frequency-std and --mode-shape-std")
     # The options go by the names of its fields, and it checks their values; mypy cannot know which is which.
     return Recorded(**{"kind": "ambient", "duration": duration, **of_record})  # type: ignore[arg-type]
-
-
-def _count(text: str) -> int | str:
-    return int(text) if text.strip().lstrip("-").isdigit() else text
 
 
 def _one_or_many(found: list[Any] | None) -> Any:

@@ -10,7 +10,7 @@ import typer
 
 from cvxshear.cli.options import FIGURES, claim, writes
 from cvxshear.cli.output import show
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, optional
 
 if TYPE_CHECKING:
     from cvxshear.files.spreadsheets import Sheet
@@ -68,12 +68,7 @@ class Pictures:
         self._wanted: list[tuple[FigureEntry, str]] = []
         if not asked:
             return
-        try:
-            from cvxshear.report.figures import figures_of
-            from cvxshear.report.figures.style import kind_of
-        except ImportError as error:
-            raise InputError(f"--figure needs {error.name}: pip install matplotlib") from error
-        figures = figures_of(result)
+        figures = optional("cvxshear.report.figures", "--figure needs", "matplotlib").figures_of(result)
         if LIST in asked:
             from cvxshear.report.terminal import plain_table
 
@@ -81,8 +76,6 @@ class Pictures:
             rows = ((name, entry.title, entry.needs) for name, entry in figures.items())
             show([plain_table(title, *head, words=(0, 1, 2), rows=rows)])
             raise typer.Exit
-        for path in map(_path, asked):
-            kind_of(path)
         self._wanted = [_split(text, figures) for text in asked]
 
     @classmethod

@@ -25,25 +25,25 @@ LIMIT = 100_000_000
 """Bytes that a file of a record, and the numbers in it, may have where nothing else is said."""
 TOO_LARGE = "cut it into runs, or raise the limit by size_limit, in MB, in the table [record]"
 UNEVEN_STEP = 0.25
-"""Of the median step: a step further off than that is a gap, a repetition or another rate."""
+"""Largest deviation of a step, as a fraction of the median one; more is a gap, a repetition or another rate."""
 
 COARSE = 0.1
-"""Of all steps: so many that differ from the usual one are no handful of gaps."""
+"""Fraction of all steps that differ from the usual one, above which they are no handful of gaps."""
 
 FINEST, COARSEST = -9, 0
 """Powers of ten, s: what loggers round to."""
 WHOLE = 1e-4
-"""Of the rounding step: so near must all stamps be to whole multiples of it."""
+"""Largest distance of a stamp from a whole multiple of the rounding step, as a fraction of the step."""
 SLACK = 0.1
-"""Of the rounding step on either side, for the line's own error."""
+"""Width added to the band of stamps on either side for the line's own error, as a fraction of the rounding step."""
 SHORTEST = 0.75
-"""Of the rounding step: an interval between samples that still shows when one is missing."""
+"""Shortest interval between samples that still shows when one is missing, as a fraction of the rounding step."""
 LONGEST_IN_BAND = 1.5
-"""Of the rounding step: an interval so long leaves the band where a sample is missing from exact stamps too."""
+"""Interval between samples, as a multiple of the rounding step, from which a missing one shows in exact stamps too."""
 LEAST_SHARE = 0.02
-"""Of the steps: where fewer differ from the usual one, they are gaps and not the work of rounding."""
+"""Fraction of the steps that differ from the usual one below which they are gaps and not the work of rounding."""
 DIGITS = 1e-12
-"""Of the largest stamp: what the binary number itself rounds."""
+"""Rounding of the binary number itself, as a fraction of the largest stamp."""
 
 
 @dataclass(frozen=True, eq=False)

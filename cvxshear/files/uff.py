@@ -7,7 +7,6 @@ written in ASCII, to a name that does not exist yet.
 
 from __future__ import annotations
 
-import importlib
 import tempfile
 import warnings
 from collections.abc import Iterable
@@ -18,7 +17,7 @@ import numpy as np
 
 from cvxshear.files.columns import LIMIT, TOO_LARGE, Columns
 from cvxshear.files.inputs import read_bytes
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, optional
 from cvxshear.util.text import printable
 from cvxshear.util.typing import Complexes, Floats, Ints, Json
 from cvxshear.util.writing import write_file
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 
 X_TRANSLATION = 1
 AXES = ("", "x", "y", "z", "rx", "ry", "rz")
-"""Of the directions 0 to 6, negative ones the other way."""
+"""Names of the directions 0 to 6; negative ones point the other way."""
 TIME, FRF = 1, 4
 """Function types of data set 58."""
 FUNCTION, MODE = 58, 55
@@ -145,10 +144,7 @@ def read_modes(path: str | Path) -> tuple[Floats, Floats, Complexes, Ints]:
 
 def load_pyuff() -> Any:
     """Import pyuff, which is optional."""
-    try:
-        return importlib.import_module("pyuff")
-    except ImportError:
-        raise InputError("universal files need pyuff: pip install pyuff") from None
+    return optional("pyuff", "universal files need")
 
 
 def _sets(path: Path, kind: int, limit: float) -> list[Json]:

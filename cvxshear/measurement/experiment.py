@@ -6,8 +6,7 @@ Every object is frozen and its arrays are read-only, so a result can refer to th
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -88,7 +87,7 @@ class Experiment(Shown):
         put(self, "static", tuple(each.in_frame(stories) for each in self.static))
         self._check_states()
         for place, prior in enumerate((*self.priors, *self.damping.priors), 1):
-            with _named(place):
+            with checks.named(f"prior {place}"):
                 check_prior(prior, stories)
         self._part_priors()
         self._check_scale()
@@ -200,7 +199,7 @@ class Experiment(Shown):
         )
         priors = []
         for place, item in checks.tables(table, "prior"):
-            with _named(place):
+            with checks.named(f"prior {place}"):
                 priors.append(Prior.from_dict(item))
         static = []
         for place, item in checks.tables(table, "static"):
@@ -287,15 +286,6 @@ def _all_of(kind: type[T], items: object, where: str) -> tuple[T, ...]:
         if not isinstance(item, kind):
             raise InputError(f"{where}, entry {place} must be a {kind.__name__}, not {checks.shown(item)}")
     return result
-
-
-@contextmanager
-def _named(place: int) -> Iterator[None]:
-    """Say which prior it is that a message is about."""
-    try:
-        yield
-    except InputError as error:
-        raise type(error)(f"prior {place}: {error}") from error
 
 
 Measurement = str | Path | Experiment

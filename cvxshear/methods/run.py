@@ -200,7 +200,12 @@ def _programs_of_one(test: CompleteTest) -> Iterator[BenchmarkProgram]:
     yield BenchmarkProgram("bounded mass", _tightened(mass, start), start)
     yield BenchmarkProgram("bounded stiffness", _tightened(stiffness, nothing), nothing)
     if len(start) > 1:
-        yield BenchmarkProgram("singular stiffness", _of_first_mode(shapes[:, 0], test.eigenvalues[0]), nothing)
+        # The program of the first mode alone has one row, without a negative entry, that asks for more than the bounds
+        # allow below the uniform stiffness: so they are the answer.
+        uniform_stiffness = test.eigenvalues[0] / np.sum(np.diff(shapes[:, 0], prepend=0.0) ** 2)
+        alone = story_stiffnesses(shapes[:, :1], test.eigenvalues[:1], rows=True)
+        bounded = alone.replace(lower=nothing, upper=np.full(len(start), TIGHTER * uniform_stiffness))
+        yield BenchmarkProgram("singular stiffness", bounded, nothing)
 
 
 def _tightened(program: LeastSquares, origin: Floats) -> LeastSquares:
@@ -210,13 +215,3 @@ def _tightened(program: LeastSquares, origin: Floats) -> LeastSquares:
     largest = int(np.argmax(answer))
     upper[largest] = min(upper[largest], TIGHTER * answer[largest] - origin[largest])
     return program.replace(upper=upper)
-
-
-def _of_first_mode(shape: Floats, eigenvalue: float) -> LeastSquares:
-    """Make the stiffness program of one mode alone, the stiffnesses bounded below the uniform one that it asks for.
-
-    Its one row has no negative entry and asks for more than the bounds allow, so that they are the answer.
-    """
-    uniform_stiffness = eigenvalue / np.sum(np.diff(shape, prepend=0.0) ** 2)
-    alone = story_stiffnesses(shape[:, None], np.array([eigenvalue]), rows=True)
-    return alone.replace(lower=np.zeros(len(shape)), upper=np.full(len(shape), TIGHTER * uniform_stiffness))

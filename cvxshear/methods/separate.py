@@ -26,13 +26,13 @@ from cvxshear.util.quantities import ranged
 from cvxshear.util.typing import Floats
 
 LEAST_POSITIVE = 1e-3
-"""Of the mean floor mass, and of the stiffness that would carry it at the first frequency: less is not positive.
+"""Least positive mass, as a fraction of the mean floor mass, and stiffness, of that which carries it at the first mode.
 
 A bound much smaller than this is lost in a solver's own tolerances; HiGHS 1.15 ends with an error on one of 1e-6."""
 
 
 MOST_ROUNDS = 50
-"""Times that soft priors, which need not be linear, are linearised again where the last solution lies."""
+"""Rounds in which soft priors, which need not be linear, are linearised again at the last solution."""
 
 UNCHANGED = 1e-10
 """Relative change of masses or stiffnesses at which soft priors count as linearised where they belong."""
@@ -85,16 +85,14 @@ def complete_test(
     """
     n = experiment.stories
     where = f'method {method} cannot use configuration "{configuration.name}"'
-    if len(configuration.frequencies) < n:
-        missing = sorted(set(range(1, n + 1)) - {int(mode) for mode in configuration.modes})
-        raise UnsuitableError(
-            f"{where}: it needs all {n} modes, {_listed('mode', missing)} missing; use method efficient"
-        )
-    if len(configuration.measured_floors) < n:
-        missing = sorted(set(range(1, n + 1)) - {int(floor) for floor in configuration.measured_floors})
-        raise UnsuitableError(
-            f"{where}: it needs every floor, {_listed('floor', missing)} unmeasured; use method efficient"
-        )
+    for what, there, needed, how in (
+        ("mode", configuration.modes, f"all {n} modes", "missing"),
+        ("floor", configuration.measured_floors, "every floor", "unmeasured"),
+    ):
+        if len(there) < n:
+            missing = sorted(set(range(1, n + 1)) - set(there.tolist()))
+            which = f"{what} {missing[0]} is" if len(missing) == 1 else f"{what}s {ranged(missing)} are"
+            raise UnsuitableError(f"{where}: it needs {needed}, {which} {how}; use method efficient")
     if not configuration.complete:
         mode, floor = np.argwhere(~configuration.measured)[0] + 1
         raise UnsuitableError(f"{where}: mode {mode} has no value at floor {floor}; use method efficient")
@@ -119,10 +117,6 @@ def complete_test(
         shape_std=float(np.sqrt(np.mean(relative**2))),
         rows=rows,
     )
-
-
-def _listed(what: str, numbers: list[int]) -> str:
-    return f"{what} {numbers[0]} is" if len(numbers) == 1 else f"{what}s {ranged(numbers)} are"
 
 
 def start_mass(test: CompleteTest, initial: Floats | None) -> Floats:

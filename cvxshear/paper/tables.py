@@ -38,7 +38,7 @@ TABLE_1 = {
 """Corrected mass matrices, kg, upper triangle: entry (i, j) by method and case."""
 
 MISPRINT = ("berman", 1, (2, 3))
-"""Where Table 1 does not print what its formula gives."""
+"""Method, case and entry of Table 1 that is not what the formula gives."""
 
 TABLE_2 = {
     (method, int(case)): tuple(texts)
@@ -73,7 +73,7 @@ TABLE_4, TABLE_5, TABLE_6_MASS, TABLE_6_NET_MASS, TABLE_6_STIFFNESS, TABLE_7, TA
     {structure: tuple(texts) for structure, texts in _PRINTED[f"table_{name}"].items()}
     for name in ("4", "5", "6_mass", "6_net_mass", "6_stiffness", "7", "8")
 )
-"""By structure, two numbers each."""
+"""Tables of the steel frame by structure, two numbers each."""
 
 TOTAL_NET_MASS = "31.33"
 """Total mass without counterweights (Section 6), kg."""

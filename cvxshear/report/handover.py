@@ -116,7 +116,7 @@ def _residuals(result: RecordPrediction) -> Sheet:
     measures = ["relative error", "standard deviations off"]
     header = ("configuration", "part", "quantity", *(f"{measure}, {word}" for measure in measures for word in words))
     rows: list[tuple[Cell, ...]] = []
-    for parts in zip(*(_parts(each) for each in sides), strict=True):
+    for parts in zip(*map(_parts, sides), strict=True):
         what = parts[0].noise.replace("_", " ")
         numbers = [*(part.error for part in parts), *(part.deviations for part in parts)]
         rows.append((parts[0].configuration, parts[0].place, what, *numbers))
@@ -139,7 +139,7 @@ MODEL_WRITERS: dict[str, Callable[[RecordPrediction], str | bytes]] = {
     ),
     "xlsx": lambda result: workbook(_sheets(result)),
 }
-"""Of a model, by the ending of the file."""
+"""Writers of a model by the ending of the file."""
 
 
 def matrices(damped: Damped) -> dict[str, Floats]:
@@ -227,7 +227,7 @@ def _links(matrix: Floats) -> list[tuple[int, int, float]]:
 
 TIME, X_TRANSLATION = 1, 1
 ACCELERATION, DISPLACEMENT, FORCE = 12, 8, 13
-"""Of universal files: the function type, the direction, and the kinds of ordinate."""
+"""Numbers of universal files: function type, direction, and kinds of ordinate."""
 
 
 COLUMN_NAMES = {
@@ -235,7 +235,7 @@ COLUMN_NAMES = {
     "story_drift_ratio": "drift_ratio", "story_shear": "shear", "base_shear": "base_shear",
     "overturning_moment": "overturning_moment",
 }  # fmt: skip
-"""Of the columns; those of floor or story 1 end in `_1`."""
+"""Names of the columns by quantity; those of floor or story 1 end in `_1`."""
 
 Moved = RecordPrediction | Reconstruction
 
@@ -348,4 +348,4 @@ def _function(pyuff: object, name: str, kind: int, floor: int, time: Floats, val
 SERIES_WRITERS: dict[str, Callable[[Moved], bytes]] = {
     "csv": _csv, "mat": lambda result: _mat(series(result)), "npz": lambda result: _npz(series(result)), "uff": _uff,
 }  # fmt: skip
-"""Of time series, by the ending of the file."""
+"""Writers of time series by the ending of the file."""

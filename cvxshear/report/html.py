@@ -33,12 +33,6 @@ except ImportError as error:
         f"the report needs {error.name}, which is not installed: pip install jinja2 matplotlib"
     ) from error
 
-FIRST_SECTIONS = ("verdict",)
-"""Sections of the description that stand on the first screen."""
-
-APPENDIX = ("steps", "effort")
-"""Sections that say how the result was computed; they stand in the appendix, with the agreement of the backends."""
-
 PHOTOGRAPHS = {b"\x89PNG\r\n\x1a\n": "png", b"\xff\xd8\xff": "jpeg"}
 """How the files of pictures begin that a page may hold, and what they are called there."""
 
@@ -86,9 +80,6 @@ def render(
     heading = result.experiment.report if heading is None else heading
     return page.render(
         document=document,
-        first=[section for section in document.sections if section.key in FIRST_SECTIONS],
-        body=[s for s in document.sections if s.parts and s.key not in (*FIRST_SECTIONS, *APPENDIX)],
-        appendix=[section for section in document.sections if section.parts and section.key in APPENDIX],
         heading=heading,
         photograph=photograph_of(heading),
         headline=capital(headline(result)),

@@ -13,9 +13,9 @@ from cvxshear.records.motion import trend
 from cvxshear.response.compare import contradiction, moved_against
 from cvxshear.response.damped import DampedModel, Response
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, refitted
-from cvxshear.response.frame_motion import FrameMotion, predicted_responses, rms, shown_by
+from cvxshear.response.frame_motion import FrameMotion, predicted_responses, shown_by
 from cvxshear.response.innovations import PredictionErrors, Stretch
-from cvxshear.response.recording import Recording
+from cvxshear.response.recording import Recording, rms
 from cvxshear.response.sensor_faults import earlier
 from cvxshear.response.smoother import SPIKE, Smoothed
 from cvxshear.util.quantities import NORMAL_95
@@ -180,7 +180,7 @@ def checked(
     directions, noise = other.directions(again, CHECKED_DIRECTIONS), errors.noise_at(again.p)
     outputs = errors.dynamics(again.p).outputs
     place = int(work.recording.floors[channel]) - 1
-    gain = float(work.varied.centre.model.gain[place])
+    gain = float(fitted.model.gain[place])
     row, direct = gain * outputs.rows[place], gain * outputs.direct[place]
     sigma = fitted.errors.noise_at(fitted.p).sensors[channel]
     left, stated, measured, alone = [], [], [], []

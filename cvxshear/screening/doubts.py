@@ -287,7 +287,7 @@ def repeats(experiment: Experiment) -> Iterator[Finding]:
     for each in experiment.configurations:
         alike.setdefault((each.modes.tobytes(), each.frequencies.tobytes()), []).append(each)
     for tests in alike.values():
-        names = [each.name for each in tests]
+        names = tuple(each.name for each in tests)
         if any(set(names) <= set(group) for group in copies) or not _shows_load(experiment, tests):
             continue
         what = "modes" if _same_shapes(tests) else "frequencies"

@@ -9,7 +9,8 @@ from __future__ import annotations
 import difflib
 import math
 import reprlib
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -21,13 +22,13 @@ from cvxshear.util.typing import Floats, Ints
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 MOST_STORIES = 2000
-"""More are taken for a mistake in the file: the matrices alone would fill the memory."""
+"""Largest number of stories; more are taken for a mistake, since the matrices alone would fill the memory."""
 
 LARGEST = 1e30
-"""No quantity of a structure is larger in SI units, and squares of what passes do not overflow."""
+"""Largest size of a quantity in SI units: none of a structure is larger, and its square does not overflow."""
 
 SMALLEST = 1e-30
-"""Nor is a positive one smaller; squares of what passes do not vanish."""
+"""Smallest positive quantity in SI units: none of a structure is smaller, and its square does not vanish."""
 
 _short = reprlib.Repr()
 _short.maxlevel, _short.maxlist, _short.maxtuple, _short.maxdict = 3, 6, 6, 3
@@ -44,6 +45,15 @@ def shown(value: object) -> str:
         # Python refuses to print whole numbers of more than a few thousand digits.
         text = "a number too long to print"
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+@contextmanager
+def named(where: str) -> Iterator[None]:
+    """Begin the message of an error inside with where it was found."""
+    try:
+        yield
+    except InputError as error:
+        raise type(error)(f"{where}: {error}") from error
 
 
 def put(target: object, name: str, check: Callable[..., object], where: str, **limits: object) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from enum import Enum
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import optional
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -135,11 +135,8 @@ def data_frame(columns: Mapping[str, Sequence[object]]) -> pd.DataFrame:
     InputError
         Where pandas is not installed.
     """
-    try:
-        import pandas as pd  # noqa: PLC0415 - optional, and loads slowly
-    except ImportError:
-        raise InputError("to_dataframe needs pandas: pip install pandas") from None
-    return pd.DataFrame(dict(columns))
+    found: pd.DataFrame = optional("pandas", "to_dataframe needs").DataFrame(dict(columns))
+    return found
 
 
 _modules: dict[str, str] = {}

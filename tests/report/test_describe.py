@@ -188,10 +188,10 @@ def test_probabilities_come_first_and_are_those_of_the_result(ambiguous):
     document = describe(ambiguous)
     keys = [section.key for section in document.sections]
     assert keys[:4] == ["verdict", "effects", "sets", "candidates"]
-    found = [row.exact[0] for row in table(document, "models").rows]
-    assert found == [item.probability for item in ambiguous.models]
-    rows = table(document, "candidates-table").rows
-    assert [row.exact[:2] for row in rows] == [(item.prior, item.probability) for item in ambiguous.candidates]
+    found = [row.cells[1] for row in table(document, "models").rows]
+    assert found == [chance(item.probability) for item in ambiguous.models]
+    rows = [row.cells[1:3] for row in table(document, "candidates-table").rows]
+    assert rows == [(chance(item.prior), chance(item.probability)) for item in ambiguous.candidates]
     (effect,) = ambiguous.effects
     shown = [row.cells[1] for row in table(document, "effects-table").rows]
     assert shown == [chance(item.probability) for item in (effect, *effect.rivals)]

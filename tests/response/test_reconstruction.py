@@ -307,6 +307,26 @@ def test_what_is_surely_wrong_with_a_sensor_is_set_right_and_said(softened, faul
     assert found.remarks == () if said is None else re.search(said, " ".join(found.remarks))
 
 
+@pytest.mark.parametrize(("who", "off"), [("floor 3", 0.04), ("floor 3", -0.05), ("base motion", 0.04)])
+def test_a_gain_that_is_off_moves_no_drift_and_is_named(who, off):
+    """A sound frame: without the gain among the unknowns the floors would weigh more, and drifts be a quarter off."""
+    models, motion, drift, _ = study.setting(3, "sound", 1)
+    drive = motion.drives[0]
+    if who == "base motion":
+        drive = dataclasses.replace(drive, excitation=(1 + off) * drive.excitation)
+    else:
+        drive = dataclasses.replace(drive, responses=drive.responses * np.where(motion.floors == 3, 1 + off, 1.0))
+    found = reconstruct(models, dataclasses.replace(motion, drives=(drive,)), leave_out=False)
+    ((said, value, std),) = found.gains_off
+    assert said == f"the sensor of {'the ' if who == 'base motion' else ''}{who}"
+    assert value == pytest.approx(off, abs=3.0 * std)
+    assert not found.changed
+    assert not found.masses_changed
+    true = np.abs(drift).max(axis=0)
+    assert np.all(np.abs(found.peaks.values["story_drift"] - true) <= 2.5 * found.peaks.std["story_drift"])
+    assert any(f"{said} reads" in warning for warning in found.warnings)
+
+
 def test_a_sensor_that_moves_against_the_prediction_is_as_predicted(three):
     """A record too short to be looked at by itself: the identified frame tells."""
     model = three[0]
@@ -540,3 +560,22 @@ def test_effects_that_the_model_lacks_are_in_the_bands(stories, frames):
         by_prediction.append(found.predicted_peaks.values["story_drift"] / np.abs(drift).max(axis=0) - 1)
         by_fit.append(errors)
     assert np.sqrt(np.mean(np.square(by_fit))) < 0.4 * np.sqrt(np.mean(np.square(by_prediction)))
+
+
+@pytest.mark.parametrize(("first", "last", "cut"), [(900, 4000, False), (900, 1500, True)])
+def test_no_motion_is_taken_for_a_sensors_line(softened, first, last, cut):
+    """A record that was triggered late ends quietly: its lines are those of the quiet part, here 0.02 m/s2 and none."""
+    models, motion, drift, _, _ = softened
+    drive = motion.drives[0]
+    part = dataclasses.replace(
+        drive, excitation=drive.excitation[first:last] + 0.02, responses=drive.responses[first:last]
+    )  # fmt: skip
+    found = reconstruct(models, dataclasses.replace(motion, drives=(part,)), leave_out=False)
+    said = " ".join(found.remarks)
+    assert ("the record is cut out of the motion" in said) == cut
+    true = np.abs(drift[first:last]).max(axis=0)
+    off = np.abs(found.peaks.values["story_drift"] - true) / found.peaks.std["story_drift"]
+    if not cut:
+        taken = drive.excitation[first:last] + 0.02 - found.runs[0].excitation
+        np.testing.assert_allclose(taken, 0.02, atol=0.03)
+        assert np.all(off < 2.5)

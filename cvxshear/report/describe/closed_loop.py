@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from cvxshear.loop import Closure
 from cvxshear.loop.next_test import NextTest
-from cvxshear.loop.results import AddedEffect, Candidate, EffectSet
+from cvxshear.loop.results import AddedEffect, EffectSet
 from cvxshear.report.describe.consequences import before_after, consequences, residual_section, steps_section
 from cvxshear.report.describe.headline import (
     DOUBT,
@@ -31,6 +31,7 @@ from cvxshear.report.describe.vocabulary import (
     Table,
     describe,
     line,
+    plain_rows,
 )
 from cvxshear.util.quantities import (
     AUTOMATIC,
@@ -85,10 +86,10 @@ def effects_section(result: Closure) -> Section:
 
 
 def _with_rivals(item: AddedEffect) -> Iterator[Row]:
-    yield Row((item.size, chance(item.probability)), exact=(item.probability,))
+    yield Row((item.size, chance(item.probability)))
     for rival in item.rivals:
         words = "cannot be distinguished from" if rival.twin else "or in its place"
-        yield Row((f"   {words}: {rival.placed.label}", chance(rival.probability)), exact=(rival.probability,))
+        yield Row((f"   {words}: {rival.placed.label}", chance(rival.probability)))
     if not item.rivals:
         yield Row(("   rivals: none", ""))
 
@@ -124,10 +125,8 @@ def _parameters(result: Closure, item: AddedEffect) -> Iterator[tuple[str, str]]
 def sets_section(result: Closure) -> Section:
     """Tabulate the sets of effects with their probabilities."""
     chi2 = significants([item.chi2 for item in result.models])
-    rows = tuple(
-        Row((_label(item, result), chance(item.probability), shown), exact=(item.probability, item.chi2))
-        for item, shown in zip(result.models, chi2, strict=True)
-    )
+    pairs = zip(result.models, chi2, strict=True)
+    rows = plain_rows((_label(item, result), chance(item.probability), shown) for item, shown in pairs)
     head = ("set", "probability", "chi-square")
     table = Table("models", "Sets of effects, the most probable first", head, rows, brief=BRIEF_SETS)
     return Section("sets", "Which effects together", (table,) if rows else (), below=True)
@@ -165,7 +164,17 @@ def candidates_section(result: Closure) -> Section:
         "candidates-table",
         f"The most probable first (p: of such a gain in chi-square by chance, counting that {count} were tried)",
         ("effect", "before", "with the data", "chi-square", "dof", "p of gain"),
-        tuple(_candidate_row(item, shown) for item, shown in zip(result.candidates, chi2, strict=True)),
+        plain_rows(
+            (
+                item.placed.label,
+                chance(item.prior),
+                chance(item.probability),
+                shown,
+                str(item.dof),
+                probability(item.p_value),
+            )
+            for item, shown in zip(result.candidates, chi2, strict=True)
+        ),
         brief=BRIEF_CANDIDATES,
     )
     said = tuple(
@@ -193,20 +202,6 @@ def _unmoved(result: Closure) -> Iterator[Sentence]:
             "a little, and a cause gains only by what it improves beyond that; the column p of gain says how often "
             "chance alone does as well."
         )
-
-
-def _candidate_row(item: Candidate, chi2: str) -> Row:
-    return Row(
-        (
-            item.placed.label,
-            chance(item.prior),
-            chance(item.probability),
-            chi2,
-            str(item.dof),
-            probability(item.p_value),
-        ),
-        exact=(item.prior, item.probability, item.chi2, item.dof, item.p_value),
-    )
 
 
 @describe.register

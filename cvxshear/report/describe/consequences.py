@@ -16,7 +16,7 @@ from cvxshear.loop.residual import by_part
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.model.shear import frame_modes, modes
 from cvxshear.report.describe.headline import noise_facts
-from cvxshear.report.describe.vocabulary import Block, Exact, Row, Section, Sentence, Table, columns
+from cvxshear.report.describe.vocabulary import Block, Exact, Row, Section, Sentence, Table, table
 from cvxshear.util.quantities import (
     AUTOMATIC,
     Units,
@@ -122,16 +122,14 @@ def steps_section(result: Closure) -> Section:
     """Each fit on the way; nothing that the errors do not say where there are two or fewer."""
     errors = percents([step.estimate.quality.max_frequency_error for step in result.steps])
     chi2 = significants([step.estimate.chi2 for step in result.steps])
-    rows = columns(
-        [step.action for step in result.steps],
-        chi2,
-        [str(step.estimate.dof) for step in result.steps],
-        [probability(step.p_value) for step in result.steps],
-        errors,
-    )
-    head = ("step", "chi-square", "dof", "p", "largest frequency error")
-    table = Table("steps-table", "How the model was arrived at, in the noise of the last step", head, rows)
-    return Section("steps", "Step by step", (table,), detail=len(result.steps) < 3, below=True)
+    steps = table("steps-table", "How the model was arrived at, in the noise of the last step", {
+        "step": [step.action for step in result.steps],
+        "chi-square": chi2,
+        "dof": [str(step.estimate.dof) for step in result.steps],
+        "p": [probability(step.p_value) for step in result.steps],
+        "largest frequency error": errors,
+    })  # fmt: skip
+    return Section("steps", "Step by step", (steps,), detail=len(result.steps) < 3, below=True)
 
 
 NOTHING = 1e-9

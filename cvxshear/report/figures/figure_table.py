@@ -67,7 +67,7 @@ class FigureEntry:
 
 
 _TABLE: dict[type, dict[str, FigureEntry]] = {}
-"""By the type of the result, in the order in which a report shows them."""
+"""Figures by the type of their result, in the order in which a report shows them."""
 
 
 def figure(
@@ -109,7 +109,7 @@ def figure(
 
         drawn.__doc__ = _documented(draw, results)
         said = [" ".join(part.split()) for part in (inspect.getdoc(draw) or "").split("\n\n")]
-        words = caption or "".join(said[1:2]), alternative or said[0]
+        words = caption or "".join(part for part in said[1:2] if "---" not in part), alternative or said[0]
         entry = FigureEntry(name, drawn, title, *words, section, applies, needs, narrow)
         for result in results:
             _TABLE.setdefault(result, {})[name] = entry

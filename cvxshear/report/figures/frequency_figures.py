@@ -21,11 +21,11 @@ from cvxshear.report.figures.figure_table import figure
 from cvxshear.util.typing import Floats
 
 LABEL_WIDTH = 0.14
-"""inch, what a label standing on end needs in width."""
+"""Width that a label standing on end needs, inch."""
 BAND = 0.42
-"""Of the orders' height: the room for the labels above them."""
+"""Height of the labels above the orders, as a fraction of the orders' height."""
 HIGHEST = 1.3
-"""Times the highest natural frequency: where the axis ends."""
+"""End of the axis of frequencies, as a multiple of the highest natural frequency."""
 POLES: dict[str, dict[str, Any]] = {
     "pole": {"marker": ".", "color": "#B5B5B5", "ms": 3.0},
     "stable": {"marker": "+", "color": style.BEFORE, "ms": 4.5, "mew": 0.8},

@@ -125,7 +125,7 @@ MOST_DECADES = 2
 """Labels on either side of zero."""
 
 ROW, ROOM = 0.19, 1.5
-"""inch, of a row, and of legend and axis."""
+"""Heights of a row, and of legend and axis together, inch."""
 
 Pair = tuple[Deviation, Deviation]
 

@@ -16,7 +16,7 @@ from cvxshear.methods import Identification
 from cvxshear.modal import ModalResult
 from cvxshear.records.mode_shapes import scaled_to_one
 from cvxshear.report.figures import style
-from cvxshear.report.figures.drawn_shapes import SHAPES_A_ROW, mac_tables
+from cvxshear.report.figures.drawn_shapes import mac_tables
 from cvxshear.report.figures.figure_table import figure
 from cvxshear.util.quantities import percents
 from cvxshear.util.typing import Floats
@@ -117,17 +117,10 @@ def modal_shapes(*results: ModalResult) -> Figure:
 
     Largest entry 1; a mode that several records hold faces one way in all of them.
     """
-    most = max(len(result.frequencies) for result in results)
-    fitting = 2 if style.narrow_page() else SHAPES_A_ROW
-    columns = style.even_columns(most, fitting)
     counts = [len(result.frequencies) for result in results]
-    rows = sum(-(-count // columns) for count in counts)
     stories = max(result.stories for result in results)
-    tall = float(np.clip(0.16 * stories, 1.5, 3.0))
-    figure = style.new_figure(
-        style.page_width() if style.narrow_page() else max(style.PAGE_WIDTH * columns / fitting, 4.0),
-        rows * (tall + 0.65) + 0.4,
-    )
+    columns, rows, tall, width = style.shape_grid(counts, stories, 4.0)
+    figure = style.new_figure(width, rows * (tall + 0.65) + 0.4)
     groups = style.panels_by_group(figure, counts, columns, sharex=True, sharey=True)
     facing: dict[int, tuple[ModalResult, Floats]] = {}
     for result, drawn in zip(results, groups, strict=True):

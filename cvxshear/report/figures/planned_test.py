@@ -15,13 +15,13 @@ from cvxshear.report.figures.figure_table import figure
 from cvxshear.report.figures.style import AFTER, BEFORE, GREY, PALE, letters, new_figure
 
 STORY = 0.24
-"""inch a story, at least."""
+"""Least height of a story, inch."""
 
 LABEL_LETTERS = 24
 """Letters of a label that stand beside the lowest frame drawn."""
 
 TEST_WIDTH = 0.9
-"""inch a test; its name needs as much."""
+"""Width of a test, inch: what its name needs."""
 
 
 @figure(

@@ -24,7 +24,7 @@ MOST_FLOORS = 4
 """Floors that have a panel of their own."""
 
 PERIODS = 16
-"""Of the first mode, that a time history shows; more would be a smear."""
+"""Periods of the first mode that a time history shows; more would be a smear."""
 
 PROFILES = (
     ("floor_acceleration", "acceleration", "m/s²"), ("story_drift", "story drift", "mm"),

@@ -21,7 +21,7 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
 
 BOX = 0.8
-"""Of the distance between two noise levels, what the boxes of all methods take."""
+"""Width of the boxes of all methods together, as a fraction of the distance between two noise levels."""
 
 
 @figure("boxes", NoiseStudy, title="Scatter of the estimates")
@@ -203,8 +203,11 @@ def convergence(*results: Identification, true_mass: Floats | None = None) -> Fi
     drawn = style.panels(figure, len(parts), columns, sharey=True)
     for place, (axes, part) in enumerate(zip(drawn, parts, strict=True)):
         _panel(axes, part, true_mass)
-        several = sum(item.name == part.name for item in parts) > 1
-        axes.set_title(f"{style.letters(part.name, 20)}{_start(part) if several else ''}", fontsize=8.5)
+        title = style.letters(part.name, 20)
+        if sum(item.name == part.name for item in parts) > 1 and part.history is not None:
+            started = ", ".join(f"{mass:.3g}" for mass in part.history[0, :4])
+            title += f"\nfrom {started}{', …' if part.history.shape[1] > 4 else ''} kg"
+        axes.set_title(title, fontsize=8.5)
         if place % columns == 0:
             axes.set_ylabel("error of the mass, relative" if true_mass is not None else "mass still to go, relative")
     style.legend(figure, drawn[0], min(len(drawn[0].get_lines()), 6))
@@ -214,12 +217,6 @@ def convergence(*results: Identification, true_mass: Floats | None = None) -> Fi
 def _iterated(*results: Identification) -> list[SingleIdentification]:
     """List the parts with more than one step on the masses."""
     return [part for result in results for part in result.parts if part.history is not None and len(part.history) > 1]
-
-
-def _start(part: SingleIdentification) -> str:
-    assert part.history is not None
-    started = ", ".join(f"{mass:.3g}" for mass in part.history[0, :4])
-    return f"\nfrom {started}{', …' if part.history.shape[1] > 4 else ''} kg"
 
 
 def _panel(axes: Axes, part: SingleIdentification, true_mass: Floats | None) -> None:
@@ -243,7 +240,7 @@ def _panel(axes: Axes, part: SingleIdentification, true_mass: Floats | None) -> 
 
 
 DRAWN_AS_NOTHING = 1e-17
-"""Where an answer without any difference is drawn: below what a number of 64 bits can tell."""
+"""Difference at which an answer without any is drawn: below what a number of 64 bits can tell."""
 
 
 @figure(
