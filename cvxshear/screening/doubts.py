@@ -70,6 +70,10 @@ are no better."""
 LARGEST_STD = {"frequency_std": 0.05, "mode_shape_std": 0.3}
 """Relative standard deviations beyond which nothing is measured any more, so that percent are suspected."""
 
+ROUNDED, FEWEST_ROUNDED = 2.0, 4
+"""Times the stated standard deviation that rounding alone makes, from which on it is worth a word; and so many numbers
+that end at the same decimal place, which of numbers that were not rounded one set in ten thousand does."""
+
 FACTORS = ((2 * np.pi, "2 pi, as of rad/s"), (60.0, "60, as of cycles a minute"), (1000.0, "1000, as of mHz"))
 """Factors between units of frequency, with the unit that each would mean."""
 
@@ -271,8 +275,28 @@ def deviations(experiment: Experiment) -> Iterator[Finding]:
             yield _deviation(None, f"{words} = {float(value):.1g} is finer than anything is known; exact without std")
 
 
-def _deviation(configuration: str | None, said: str) -> Finding:
-    change = "write relative standard deviations, 0.01 for 1 %, or leave them out"
+def rounding(experiment: Experiment) -> Iterator[Finding]:
+    """Numbers that were rounded are known no better than that."""
+    for each in experiment.configurations:
+        for key, values, std in (
+            ("frequency_std", each.frequencies, each.frequencies * each.log_frequency_std),
+            ("mode_shape_std", each.mode_shapes[each.measured], each.entry_std[each.measured]),
+        ):
+            step = next(
+                (10.0**-digits for digits in range(4) if np.allclose(values, np.round(values, digits), 0, 1e-9)), 0
+            )
+            coarse = step / np.sqrt(12.0) > ROUNDED * np.median(std) if len(values) >= FEWEST_ROUNDED else False
+            if getattr(each, key) is not None and coarse:
+                what = "frequencies" if key == "frequency_std" else "shapes"
+                said = f"the {what} are rounded to {step:g}, by which they err more than {key} says"
+                yield _deviation(each.name, said, "write all digits, or the standard deviation of what is written")
+
+
+def _deviation(
+    configuration: str | None,
+    said: str,
+    change: str = "write relative standard deviations, 0.01 for 1 %, or leave them out",
+) -> Finding:
     return _doubt("deviations", said, change, configuration)
 
 
@@ -521,6 +545,6 @@ def implied_total(experiment: Experiment) -> tuple[float, float]:
 
 
 DOUBT_CHECKS = (
-    angular_frequency, heights, added_up, masses, gravity, slow, deviations, repeats, state_names
+    angular_frequency, heights, added_up, masses, gravity, slow, deviations, rounding, repeats, state_names
 )  # fmt: skip
 """What is looked for in the declaration, whatever the shapes are like."""

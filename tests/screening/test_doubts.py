@@ -140,6 +140,19 @@ def test_deviations_that_no_instrument_has_and_percent_are_asked_about(key, valu
     assert told(declared) == names
 
 
+@pytest.mark.parametrize(("digits", "said"), [(1, ["frequencies", "shapes"]), (3, []), (None, [])])
+def test_numbers_that_were_rounded_by_more_than_their_deviations_are_asked_about(digits, said):
+    mass, stiffness = np.full(4, 2e5), np.full(4, 3e8)
+    table = configuration(mass, stiffness) | {"frequency_std": 0.001, "mode_shape_std": 0.01}
+    for key in ("frequencies", "mode_shapes") if digits else ():
+        values = np.array(table[key])
+        values = values / np.abs(values).max() if key == "mode_shapes" else values
+        table[key] = np.round(values, digits).tolist()
+    found = screen(Experiment.from_dict(experiment(mass, stiffness, table)))
+    words = [item.found.split()[1] for item in found if "are rounded to 0.1" in item.found]
+    assert words == said
+
+
 def test_so_are_those_of_soft_statements():
     prior = {"kind": "value", "quantity": "story_stiffness", "at": 1, "value": float(STIFFNESS[0])}
     assert told(building(prior=[{**prior, "std": 1e-12}])) == ["deviations"]
