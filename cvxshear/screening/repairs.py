@@ -120,7 +120,7 @@ def floors_from_top(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
         )
 
 
-STILL = 3.0
+GROUND_STILL = 3.0
 """Standard deviations, tolerance included, up to which an entry can be that of a sensor on the ground."""
 
 UNITS = (1e3, 1e-3, 9.80665, 1 / 9.80665)
@@ -135,7 +135,7 @@ def other_floors(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
         moved = floors + by
         on = (moved >= 0) & (moved <= top)
         # What is left out as the ground's must show no motion.
-        still = np.all(np.abs(reading.scaled * reading.weights)[:, moved < 0] < STILL)
+        still = np.all(np.abs(reading.scaled * reading.weights)[:, moved < 0] < GROUND_STILL)
         if np.all(moved <= top) and still and on.any():
             listed = ", ".join(str(floor + 1) for floor in moved)
             yield Repair(
