@@ -292,15 +292,16 @@ def _with_first_findings(first: ModalResult, again: ModalResult) -> ModalResult:
 
 
 def _about_unknown_centers(looked: Examined, result: ModalResult) -> ModalResult:
-    """Widen the entries of floors whose center lies somewhere between sensors of unknown positions."""
-    unknown = [item.numbers["floor"] for item in looked.findings if item.numbers.get("placed") is False]
+    """Widen the entries of floors whose motion was not recorded at their center, or nobody knows where that is."""
+    unknown = {item.numbers["floor"]: item.numbers for item in looked.findings if item.numbers.get("placed") is False}
     if looked.turning is None or not unknown:
         return result
     shares = np.array([looked.turning(frequency) for frequency in result.frequencies.tolist()])
     # Half the sensors' difference over their mean; a center that may be anywhere between them is off by a uniform part.
     off = np.sqrt(shares / np.maximum(1.0 - shares, 1e-9) / 3.0)
     shapes = np.abs(result.mode_shapes) / np.abs(result.mode_shapes).max(axis=1, keepdims=True)
-    std = off[:, None] * shapes * np.isin(result.floors, unknown)
+    arms = np.array([unknown[floor].get("arm", 1.0) if floor in unknown else 0.0 for floor in result.floors.tolist()])
+    std = off[:, None] * shapes * arms
     added = np.concatenate([np.zeros(len(result.modes)), std.ravel()])
     return dataclasses.replace(
         result,

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
+from cvxshear.records.mode_shapes import folded_phase, rms_phase
 from cvxshear.records.record import TimeRecord
 from cvxshear.records.signals import struck
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
@@ -257,8 +258,8 @@ def band_clock(segments: Segments, first: int, second: int) -> BandClock:
     if drifting[1] and abs(found.slope) < TRUSTED_DRIFT * found.slope_std:
         # A sweep that passes a damper's phases one after the other looks like a drift as well.
         found = _fitted(squares, weights, around, grid[steady], 0, step, segments)
-    steepest = steepest * step / max(float(np.abs(around).max()), 1e-9)
-    return replace(found, chance=chance, time=time, steepest=steepest)
+    drift = steepest * step / max(float(np.abs(around).max()), 1e-9)
+    return replace(found, chance=chance, time=time, steepest=drift)
 
 
 def _fitted(
@@ -273,7 +274,7 @@ def _fitted(
     sound = high & (np.abs(tops - line) < step * FINER)
     if np.count_nonzero(sound) < 3:
         return BandClock(float(start), step, agreement, 0.0)
-    middle, slope = _line(around[sound], tops[sound], heights[sound])
+    slope, middle = np.polyfit(around[sound], tops[sound], 1, w=np.sqrt(heights[sound])).tolist()
     fitted = _over_bands(squares[sound], around[sound], middle + slope * around[sound], segments, segments.hit[sound])
     return BandClock(
         middle=middle + fitted.middle,
@@ -404,13 +405,6 @@ def _best_lines(table: Floats, around: Floats, step: float, grid: Floats) -> tup
     return line, without[1], best[2]
 
 
-def _line(times: Floats, tops: Floats, heights: Floats) -> tuple[float, float]:
-    """Value at 0 and slope of a weighted straight line."""
-    rows = np.column_stack([np.ones(len(times)), times]) * np.sqrt(heights)[:, None]
-    value, slope = np.linalg.lstsq(rows, tops * np.sqrt(heights), rcond=None)[0]
-    return float(value), float(slope)
-
-
 def _climbed(squares: Complexes, line: Floats, segments: Segments, step: float) -> tuple[Floats, Floats]:
     """Climb to the top of the agreement near a line, for each part of the record; its height comes second."""
     omega = segments.omega
@@ -508,8 +502,8 @@ def offsets(
         reference = int(np.argmin(np.sum(np.abs(seconds[:, None] - seconds[None, :]), axis=1)))
     seconds = seconds - seconds[reference]
     between = phasors * np.conj(phasors[:, [reference]])
-    before = [_angle(column, np.zeros(len(omega))) for column in between.T]
-    left = [_angle(column, omega * each) for column, each in zip(between.T, seconds, strict=True)]
+    before = [rms_phase(column) for column in between.T]
+    left = [rms_phase(column * np.exp(1j * omega * each)) for column, each in zip(between.T, seconds, strict=True)]
     return Offsets(seconds, np.array(left), np.array(before), reference)
 
 
@@ -528,15 +522,6 @@ def _slope(omega: Floats, phasors: Complexes) -> float:
     start = grid[int(np.argmin(cost + 1e-3 * np.abs(grid) / longest))]
     # On the line the remaining angles are small, and least squares in the angle is a division.
     for _ in range(5):
-        now = phasors * np.exp(1j * start * omega)
-        angle = np.angle(now * np.where(now.real < 0, -1.0, 1.0))
-        weight = np.abs(phasors) ** 2
+        angle, weight = folded_phase(phasors * np.exp(1j * start * omega)), np.abs(phasors) ** 2
         start -= float(np.sum(weight * omega * angle) / np.sum(weight * omega**2))
     return float(start)
-
-
-def _angle(phasors: Complexes, turn: Floats) -> float:
-    now = phasors * np.exp(1j * turn)
-    angle = np.angle(now * np.where(now.real < 0, -1.0, 1.0))
-    weight = np.abs(phasors) ** 2
-    return float(np.degrees(np.sqrt(np.sum(weight * angle**2) / np.sum(weight))))

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from cvxshear.records.clocks import BandClock, Segments, band_clock, drift_of, straight
-from cvxshear.records.floors import one_a_floor, turning
+from cvxshear.records.floors import along, one_a_floor, turning
 from cvxshear.records.record import Channel, Finding, FrfRecord, Record, TimeRecord
 from cvxshear.records.sick_channels import channel_findings, without_sick, without_spikes
 from cvxshear.records.signals import detrended, impulsive, in_step, only, scaled, struck
@@ -94,9 +94,10 @@ def examined(record: Record) -> Examined:
         record, of_floors = one_a_floor(record)
         return Examined(record, (*findings, *of_floors), {})
     steady, of_clocks, late = _in_step(without_spikes(record, findings))
+    steady, of_directions = along(steady)
     share = turning(steady)
     steady, of_floors = one_a_floor(steady)
-    findings += [*of_clocks, *of_floors]
+    findings += [*of_clocks, *of_directions, *of_floors]
     if steady.input == "base":
         steady, of_signs = _with_the_base(steady)
         findings += of_signs
@@ -138,8 +139,9 @@ def _in_step(record: TimeRecord) -> tuple[TimeRecord, list[Finding], dict[str, t
     limit = LATE / record.sampling_rate
     for i, item in heard_by.items():
         late, std, (slope, slope_std) = item.middle - middles[right], np.hypot(item.std, heard_by[right].std), drifts[i]
-        if not slope and i != reference and not struck(record):
-            findings += _perhaps_drifting(clocks[i], [band_clock(segments, i, k) for k in heard_by if k != i], limit / 2)
+        if not slope and i < len(names) and i != reference and not struck(record):
+            others = [band_clock(segments, i, k) for k in heard_by if k != i]
+            findings += _perhaps_drifting(clocks[i], others, limit / 2)
         if i == right or (abs(late) < max(limit, CERTAIN_DELAY * std) and not slope):
             continue
         if not slope:

@@ -14,21 +14,17 @@ from functools import cached_property, partial
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.records.motion import Drive, trend
+from cvxshear.records.motion import Drive
 from cvxshear.response.damped import DampedModel, Response, response
 from cvxshear.response.dynamics import SHORT, Noise, Setting, dynamics
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, fit_frame
 from cvxshear.response.innovations import FIRST_FORCE, FIRST_SENSOR, PredictionErrors, Stretch
-from cvxshear.response.recording import Recording
+from cvxshear.response.recording import AT_REST, Recording, rms
 from cvxshear.response.smoother import Observed, Smoothed, Steady, smooth
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import FramePrior, VariedFrame
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats, T
-
-AT_REST = 0.05
-"""Acceleration of the first period, relative to the whole record's, up to which a run counts as beginning at rest: what
-sensors of usual noise show of a frame that does not move."""
 
 MOST_REFITS = 4
 """Fits at most after the first, each with gaps, spikes and the first state filled in by the one before. What is
@@ -170,10 +166,11 @@ class FrameMotion:
         work, smoothed = self, self.smoothed(errors, fitted.p)
         if detrend:
             model = errors.dynamics(fitted.p)
-            lines = [
-                trend(found.completed - found.states @ model.H.T - model.shown(run.drive))
+            shown = [
+                found.states @ model.H.T + model.shown(run.drive)
                 for run, found in zip(self.recording.runs, smoothed, strict=True)
             ]
+            lines = self.recording.lines(shown, self.varied.period)
             work = dataclasses.replace(self, recording=self.recording.less(lines))
             smoothed = work.smoothed(errors, fitted.p)
         if not self.moves_at_first and all(bool(np.all(each.weights == 1.0)) for each in smoothed):
@@ -343,12 +340,6 @@ def _with_modes(at: Callable[[float], T], size: float) -> tuple[T, float]:
         except NoModesError:
             size *= 0.25
     return at(size), size
-
-
-def rms(values: Floats) -> float:
-    """Return the root mean square of what was measured; 0 where nothing was."""
-    there = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(there**2))) if len(there) else 0.0
 
 
 def predicted_responses(model: DampedModel, recording: Recording) -> list[Response] | None:

@@ -49,6 +49,10 @@ LARGEST_ODDS = 1000.0
 COLOURED = 0.1
 """Correlation of an innovation with an earlier one from which on it is said that the model misses something there."""
 
+QUIET = 0.25
+"""Least strength of a motion, relative to its rms over the record, up to which a line is known from where little moves:
+of simulated records that were cut off at both ends, at 0.3 and more, lines moved peaks by up to four deviations."""
+
 NONLINEAR_DRIFT = 0.1
 """Standard deviation of drifts, relative to them, that a record adds which is not that of a linear frame: such a frame
 puts the peak of a story a third of which yields 3 to 17 % too low and those beside it up to 9 % too high
@@ -254,8 +258,9 @@ def reconstruct(
     frame = UncertainFrame.of(models.after, state, damping, solver)
     identified = frame.at(np.zeros(frame.size)).model
     recording = recorded = as_predicted(identified, recording)
+    period = 1.0 / float(identified.modes.frequencies[0])
     if detrend:
-        recording = recording.without_base_line()
+        recording = recording.without_base_line(period)
     readings = readings_of(identified, recording)
     done, parts = itertools.count(1), 2 + len(readings) + (len(recording.floors) if leave_out else 0)
 
@@ -266,7 +271,7 @@ def reconstruct(
     def fits() -> Iterator[_Fit]:
         for reading in readings:
             predicted = predicted_responses(identified, reading)
-            lines = reading.lines(shown_by(identified, predicted, reading)) if detrend else None
+            lines = reading.lines(shown_by(identified, predicted, reading), period) if detrend else None
             work = FrameMotion.around(frame, reading if lines is None else reading.less(lines), solver, free=fit)
             yield predicted, *work.fitted(detrend=detrend)
             advance()
@@ -364,7 +369,14 @@ def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
     ]
     pairs = zip(recorded.runs, found.recording.runs, strict=True)
     line = max(float(np.nanmax(np.abs(raw.measured - run.measured) / recorded.rms())) for raw, run in pairs)
-    said += line_remarks(line, "a channel's rms")
+    of_lines = line_remarks(line, "a channel's rms")
+    quietest = max(float(each.min()) for each in found.recording.envelopes(found.frame.errors.varied.period))
+    if of_lines and quietest > QUIET:
+        of_lines.append(
+            "the record is cut out of the motion, and what is cut off leaves a straight line, too: a peak is known no "
+            "better than --no-detrend moves it"
+        )
+    said += of_lines
     if found.fitted.covariance is None:
         said.append("the measurement tells no noise: the identified stiffnesses are taken as exact")
     if found.recording.input == "none":

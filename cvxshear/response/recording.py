@@ -29,6 +29,10 @@ ENVELOPE_PERIODS = 4.0
 QUIETEST = 1 / 16
 """Least envelope, relative to the record's rms: what a model misses does not vanish where little moves."""
 
+AT_REST = 0.05
+"""Acceleration of the first period, relative to the whole record's, up to which a run counts as beginning at rest: what
+sensors of usual noise show of a frame that does not move."""
+
 LINE_LEFT = 1e-12
 """What rounding leaves of a straight line once it is taken off, relative to its largest value, is far less."""
 
@@ -134,11 +138,20 @@ class Recording:
         square: Floats = np.nanmean(np.concatenate([run.measured for run in self.runs]) ** 2, axis=0)
         return np.sqrt(square)
 
-    def without_base_line(self) -> Recording:
-        """Take the straight line off a measured base acceleration; where nothing else is left, refuse it."""
+    def without_base_line(self, period: float) -> Recording:
+        """Take the straight line off a measured base acceleration; where nothing else is left, refuse it.
+
+        Parameters
+        ----------
+        period : float
+            Of the first mode, s.
+        """
         if self.input != "base":
             return self
-        runs = [dataclasses.replace(run, excitation=run.excitation - trend(run.excitation)) for run in self.runs]
+        width = self.averaged(period)
+        runs = [
+            dataclasses.replace(run, excitation=run.excitation - sensor_line(run.excitation, width)) for run in self.runs
+        ]
         for run, whole in zip(runs, self.runs, strict=True):
             if np.abs(run.excitation).max() <= LINE_LEFT * np.abs(whole.excitation).max():
                 raise InputError(
@@ -152,7 +165,7 @@ class Recording:
         runs = [dataclasses.replace(run, between=band_limited(run.excitation)) for run in self.runs]
         return dataclasses.replace(self, runs=tuple(runs))
 
-    def lines(self, expected: Sequence[Floats]) -> list[Floats]:
+    def lines(self, expected: Sequence[Floats], period: float) -> list[Floats]:
         """Find the straight line of each channel, one array (samples, m) a run.
 
         It is that through what a model does not show. The vibration itself is not without one over a finite time: a
@@ -162,8 +175,11 @@ class Recording:
         ----------
         expected : sequence of ndarray, shape (samples, m)
             Accelerations of a model at the sensors, for each run.
+        period : float
+            Of the first mode, s.
         """
-        return [trend(run.measured - own) for run, own in zip(self.runs, expected, strict=True)]
+        width = self.averaged(period)
+        return [sensor_line(run.measured - own, width) for run, own in zip(self.runs, expected, strict=True)]
 
     def less(self, lines: Sequence[Floats]) -> Recording:
         """Take straight lines off the measured accelerations, one array (samples, m) a run."""
@@ -188,6 +204,10 @@ class Recording:
         ]
         return dataclasses.replace(self, runs=tuple(runs))
 
+    def averaged(self, period: float) -> int:
+        """Count the samples over which the strength of the motion is averaged."""
+        return max(4, round(ENVELOPE_PERIODS * period * self.sampling_rate))
+
     def envelopes(self, period: float) -> list[Floats]:
         """Strength of the motion over time in powers of two, relative to its rms over the record; one array a run.
 
@@ -196,7 +216,7 @@ class Recording:
         period : float
             Of the first mode, s.
         """
-        width = max(1, round(ENVELOPE_PERIODS * period * self.sampling_rate))
+        width = self.averaged(period)
         powers = []
         for run in self.runs:
             there = np.isfinite(run.measured)
@@ -210,6 +230,37 @@ class Recording:
         mean = float(np.mean(np.concatenate(powers)))
         strengths = [np.maximum(np.sqrt(power / mean), QUIETEST) for power in powers]
         return [np.exp2(np.round(np.log2(each))).astype(np.float64) for each in strengths]
+
+
+def sensor_line(values: Floats, width: int) -> Floats:
+    """Straight line through each column by least squares; where it begins amid the motion, through its quiet part.
+
+    A motion that the beginning of the record cuts off is not without a line: with equal weights it came to 6 % of the
+    rms. Then each sample counts by the inverse of the variance around it.
+
+    Parameters
+    ----------
+    values : ndarray, shape (samples,) or (samples, columns)
+        nan where missing.
+    width : int
+        Samples of `ENVELOPE_PERIODS`.
+    """
+    lines = trend(values).reshape(len(values), -1)
+    plain, time = values.reshape(lines.shape) - lines, np.linspace(-1.0, 1.0, len(values))
+    for j, column in enumerate(plain.T):
+        own, level = np.isfinite(column), rms(column)
+        if rms(column[: max(2, round(width / ENVELOPE_PERIODS))]) <= AT_REST * level or own.sum() < 2:
+            continue
+        mean, square = (ndimage.uniform_filter1d(np.nan_to_num(each), width) for each in (column, column**2))
+        weights = 1.0 / np.sqrt(np.maximum(square - mean**2, (QUIETEST * level) ** 2))
+        lines[:, j] += np.polyval(np.polyfit(time[own], column[own], 1, w=weights[own]), time)
+    return lines.reshape(values.shape)
+
+
+def rms(values: Floats) -> float:
+    """Return the root mean square of what was measured; 0 where nothing was."""
+    there = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(there**2))) if len(there) else 0.0
 
 
 def recording_of(source: RecordingSource, stories: int = 0) -> Recording:

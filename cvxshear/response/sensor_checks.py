@@ -13,9 +13,9 @@ from cvxshear.records.motion import trend
 from cvxshear.response.compare import contradiction, moved_against
 from cvxshear.response.damped import DampedModel, Response
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, refitted
-from cvxshear.response.frame_motion import FrameMotion, predicted_responses, rms, shown_by
+from cvxshear.response.frame_motion import FrameMotion, predicted_responses, shown_by
 from cvxshear.response.innovations import PredictionErrors, Stretch
-from cvxshear.response.recording import Recording
+from cvxshear.response.recording import Recording, rms
 from cvxshear.response.sensor_faults import earlier
 from cvxshear.response.smoother import SPIKE, Smoothed
 from cvxshear.util.quantities import NORMAL_95

@@ -540,3 +540,22 @@ def test_effects_that_the_model_lacks_are_in_the_bands(stories, frames):
         by_prediction.append(found.predicted_peaks.values["story_drift"] / np.abs(drift).max(axis=0) - 1)
         by_fit.append(errors)
     assert np.sqrt(np.mean(np.square(by_fit))) < 0.4 * np.sqrt(np.mean(np.square(by_prediction)))
+
+
+@pytest.mark.parametrize(("first", "last", "cut"), [(900, 4000, False), (900, 1500, True)])
+def test_no_motion_is_taken_for_a_sensors_line(softened, first, last, cut):
+    """A record that was triggered late ends quietly: its lines are those of the quiet part, here 0.02 m/s2 and none."""
+    models, motion, drift, _, _ = softened
+    drive = motion.drives[0]
+    part = dataclasses.replace(
+        drive, excitation=drive.excitation[first:last] + 0.02, responses=drive.responses[first:last]
+    )  # fmt: skip
+    found = reconstruct(models, dataclasses.replace(motion, drives=(part,)), leave_out=False)
+    said = " ".join(found.remarks)
+    assert ("the record is cut out of the motion" in said) == cut
+    true = np.abs(drift[first:last]).max(axis=0)
+    off = np.abs(found.peaks.values["story_drift"] - true) / found.peaks.std["story_drift"]
+    if not cut:
+        taken = drive.excitation[first:last] + 0.02 - found.runs[0].excitation
+        np.testing.assert_allclose(taken, 0.02, atol=0.03)
+        assert np.all(off < 2.5)
