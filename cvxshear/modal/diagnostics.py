@@ -97,7 +97,7 @@ REPEATED = 0.003
 """Of a mode's largest entry: as much a shape changes from one test of a frame to the next by itself."""
 LARGEST_GAIN = 12.0
 """Largest change of a gain that is looked for: g for m/s2, and room beyond."""
-UNEXPLAINED = 1e-3
+IMPROBABLE_GAIN = 1e-3
 """Probability of what one gain leaves, and of what the frame without it leaves more, below which it is no chance."""
 FEWEST_PERIODS = 500
 """Of the lowest mode in an ambient record: the usual advice is 1000 to 2000 (Brincker and Ventura 2015)."""
@@ -415,9 +415,9 @@ def cables_changed(before: ModalResult, after: ModalResult) -> list[Finding]:
     second = min(each for each, _, other in found if other != place)
     freedom = len(modes) * (len(floors) - 1) - 1
     # A change of the frame as well, or instead, leaves more than one gain explains.
-    if abs(gain - 1.0) < GAIN_CHANGED or stats.chi2.sf(least, freedom) < UNEXPLAINED:
+    if abs(gain - 1.0) < GAIN_CHANGED or stats.chi2.sf(least, freedom) < IMPROBABLE_GAIN:
         return []
-    if min(second, misfit(1.0, place)) < least + stats.chi2.isf(UNEXPLAINED, 1):
+    if min(second, misfit(1.0, place)) < least + stats.chi2.isf(IMPROBABLE_GAIN, 1):
         return []
     floor = int(floors[place])
     what = "is reversed" if abs(gain + 1.0) < GAIN_CHANGED else f"reads {gain:.3f} times as much"

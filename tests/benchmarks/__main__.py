@@ -1,4 +1,4 @@
-"""Print the tables of docs/speed.md: `python -m tests.benchmarks [starting] [scaling] [many] [loops] [solvers] [peers]`.
+"""Print the tables of docs/speed.md: `python -m tests.benchmarks [starting] [scaling] [many] [loops] [solvers] ...`.
 
 `python -m tests.benchmarks hard --programs 1000 --seed 1` prints that of docs/theory/backends.md,
 `python -m tests.benchmarks hard-frames --frames 100 --seed 1` that of docs/reliability.md,

@@ -25,9 +25,9 @@ def measured(stories: int, seed: int = 1) -> dict:
     load[[stories // 2, -1]] = 3.0
     softer[1] *= 0.85
     tables = []
-    for name, state, added, k in (
-        ("bare", "before", 0.0 * load, stiffness), ("loaded", "before", load, stiffness), ("after", "after", 0.0 * load, softer),
-    ):  # fmt: skip
+    none = np.zeros(stories)
+    states = (("bare", "before", none, stiffness), ("loaded", "before", load, stiffness), ("after", "after", none, softer))
+    for name, state, added, k in states:
         found = modes(mass_matrix(mass + added), stiffness_matrix(k))
         count = min(stories, MODES)
         shapes = found.shapes[:count] / np.max(np.abs(found.shapes[:count]), axis=1, keepdims=True)
