@@ -144,7 +144,8 @@ def test_the_page_says_what_the_json_says(opened, reports, name):
         for side, cell, written in zip(("before", "after"), row.query_selector_all("td"), said.cells[1:], strict=True):
             assert json.loads(cell.get_attribute("data-exact")) == result[side][key]
             assert cell.inner_text() == written
-    assert len(page.query_selector_all("#identified tbody tr")) == len(result["frame"]["floor_mass"])
+    # A row a floor, and their sum.
+    assert len(page.query_selector_all("#identified tbody tr")) == len(result["frame"]["floor_mass"]) + 1
     for effect in result["effects"]:
         assert effect["size"].removesuffix(")")[1:] in page.inner_text("#headline")
 
