@@ -133,7 +133,8 @@ class FrameMotion:
             recording.floors, recording.step, recording.force_floor, known, float(frequencies[0]),
             float(frequencies[-1]), frame.story_stiffness * _drift_rms(model, recording), model.M,
         )  # fmt: skip
-        noise = Noise(FIRST_SENSOR * level, FIRST_FORCE, 0.0 if known else float(level.min()))
+        driven = rms(np.concatenate([run.excitation for run in recording.runs])) if known else 0.0
+        noise = Noise(FIRST_SENSOR * level, FIRST_FORCE, FIRST_SENSOR * driven if known else float(level.min()))
         # Without the base motion a softer first story and another base motion are one and the same.
         return FrameMotion(frame, varied, recording, setting, noise, backend, free and known)
 

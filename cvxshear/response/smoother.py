@@ -55,7 +55,7 @@ class Observed:
     measured : ndarray, shape (samples, m)
         m/s2; nan where missing.
     envelope : ndarray, shape (samples,)
-        Factor on the standard deviation of the missed story forces, constant over stretches.
+        Factor on the standard deviation of the missed story forces, constant over stretches; none on the noise.
     start_scale : float
         Factor on the standard deviation of the state at the start.
     """
@@ -156,7 +156,7 @@ def _gains(model: Dynamics, run: Observed, weights: Floats) -> tuple[list[_Gain]
     gains: list[_Gain] = []
     which = np.empty(len(weights), dtype=np.int64)
     for first, last in _stretches(weights, run.envelope):
-        Q = run.envelope[first] ** 2 * model.Q
+        Q = run.envelope[first] ** 2 * (model.Q - model.Q_input) + model.Q_input
         weight = weights[first]
         H = model.H * (weight > 0)[:, None]
         noise = R / np.where(weight > 0, weight, 1.0)
