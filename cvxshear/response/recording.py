@@ -149,8 +149,10 @@ class Recording:
         if self.input != "base":
             return self
         width = self.averaged(period)
+        lines = [sensor_line(run.excitation, width) for run in self.runs]
         runs = [
-            dataclasses.replace(run, excitation=run.excitation - sensor_line(run.excitation, width)) for run in self.runs
+            dataclasses.replace(run, excitation=run.excitation - line)
+            for run, line in zip(self.runs, lines, strict=True)
         ]
         for run, whole in zip(runs, self.runs, strict=True):
             if np.abs(run.excitation).max() <= LINE_LEFT * np.abs(whole.excitation).max():
