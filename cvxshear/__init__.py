@@ -18,7 +18,7 @@ from cvxshear.util.errors import (
     NoSolutionError,
     UnsuitableError,
 )
-from cvxshear.util.later import name_module
+from cvxshear.util.results import name_module
 from cvxshear.version import __version__ as __version__
 
 if TYPE_CHECKING:

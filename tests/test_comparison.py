@@ -160,7 +160,7 @@ def test_a_solver_stops_at_its_time_limit_and_says_so(name):
 
 @pytest.mark.parametrize("name", ["CLARABEL", "OSQP", "SCS"])
 def test_a_solver_of_cvxpy_stops_at_its_time_limit_and_says_so(name):
-    options = {**cvxpy_backend.CVXPY_OPTIONS[name], solvers.TIME_LIMITS[name.lower()]: 1e-6}
+    options = {**cvxpy_backend.Cvxpy(name).options, solvers.TIME_LIMITS[name.lower()]: 1e-6}
     with pytest.raises(NoSolutionError, match=r"stopped at its time limit of 1e-06 s \(its status: "):
         cvxpy_backend.Cvxpy(name, options).solve(hard())
 

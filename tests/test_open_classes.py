@@ -1,5 +1,7 @@
 """Causes that no effect of the catalogue is, what no datum tells, priors that are wrong, residuals nothing explains."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import integrate, stats
@@ -11,6 +13,8 @@ from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.duals import dual_frame
 from cvxshear.loop.evidence import log_tailed_interval
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
+from tests.fe.experiments import with_turning_joints
+from tests.fe.frame import Building, sway_modes
 from tests.outside import simulated
 
 N = 5
@@ -138,6 +142,29 @@ def test_ties_that_the_catalogue_does_not_hold_are_located():
         name = f"floors {low} and {high}"
         assert found.parameters[name] == pytest.approx(size, abs=4.0 * found.std[name])
     assert closure.to_dict()["effects"][0]["kind"] == "open"
+
+
+def test_weaker_beams_of_one_floor_are_not_surely_a_sensor():
+    """Finite elements: half as stiff beams at floor 1, which a sensor there that reads 13 % too little resembles."""
+    rng, mass, stiffness = frame(4)
+    building = with_turning_joints(Building(np.full(N, 0.4), stiffness, mass), 0.8)
+    building = replace(building, beam_bending=building.beam_bending * np.array([0.5, 1.1, 1.0, 1.0, 0.6]))
+    tables = []
+    for name, load in (("bare", np.zeros(N)), ("loaded", 3.0 * np.eye(N)[1] + 3.0 * np.eye(N)[4])):
+        found = sway_modes(replace(building, floor_mass=mass + load))
+        shapes = found.shapes.T / np.max(np.abs(found.shapes), axis=0)[:, None]
+        tables.append({
+            "name": name, "added_mass": load.tolist(), "frequency_std": 0.001, "mode_shape_std": 0.01,
+            "frequencies": (found.frequencies * np.exp(0.001 * rng.standard_normal(N))).tolist(),
+            "mode_shapes": (shapes + 0.01 * rng.standard_normal((N, N))).tolist(),
+        })  # fmt: skip
+    closure = close_loop(Experiment.from_dict({"frame": {"story_heights": 0.4}, "configuration": tables}))
+    surely = {item.placed.effect.name for item in closure.effects if item.probability >= 0.95}
+    assert surely <= {"joint_rotation", "other_beams"}
+    possible = [each.placed.effect.name for item in closure.effects for each in (item, *item.rivals)]
+    assert "other_beams" in possible
+    z = (closure.averaged.floor_mass - mass) / closure.averaged.floor_mass_std
+    assert np.abs(z).max() < 3.0
 
 
 def test_a_sensor_on_a_soft_bracket_is_located_at_its_shapes():

@@ -188,7 +188,7 @@ def canonical(program: LeastSquares) -> Canonical:
     A, b = A[independent], b[independent]
     inverse, C, q, singular = _whitening(R, s, A, b)
     E, e, equality_scale = _unit_rows(A @ inverse, b)
-    F, f, inequality_scale = _unit_rows(*_inequalities(program, inverse))
+    F, f, inequality_scale = _unit_rows(*program.inequalities_in(inverse))
     tau = max(float(np.linalg.norm(q)), float(np.max(np.abs(e), initial=0.0)), float(np.max(-f, initial=0.0)))
     tau = tau if tau > 0 else 1.0
     return Canonical(
@@ -228,20 +228,6 @@ def _whitening(R: Floats, s: Floats, A: Floats, b: Floats) -> tuple[Floats, Floa
     padded = np.zeros(n)
     padded[: len(U)] = q
     return np.diag(D), square, padded, True
-
-
-def _inequalities(program: LeastSquares, inverse: Floats) -> tuple[Floats, Floats]:
-    """Convert rows and right sides of `program.inequalities` to those for z; a bound picks a row of the inverse."""
-    rows, sides = [np.zeros((0, program.unknowns))], [np.zeros(0)]
-    if program.G is not None and program.h is not None and len(program.G):
-        rows.append(program.G @ inverse)
-        sides.append(program.h)
-    for bound, sign in ((program.lower, -1.0), (program.upper, 1.0)):
-        if bound is not None:
-            finite = np.isfinite(bound)
-            rows.append(sign * inverse[finite])
-            sides.append(sign * bound[finite])
-    return np.concatenate(rows), np.concatenate(sides)
 
 
 def _unit_rows(rows: Floats, side: Floats) -> tuple[Floats, Floats, Floats]:

@@ -11,19 +11,9 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
-from cvxshear.backends import solvers
-from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
+from cvxshear.backends.solvers import CalledSolver
 from cvxshear.util.errors import NoSolutionError
-from cvxshear.util.typing import Floats
-
-CVXPY_OPTIONS: dict[str, dict[str, Any]] = {
-    "CLARABEL": solvers.accurate("clarabel"),
-    # Polishing, on by default in cvxpy, has nothing left to do at this accuracy, and prints that it has not.
-    "OSQP": {**solvers.accurate("osqp"), "polishing": False},
-    "SCS": solvers.accurate("scs"),
-}
-"""The options of `solvers`, by cvxpy's names of the solvers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +37,7 @@ class Parametrised:
     constraints: Mapping[str, cp.Constraint]
 
 
-class Cvxpy(Backend):
+class Cvxpy(CalledSolver):
     """A solver reached through cvxpy, named cvxpy-clarabel and so on.
 
     Parameters
@@ -55,7 +45,7 @@ class Cvxpy(Backend):
     solver : str
         As cvxpy calls it.
     options : dict, optional
-        The solver's own, in place of `CVXPY_OPTIONS`.
+        The solver's own, in place of those of `solvers.toml`.
 
     Notes
     -----
@@ -64,24 +54,15 @@ class Cvxpy(Backend):
     that few shapes occur, and there is always a constraint, without which SCS refuses.
     """
 
-    time_limit = None
+    through = "cvxpy"
 
     def __init__(self, solver: str, options: dict[str, Any] | None = None) -> None:
-        self.name = f"cvxpy-{solver.lower()}"
-        self._solver = solver
-        self._options = CVXPY_OPTIONS.get(solver, {}) if options is None else options
+        super().__init__(solver, options)
         self._compiled: dict[tuple[int, int, int, bool], Parametrised] = {}
-
-    @property
-    def tolerance(self) -> float | None:
-        return solvers.loosest(self._solver.lower(), self._options)
-
-    def with_tolerance(self, tolerance: float) -> Cvxpy:
-        return type(self)(self._solver, solvers.with_tolerance(self._solver.lower(), self._options, tolerance))
 
     def __reduce__(self) -> tuple[type[Cvxpy], tuple[str, dict[str, Any]]]:
         """Send the backend to another process without what was compiled."""
-        return type(self), (self._solver, self._options)
+        return type(self), (self.solver, self.options)
 
     def answer(self, problem: Canonical) -> Answer:
         inequalities = len(problem.f)
@@ -106,22 +87,16 @@ class Cvxpy(Backend):
                 # "Solution may be inaccurate" is also the status, which is looked at below.
                 warnings.simplefilter("ignore")
                 compiled.problem.solve(  # type: ignore[no-untyped-call]  # cvxpy's has no annotations
-                    solver=self._solver, enforce_dpp=True, warm_start=problem.start is not None, **self._options
+                    solver=self.solver, enforce_dpp=True, warm_start=problem.start is not None, **self.options
                 )
         except cp.SolverError as error:
             raise NoSolutionError(self.name, str(error)) from error
         status, z = str(compiled.problem.status), compiled.z.value
         if status != cp.OPTIMAL or z is None:
-            seconds = time.perf_counter() - began
-            raise NoSolutionError(self.name, solvers.why_not(self._solver.lower(), self._options, status, seconds))
-        y, w = (_multipliers(compiled.constraints.get(name)) for name in ("E", "F"))
+            raise self.unsolved(status, time.perf_counter() - began)
+        given = (getattr(compiled.constraints.get(name), "dual_value", None) for name in ("E", "F"))
+        y, w = (np.zeros(0) if value is None else np.atleast_1d(np.asarray(value, dtype=float)) for value in given)
         return Answer(np.asarray(z), y, w[:inequalities], status, compiled.problem.solver_stats.num_iters)
-
-
-def _multipliers(constraint: cp.Constraint | None) -> Floats:
-    """Return the multipliers of a constraint, none where there is no constraint or the solver gives none."""
-    value = None if constraint is None else constraint.dual_value
-    return np.zeros(0) if value is None else np.atleast_1d(np.asarray(value, dtype=float))
 
 
 def _padding(equalities: int, inequalities: int) -> int:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from importlib import resources
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,9 +17,6 @@ from cvxshear.backends.canonical import canonical
 from cvxshear.programs import LeastSquares
 from cvxshear.util.errors import InputError
 from cvxshear.util.writing import write_file
-
-if TYPE_CHECKING:
-    import qpsolvers
 
 TEST_SET = "cvxshear_programs.py"
 """qpbenchmark looks in a file of this name for a class of the same one in capitals; it reads the programs beside it."""
@@ -70,7 +68,7 @@ def _written(programs: Sequence[BenchmarkProgram], folder: Path) -> list[Path]:
         counts[each.kind] = counts.get(each.kind, 0) + 1
         name = f"{each.kind.replace(' ', '-')}-{counts[each.kind]}.npz"
         contents = {
-            folder / name: _own(each),
+            folder / name: _saved(partial(np.savez, origin=each.origin, **_arrays(each.program))),
             benchmark / name: _stated(each.program),
             benchmark / name.replace(".npz", "-scaled.npz"): _scaled(each.program),
         }
@@ -79,13 +77,6 @@ def _written(programs: Sequence[BenchmarkProgram], folder: Path) -> list[Path]:
         written += list(contents)
     write_file(benchmark / TEST_SET, resources.files("cvxshear.backends").joinpath("qpbenchmark.py.txt").read_bytes())
     return [*written, benchmark / TEST_SET]
-
-
-def _own(item: BenchmarkProgram) -> bytes:
-    """Name the arrays as in `LeastSquares`."""
-    out = BytesIO()
-    np.savez(out, origin=item.origin, **_arrays(item.program))
-    return out.getvalue()
 
 
 def _arrays(program: LeastSquares) -> dict[str, Any]:
@@ -100,7 +91,7 @@ def _stated(program: LeastSquares) -> bytes:
     R, s = program.weighted
     arrays = _arrays(program)
     G, h, A, b, lower, upper = (arrays.get(name) for name in ("G", "h", "A", "b", "lower", "upper"))
-    return _saved(qpsolvers.Problem(R.T @ R, -R.T @ s, G, h, A, b, lower, upper))
+    return _saved(qpsolvers.Problem(R.T @ R, -R.T @ s, G, h, A, b, lower, upper).save)
 
 
 def _scaled(program: LeastSquares) -> bytes:
@@ -110,10 +101,10 @@ def _scaled(program: LeastSquares) -> bytes:
     inequalities = (scaled.F, scaled.f) if len(scaled.f) else (None, None)
     equalities = (scaled.E, scaled.e) if len(scaled.e) else (None, None)
     P, q = scaled.C.T @ scaled.C, -scaled.C.T @ scaled.q
-    return _saved(qpsolvers.Problem(P, q, *inequalities, *equalities))
+    return _saved(qpsolvers.Problem(P, q, *inequalities, *equalities).save)
 
 
-def _saved(problem: qpsolvers.Problem) -> bytes:
-    out = BytesIO()
-    problem.save(out)  # type: ignore[arg-type]  # a stream will do
+def _saved(save: Callable[..., None]) -> bytes:
+    """Return what a function writes into the stream that it is handed."""
+    save(out := BytesIO())
     return out.getvalue()

@@ -10,7 +10,6 @@ Every answer is certified; where it fails the next solver is asked.
 from __future__ import annotations
 
 import dataclasses
-import difflib
 from collections.abc import Sequence
 from functools import cache
 
@@ -21,6 +20,7 @@ from cvxshear.backends.canonical import Answer, Canonical
 from cvxshear.backends.certificate import Assembled, Solution
 from cvxshear.backends.qpsolvers_backend import Qpsolvers
 from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS, Solver
+from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError, UnsuitableError
 
 DEFINITE = ("daqp", "clarabel")
@@ -167,6 +167,5 @@ def get(backend: str | Backend) -> Backend:
     names = ["auto", *available()]
     if backend in names:
         return _through_cvxpy(backend)
-    near = difflib.get_close_matches(backend, names, n=1, cutoff=0.5)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
+    hint = checks.near(backend, names, 0.5)
     raise InputError(f"no backend named {backend!r} is installed here{hint} (there are {', '.join(names)})")

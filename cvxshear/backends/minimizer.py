@@ -37,7 +37,7 @@ UNDETERMINED = 1e-13
 leave a direction open: a few hundred roundings."""
 
 CORRECTIONS = 2
-"""Times that the closed form corrects the answer. The first correction has the rounding of an answer; what the second
+"""Corrections of the answer by the closed form. The first one has the rounding of an answer; what the second
 corrects is rounding of the first, so that constraints hold to the last digits of their own terms."""
 
 GRADED = 1e3

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import copy
 import time
 import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cvxshear.backends import solvers
-from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
+from cvxshear.backends.solvers import CalledSolver
 from cvxshear.util.errors import NoSolutionError
 
 if TYPE_CHECKING:
@@ -22,32 +20,8 @@ MAGNIFIED: dict[str, float] = {"highs": 1e4}
 tolerances; on greater numbers that is less."""
 
 
-class Qpsolvers(Backend):
-    """One solver of qpsolvers.
-
-    Parameters
-    ----------
-    name : str
-        As qpsolvers calls it.
-    options : dict, optional
-        The solver's own, in place of those of `solvers`.
-    """
-
-    time_limit = None
-
-    def __init__(self, name: str, options: dict[str, Any] | None = None) -> None:
-        self.name = name
-        self.options = solvers.accurate(name) if options is None else options
-        self._scale = MAGNIFIED.get(name, 1.0)
-
-    @property
-    def tolerance(self) -> float | None:
-        return solvers.loosest(self.name, self.options)
-
-    def with_tolerance(self, tolerance: float) -> Qpsolvers:
-        other = copy.copy(self)
-        other.options = solvers.with_tolerance(self.name, self.options, tolerance)
-        return other
+class Qpsolvers(CalledSolver):
+    """One solver of qpsolvers, under its name there."""
 
     def answer(self, problem: Canonical) -> Answer:
         # Most of what this library does needs no solver.
@@ -55,7 +29,7 @@ class Qpsolvers(Backend):
 
         stated = self._stated(problem)
         # Solvers that cannot begin at a point pass over it.
-        scale = self._scale
+        scale = MAGNIFIED.get(self.name, 1.0)
         start = None if problem.start is None else scale * problem.start.z
         began = time.perf_counter()
         try:
@@ -68,8 +42,7 @@ class Qpsolvers(Backend):
             raise NoSolutionError(self.name, str(error) or type(error).__name__) from error
         status = _status(found)
         if not found.found or found.x is None:
-            seconds = time.perf_counter() - began
-            raise NoSolutionError(self.name, solvers.why_not(self.name, self.options, status, seconds))
+            raise self.unsolved(status, time.perf_counter() - began)
         y = np.zeros(len(problem.e)) if found.y is None or not len(problem.e) else np.asarray(found.y)
         w = np.zeros(len(problem.f)) if found.z is None or not len(problem.f) else np.asarray(found.z)
         return Answer(np.asarray(found.x) / scale, y / scale, w / scale, status, _iterations(found.extras))
@@ -79,7 +52,7 @@ class Qpsolvers(Backend):
         import qpsolvers  # noqa: PLC0415 - as in `answer`
         from scipy import sparse  # noqa: PLC0415 - only some solvers take it
 
-        scale = self._scale
+        scale = MAGNIFIED.get(self.name, 1.0)
         stored = np.asarray if self.name in qpsolvers.dense_solvers else sparse.csc_matrix
         return qpsolvers.Problem(
             stored(problem.C.T @ problem.C),

@@ -5,12 +5,13 @@ All of this is known without importing any of them, which takes seconds for all 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import tomllib
 from dataclasses import dataclass
-from importlib import metadata, util
+from importlib import metadata, resources, util
 from typing import Any
 
-from cvxshear.backends.base import TIME_LIMIT
+from cvxshear.backends.base import TIME_LIMIT, Backend
+from cvxshear.util.errors import NoSolutionError
 from cvxshear.util.results import InJson
 
 
@@ -62,56 +63,25 @@ class Solver(InJson):
         return f"pip install {' '.join(self.missing)}" if self.missing else ""
 
 
-MODULES = {
-    "copt": "coptpy", "gurobi": "gurobipy", "highs": "highspy", "jaxopt_osqp": "jaxopt", "proxqp": "proxsuite",
-    "sip": "sip_qp_python",
-}  # fmt: skip
-"""Modules of the solvers that Python knows by another name than qpsolvers; pip has a - for each _."""
-
-THROUGH_QPSOLVERS = tuple(
-    Solver(name, MODULES.get(name, name), MODULES.get(name, name).replace("_", "-"))
-    for name in (
-        "clarabel", "copt", "cvxopt", "daqp", "ecos", "gurobi", "highs", "jaxopt_osqp", "kvxopt", "mosek", "osqp",
-        "piqp", "proxqp", "pyqpmad", "qpalm", "qpax", "qtqp", "quadprog", "scs", "sip",
-    )
-)  # fmt: skip
-"""Solvers of qpsolvers that pip can install, under their names there."""
-
-THROUGH_CVXPY = tuple(Solver(f"cvxpy-{name}", name, name, "cvxpy") for name in ("clarabel", "osqp", "scs"))
-"""Solvers that cvxpy brings along and that take a quadratic objective."""
+_TABLES: dict[str, dict[str, Any]] = tomllib.loads(
+    resources.files("cvxshear.backends").joinpath("solvers.toml").read_text(encoding="utf-8")
+)
+"""What is known of each solver; the file says what its keys mean, and why its numbers are what they are."""
 
 TOLERANCES: dict[str, dict[str, float]] = {
-    "clarabel": {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12},
-    "daqp": {"primal_tol": 1e-11, "dual_tol": 1e-11},
-    "highs": {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
-    "osqp": {"eps_abs": 1e-10, "eps_rel": 1e-10},
-    "piqp": {"eps_abs": 1e-12, "eps_rel": 1e-12, "eps_duality_gap_abs": 1e-12, "eps_duality_gap_rel": 1e-12},
-    "proxqp": {"eps_abs": 1e-11},
-    "scs": {"eps_abs": 1e-9, "eps_rel": 1e-9},
+    name: table["tolerances"] for name, table in _TABLES.items() if "tolerances" in table
 }
-"""Accuracies that each solver is asked for, chosen so that masses and stiffnesses agree with the closed form within
-1e-6."""
+TIME_LIMITS = {name: table["time_limit"] for name, table in _TABLES.items() if "time_limit" in table}
+"""Accuracies that each solver is asked for, and what it calls its limit on time."""
 
-TIME_LIMITS = {
-    "clarabel": "time_limit",
-    "daqp": "time_limit",
-    "highs": "time_limit",
-    "osqp": "time_limit",
-    "scs": "time_limit_secs",
-}
-"""What each solver calls its limit on time. PIQP and ProxQP have one on iterations alone; quadprog has none, and ends
-after finitely many steps."""
+THROUGH_QPSOLVERS = tuple(
+    Solver(name, table.get("module", name), table.get("module", name).replace("_", "-"))
+    for name, table in _TABLES.items()
+)
+"""Solvers of qpsolvers that pip can install, under their names there."""
 
-OTHER_OPTIONS: dict[str, dict[str, Any]] = {
-    # HiGHS adds this multiple of the identity to every Hessian; ours has eigenvalues of one and needs none.
-    "highs": {"qp_regularization_value": 0.0},
-    "osqp": {"max_iter": 200_000},
-    "piqp": {"max_iter": 1000},
-    "proxqp": {"eps_rel": 0.0, "max_iter": 10_000},
-    "scs": {"max_iters": 200_000},
-}
-"""Further options: iterations enough for the accuracy above, which the solvers' own limits are not, and no looser
-accuracy beside it."""
+THROUGH_CVXPY = tuple(Solver(f"cvxpy-{name}", name, name, "cvxpy") for name in _TABLES if "cvxpy" in _TABLES[name])
+"""Solvers that cvxpy brings along and that take a quadratic objective."""
 
 
 def accurate(solver: str) -> dict[str, Any]:
@@ -123,23 +93,40 @@ def accurate(solver: str) -> dict[str, Any]:
         As qpsolvers calls it.
     """
     limit = {TIME_LIMITS[solver]: TIME_LIMIT} if solver in TIME_LIMITS else {}
-    return {**TOLERANCES.get(solver, {}), **OTHER_OPTIONS.get(solver, {}), **limit}
+    return {**TOLERANCES.get(solver, {}), **_TABLES.get(solver, {}).get("options", {}), **limit}
 
 
-def loosest(solver: str, options: Mapping[str, Any]) -> float | None:
-    """Find the loosest accuracy among a solver's options; None where they have none."""
-    given = [float(options[name]) for name in TOLERANCES.get(solver, {}) if name in options]
-    return max(given, default=None)
+class CalledSolver(Backend):
+    """A solver that another package calls, with the options that it gets.
 
+    Parameters
+    ----------
+    solver : str
+        As qpsolvers or cvxpy calls it.
+    options : dict, optional
+        The solver's own, in place of those of `solvers.toml`.
+    """
 
-def with_tolerance(solver: str, options: Mapping[str, Any], tolerance: float) -> dict[str, Any]:
-    """Replace the accuracy in a solver's options."""
-    return {**options, **dict.fromkeys(TOLERANCES.get(solver, {}), tolerance)}
+    time_limit = None
+    through = "qpsolvers"
 
+    def __init__(self, solver: str, options: dict[str, Any] | None = None) -> None:
+        self.solver, self._listed = solver, solver.lower()
+        self.name = self._listed if self.through == "qpsolvers" else f"{self.through}-{self._listed}"
+        further = _TABLES.get(self._listed, {}).get(self.through, {})
+        self.options = {**accurate(self._listed), **further} if options is None else options
 
-def why_not(solver: str, options: Mapping[str, Any], status: str, seconds: float) -> str:
-    """Why a solver has no solution: its time was over, or what it says itself."""
-    limit = options.get(TIME_LIMITS.get(solver, ""))
-    if limit is not None and seconds >= limit:
-        return f"stopped at its time limit of {limit:g} s (its status: {status})"
-    return f"no solution found (its status: {status})"
+    @property
+    def tolerance(self) -> float | None:
+        given = [float(self.options[name]) for name in TOLERANCES.get(self._listed, {}) if name in self.options]
+        return max(given, default=None)
+
+    def with_tolerance(self, tolerance: float) -> CalledSolver:
+        return type(self)(self.solver, {**self.options, **dict.fromkeys(TOLERANCES.get(self._listed, {}), tolerance)})
+
+    def unsolved(self, status: str, seconds: float) -> NoSolutionError:
+        """Make the error of a solver without a solution: its time was over, or what it says itself."""
+        limit = self.options.get(TIME_LIMITS.get(self._listed, ""))
+        if limit is not None and seconds >= limit:
+            return NoSolutionError(self.name, f"stopped at its time limit of {limit:g} s (its status: {status})")
+        return NoSolutionError(self.name, f"no solution found (its status: {status})")

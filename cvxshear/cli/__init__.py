@@ -10,7 +10,7 @@ import typer
 
 from cvxshear.cli import before, frames, recorded, studies
 from cvxshear.cli import plan as planning
-from cvxshear.cli.checked import used
+from cvxshear.cli.options import documented, used
 from cvxshear.cli.output import OutputError, lost, silence, sound_streams, typed
 from cvxshear.files.inputs import streams_read_once
 from cvxshear.util.errors import CvxshearError, InputError, LostProcessError, NoSolutionError
@@ -43,8 +43,8 @@ for command in (
     planning.plan,
     studies.reproduce,
 ):
-    app.command()(command)
-study.command()(studies.noise)
+    app.command()(documented(command))
+study.command()(documented(studies.noise))
 app.add_typer(study, name="study")
 
 

@@ -11,21 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import RenderableType
 
-from cvxshear.cli.checked import input_files
-from cvxshear.cli.output import (
-    JsonOut,
-    MeasurementOut,
-    Quiet,
-    Records,
-    ReportOut,
-    UniversalOut,
-    as_typed,
-    deliver,
-    numbers,
-    printing,
-    progress,
-    writes,
-)
+from cvxshear.cli.options import File, JsonOut, Quiet, ReportOut, TomlOut, input_files, writes
+from cvxshear.cli.output import as_typed, deliver, numbers, printing, progress
 from cvxshear.cli.written import LIST, CsvOut, FiguresOut, Pictures, Spreadsheets, XlsxOut
 from cvxshear.files.formats import endings_of
 from cvxshear.util.errors import CvxshearError, InputError
@@ -39,15 +26,9 @@ if TYPE_CHECKING:
 
 
 def new(
-    more: Annotated[
-        list[str] | None,
-        typer.Argument(help="More files of the record that --record begins: hits, say.", metavar="DATA..."),
-    ] = None,
-    output: Annotated[
-        str | None,
-        writes("--output", "-o", what="Write it here; printed where not given.", metavar="TOML", endings=(".toml",)),
-    ] = None,
-    stories: Annotated[int | None, typer.Option(help="How many stories the frame has; 3 where not given.")] = None,
+    more: Annotated[list[str] | None, typer.Argument(metavar="DATA...")] = None,
+    output: TomlOut = None,
+    stories: int | None = None,
     modes: Annotated[
         str | None,
         typer.Option("--from", help=f"Take the modes from this file: {endings_of('modes')}.", metavar="FILE"),
@@ -63,6 +44,15 @@ def new(
 
     Example: cvxshear new --stories 5 -o test.toml
     Example: cvxshear new --record hit1.csv hit2.csv hit3.csv -o hits.toml
+
+    Parameters
+    ----------
+    more
+        More files of the record that --record begins: hits, say.
+    output
+        Write it here; printed where not given.
+    stories
+        How many stories the frame has; 3 where not given.
     """
     from cvxshear.files.to_fill_in import record_template, template, template_from
 
@@ -91,21 +81,17 @@ MISTAKE, DOUBT = 2, 3
 """Statuses of `check`: what the other commands refuse; with --strict what they only warn of."""
 
 
-def check(
-    file: Annotated[
-        str,
-        typer.Argument(
-            help="A measurement file or a record file (TOML), or 'paper' for the example.",
-            metavar="FILE",
-            callback=input_files,
-        ),
-    ],
-    out: JsonOut = None,
-    strict: Annotated[bool, typer.Option("--strict", help="Status 3 where a doubt is open.")] = False,
-) -> None:
+def check(file: File, out: JsonOut = None, strict: bool = False) -> None:
     """Tell what looks wrong in a measurement file or a record, before anything is fitted; status 2 for a mistake.
 
     Example: cvxshear check paper
+
+    Parameters
+    ----------
+    file
+        A measurement file or a record file (TOML), or 'paper' for the example.
+    strict
+        Status 3 where a doubt is open.
     """
     from cvxshear.report import terminal
     from cvxshear.screening import Screening
@@ -118,26 +104,16 @@ def check(
 
 
 def modes(
-    records: Records,
-    output: MeasurementOut = None,
-    uff: UniversalOut = None,
-    method: Annotated[
-        str | None, typer.Option(help="era, okid, subspace or ssi; what suits the record where none is named.")
-    ] = None,
-    second: Annotated[
-        str | None, typer.Option(help="Second opinion of another method, or fdd: peaks in the frequency domain.")
-    ] = None,
-    count: Annotated[int | None, typer.Option(help="How many modes; as many as stories where not given.")] = None,
-    pick: Annotated[
-        str | None,
-        typer.Option(
-            help="Take the stable poles nearest to these frequencies, Hz; 'list' prints the poles.",
-            metavar="3.68,11.1,...",
-        ),
-    ] = None,
-    correct_clocks: Annotated[bool, typer.Option(help="Take clock offsets between the channels out.")] = False,
-    accept_swapped: Annotated[bool, typer.Option(help="Go on where two channels look swapped.")] = False,
-    jobs: Annotated[int, typer.Option(help="Processes that identify records; -1 takes every core.")] = 1,
+    records: Annotated[list[str], typer.Argument(metavar="RECORD...", callback=input_files)],
+    output: TomlOut = None,
+    uff: Annotated[str | None, writes("--uff", metavar="UFF", endings=(".uff", ".unv", ".u55"))] = None,
+    method: str | None = None,
+    second: str | None = None,
+    count: int | None = None,
+    pick: str | None = None,
+    correct_clocks: bool = False,
+    accept_swapped: bool = False,
+    jobs: int = 1,
     report: ReportOut = None,
     figure: FiguresOut = None,
     csv: CsvOut = None,
@@ -150,6 +126,29 @@ def modes(
     Of several records, one that fails does not keep the others from being written.
 
     Example: cvxshear modes bare.toml loaded.toml -o test.toml
+
+    Parameters
+    ----------
+    records
+        Record files (TOML), or patterns such as 'day-1/*.toml'.
+    output
+        Write a measurement file here, a configuration each.
+    uff
+        Write the modes as a universal file here.
+    method
+        era, okid, subspace or ssi; what suits the record where none is named.
+    second
+        Second opinion of another method, or fdd: peaks in the frequency domain.
+    count
+        How many modes; as many as stories where not given.
+    pick : 3.68,11.1,...
+        Take the stable poles nearest to these frequencies, Hz; 'list' prints the poles.
+    correct_clocks
+        Take clock offsets between the channels out.
+    accept_swapped
+        Go on where two channels look swapped.
+    jobs
+        Processes that identify records; -1 takes every core.
     """
     from cvxshear.files.modes import identify_modes_many, write_merged
     from cvxshear.files.uff import write_uff

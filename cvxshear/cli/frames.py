@@ -10,28 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cvxshear.cli.before import measured, records_in_json, tables_of
-from cvxshear.cli.checked import input_files
-from cvxshear.cli.output import (
-    AuthorOption,
-    BackendName,
-    ClientOption,
-    DateOption,
-    File,
-    Files,
-    JsonOut,
-    PhotographOption,
-    Quiet,
-    ReportOut,
-    TitleOption,
-    UnitsOption,
-    as_typed,
-    deliver,
-    heading_of,
-    names,
-    numbers,
-    progress,
-    show,
-)
+from cvxshear.cli.options import BackendName, File, Files, JsonOut, Quiet, ReportOut, UnitsOption, input_files
+from cvxshear.cli.output import as_typed, deliver, heading_of, names, numbers, progress, show
 from cvxshear.cli.written import LIST, CsvOut, FiguresOut, Pictures, Spreadsheets, XlsxOut
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.results import as_json
@@ -51,18 +31,11 @@ UNCERTAIN = 3
 
 def identify(
     file: File,
-    method: Annotated[
-        str | None, typer.Option(help="efficient (where none is named), two-stage, one-shot, berman or qi.")
-    ] = None,
+    method: str | None = None,
     backend: BackendName = "auto",
-    initial_mass: Annotated[
-        str | None,
-        typer.Option(help="Where the mass iteration starts, kg, such as 9.5,7.5,5.5; means two-stage by itself."),
-    ] = None,
-    tolerance: Annotated[float, typer.Option(help="At which relative correction the mass iteration stops.")] = 1e-6,
-    accelerate: Annotated[
-        bool, typer.Option("--accelerate", help="Reach the end of the mass iteration in a few steps (two-stage).")
-    ] = False,
+    initial_mass: str | None = None,
+    tolerance: float = 1e-6,
+    accelerate: bool = False,
     units: UnitsOption = None,
     figure: FiguresOut = None,
     csv: CsvOut = None,
@@ -74,6 +47,19 @@ def identify(
     Where no method is named the efficient one answers, and the paper's is printed beside it if it can use the data.
 
     Example: cvxshear identify paper --method two-stage
+
+    Parameters
+    ----------
+    file
+        A measurement file (TOML), or 'paper' for the built-in example.
+    method
+        efficient (where none is named), two-stage, one-shot, berman or qi.
+    initial_mass
+        Where the mass iteration starts, kg, such as 9.5,7.5,5.5; means two-stage by itself.
+    tolerance
+        At which relative correction the mass iteration stops.
+    accelerate
+        Reach the end of the mass iteration in a few steps (two-stage).
     """
     # The solvers load slowly, and help needs none of them.
     from cvxshear import Identification, load
@@ -110,33 +96,18 @@ def identify(
 
 def loop(
     sources: Files,
-    effects: Annotated[
-        str | None,
-        typer.Option(
-            help="Which effects to look for, commas between; all where not given. 'list' prints them, with the kinds "
-            "of data and the verdicts."
-        ),
-    ] = None,
-    assume: Annotated[
-        str | None, typer.Option(help="Effects that are in the model from the start, such as gravity.")
-    ] = None,
+    effects: str | None = None,
+    assume: str | None = None,
     backend: BackendName = "auto",
-    jobs: Annotated[int, typer.Option(help="Processes that fit candidates; -1 takes every core.")] = 1,
+    jobs: int = 1,
     report: ReportOut = None,
-    title: TitleOption = None,
-    client: ClientOption = None,
-    author: AuthorOption = None,
-    date: DateOption = None,
-    photograph: PhotographOption = None,
-    validate: Annotated[
-        str | None,
-        typer.Option(
-            help="A record file: predict it by the models before and after.", metavar="RECORD", callback=input_files
-        ),
-    ] = None,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Status 3 where the verdict is not one to rely on, such as ambiguous.")
-    ] = False,
+    title: str | None = None,
+    client: str | None = None,
+    author: str | None = None,
+    date: str | None = None,
+    photograph: Annotated[str | None, typer.Option(callback=input_files)] = None,
+    validate: Annotated[str | None, typer.Option(metavar="RECORD", callback=input_files)] = None,
+    strict: bool = False,
     units: UnitsOption = None,
     figure: FiguresOut = None,
     csv: CsvOut = None,
@@ -147,6 +118,32 @@ def loop(
     """Find the physical effect that the shear model lacks, and report the error before and after.
 
     Example: cvxshear loop paper
+
+    Parameters
+    ----------
+    sources
+        A measurement file (TOML), 'paper' for the built-in example, or record files and patterns of them.
+    effects
+        Which effects to look for, commas between; all where not given. 'list' prints them, with the kinds of data and
+        the verdicts.
+    assume
+        Effects that are in the model from the start, such as gravity.
+    jobs
+        Processes that fit candidates; -1 takes every core.
+    title
+        Title of the report.
+    client
+        For whom the report is.
+    author
+        Who answers for the report.
+    date
+        Date of the report.
+    photograph
+        A PNG or JPEG that the report shows.
+    validate
+        A record file: predict it by the models before and after.
+    strict
+        Status 3 where the verdict is not one to rely on, such as ambiguous.
     """
     from cvxshear import Closure, close_loop
     from cvxshear.loop.verdicts import VERDICTS

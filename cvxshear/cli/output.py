@@ -1,4 +1,4 @@
-"""What the commands share: their common options, and how results leave them, wherever standard output leads to."""
+"""How the results of the commands leave them, wherever standard output leads to."""
 
 from __future__ import annotations
 
@@ -13,12 +13,9 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from types import ModuleType
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from cvxshear.cli.checked import input_files, output_file, used
+from cvxshear.cli.options import used
 from cvxshear.util.errors import InputError
 from cvxshear.util.text import json_text, printable, shell_line
 from cvxshear.util.writing import write_file
@@ -26,76 +23,8 @@ from cvxshear.version import __version__
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
-    from rich.segment import Segment
 
     from cvxshear.util.typing import Json
-
-File = Annotated[
-    str,
-    typer.Argument(
-        help="A measurement file (TOML), or 'paper' for the built-in example.", metavar="FILE", callback=input_files
-    ),
-]
-Files = Annotated[
-    list[str],
-    typer.Argument(
-        help="A measurement file (TOML), 'paper' for the built-in example, or record files and patterns of them.",
-        metavar="FILE...",
-        callback=input_files,
-    ),
-]
-Records = Annotated[
-    list[str],
-    typer.Argument(
-        help="Record files (TOML), or patterns such as 'day-1/*.toml'.", metavar="RECORD...", callback=input_files
-    ),
-]
-
-
-def writes(*names: str, what: str, metavar: str = "OUT", endings: Iterable[str] = ()) -> Any:
-    """Declare an option that names a file to write."""
-    return typer.Option(*names, help=what, metavar=metavar, callback=output_file(*endings))
-
-
-FIGURES = (".svg", ".png", ".pdf")
-
-JsonOut = Annotated[
-    str | None, writes("--json", what="Write the result as JSON to this file, '-' for standard output.")
-]
-FigureOut = Annotated[str | None, writes("--figure", what="Draw into this file: .svg, .png or .pdf.", endings=FIGURES)]
-BoxesOut = Annotated[str | None, writes("--boxes", what="Draw box plots (Fig. 5) into this file.", endings=FIGURES)]
-ReportOut = Annotated[
-    str | None, writes("--report", what="Write a report, one HTML file.", metavar="OUT.html", endings=(".html", ".htm"))
-]
-TitleOption = Annotated[str | None, typer.Option("--title", help="Title of the report.")]
-ClientOption = Annotated[str | None, typer.Option("--client", help="For whom the report is.")]
-AuthorOption = Annotated[str | None, typer.Option("--author", help="Who answers for the report.")]
-DateOption = Annotated[str | None, typer.Option("--date", help="Date of the report.")]
-PhotographOption = Annotated[
-    str | None, typer.Option("--photograph", help="A PNG or JPEG that the report shows.", callback=input_files)
-]
-MeasurementOut = Annotated[
-    str | None,
-    writes(
-        "--output",
-        "-o",
-        what="Write a measurement file here, a configuration each.",
-        metavar="TOML",
-        endings=(".toml",),
-    ),
-]
-UniversalOut = Annotated[
-    str | None,
-    writes("--uff", what="Write the modes as a universal file here.", metavar="UFF", endings=(".uff", ".unv", ".u55")),
-]
-UnitsOption = Annotated[
-    str | None,
-    typer.Option("--units", help="Units that quantities are shown in, such as t,kN,mm.", metavar="MASS,FORCE,LENGTH"),
-]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")]
-BackendName = Annotated[
-    str, typer.Option("--backend", help="Which solver; 'cvxshear backends' lists them.", metavar="NAME")
-]
 
 typed: list[str] = []
 """What stood on the command line."""
@@ -112,21 +41,18 @@ def show(parts: Iterable[RenderableType]) -> None:
     Names come from files: nothing in a text is markup, and what would steer the terminal stands as its escape.
     """
     from rich.console import Console
-    from rich.segment import Segments
+    from rich.segment import Segment, Segments
 
     plain: dict[str, Any] = {} if sys.stdout.isatty() else {"width": 200, "no_color": True}
     console = Console(highlight=False, markup=False, emoji=False, **plain)
     with printing():
         for part in parts:
             whole = console.render_str(part) if isinstance(part, str) else part
-            console.print(Segments([_harmless(each) for each in console.render(whole)]), end="")
-
-
-def _harmless(segment: Segment) -> Segment:
-    from rich.segment import Segment
-
-    lines = segment.text.split("\n")
-    return Segment("\n".join(map(printable, lines)), segment.style, segment.control)
+            harmless = (
+                Segment("\n".join(map(printable, each.text.split("\n"))), each.style, each.control)
+                for each in console.render(whole)
+            )
+            console.print(Segments(harmless), end="")
 
 
 def deliver(
@@ -168,7 +94,8 @@ def deliver(
             failures.append(str(error))
     if out == "-":
         with printing():
-            sys.stdout.write(json_text(result, ascii_only=not takes_unicode()) + "\n")
+            every_letter = (sys.stdout.encoding or "").lower().replace("-", "").startswith("utf")
+            sys.stdout.write(json_text(result, ascii_only=not every_letter) + "\n")
     else:
         show(tables())
     if failures:
@@ -226,21 +153,6 @@ def heading_of(report: str | None, **parts: str | None) -> dict[str, str]:
     return given
 
 
-def figures_for(*paths: str | None) -> ModuleType | None:
-    """Import the figures, where one is asked for; refuse a wrong ending or a missing package before anything runs."""
-    asked = [path for path in paths if path is not None]
-    if not asked:
-        return None
-    try:
-        from cvxshear.report import figures
-        from cvxshear.report.figures.style import kind_of
-    except ImportError as error:
-        raise InputError(f"--figure needs {error.name}: pip install matplotlib") from error
-    for path in asked:
-        kind_of(path)
-    return figures
-
-
 _silent: list[bool] = [False]
 
 
@@ -285,16 +197,11 @@ def numbers(
 
 SPELLED = "cvxshear.spelled"
 SPELLINGS = {"±": "+-", "–": "-", "−": "-", "·": "*", "°": " deg", "²": "2", "χ": "chi", "≤": "<=", "≥": ">="}
-"""For a terminal that lacks them."""
+"""Spellings of characters that a terminal lacks."""
 
 
 class OutputError(Exception):
     """Standard output took no more."""
-
-
-def takes_unicode() -> bool:
-    """Whether standard output has every letter."""
-    return (sys.stdout.encoding or "").lower().replace("-", "").startswith("utf")
 
 
 @contextmanager

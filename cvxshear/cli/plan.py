@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from cvxshear.cli.checked import input_files
-from cvxshear.cli.output import FigureOut, JsonOut, Quiet, UnitsOption, deliver, figures_for, numbers, progress, writes
+from cvxshear.cli.options import FigureOut, File, JsonOut, Quiet, TomlOut, UnitsOption
+from cvxshear.cli.output import deliver, numbers, progress
+from cvxshear.cli.written import Pictures
 from cvxshear.util.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,61 +14,25 @@ if TYPE_CHECKING:
 
 
 def plan(
-    file: Annotated[
-        str,
-        typer.Argument(
-            help="Design values (a frame and nominal priors in TOML), a measurement file, a result's JSON, or 'paper'.",
-            metavar="FILE",
-            callback=input_files,
-        ),
-    ],
-    sensors: Annotated[int | None, typer.Option(help="How many floors can be measured; all where not given.")] = None,
-    tests: Annotated[
-        str, typer.Option(help="How many tests, or 'declared' for those of FILE as if they were still to come.")
-    ] = "1",
-    added_mass: Annotated[
-        str | None, typer.Option(help="kg that each floor can carry: one number, or one a floor with commas between.")
-    ] = None,
-    added_mass_total: Annotated[float | None, typer.Option(help="kg that one test can carry in all.")] = None,
-    modes: Annotated[
-        str | None, typer.Option(help="How many of the lowest modes will be identified, or which: 1,2,4.")
-    ] = None,
-    frequency_std: Annotated[
-        float | None, typer.Option(help="Expected relative standard deviation of frequencies; 0.002 where not given.")
-    ] = None,
-    mode_shape_std: Annotated[
-        float | None, typer.Option(help="Of shape entries, the largest being 1; 0.01 where not given.")
-    ] = None,
-    duration: Annotated[
-        float | None, typer.Option(help="Seconds recorded in each test, from which the noise follows instead.")
-    ] = None,
-    excitation: Annotated[str | None, typer.Option(help="ambient, shaker or hammer; with --duration.")] = None,
-    damping: Annotated[float | None, typer.Option(help="Fraction of critical; with --duration.")] = None,
-    sensor_noise: Annotated[
-        float | None, typer.Option(help="Noise of a channel over its standard deviation; with --duration.")
-    ] = None,
-    goal: Annotated[
-        str,
-        typer.Option(
-            "--for",
-            help="masses, stiffnesses, all, or effects to distinguish: gravity,ground_spring@4=2000 (floor, size).",
-        ),
-    ] = "all",
-    criterion: Annotated[
-        str | None, typer.Option(help="D (where the plan is for the frame), A, E or worst (where it is for effects).")
-    ] = None,
-    solver: Annotated[str, typer.Option(help="clarabel or scs.")] = "clarabel",
-    fresh: Annotated[bool, typer.Option("--fresh", help="Count nothing that FILE measured as known.")] = False,
-    loop: Annotated[
-        bool, typer.Option("--loop", help="Plan for the frame with the effects that the loop finds in FILE.")
-    ] = False,
-    state: Annotated[
-        str | None, typer.Option(help="State of the frame in FILE that is to be tested; its first where not given.")
-    ] = None,
-    output: Annotated[
-        str | None,
-        writes("--output", "-o", what="Write a measurement file to fill in.", metavar="TOML", endings=(".toml",)),
-    ] = None,
+    file: File,
+    sensors: int | None = None,
+    tests: str = "1",
+    added_mass: str | None = None,
+    added_mass_total: float | None = None,
+    modes: str | None = None,
+    frequency_std: float | None = None,
+    mode_shape_std: float | None = None,
+    duration: float | None = None,
+    excitation: str | None = None,
+    damping: float | None = None,
+    sensor_noise: float | None = None,
+    goal: str = "all",
+    criterion: str | None = None,
+    solver: str = "clarabel",
+    fresh: bool = False,
+    loop: bool = False,
+    state: str | None = None,
+    output: TomlOut = None,
     units: UnitsOption = None,
     figure: FigureOut = None,
     quiet: Quiet = False,
@@ -79,31 +41,71 @@ def plan(
     """Choose the floors to measure and the masses to add, before a test.
 
     Example: cvxshear plan paper --fresh --tests 2 --added-mass 41 --for gravity
+
+    Parameters
+    ----------
+    file
+        Design values (a frame and nominal priors in TOML), a measurement file, a result's JSON, or 'paper'.
+    sensors
+        How many floors can be measured; all where not given.
+    tests
+        How many tests, or 'declared' for those of FILE as if they were still to come.
+    added_mass
+        kg that each floor can carry: one number, or one a floor with commas between.
+    added_mass_total
+        kg that one test can carry in all.
+    modes
+        How many of the lowest modes will be identified, or which: 1,2,4.
+    frequency_std
+        Expected relative standard deviation of frequencies; 0.002 where not given.
+    mode_shape_std
+        Of shape entries, the largest being 1; 0.01 where not given.
+    duration
+        Seconds recorded in each test, from which the noise follows instead.
+    excitation
+        ambient, shaker or hammer; with --duration.
+    damping
+        Fraction of critical; with --duration.
+    sensor_noise
+        Noise of a channel over its standard deviation; with --duration.
+    goal : --for
+        masses, stiffnesses, all, or effects to distinguish: gravity,ground_spring@4=2000 (floor, size).
+    criterion
+        D (where the plan is for the frame), A, E or worst (where it is for effects).
+    solver
+        clarabel or scs.
+    fresh
+        Count nothing that FILE measured as known.
+    loop
+        Plan for the frame with the effects that the loop finds in FILE.
+    state
+        State of the frame in FILE that is to be tested; its first where not given.
+    output
+        Write a measurement file to fill in.
     """
-    from cvxshear.planning import measurement_of, write_template
+    from cvxshear.planning import Plan, measurement_of, write_template
     from cvxshear.planning import plan as run
     from cvxshear.report import terminal
     from cvxshear.screening import in_json, refuse_mistakes
     from cvxshear.util.quantities import Units
 
-    drawing, display = figures_for(figure), Units.parse(units)
+    pictures, display = Pictures.named(Plan, plan=figure), Units.parse(units)
     noise = _noise((frequency_std, mode_shape_std), duration, (excitation, damping, sensor_noise))
     wanted = numbers(modes, "--modes", "a number of modes such as 3, or which, such as 1,2,4", int)
     masses = numbers(added_mass, "--added-mass", "kg, such as 40, or one a floor, such as 0,20,40")
     measured = measurement_of(file)
     doubts = None if measured is None else refuse_mistakes(measured)
+    count = int(tests) if tests.strip().lstrip("-").isdigit() else tests
     with progress("planning", quiet):
         result = run(
-            measured or file, sensors, _count(tests), modes=_one_or_many(wanted), noise=noise,
+            measured or file, sensors, count, modes=_one_or_many(wanted), noise=noise,
             added_mass=_one_or_many(masses),
             added_mass_total=added_mass_total, goal=goal, criterion=criterion, fresh=fresh, loop=loop, state=state,
             solver=solver,
         )  # fmt: skip
-    files: list[Callable[[], None]] = []
+    files = pictures.of(result)
     if output is not None:
         files.append(lambda: write_template(output, result))
-    if drawing is not None:
-        files.append(lambda: drawing.save(drawing.plan(result), figure))
     said = {**result.to_dict(), **in_json(doubts)}
     deliver(said, out, lambda: [*terminal.doubts(doubts or ()), *terminal.shown(result, display)], *files)
 
@@ -128,10 +130,6 @@ def _noise(
         raise InputError("give --duration, from which the noise follows, or --frequency-std and --mode-shape-std")
     # The options go by the names of its fields, and it checks their values; mypy cannot know which is which.
     return Recorded(**{"kind": "ambient", "duration": duration, **of_record})  # type: ignore[arg-type]
-
-
-def _count(text: str) -> int | str:
-    return int(text) if text.strip().lstrip("-").isdigit() else text
 
 
 def _one_or_many(found: list[Any] | None) -> Any:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cvxshear.cli.before import measured
-from cvxshear.cli.checked import input_files
-from cvxshear.cli.output import BackendName, JsonOut, Quiet, ReportOut, as_typed, deliver, names, progress
+from cvxshear.cli.options import BackendName, File, JsonOut, Quiet, ReportOut, input_files
+from cvxshear.cli.output import as_typed, deliver, names, progress
 from cvxshear.cli.written import CsvOut, FiguresOut, Pictures, SeriesOut, Spreadsheets, XlsxOut, handed_over
 from cvxshear.util.errors import InputError, NoScaleError
 from cvxshear.util.writing import write_file
@@ -20,14 +20,6 @@ if TYPE_CHECKING:
     from cvxshear.response.sources import ModelSource
     from cvxshear.screening import Finding
 
-ModelFile = Annotated[
-    str,
-    typer.Argument(
-        help="What the model is made of: a measurement file, a record file, or what 'loop --json' wrote.",
-        metavar="FILE",
-        callback=input_files,
-    ),
-]
 DampingKind = Annotated[
     str | None, typer.Option("--damping", help="modal, story or rayleigh; what FILE declares where not given.")
 ]
@@ -43,27 +35,15 @@ Detrend = Annotated[bool, typer.Option(help="Take the straight line through each
 
 def predict(
     context: typer.Context,
-    file: ModelFile,
-    record: Annotated[
-        str,
-        typer.Option(
-            "--record",
-            help="A record file: the base motion or force, and responses to compare with.",
-            callback=input_files,
-        ),
-    ],
+    file: File,
+    record: Annotated[str, typer.Option("--record", callback=input_files)],
     backend: BackendName = "auto",
     damping: DampingKind = None,
     configuration: StateName = None,
     assume: Assumed = None,
     detrend: Detrend = True,
     series: SeriesOut = None,
-    export: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Write the model here: .npz, .mat, .json, .py (OpenSeesPy) or .xlsx; may be repeated.", metavar="OUT"
-        ),
-    ] = None,
+    export: list[str] | None = None,
     figure: FiguresOut = None,
     report: ReportOut = None,
     quiet: Quiet = False,
@@ -72,6 +52,15 @@ def predict(
     """Predict how every floor answers to a record, beside what was measured.
 
     Example: cvxshear predict frame.toml --record earthquake.toml
+
+    Parameters
+    ----------
+    file
+        What the model is made of: a measurement file, a record file, or what 'loop --json' wrote.
+    record
+        A record file: the base motion or force, and responses to compare with.
+    export : OUT
+        Write the model here: .npz, .mat, .json, .py (OpenSeesPy) or .xlsx; may be repeated.
     """
     from cvxshear.report import terminal
     from cvxshear.report.handover import model_kind, write_model
@@ -92,23 +81,15 @@ def predict(
 
 def reconstruct(
     context: typer.Context,
-    file: ModelFile,
-    record: Annotated[
-        str,
-        typer.Option(
-            "--record",
-            help='A record file: floors that carry sensors, with gaps or not, and the base motion; input = "none" '
-            "where nobody measured that.",
-            callback=input_files,
-        ),
-    ],
+    file: File,
+    record: Annotated[str, typer.Option("--record", callback=input_files)],
     backend: BackendName = "auto",
     damping: DampingKind = None,
     configuration: StateName = None,
     assume: Assumed = None,
     detrend: Detrend = True,
-    fit: Annotated[bool, typer.Option(help="Fit the frame to the record; otherwise it stays as identified.")] = True,
-    check: Annotated[bool, typer.Option(help="Predict each sensor from the others.")] = True,
+    fit: bool = True,
+    check: bool = True,
     series: SeriesOut = None,
     figure: FiguresOut = None,
     report: ReportOut = None,
@@ -120,6 +101,18 @@ def reconstruct(
     """Find how every floor moved, from the floors that carry sensors: drifts, forces, and whether a story changed.
 
     Example: cvxshear reconstruct frame.toml --record earthquake.toml --report drifts.html
+
+    Parameters
+    ----------
+    file
+        What the model is made of: a measurement file, a record file, or what 'loop --json' wrote.
+    record
+        A record file: floors that carry sensors, with gaps or not, and the base motion; input = "none" where nobody
+        measured that.
+    fit
+        Fit the frame to the record; otherwise it stays as identified.
+    check
+        Predict each sensor from the others.
     """
     from cvxshear.report import terminal
     from cvxshear.report.sheets import sheets_of_response

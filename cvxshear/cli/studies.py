@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from types import ModuleType
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from cvxshear.cli.checked import input_files
-from cvxshear.cli.output import BackendName, BoxesOut, FigureOut, JsonOut, Quiet, deliver, figures_for, names, progress
+from cvxshear.cli.options import FIGURES, BackendName, FigureOut, JsonOut, Quiet, input_files, writes
+from cvxshear.cli.output import deliver, names, progress
+from cvxshear.cli.written import Pictures
 from cvxshear.util.errors import InputError
+
+Samples = Annotated[int, typer.Option(min=2)]
 
 
 def reproduce(
     backend: BackendName = "auto",
-    samples: Annotated[
-        int, typer.Option(help="Samples of the larger noise study, beside the paper's 100.", min=2)
-    ] = 10_000,
-    seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 2023,
+    samples: Samples = 10_000,
+    seed: int = 2023,
     figure: FigureOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
@@ -26,78 +25,77 @@ def reproduce(
     """Print the paper's figures beside recomputed ones, with the difference.
 
     Example: cvxshear reproduce
+
+    Parameters
+    ----------
+    samples
+        Samples of the larger noise study, beside the paper's 100.
+    seed
+        Seed of the noise.
     """
+    from cvxshear import Identification, identify
     from cvxshear.paper import reproduce as run
+    from cvxshear.paper import tables
+    from cvxshear.paper.three_story import ThreeStory
     from cvxshear.report import terminal
 
-    drawing = figures_for(figure)
+    pictures = Pictures.named(Identification, convergence=figure)
     with progress("reproducing the paper", quiet):
         result = run(backend, samples=tuple(sorted({100, samples})), seed=seed)
-    files = [] if drawing is None else [lambda: drawing.save(_mass_iteration(drawing), figure)]
+    files = []
+    if pictures:
+        # The paper's Fig. 4: errors of the masses in each iteration, from its two initial masses.
+        frame = ThreeStory("auto")
+        found = [identify(frame.experiment, "two-stage", initial_mass=start) for start in tables.INITIAL_MASS.values()]
+        files = pictures.of(*found, true_mass=frame.truth.floor_mass)
     deliver(result.to_dict(), out, lambda: terminal.shown(result), *files)
 
 
-def _mass_iteration(drawing: ModuleType) -> Any:
-    """Recompute the paper's Fig. 4: errors of the masses in each iteration, from its two initial masses."""
-    from cvxshear import identify as run
-    from cvxshear.paper import tables
-    from cvxshear.paper.three_story import ThreeStory
-
-    frame = ThreeStory("auto")
-    found = [run(frame.experiment, "two-stage", initial_mass=start) for start in tables.INITIAL_MASS.values()]
-    return drawing.convergence(*found, true_mass=frame.truth.floor_mass)
-
-
 def noise(
-    samples: Annotated[int, typer.Option(help="Samples of each noise level and method.", min=2)] = 2000,
-    seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 2023,
-    methods: Annotated[str, typer.Option(help="Methods, commas between.")] = "two-stage,one-shot,efficient",
-    jobs: Annotated[int, typer.Option(help="Processes; -1 takes every core.")] = 1,
+    samples: Samples = 2000,
+    seed: int = 2023,
+    methods: str = "two-stage,one-shot,efficient",
+    jobs: int = 1,
     figure: FigureOut = None,
-    boxes: BoxesOut = None,
+    boxes: Annotated[str | None, writes("--boxes", endings=FIGURES)] = None,
     quiet: Quiet = False,
     out: JsonOut = None,
 ) -> None:
     """Print the scatter of each method under noise beside the Cramer-Rao bound: Table 3, Figs. 5 and 6, six stories.
 
     Example: cvxshear study noise --samples 200
+
+    Parameters
+    ----------
+    samples
+        Samples of each noise level and method.
+    seed
+        Seed of the noise.
+    methods
+        Methods, commas between.
+    jobs
+        Processes; -1 takes every core.
+    boxes
+        Draw box plots (Fig. 5) into this file.
     """
-    from cvxshear.paper import noise_study, paper_setups, six_story_study
+    from cvxshear.paper import NoiseStudy, noise_study, paper_setups, six_story_study
     from cvxshear.report import terminal
 
-    drawing = figures_for(figure, boxes)
+    pictures = Pictures.named(NoiseStudy, variation=figure, boxes=boxes)
     with progress("three stories", quiet) as advance:
         three = noise_study(paper_setups(), tuple(names(methods) or ()), samples, seed, jobs=jobs, progress=advance)
     with progress("six stories", quiet) as advance:
         six = six_story_study(samples, seed, jobs=jobs, progress=advance)
-    files: list[Callable[[], None]] = []
-    if drawing is not None and figure is not None:
-        files.append(lambda: drawing.save(drawing.noise_variation(three), figure))
-    if drawing is not None and boxes is not None:
-        files.append(lambda: drawing.save(drawing.noise_boxes(three), boxes))
     said = {"three_story": three.to_dict(), "six_story": six.to_dict()}
-    deliver(said, out, lambda: [*terminal.shown(three), *terminal.shown(six)], *files)
-
-
-OptionalFile = Annotated[
-    str | None,
-    typer.Argument(help="A measurement file (TOML), or 'paper'; without one: what is installed.", callback=input_files),
-]
+    deliver(said, out, lambda: [*terminal.shown(three), *terminal.shown(six)], *pictures.of(three))
 
 
 def backends(
-    file: OptionalFile = None,
-    only: Annotated[
-        str | None, typer.Option(help="Which backends, commas between; all that are installed where not given.")
-    ] = None,
-    repeat: Annotated[int, typer.Option(help="Solves of each program of which the fastest counts.")] = 3,
-    tolerance: Annotated[
-        float | None, typer.Option(help="Accuracy asked of the solvers, in place of their settings here.")
-    ] = None,
-    export: Annotated[
-        str | None,
-        typer.Option(help="Write the programs into this new folder, as NPZ and for qpbenchmark.", metavar="DIR"),
-    ] = None,
+    file: Annotated[str | None, typer.Argument(callback=input_files)] = None,
+    only: str | None = None,
+    repeat: int = 3,
+    tolerance: float | None = None,
+    export: str | None = None,
     figure: FigureOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
@@ -105,18 +103,35 @@ def backends(
     """List the backends; with a file, solve its programs with every one and compare them to the closed form.
 
     Example: cvxshear backends paper --repeat 10
+
+    Parameters
+    ----------
+    file
+        A measurement file (TOML), or 'paper'; without one: what is installed.
+    only
+        Which backends, commas between; all that are installed where not given.
+    repeat
+        Solves of each program of which the fastest counts.
+    tolerance
+        Accuracy asked of the solvers, in place of their settings here.
+    export : DIR
+        Write the programs into this new folder, as NPZ and for qpbenchmark.
     """
     if file is None:
         given = {"--only": only, "--tolerance": tolerance, "--export": export, "--figure": figure}
         for option, value in given.items():
             if value is not None:
                 raise InputError(f"{option} needs programs: name a measurement file, or 'paper'")
-        _list(out)
+        from cvxshear.backends import listed
+        from cvxshear.report import terminal
+
+        there = listed()
+        deliver({"backends": [each.to_dict() for each in there]}, out, lambda: terminal.listed_backends(there))
         return
-    from cvxshear import compare_backends, load
+    from cvxshear import Comparison, compare_backends, load
     from cvxshear.report import terminal
 
-    drawing = figures_for(figure)
+    pictures = Pictures.named(Comparison, backends=figure)
     experiment = load(file)
     if export is not None:
         from cvxshear.backends.export import export as write
@@ -125,14 +140,5 @@ def backends(
         write(programs_of(experiment)[0], export)
     with progress("comparing backends", quiet):
         result = compare_backends(experiment, names(only), repeats=repeat, tolerance=tolerance)
-    if drawing is not None:
-        drawing.save(drawing.backend_differences(result), figure)
-    deliver(result.to_dict(), out, lambda: terminal.shown(result), title=experiment.report.title or experiment.name)
-
-
-def _list(out: str | None) -> None:
-    from cvxshear.backends import listed
-    from cvxshear.report import terminal
-
-    found = listed()
-    deliver({"backends": [each.to_dict() for each in found]}, out, lambda: terminal.listed_backends(found))
+    title = experiment.report.title or experiment.name
+    deliver(result.to_dict(), out, lambda: terminal.shown(result), *pictures.of(result), title=title)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cvxshear.cli.checked import claim
-from cvxshear.cli.output import FIGURES, figures_for, show, writes
-from cvxshear.util.errors import InputError
+from cvxshear.cli.options import FIGURES, claim, writes
+from cvxshear.cli.output import show
+from cvxshear.util.errors import InputError, optional
 
 if TYPE_CHECKING:
     from cvxshear.files.spreadsheets import Sheet
@@ -69,37 +68,33 @@ class Pictures:
         self._wanted: list[tuple[FigureEntry, str]] = []
         if not asked:
             return
+        figures = optional("cvxshear.report.figures", "--figure needs", "matplotlib").figures_of(result)
         if LIST in asked:
-            figures_for("list.svg")
-            _list(result)
+            from cvxshear.report.terminal import plain_table
+
+            title, head = "Figures: --figure KIND:OUT.svg, .png or .pdf", ("kind", "what it shows", "needs")
+            rows = ((name, entry.title, entry.needs) for name, entry in figures.items())
+            show([plain_table(title, *head, words=(0, 1, 2), rows=rows)])
             raise typer.Exit
-        figures_for(*map(_path, asked))
-        from cvxshear.report.figures import figures_of
+        self._wanted = [_split(text, figures) for text in asked]
 
-        self._wanted = [_split(text, figures_of(result)) for text in asked]
+    @classmethod
+    def named(cls, result: type, **paths: str | None) -> Pictures:
+        """Take figures that options of their own ask for, each by the name of its kind."""
+        return cls([f"{kind}:{path}" for kind, path in paths.items() if path is not None], result)
 
-    def of(self, *results: Any) -> list[Callable[[], None]]:
+    def of(self, *results: Any, **options: Any) -> list[Callable[[], None]]:
         """Return what draws and writes each of them."""
-        return [partial(self._drawn, entry.name, path, results) for entry, path in self._wanted]
+        return [partial(self._drawn, entry, path, results, options) for entry, path in self._wanted]
 
-    def _drawn(self, name: str, path: str, results: Sequence[Any]) -> None:
-        from cvxshear.report.figures import drawn_figure, save
+    def _drawn(self, entry: FigureEntry, path: str, results: Sequence[Any], options: Mapping[str, Any]) -> None:
+        from cvxshear.report.figures import save
 
-        save(drawn_figure(name, *results), path)
+        save(entry.draw(*results, **options), path)
 
     def __bool__(self) -> bool:
         """Whether any was asked for."""
         return bool(self._wanted)
-
-
-def _list(result: type) -> None:
-    """Print the table of figures."""
-    from cvxshear.report.figures import figures_of
-    from cvxshear.report.terminal import plain_table
-
-    title, head = "Figures: --figure KIND:OUT.svg, .png or .pdf", ("kind", "what it shows", "needs")
-    rows = ((name, entry.title, entry.needs) for name, entry in figures_of(result).items())
-    show([plain_table(title, *head, words=(0, 1, 2), rows=rows)])
 
 
 def _path(text: str) -> str:
@@ -115,8 +110,9 @@ def _split(text: str, figures: Mapping[str, FigureEntry]) -> tuple[FigureEntry, 
         return next(iter(figures.values())), text
     kind = text[: -len(path) - 1]
     if kind not in figures:
-        near = difflib.get_close_matches(kind.lower(), list(figures), n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
+        from cvxshear.util import checks
+
+        hint = checks.near(kind, figures)
         raise InputError(f"--figure: there is no figure {kind!r} here; there are {', '.join(figures)}{hint}")
     return figures[kind], path
 

@@ -162,6 +162,8 @@ class Effect(ABC):
         and a fit begins at its start values.
     uses_heights : bool
         Whether it takes undeclared story heights as equal.
+    beside : str
+        Name of the effect without which this one does nothing; empty where it needs none.
     """
 
     name: ClassVar[str]
@@ -186,6 +188,7 @@ class Effect(ABC):
     releases: ClassVar[tuple[str, ...]] = ()
     adds_motion: ClassVar[bool] = False
     uses_heights: ClassVar[bool] = False
+    beside: ClassVar[str] = ""
 
     @abstractmethod
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:

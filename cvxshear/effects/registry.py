@@ -11,7 +11,15 @@ from cvxshear.effects.gravity import Gravity
 from cvxshear.effects.guests import refuse_faulty
 from cvxshear.effects.joints import JointRelease, JointRotation
 from cvxshear.effects.masses import AddedMass, FloorMass, LoadScale, MassCoupling, StateMass, TotalMass
-from cvxshear.effects.open_class import OtherChanges, OtherGains, OtherInertia, OtherLoads, OtherShapes, OtherStiffness
+from cvxshear.effects.open_class import (
+    OtherBeams,
+    OtherChanges,
+    OtherGains,
+    OtherInertia,
+    OtherLoads,
+    OtherShapes,
+    OtherStiffness,
+)
 from cvxshear.effects.readings import SensorGain, WrongPrior
 from cvxshear.effects.springs import GroundSpring, Spring
 from cvxshear.effects.stories import Bracing, StateStiffness, StoryChange
@@ -45,6 +53,7 @@ _catalogue: dict[str, Effect] = {
 _open_classes: tuple[Effect, ...] = (
     OtherStiffness(),
     OtherInertia(),
+    OtherBeams(),
     OtherChanges(),
     OtherLoads(),
     OtherGains(),

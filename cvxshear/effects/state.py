@@ -14,14 +14,14 @@ from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
 STAGES = (
-    "bracing", "story", "joint", "flexibility", "spring", "mass", "gravity", "inertia", "attachment", "shape",
+    "bracing", "story", "joint", "beams", "flexibility", "spring", "mass", "gravity", "inertia", "attachment", "shape",
 )  # fmt: skip
 """The order in which effects act on a tested state, whatever the order they were named in: which part of the stories
-is braces, the story stiffnesses, the joints between columns and beams, what adds flexibility to the frame made of
-them, what adds springs, masses, the weight of those masses, how masses are coupled, what swings on the floors, and what
-the sensors make of the shapes."""
+is braces, the story stiffnesses, the joints between columns and beams, how the beams differ from floor to floor, what
+adds flexibility to the frame made of them, what adds springs, masses, the weight of those masses, how masses are
+coupled, what swings on the floors, and what the sensors make of the shapes."""
 
-OF_THE_FRAME = STAGES[:3]
+OF_THE_FRAME = STAGES[:4]
 """Stages whose effects change what the elastic frame is made of; its stiffness matrix is assembled after them."""
 
 

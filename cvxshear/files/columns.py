@@ -10,7 +10,7 @@ leave the band empty. The second shows by its steps, which are all alike but for
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NoReturn
 
 import numpy as np
@@ -25,25 +25,25 @@ LIMIT = 100_000_000
 """Bytes that a file of a record, and the numbers in it, may have where nothing else is said."""
 TOO_LARGE = "cut it into runs, or raise the limit by size_limit, in MB, in the table [record]"
 UNEVEN_STEP = 0.25
-"""Of the median step: a step further off than that is a gap, a repetition or another rate."""
+"""Largest deviation of a step, as a fraction of the median one; more is a gap, a repetition or another rate."""
 
 COARSE = 0.1
-"""Of all steps: so many that differ from the usual one are no handful of gaps."""
+"""Fraction of all steps that differ from the usual one, above which they are no handful of gaps."""
 
 FINEST, COARSEST = -9, 0
 """Powers of ten, s: what loggers round to."""
 WHOLE = 1e-4
-"""Of the rounding step: so near must all stamps be to whole multiples of it."""
+"""Largest distance of a stamp from a whole multiple of the rounding step, as a fraction of the step."""
 SLACK = 0.1
-"""Of the rounding step on either side, for the line's own error."""
+"""Width added to the band of stamps on either side for the line's own error, as a fraction of the rounding step."""
 SHORTEST = 0.75
-"""Of the rounding step: an interval between samples that still shows when one is missing."""
+"""Shortest interval between samples that still shows when one is missing, as a fraction of the rounding step."""
 LONGEST_IN_BAND = 1.5
-"""Of the rounding step: an interval so long leaves the band where a sample is missing from exact stamps too."""
+"""Interval between samples, as a multiple of the rounding step, from which a missing one shows in exact stamps too."""
 LEAST_SHARE = 0.02
-"""Of the steps: where fewer differ from the usual one, they are gaps and not the work of rounding."""
+"""Fraction of the steps that differ from the usual one below which they are gaps and not the work of rounding."""
 DIGITS = 1e-12
-"""Of the largest stamp: what the binary number itself rounds."""
+"""Rounding of the binary number itself, as a fraction of the largest stamp."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ class Columns:
     def rows(self, which: slice) -> Columns:
         """Keep some of the rows."""
         lines = None if self.lines is None else self.lines[which]
-        return Columns(self.source, self.names, self.values[which], lines, self.units, self.stated_rate)
+        return replace(self, values=self.values[which], lines=lines)
 
     def check(self, name: str, asked: str) -> None:
         """Raise `InputError` where there is no such column; `asked` says who asks for it."""
@@ -227,12 +227,7 @@ def rate_within_rounding(time: Floats, declared: float | None = None) -> float |
         return None
     if declared is None and interval < SHORTEST * rounding:
         return None
-    if interval < LONGEST_IN_BAND * rounding and _share_of_odd_steps(time, rounding) < LEAST_SHARE:
+    _, counts = np.unique(np.round(np.diff(time) / rounding), return_counts=True)
+    if interval < LONGEST_IN_BAND * rounding and 1.0 - counts.max() / (len(time) - 1) < LEAST_SHARE:
         return None
     return 1.0 / interval
-
-
-def _share_of_odd_steps(time: Floats, rounding: float) -> float:
-    steps = np.round(np.diff(time) / rounding)
-    _, counts = np.unique(steps, return_counts=True)
-    return 1.0 - float(counts.max()) / len(steps)

@@ -50,7 +50,7 @@ STAMP = re.compile(
 ISO_DATE = re.compile(r"\d{4}-\d\d-\d\d")
 EPOCH = datetime(1970, 1, 1)
 DAY = 86_400.0
-"""s."""
+"""Seconds of a day."""
 
 Line = tuple[int, str]
 
@@ -194,7 +194,9 @@ def _header(
 def _numbers_in(line: str, separator: str | None) -> int:
     """How many cells a line has where each is a number, a stamp or empty, and one at least is a number; else 0."""
     cells = _split(line if separator == "," else line.replace(",", "."), separator)
-    if not cells or not all(not cell.strip() or _is_number(cell) or _is_stamp(cell) for cell in cells):
+    if not cells or not all(
+        not cell or _is_number(cell) or STAMP.fullmatch(cell) or DATE.fullmatch(cell) for cell in map(str.strip, cells)
+    ):
         return 0
     return len(cells) if any(_is_number(cell) for cell in cells) else 0
 
@@ -279,10 +281,6 @@ def _seconds(stamp: re.Match[str], where: str) -> float:
     except ValueError:
         raise InputError(f"{where} holds {shown(stamp[0])}, which is no date or time") from None
     return DAY * days + 3600.0 * hour + 60.0 * minute + second
-
-
-def _is_stamp(cell: str) -> bool:
-    return bool(STAMP.fullmatch(cell.strip()) or DATE.fullmatch(cell.strip()))
 
 
 def _cells(line: str, separator: str | None, where: str) -> list[str]:

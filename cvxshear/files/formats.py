@@ -83,7 +83,7 @@ FORMATS: list[Format] = [
     Format("xlsx", (".xlsx",), "a workbook", f"{HERE}.spreadsheets:read_xlsx", f"{HERE}.mode_tables:read_mode_xlsx"),
     Format("mat", (".mat",), "a MAT file", f"{HERE}.mat:read_mat"),
     Format("npz", (".npz", ".npy"), "arrays of NumPy", f"{HERE}.mat:read_npz"),
-    Format("uff", (".uff", ".unv", ".u58", ".u55"), "a universal file", f"{HERE}.uff:read_functions",
+    Format("uff", (".uff", ".unv", ".u58", ".u55"), "a universal file", f"{HERE}.uff:read_uff",
            f"{HERE}.mode_tables:read_mode_uff"),
 ]  # fmt: skip
 """Every kind of file that is read, in the order in which messages and help list them."""

@@ -7,7 +7,6 @@ The rest (links by name, other files, other filters) is refused before anything 
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
 import re
@@ -25,7 +24,7 @@ import numpy as np
 
 from cvxshear.files.columns import LIMIT, TOO_LARGE, Columns
 from cvxshear.files.inputs import MEGABYTE, read_bytes
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, optional
 from cvxshear.util.text import printable
 
 Array = np.ndarray[Any, Any]
@@ -73,7 +72,8 @@ def columns_of_arrays(read: Mapping[str, Any], where: str) -> Columns:
     """List the longest vectors, and matrices of as many rows or columns, of named arrays, as `read_mat` names them."""
     found: dict[str, Array] = {}
     for name, array in _arrays(read):
-        for part, values in _real_parts(name, array):
+        parts = {f"{name}_re": array.real, f"{name}_im": array.imag} if array.dtype.kind == "c" else {name: array}
+        for part, values in parts.items():
             found.update(_split(part, values))
     if not found:
         raise InputError(f"{where} holds no numeric vector or matrix")
@@ -113,13 +113,6 @@ def _arrays(content: Mapping[str, Any], prefix: str = "", *, lone: bool = False)
             yield prefix + name, value
 
 
-def _real_parts(name: str, array: Array) -> Iterator[tuple[str, Array]]:
-    if array.dtype.kind == "c":
-        yield from ((f"{name}_re", array.real), (f"{name}_im", array.imag))
-    else:
-        yield name, array
-
-
 def _split(name: str, array: Array) -> dict[str, Array]:
     if array.ndim == 1 or 1 in array.shape:
         return {name: array.ravel()}
@@ -131,10 +124,10 @@ def _split(name: str, array: Array) -> dict[str, Array]:
 
 
 MOST_SECONDS = 60.0
-"""That reading a MAT file may take: a sound one of 100 MB takes two, and a damaged one may never end."""
+"""Seconds that reading a MAT file may take: a sound one of 100 MB takes two, and a damaged one may never end."""
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""Of the process that reads a MAT file: each thread of a library of linear algebra takes memory that is limited."""
+"""Environment of the process that reads a MAT file: each thread of linear algebra takes memory that is limited."""
 
 
 def _read_mat5(content: bytes, where: str, limit: float) -> Mapping[str, Any]:
@@ -163,7 +156,7 @@ DEFLATE, SHUFFLE, CHECKSUM = 1, 2, 3
 """Numbers of HDF5's own filters."""
 
 MOST_INFLATION = 1032
-"""Times its size, that deflate can make of any content."""
+"""Largest ratio of a content's size to what deflate makes of it."""
 
 
 def _read_hdf5(path: Path, where: str, limit: float) -> Mapping[str, Any]:
@@ -177,10 +170,7 @@ def _read_hdf5(path: Path, where: str, limit: float) -> Mapping[str, Any]:
     limit : float
         Bytes of its numbers.
     """
-    try:
-        h5py = importlib.import_module("h5py")
-    except ImportError:
-        raise InputError(f"{where} is a MAT file of version 7.3; reading it needs h5py: pip install h5py") from None
+    h5py = optional("h5py", f"{where} is a MAT file of version 7.3; reading it needs")
     try:
         with h5py.File(path, "r") as file:
             return _Walk(h5py, limit, path.stat().st_size, limit).group(file, "", 1)

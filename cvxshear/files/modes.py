@@ -333,13 +333,7 @@ def _tested(file: str, *, options: Mapping[str, Any]) -> IdentifiedRecord | Cvxs
         if source.notes:
             modes = dataclasses.replace(modes, findings=(*source.notes, *modes.findings))
     except CvxshearError as error:
-        return _of_file(error, file)
+        if isinstance(error, NoSolutionError):
+            return NoSolutionError(error.backend, f"{file}: {error.reason}")
+        return error if str(error).startswith(file) else type(error)(f"{file}: {error}")
     return IdentifiedRecord(file, modes, source.frame, source.priors, source.added_mass, source.state)
-
-
-def _of_file(error: CvxshearError, file: str) -> CvxshearError:
-    """Name the file of an error."""
-    message = str(error)
-    if isinstance(error, NoSolutionError):
-        return NoSolutionError(error.backend, f"{file}: {error.reason}")
-    return error if message.startswith(file) else type(error)(f"{file}: {message}")

@@ -19,12 +19,11 @@ import numpy as np
 from cvxshear.files.columns import LIMIT, Columns
 from cvxshear.files.formats import read_columns
 from cvxshear.files.inputs import MEGABYTE, named_after
-from cvxshear.files.record_pieces import pieces_of, refuse_two_rates
 from cvxshear.files.record_tables import (
     ChannelDeclaration,
-    added_mass_of,
     channels_of,
     driver_of,
+    pieces_of,
     placed,
     runs_of,
     tables_of,
@@ -32,7 +31,7 @@ from cvxshear.files.record_tables import (
 from cvxshear.files.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.records.motion import Drive, Motion
-from cvxshear.records.record import INPUTS, Channel, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord
+from cvxshear.records.record import INPUTS, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
@@ -45,7 +44,7 @@ RECORD_KEYS = (
 HEADER = re.compile(r"^[ \t]*\[record\][ \t]*(#.*)?\n", re.MULTILINE)
 NEXT_TABLE = re.compile(r"^[ \t]*\[+\w", re.MULTILINE)
 PICK = re.compile(r"^[ \t]*pick[ \t]*=[ \t]*\[[^\]]*\]", re.MULTILINE)
-"""Where the table of the record begins and the next one, and what stands in it of poles picked by hand."""
+"""Patterns of the header of the record's table, of the next table's, and of the line of poles picked by hand."""
 
 FREQUENCY_NAMES = ("frequency", "frequency_hz", "freq", "f", "f_hz", "Frequency", "hz")
 
@@ -187,7 +186,8 @@ class RecordTables:
             self.runs = runs_of(self.table, declared)
             state = self.table.get("state")
             self.state = None if state is None else checks.text(state, "state")
-        self.added_mass = added_mass_of(self.table, path)
+        added = self.table.get("added_mass")
+        self.added_mass = None if added is None else checks.vector(added, f"{path}: added_mass", least=0.0).tolist()
 
     @property
     def driver(self) -> ChannelDeclaration | None:
@@ -234,16 +234,20 @@ class RecordTables:
             floor = 0 if driver is None or self.input != "force" else self.floor(place, driver.floor or None)
             stretches, rate, left_out = pieces_of(columns, needed, self.declared, run, self.path)
             rates.append((rate, columns.source))
+            if abs(rate - rates[0][0]) > 1e-3 * rates[0][0]:
+                raise InputError(
+                    f"{columns.source} is sampled at {rate:.6g} Hz, {rates[0][1]} at {rates[0][0]:.6g} Hz: two "
+                    "sampling rates in one record; resample one of them"
+                )
             for number, rows in enumerate(stretches, 1):
                 part = columns.rows(rows)
                 excitation = None
                 if driver is not None:
-                    excitation = driver.factor * part.column(driver.column, driver.place or self.path.name)
+                    excitation = driver.factor * part.column(driver.name, driver.place or self.path.name)
                 called = name if len(stretches) == 1 else f"{name}, piece {number}"
                 whole = rows == slice(0, len(columns.values))
                 span = (None, None) if whole else (round(rows.start / rate, 9), round(rows.stop / rate, 9))
                 found.append(Piece(place, name, called, part, excitation, floor, span, left_out if number == 1 else ""))
-        refuse_two_rates(rates)
         return found, rates[0][0]
 
 
@@ -300,26 +304,14 @@ def _time_record(tables: RecordTables, notes: list[Finding]) -> TimeRecord:
         if piece.left_out:
             count = sum(each.place == piece.place for each in pieces)
             notes.append(Finding("pieces", f"{piece.run}: {piece.left_out}", {"pieces": count}))
-    runs = [
-        Run(_table(each.columns, responses, tables.path), each.excitation, each.floor, each.name, *each.span)
-        for each in pieces
-    ]
-    common = {**_common(tables), **({"quantity": quantities.pop()} if quantities else {})}
-    return TimeRecord(channels_made(responses), **common, runs=tuple(runs), sampling_rate=rate, input=tables.input)
-
-
-def channels_made(responses: Sequence[ChannelDeclaration]) -> tuple[Channel, ...]:
-    """Make the channels that were declared."""
-    return tuple(
-        Channel(item.column, item.floor, item.axis, item.place, item.unit, item.position, item.direction)
-        for item in responses
-    )
-
-
-def _table(columns: Columns, responses: list[ChannelDeclaration], path: Path) -> Floats:
     if not responses:
         raise InputError("no channel is on a floor above the ground")
-    return np.column_stack([item.factor * columns.column(item.column, item.place or path.name) for item in responses])
+    runs = []
+    for each in pieces:
+        table = [item.factor * each.columns.column(item.name, item.place or tables.path.name) for item in responses]
+        runs.append(Run(np.column_stack(table), each.excitation, each.floor, each.name, *each.span))
+    common = {**_common(tables), **({"quantity": quantities.pop()} if quantities else {})}
+    return TimeRecord(tuple(responses), **common, runs=tuple(runs), sampling_rate=rate, input=tables.input)
 
 
 def _frf_record(tables: RecordTables) -> FrfRecord:
@@ -340,14 +332,14 @@ def _frf_record(tables: RecordTables) -> FrfRecord:
         if axis.shape != axes[0][0].shape or not np.allclose(axis, axes[0][0], rtol=1e-6):
             raise InputError(f"{source} and {axes[0][1]} have different frequency lines; a record has one axis")
     return FrfRecord(
-        channels_made(channels), **_common(tables), runs=tuple(made), frequencies=axes[0][0],
+        tuple(channels), **_common(tables), runs=tuple(made), frequencies=axes[0][0],
         truncated=declared.get("truncated"),
     )  # fmt: skip
 
 
 def _complex(columns: Columns, item: ChannelDeclaration, path: Path) -> Any:
     asked = item.place or path.name
-    real, imaginary = f"{item.column}_re", f"{item.column}_im"
+    real, imaginary = f"{item.name}_re", f"{item.name}_im"
     return item.factor * (columns.column(real, asked) + 1j * columns.column(imaginary, asked))
 
 

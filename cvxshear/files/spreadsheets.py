@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import io
 import math
 import re
@@ -16,7 +15,7 @@ from typing import Any
 from cvxshear.files.columns import TOO_LARGE, Columns
 from cvxshear.files.csv import columns_of
 from cvxshear.files.inputs import MEGABYTE, read_bytes
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, optional
 from cvxshear.util.text import cell_text, printable
 from cvxshear.util.writing import write_file
 
@@ -29,7 +28,7 @@ LONGEST_CELL = 32_767
 """Letters that a cell may have (Excel)."""
 
 MOST_INFLATED = 20
-"""Times the limit of a file that its parts may have once inflated: workbooks of numbers shrink to about a tenth."""
+"""Size of a workbook's parts once inflated, as a multiple of the file's limit: numbers shrink to about a tenth."""
 
 WIDEST = 28
 """Letters that a column of a workbook is made wide for at most."""
@@ -175,10 +174,7 @@ def load_openpyxl() -> Any:
     InputError
         Where it is not installed.
     """
-    try:
-        return importlib.import_module("openpyxl")
-    except ImportError:
-        raise InputError("workbooks need openpyxl: pip install openpyxl") from None
+    return optional("openpyxl", "workbooks need")
 
 
 def _title(name: str, taken: set[str]) -> str:

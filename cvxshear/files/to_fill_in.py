@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import re
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -21,7 +22,7 @@ from cvxshear.files.csv import preamble_of
 from cvxshear.files.formats import format_of, read_columns, read_modes_of
 from cvxshear.files.inputs import named_after
 from cvxshear.files.record_file import FREQUENCY_NAMES
-from cvxshear.files.record_pieces import TIME_UNITS
+from cvxshear.files.record_tables import TIME_UNITS
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
@@ -30,7 +31,7 @@ from cvxshear.util.text import escaped, printable
 from cvxshear.util.typing import Floats
 
 MASS, STIFFNESS, PULL = 10.0, 10e3, 100.0
-"""Of the floors (kg) and stories (N/m) of the frame that stands for the user's, and a pull at its top (N)."""
+"""Floor mass (kg) and story stiffness (N/m) of the frame that stands for the user's, and a pull at its top (N)."""
 
 TOTAL = "total_mass = {total}  # kg, all floors without added mass; not needed with two different added masses"
 """The line that a new file has where its modes are made up."""
@@ -61,11 +62,14 @@ def template(stories: int = 3) -> str:
         TOML that `cvxshear.load` takes as it stands.
     """
     checks.whole(stories, "stories", least=1, most=MOST_STORIES)
-    frequencies, shapes = _uniform(stories)
+    # Modes of equal floors of 10 kg on equal stories of 10 kN/m: sine waves, in closed form.
+    angle = (2 * np.arange(1, stories + 1) - 1) * np.pi / (2 * stories + 1)
+    shapes = np.sin(np.outer(angle, np.arange(1, stories + 1)))
+    frequencies = np.sqrt(STIFFNESS / MASS) * 2 * np.sin(angle / 2) / (2 * np.pi)
     lists = _blank("modes.toml").format(
         floors=_listed(np.arange(1, stories + 1), "d"),
         frequencies=_listed(frequencies, ".4f"),
-        rows="\n".join(f"    {_listed(shape, '.4f')}," for shape in shapes),
+        rows="\n".join(f"    {_listed(shape, '.4f')}," for shape in shapes / abs(shapes).max(axis=1, keepdims=True)),
     )
     return _filled(lists, stories, TOTAL)
 
@@ -128,57 +132,23 @@ def _filled(modes: str, stories: int, total: str) -> str:
     )
 
 
-def _uniform(stories: int) -> tuple[Floats, Floats]:
-    """Modes of equal floors of 10 kg on equal stories of 10 kN/m: sine waves, in closed form."""
-    angle = (2 * np.arange(1, stories + 1) - 1) * np.pi / (2 * stories + 1)
-    shapes = np.sin(np.outer(angle, np.arange(1, stories + 1)))
-    frequencies = np.sqrt(STIFFNESS / MASS) * 2 * np.sin(angle / 2) / (2 * np.pi)
-    return frequencies, shapes / np.abs(shapes).max(axis=1, keepdims=True)
-
-
 def _listed(values: Floats | np.ndarray, shown: str) -> str:
     return "[" + ", ".join(format(value, shown) for value in values) + "]"
 
 
-TIME = re.compile(r"(time|zeit|uhrzeit|t|temps|tiempo|timestamp|date|datetime|elapsed|stamp|seconds)\b", re.IGNORECASE)
-GROUND = re.compile(
-    r"ground|base\b|basement|table|platform|input|boden|tisch\b|fundament|sol\b|floor ?0\b|\bg[lf]\b", re.IGNORECASE
+_WORDS = tomllib.loads(_blank("words.toml"))
+TIME, GROUND, FORCE, ROOF, NO_MOTION, BASEMENT, NTH_FLOOR, AXIS, BRACKETED, ENDING, RATE = (
+    re.compile(pattern, re.IGNORECASE) for pattern in _WORDS["name"].values()
 )
-FORCE = re.compile(r"force|hammer|impact|shaker|load ?cell|kraft", re.IGNORECASE)
-ROOF = re.compile(r"roof|\btop\b|(?:^|[^a-z])rfl?(?:$|[^a-z])|dach|toit", re.IGNORECASE)
-NO_MOTION = re.compile(
-    r"temp|humid|batt|status|comment|\bsample|\bindex\b|\bcount|\bn[or]\b\.?$|\bdat(?:e|um)\b", re.IGNORECASE
-)
+"""What columns, their units and the sampling rate in a preamble look like; the file explains each, in this order."""
+
 NUMBER = re.compile(r"\d+")
-BASEMENT = re.compile(r"(?:^|[^a-z])b(\d+)f(?:$|[^a-z])", re.IGNORECASE)
-"""A basement, as floors are called in Japan and Korea: B1F, B2F. The motion there is that of the ground."""
-NTH_FLOOR = re.compile(r"(?:^|[^a-z0-9])(\d+)f(?:l|$|[^a-z])|(\d+)階", re.IGNORECASE)
-"""A floor by its number, "2F". In Japan, Korea and the United States 1F is at the ground and 2F the first above it."""
-AXIS = re.compile(r"(?:^|[^a-z])([xyz])(?:$|[^a-z])|\d([xyz])$", re.IGNORECASE)
-
-BRACKETED = re.compile(r"[\[(]([^\])]*)[\])]|[,/]\s*([a-zA-Zµ/²^*0-9.]+)\s*$")
-"""A unit in a header: "acc [g]", "acc (m/s^2)", "acc, g"."""
-
-ENDING = re.compile(r"_(g|mg|ms|us|gal|kn|(?:mm|cm|m|in)_?(?:s2|ps2))$", re.IGNORECASE)
-"""A unit at the end of a name: "epoch_ms", "ch1_x_mg"."""
-
-RATE = re.compile(
-    r"(?:sampl\w*[ _-]?(?:rate|freq\w*)?|\bfs\b|\brate\b|abtastrate)[^\d\n]{0,20}(\d+(?:[.,]\d+)?)", re.IGNORECASE
-)
-"""A sampling rate in a preamble: "Sampling rate: 256 Hz", "fs = 100"."""
 
 ASCENDING = 0.99
 """Share of the steps of a column of time that are not negative; a handful may be torn."""
 
 EVEN = 0.01
 """Share of the usual step by which steps of a column of time without a name may differ."""
-
-OTHER_SPELLINGS = {
-    "m/s/s": "m/s2", "m/sec2": "m/s2", "ms-2": "m/s2", "m.s-2": "m/s2", "mm/s/s": "mm/s2", "cm/s/s": "cm/s2",
-    "gals": "gal", "sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "µs": "us", "g's": "g", "gn": "g",
-    "kn": "kN", "n": "N",
-}  # fmt: skip
-"""Other spellings of units, in small letters."""
 
 
 @dataclass(frozen=True)
@@ -353,7 +323,7 @@ def _known_unit(said: str) -> str:
     plain = re.sub(r"[\s*^]", "", said.strip().replace("²", "2").replace("**", ""))
     known = {each.lower(): each for each in (*CHANNEL_UNITS, *TIME_UNITS)}
     lower = plain.lower()
-    return OTHER_SPELLINGS.get(lower, plain if plain in CHANNEL_UNITS else known.get(lower, ""))
+    return str(_WORDS["unit"].get(lower, plain if plain in CHANNEL_UNITS else known.get(lower, "")))
 
 
 def _guesses(columns: Columns, names: Sequence[str]) -> list[Guess]:

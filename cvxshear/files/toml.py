@@ -71,23 +71,26 @@ def load(path: str | Path) -> Experiment:
             f"load takes the name of a measurement file, not {shown(path)}; a dict goes to Experiment.from_dict"
         )
     path = Path(path)
-    refuse_data(path)
-    declared = parse(read_text(path), path)
+    declared = _declared(path)
     if "record" in declared:
         raise InputError(
             f"{path} is a record file (it has a table [record]), not a measurement file: "
             f"'cvxshear modes {path} -o test.toml' makes one of it, and 'cvxshear loop {path}' takes it as it is"
         )
-    try:
+    with checks.named(str(path)):
         experiment = Experiment.from_dict(with_modes_read(declared, path.parent), name=named_after(path))
-        if experiment.report.photograph is not None:
-            beside = dataclasses.replace(experiment.report, photograph=str(path.parent / experiment.report.photograph))
-            experiment = dataclasses.replace(experiment, report=beside)
         for expected in experiment.expected:
             checks.choice(expected.name, [effect.name for effect in catalogue()], "effect: name")
-        return experiment
-    except InputError as error:
-        raise type(error)(f"{path!s}: {error}") from error
+    if experiment.report.photograph is not None:
+        beside = dataclasses.replace(experiment.report, photograph=str(path.parent / experiment.report.photograph))
+        experiment = dataclasses.replace(experiment, report=beside)
+    return experiment
+
+
+def _declared(path: Path) -> dict[str, object]:
+    """Read the tables of a TOML file that is no file of samples."""
+    refuse_data(path)
+    return parse(read_text(path), path)
 
 
 def is_built_in(path: object) -> bool:
@@ -154,11 +157,7 @@ def is_record_file(path: str | Path) -> bool:
     InputError
         Where the file cannot be read or is not TOML.
     """
-    if is_built_in(path):
-        return False
-    path = Path(path)
-    refuse_data(path)
-    return "record" in parse(read_text(path), path)
+    return not is_built_in(path) and "record" in _declared(Path(path))
 
 
 def files_of(path: str | Path) -> tuple[Path, ...]:
@@ -266,19 +265,12 @@ def write_measurement(path: str | Path, declared: Mapping[str, Any], comments: I
                                   break_long_words=False, break_on_hyphens=False)
     ]  # fmt: skip
     tables = Inserted()
-    text = _NUMBERS.sub(_in_one_line, escaped(tomli_w.dumps(_plain(declared, tables))))
+    # A row of a shape is a line of the file.
+    text = _NUMBERS.sub(
+        lambda numbers: "[" + ", ".join(numbers[1].replace(",", " ").split()) + "]",
+        escaped(tomli_w.dumps(_plain(declared, tables))),
+    )
     write_file(path, "".join([*head, "\n" * bool(head), tables.put_into(text)]))
-
-
-def _in_one_line(numbers: re.Match[str]) -> str:
-    """Write a row of a shape as a line of the file."""
-    return "[" + ", ".join(numbers[1].replace(",", " ").split()) + "]"
-
-
-def _rows(table: np.ndarray[Any, Any]) -> str:
-    """Write a large table row by row: number by number takes ten times as long."""
-    row = "    [" + ", ".join([f"%.{WRITTEN_DIGITS}g"] * table.shape[1]) + "],\n"
-    return "[\n" + "".join(row % tuple(numbers) for numbers in table.tolist()) + "]"
 
 
 def _table_of(value: Any) -> np.ndarray[Any, Any] | None:
@@ -301,7 +293,9 @@ def _plain(value: Any, tables: Inserted) -> Any:
     if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim):
         table = _table_of(value)
         if table is not None:
-            return tables.mark(_rows(table))
+            # Written row by row: number by number takes ten times as long.
+            row = "    [" + ", ".join([f"%.{WRITTEN_DIGITS}g"] * table.shape[1]) + "],\n"
+            return tables.mark("[\n" + "".join(row % tuple(numbers) for numbers in table.tolist()) + "]")
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, list | tuple):

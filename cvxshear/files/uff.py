@@ -7,7 +7,6 @@ written in ASCII, to a name that does not exist yet.
 
 from __future__ import annotations
 
-import importlib
 import tempfile
 import warnings
 from collections.abc import Iterable
@@ -18,7 +17,7 @@ import numpy as np
 
 from cvxshear.files.columns import LIMIT, TOO_LARGE, Columns
 from cvxshear.files.inputs import read_bytes
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, optional
 from cvxshear.util.text import printable
 from cvxshear.util.typing import Complexes, Floats, Ints, Json
 from cvxshear.util.writing import write_file
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 
 X_TRANSLATION = 1
 AXES = ("", "x", "y", "z", "rx", "ry", "rz")
-"""Of the directions 0 to 6, negative ones the other way."""
+"""Names of the directions 0 to 6; negative ones point the other way."""
 TIME, FRF = 1, 4
 """Function types of data set 58."""
 FUNCTION, MODE = 58, 55
@@ -36,7 +35,7 @@ NEEDED = {FUNCTION: ("x", "data", "func_type"), MODE: ("r1", "node_nums")}
 """What pyuff gives of a sound data set; of a damaged one it may leave out any of it."""
 
 
-def read_uff(path: str | Path, limit: float = LIMIT) -> tuple[Columns, dict[str, Json]]:
+def read_uff(path: str | Path, limit: float = LIMIT) -> Columns:
     """Read the functions (data set 58) of a universal file as columns.
 
     Parameters
@@ -47,12 +46,10 @@ def read_uff(path: str | Path, limit: float = LIMIT) -> tuple[Columns, dict[str,
 
     Returns
     -------
-    columns : Columns
+    Columns
         The abscissa as `time` or `frequency`; each function by its response node and direction, `1x`,
         `2x-`, ... (`1d9` where the direction is none of the format's); a complex function in two
         columns with `_re` and `_im`. A function whose name is taken already has its place in the file appended, `1x#7`.
-    notes : dict
-        For each function its `node`, `direction`, `reference_node`, `quantity`, `id`.
 
     Raises
     ------
@@ -65,27 +62,24 @@ def read_uff(path: str | Path, limit: float = LIMIT) -> tuple[Columns, dict[str,
         raise InputError(f"{where} holds no function (data set 58)")
     axis = np.asarray(functions[0]["x"], dtype=np.float64)
     named: dict[str, Floats] = {"frequency" if int(functions[0]["func_type"]) == FRF else "time": axis}
-    notes: dict[str, Json] = {}
+    taken: set[str] = set()
     for place, item in enumerate(functions, 1):
-        name = _name(item, place, notes)
+        name = _name(item, place, taken)
+        taken.add(name)
         other = np.asarray(item["x"], dtype=np.float64)
         values = np.asarray(item["data"])
-        if not (values.shape == other.shape == axis.shape and _close(other, axis)):
+        with np.errstate(over="ignore", invalid="ignore"):
+            same = values.shape == other.shape == axis.shape and np.allclose(other, axis, rtol=1e-5, atol=1e-9)
+        if not same:
             raise InputError(
                 f'{where}: function {place}, channel "{name}", has {len(other)} points in steps of '
                 f"{_step(other):.6g}, the first has {len(axis)} in steps of {_step(axis):.6g}; one file, one rate"
             )
-        notes[name] = _note(item)
         if np.iscomplexobj(values):
             named[f"{name}_re"], named[f"{name}_im"] = values.real, values.imag
         else:
             named[name] = values.astype(np.float64)
-    return Columns(where, tuple(named), np.column_stack(list(named.values()))), notes
-
-
-def read_functions(path: str | Path, limit: float = LIMIT) -> Columns:
-    """Read the columns of `read_uff` without its notes."""
-    return read_uff(path, limit)[0]
+    return Columns(where, tuple(named), np.column_stack(list(named.values())))
 
 
 def write_uff(path: str | Path, result: ModalResult) -> None:
@@ -150,10 +144,7 @@ def read_modes(path: str | Path) -> tuple[Floats, Floats, Complexes, Ints]:
 
 def load_pyuff() -> Any:
     """Import pyuff, which is optional."""
-    try:
-        return importlib.import_module("pyuff")
-    except ImportError:
-        raise InputError("universal files need pyuff: pip install pyuff") from None
+    return optional("pyuff", "universal files need")
 
 
 def _sets(path: Path, kind: int, limit: float) -> list[Json]:
@@ -178,26 +169,11 @@ def _sets(path: Path, kind: int, limit: float) -> list[Json]:
     return sets
 
 
-def _close(one: Floats, other: Floats) -> bool:
-    with np.errstate(over="ignore", invalid="ignore"):
-        return bool(np.allclose(one, other, rtol=1e-5, atol=1e-9))
-
-
-def _name(item: Json, place: int, taken: dict[str, Json]) -> str:
+def _name(item: Json, place: int, taken: set[str]) -> str:
     direction = int(item.get("rsp_dir", X_TRANSLATION))
     axis = AXES[abs(direction)] if abs(direction) < len(AXES) else f"d{abs(direction)}"
     name = f"{int(item.get('rsp_node', 0))}{axis}{'-' if direction < 0 else ''}"
     return f"{name}#{place}" if name in taken else name
-
-
-def _note(item: Json) -> Json:
-    return {
-        "node": int(item.get("rsp_node", 0)),
-        "direction": int(item.get("rsp_dir", X_TRANSLATION)),
-        "reference_node": int(item.get("ref_node", 0)),
-        "quantity": int(item.get("ordinate_spec_data_type", 0)),
-        "id": str(item.get("id1", "")),
-    }
 
 
 def _step(axis: Floats) -> float:

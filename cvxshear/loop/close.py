@@ -39,7 +39,7 @@ SAME_FRAME = 1e-3
 """Relative difference of masses and stiffnesses below which two fits have one frame: fits end closer than that."""
 
 MOST_PAIRED = 10
-"""Stories up to which all pairs of changes of a state are tried: 90 fits a state."""
+"""Stories up to which all pairs of changes of a state are tried: 180 fits a state."""
 
 MOST_WIDENINGS = 3
 """Times that the noise is widened where nothing explains a residual: under wider noise other sets are best."""
@@ -216,8 +216,12 @@ class _Loop:
         if search.base.estimate is None or not few_floors_seen(numbering.experiment):
             return None
         best = search.best
-        search.visit(self._pairs(search))
-        if search.visit_from([*self._duals(search), *self._changes(search)]) or search.best is not best:
+        pairs = self._pairs(search)
+        search.visit(pairs)
+        typical = np.median(search.base.estimate.theta[: 2 * numbering.experiment.stories].reshape(2, -1), axis=1)
+        even = np.repeat(typical, numbering.experiment.stories)
+        found = search.visit_from([*self._duals(search), *self._changes(search)])
+        if search.visit_from([(each, even) for each in pairs]) or found or search.best is not best:
             search.run()
         while search.visit_exchanges():
             search.run()

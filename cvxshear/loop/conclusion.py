@@ -290,8 +290,8 @@ def _candidates(posterior: Posterior, search: Search, judged: ModelClass) -> lis
         if placed in there:
             kept = [each for each in final.effects if each is not placed and each not in fitter.assumed]
             gain, chi2, dof = _in_noise_of(final, kept, fitter).chi2 - final.chi2, final.chi2, final.dof
-        elif placed.effect.adds_motion:
-            # Derivatives at its null value say nothing of it.
+        elif placed not in linear.lacking:
+            # Derivatives at its null value say nothing of it here.
             gain, chi2, dof = 0.0, final.chi2, final.dof - count
         else:
             gain = linear.decrease(placed)

@@ -110,7 +110,7 @@ class Posterior:
         return Posterior(self.models, self._hypotheses, twins)
 
     def ranked(self, effects: Iterable[Placed], probability: Mapping[Placed, float] | None = None) -> list[Placed]:
-        """Effects, the most probable first; those that are as probable in the order in which they were looked for."""
+        """Effects, the most probable first; of those as probable, what changed from state to state comes first."""
         chance = self.of_effects if probability is None else probability
         position = {placed: at for at, placed in enumerate(self._prior)}
         groups: list[list[Placed]] = []
@@ -119,7 +119,11 @@ class Posterior:
                 groups[-1].append(placed)
             else:
                 groups.append([placed])
-        return [placed for group in groups for placed in sorted(group, key=lambda each: position[each])]
+        return [
+            placed
+            for group in groups
+            for placed in sorted(group, key=lambda each: (each.place.state is None, position[each]))
+        ]
 
     def verdict_set(self) -> frozenset[Placed]:
         """Choose what is added.

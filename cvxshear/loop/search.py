@@ -322,10 +322,13 @@ class Search:
 
     def _lacking(self, model: ModelClass) -> list[Placed]:
         """List the effects that a set lacks and the linearised model at its fit can judge."""
+        there = {"", *(placed.effect.name for placed in (*model.effects, *self.fitter.assumed))}
         return [
             item.placed
             for item in self.looked_for
-            if item.placed not in model.effects and not item.placed.effect.adds_motion
+            if item.placed not in model.effects
+            and item.placed.effect.beside in there
+            and not item.placed.effect.adds_motion
         ]
 
     def _expand(self, model: ModelClass) -> None:

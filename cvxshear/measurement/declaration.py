@@ -17,45 +17,21 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.results import fields_as_table
 from cvxshear.util.typing import Floats, Json
 
-MISTAKES = {
-    "sensor_sign": "one sensor's sign is turned round in every mode",
-    "swapped_sensors": "two sensors stand in each other's place",
-    "floors_from_top": "the floors are listed from the top",
-    "transposed": "mode_shapes has a row a floor in place of a row a mode",
-    "mode_order": "the shapes stand in another order than the frequencies",
-    "missing_mode": "a mode was not measured and `modes` does not say which",
-    "mode_number": "one of the numbers in `modes` is wrong",
-    "entry_sign": "one entry of one shape has the wrong sign",
-    "sensor_floors": "one sensor, or all, are listed one floor too low or too high",
-    "sensor_unit": "one sensor's entries are in another unit",
-    "drifts": "mode_shapes are drifts of the stories in place of displacements of the floors",
-    "periods": "`frequencies` are periods, in s",
-    "masses_from_top": "floor masses or design values are listed from the top",
-    "frequency_unit": "one configuration's frequencies are in another unit than those of the others",
-    "frequency": "one frequency contradicts all other data, which agree without it",
-    "signs": "a shape has signs that no mode of that number has, and no single change mends it",
-}
-"""Findings of `check` that refuse a file unless they are accepted, each with what was done wrong."""
+MISTAKES = (
+    "sensor_sign", "swapped_sensors", "floors_from_top", "transposed", "mode_order", "missing_mode", "mode_number",
+    "entry_sign", "sensor_floors", "sensor_unit", "drifts", "periods", "masses_from_top", "frequency_unit", "frequency",
+    "signs",
+)  # fmt: skip
+"""Findings of `check` that refuse a file unless they are accepted; docs/howto/check-a-file.md says what each means."""
 
 NUMBERS = ("missing_mode", "mode_number")
 """Mistakes in which modes of the frame the measured ones are."""
 
-DOUBTS = {
-    "angular_frequency": "frequencies look like rad/s in place of Hz",
-    "heights": "story heights look like mm or cm in place of m",
-    "masses": "masses look like g or t in place of kg",
-    "elevations": "story heights are added up: elevations of the floors",
-    "time_unit": "frequencies are lower than those of any frame: times in ms, or frequencies in kHz",
-    "deviations": "standard deviations are finer than any instrument measures, or look like percent",
-    "look_alike": "two modes look alike at all sensors",
-    "repeated": "configurations repeat each other to the last digit",
-    "states": "two states have names that differ by one letter",
-    "gravity": "gravity is not that of the Earth in m/s²",
-    "total_mass": "the total mass contradicts what the added masses did to the frequencies",
-    "floor_mass": "one entry of floor_masses contradicts the shapes",
-    "added_mass": "the added masses lay on other floors, are listed from the top, or are in another unit",
-}
-"""Findings of `check` that are warnings, each with what looks wrong."""
+DOUBTS = (
+    "angular_frequency", "heights", "masses", "elevations", "time_unit", "deviations", "look_alike", "repeated",
+    "states", "gravity", "total_mass", "floor_mass", "added_mass",
+)  # fmt: skip
+"""Findings of `check` that are warnings."""
 
 NAMES = (*MISTAKES, *DOUBTS)
 """Findings that `[frame] accept` can name."""
@@ -219,11 +195,6 @@ class Damping:
     def __post_init__(self) -> None:
         checks.choice(self.kind, DAMPING_KINDS, "damping: kind")
 
-    @staticmethod
-    def from_dict(declared: object) -> Damping:
-        """Read the damping that the table `[damping]` of a measurement file declares."""
-        return Damping(**checks.keys(declared, ["kind"], [], "damping"))
-
 
 @dataclass(frozen=True)
 class Heading(InTable):
@@ -299,11 +270,6 @@ class Limits(InTable):
             raise InputError(f"limits: names must have {checks.entries(len(drift))}, one a value of story_drift")
         object.__setattr__(self, "names", tuple(checks.text(each, "limits: names") for each in given))
 
-    @staticmethod
-    def from_dict(declared: object) -> Limits:
-        """Read the limits that the table `[limits]` of a measurement file declares."""
-        return Limits.of_table(declared, "limits", "story_drift")
-
 
 @dataclass(frozen=True)
 class ExpectedEffect(InTable):
@@ -355,11 +321,6 @@ class ExpectedEffect(InTable):
 
     def _at(self, key: str) -> str:
         return f"effect {self.name}: {key}"
-
-    @staticmethod
-    def from_dict(declared: object, where: str) -> ExpectedEffect:
-        """Read what a table `[[effect]]` declares."""
-        return ExpectedEffect.of_table(declared, where, "name")
 
     def check(self, stories: int, states: Sequence[str]) -> None:
         """Raise `InputError` where it names a floor, story or state that an experiment has not."""

@@ -6,22 +6,20 @@ Every object is frozen and its arrays are read-only, so a result can refer to th
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from cvxshear.measurement.configuration import Configuration
-from cvxshear.measurement.declaration import DAMPING_KINDS, Damping, ExpectedEffect, Frame, Heading, Limits
+from cvxshear.measurement.declaration import DAMPING_KINDS, Damping, ExpectedEffect, Frame, Heading, Limits, named_in
 from cvxshear.measurement.static_test import StaticTest
 from cvxshear.priors import Prior, check_prior
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError, NoScaleError
-from cvxshear.util.later import ask
-from cvxshear.util.results import Shown, as_table
+from cvxshear.util.results import Shown, as_table, ask
 from cvxshear.util.typing import Json, T
 
 __all__ = [
@@ -89,7 +87,7 @@ class Experiment(Shown):
         put(self, "static", tuple(each.in_frame(stories) for each in self.static))
         self._check_states()
         for place, prior in enumerate((*self.priors, *self.damping.priors), 1):
-            with _named(place):
+            with checks.named(f"prior {place}"):
                 check_prior(prior, stories)
         self._part_priors()
         self._check_scale()
@@ -201,16 +199,23 @@ class Experiment(Shown):
         )
         priors = []
         for place, item in checks.tables(table, "prior"):
-            with _named(place):
+            with checks.named(f"prior {place}"):
                 priors.append(Prior.from_dict(item))
-        static = tuple(
-            StaticTest.from_dict(item, name=f"static test {at}") for at, item in checks.tables(table, "static")
+        static = []
+        for place, item in checks.tables(table, "static"):
+            name_of_test = f"static test {place}"
+            where = named_in(item, "static test", name_of_test)
+            static.append(StaticTest.of_table(item, where, "force", "displacement", name=name_of_test))
+        expected = [
+            ExpectedEffect.of_table(item, f"effect {at}", "name") for at, item in checks.tables(table, "effect")
+        ]
+        said = {key: value for key, value in table.items() if value is not None}
+        damping = Damping(**checks.keys(said.get("damping", {}), ["kind"], [], "damping"))
+        report = Heading.from_dict(said.get("report", {}))
+        limits = Limits.of_table(said["limits"], "limits", "story_drift") if "limits" in said else None
+        return Experiment(
+            frame, configurations, tuple(priors), name, tuple(static), tuple(expected), damping, report, limits
         )
-        expected = tuple(ExpectedEffect.from_dict(item, f"effect {at}") for at, item in checks.tables(table, "effect"))
-        damping = Damping() if table.get("damping") is None else Damping.from_dict(table["damping"])
-        report = Heading() if table.get("report") is None else Heading.from_dict(table["report"])
-        limits = None if table.get("limits") is None else Limits.from_dict(table["limits"])
-        return Experiment(frame, configurations, tuple(priors), name, static, expected, damping, report, limits)
 
     def to_dict(self) -> Json:
         """Return the dict of the measurement file's shape that declares this experiment."""
@@ -281,15 +286,6 @@ def _all_of(kind: type[T], items: object, where: str) -> tuple[T, ...]:
         if not isinstance(item, kind):
             raise InputError(f"{where}, entry {place} must be a {kind.__name__}, not {checks.shown(item)}")
     return result
-
-
-@contextmanager
-def _named(place: int) -> Iterator[None]:
-    """Say which prior it is that a message is about."""
-    try:
-        yield
-    except InputError as error:
-        raise type(error)(f"prior {place}: {error}") from error
 
 
 Measurement = str | Path | Experiment

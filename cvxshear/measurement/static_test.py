@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cvxshear.measurement.declaration import InTable, named_in
+from cvxshear.measurement.declaration import InTable
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats
@@ -65,13 +65,6 @@ class StaticTest(InTable):
 
     def _at(self, key: str) -> str:
         return f'static test "{self.name}": {key}'
-
-    @staticmethod
-    def from_dict(declared: object, *, name: str = "static test 1") -> StaticTest:
-        """Read the test that a table `[[static]]` of a measurement file declares."""
-        return StaticTest.of_table(
-            declared, named_in(declared, "static test", name), "force", "displacement", name=name
-        )
 
     def in_frame(self, stories: int) -> StaticTest:
         """Fit the test to a frame of so many stories, added mass filled in."""

@@ -1,8 +1,7 @@
 """Identification of floor masses and story stiffnesses."""
 
 from cvxshear.fit.results import Identification, IdentifiedFrame, Prediction, SingleIdentification
-from cvxshear.methods.programs_of import compare_backends, programs_of
-from cvxshear.methods.run import METHODS, identify
+from cvxshear.methods.run import METHODS, compare_backends, identify, programs_of
 
 __all__ = [
     "METHODS", "Identification", "IdentifiedFrame", "Prediction", "SingleIdentification", "compare_backends",

@@ -18,14 +18,16 @@ one-shot answer.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from cvxshear.backends import Backend, Solution
 from cvxshear.fit.gauss_newton import Ending
 from cvxshear.fit.results import SingleIdentification
-from cvxshear.methods.separate import MOST_ROUNDS, UNCHANGED, CompleteTest, finished, start_mass
+from cvxshear.methods.separate import MOST_ROUNDS, CompleteTest, finished, solved, start_mass
 from cvxshear.programs import mass_correction, one_shot_masses
-from cvxshear.programs.orthogonality import LOST, digits_lost, keeps_rows, normalized
+from cvxshear.programs.orthogonality import normalized
 from cvxshear.programs.statements import constrained, softened
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.typing import Floats
@@ -147,29 +149,10 @@ def one_shot(test: CompleteTest, backend: Backend) -> SingleIdentification:
     test : CompleteTest
     backend : Backend
     """
-    plain = one_shot_masses(test.shapes, test.total, rows=test.rows)
+    program = partial(one_shot_masses, test.shapes, test.total, rows=test.rows)
     # Each row is a mass times the shapes' error: its standard deviation goes with the mean floor mass.
-    row_std = test.shape_std * test.total / plain.unknowns
-    added = test.configuration.added_mass
-    solution = backend.solve(constrained(plain, test.mass_statements, -added))
-    mass = solution.x
-    if not keeps_rows(test.rows, len(mass)) and digits_lost(plain.R) > LOST:
-        again = one_shot_masses(test.shapes, test.total, rows=test.rows, at=mass)
-        mass = mass + backend.solve(constrained(again, test.mass_statements, mass - added)).x
-    iterations = 1
-    while iterations <= MOST_ROUNDS:
-        soft = softened(plain, test.experiment.priors, "floor_mass", mass - added, row_std, step=False)
-        if soft is plain:
-            break
-        # The soft rows speak of the masses without added mass.
-        shift = soft.R @ added
-        shift[: plain.R.shape[0]] = 0.0
-        shifted = soft.replace(s=soft.s + shift)
-        solution = backend.solve(constrained(shifted, test.mass_statements, -added), solution)
-        before, mass = mass, solution.x
-        iterations += 1
-        if np.max(np.abs(mass - before)) <= UNCHANGED * np.max(np.abs(mass)):
-            break
+    row_std = test.shape_std * test.total / test.experiment.stories
+    mass, iterations = solved(test, program, "floor_mass", row_std, backend)
     return finished(
         test,
         mass,

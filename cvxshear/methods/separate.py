@@ -6,7 +6,9 @@ What they need, the story stiffnesses once the masses are known (Eqs. 20-24), an
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -16,7 +18,7 @@ from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.quality import quality
 from cvxshear.fit.results import IdentifiedFrame, SingleIdentification, predictions
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.programs import story_stiffnesses
+from cvxshear.programs import LeastSquares, story_stiffnesses
 from cvxshear.programs.orthogonality import LOST, digits_lost, keeps_rows, normalized
 from cvxshear.programs.statements import NamedConstraints, constrained, softened, statements
 from cvxshear.util.errors import UnsuitableError
@@ -24,16 +26,16 @@ from cvxshear.util.quantities import ranged
 from cvxshear.util.typing import Floats
 
 LEAST_POSITIVE = 1e-3
-"""Of the mean floor mass, and of the stiffness that would carry it at the first frequency: less is not positive.
+"""Least positive mass, as a fraction of the mean floor mass, and stiffness, of that which carries it at the first mode.
 
 A bound much smaller than this is lost in a solver's own tolerances; HiGHS 1.15 ends with an error on one of 1e-6."""
 
 
 MOST_ROUNDS = 50
-"""Times that soft priors, which need not be linear, are linearised again where the last solution lies."""
+"""Rounds in which soft priors, which need not be linear, are linearised again at the last solution."""
 
 UNCHANGED = 1e-10
-"""Relative change of the stiffnesses at which soft priors count as linearised where they belong."""
+"""Relative change of masses or stiffnesses at which soft priors count as linearised where they belong."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,16 +85,14 @@ def complete_test(
     """
     n = experiment.stories
     where = f'method {method} cannot use configuration "{configuration.name}"'
-    if len(configuration.frequencies) < n:
-        missing = sorted(set(range(1, n + 1)) - {int(mode) for mode in configuration.modes})
-        raise UnsuitableError(
-            f"{where}: it needs all {n} modes, {_listed('mode', missing)} missing; use method efficient"
-        )
-    if len(configuration.measured_floors) < n:
-        missing = sorted(set(range(1, n + 1)) - {int(floor) for floor in configuration.measured_floors})
-        raise UnsuitableError(
-            f"{where}: it needs every floor, {_listed('floor', missing)} unmeasured; use method efficient"
-        )
+    for what, there, needed, how in (
+        ("mode", configuration.modes, f"all {n} modes", "missing"),
+        ("floor", configuration.measured_floors, "every floor", "unmeasured"),
+    ):
+        if len(there) < n:
+            missing = sorted(set(range(1, n + 1)) - set(there.tolist()))
+            which = f"{what} {missing[0]} is" if len(missing) == 1 else f"{what}s {ranged(missing)} are"
+            raise UnsuitableError(f"{where}: it needs {needed}, {which} {how}; use method efficient")
     if not configuration.complete:
         mode, floor = np.argwhere(~configuration.measured)[0] + 1
         raise UnsuitableError(f"{where}: mode {mode} has no value at floor {floor}; use method efficient")
@@ -119,10 +119,6 @@ def complete_test(
     )
 
 
-def _listed(what: str, numbers: list[int]) -> str:
-    return f"{what} {numbers[0]} is" if len(numbers) == 1 else f"{what}s {ranged(numbers)} are"
-
-
 def start_mass(test: CompleteTest, initial: Floats | None) -> Floats:
     """Choose the first guess of the floor masses with added mass: the one handed in, else the total spread evenly."""
     n = test.experiment.stories
@@ -145,24 +141,51 @@ def identified_stiffness(test: CompleteTest, mass: Floats, backend: Backend) -> 
     ndarray, shape (N,)
         N/m.
     """
-    shapes = normalized(test.shapes, mass)
-    plain = story_stiffnesses(shapes, test.eigenvalues, rows=test.rows)
-    origin = np.zeros(plain.unknowns)
-    solution = backend.solve(constrained(plain, test.stiffness_statements, origin))
-    k = solution.x
-    if not keeps_rows(test.rows, len(k)) and digits_lost(plain.R) > LOST:
-        again = story_stiffnesses(shapes, test.eigenvalues, rows=test.rows, at=k)
-        k = k + backend.solve(constrained(again, test.stiffness_statements, k)).x
-    row_std = test.shape_std * float(test.eigenvalues.max())
-    for _ in range(MOST_ROUNDS):
-        soft = softened(plain, test.experiment.priors, "story_stiffness", k, row_std, step=False)
+    program = partial(story_stiffnesses, normalized(test.shapes, mass), test.eigenvalues, rows=test.rows)
+    return solved(test, program, "story_stiffness", test.shape_std * float(test.eigenvalues.max()), backend)[0]
+
+
+def solved(
+    test: CompleteTest, program: Callable[..., LeastSquares], quantity: str, row_std: float, backend: Backend
+) -> tuple[Floats, int]:
+    """Solve a program of one quantity with its exact statements and its soft priors.
+
+    Parameters
+    ----------
+    test : CompleteTest
+    program : callable
+        Makes the program of the masses with added mass, or of the stiffnesses; of their change from `at` where given.
+    quantity : str
+        "floor_mass" or "story_stiffness".
+    row_std : float
+        Standard deviation of the program's rows, against which soft priors weigh.
+    backend : Backend
+
+    Returns
+    -------
+    x : ndarray, shape (N,)
+    iterations : int
+        Programs solved; more than `MOST_ROUNDS` where soft priors did not settle.
+    """
+    of_mass = quantity == "floor_mass"
+    exact = test.mass_statements if of_mass else test.stiffness_statements
+    # Statements and priors do not speak of the added mass.
+    added = test.configuration.added_mass if of_mass else np.zeros(test.experiment.stories)
+    plain = program()
+    solution = backend.solve(constrained(plain, exact, -added))
+    x = solution.x
+    if not keeps_rows(test.rows, len(x)) and digits_lost(plain.R) > LOST:
+        x = x + backend.solve(constrained(program(at=x), exact, x - added)).x
+    for iterations in range(1, MOST_ROUNDS + 1):
+        soft = softened(plain, test.experiment.priors, quantity, x - added, row_std, step=False)
         if soft is plain:
-            return k
-        solution = backend.solve(constrained(soft, test.stiffness_statements, origin), solution)
-        before, k = k, solution.x
-        if np.max(np.abs(k - before)) <= UNCHANGED * np.max(np.abs(k)):
-            break
-    return k
+            return x, iterations
+        shift = np.concatenate([np.zeros(len(plain.s)), soft.R[len(plain.s) :] @ added])
+        solution = backend.solve(constrained(soft.replace(s=soft.s + shift), exact, -added), solution)
+        before, x = x, solution.x
+        if np.max(np.abs(x - before)) <= UNCHANGED * np.max(np.abs(x)):
+            return x, iterations + 1
+    return x, MOST_ROUNDS + 1
 
 
 def finished(test: CompleteTest, mass: Floats, backend: Backend, **more: object) -> SingleIdentification:

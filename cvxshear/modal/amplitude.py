@@ -9,7 +9,7 @@ from scipy import special
 
 from cvxshear.modal.estimate import Replication, jackknife
 from cvxshear.modal.frf import ImpulseSource
-from cvxshear.modal.picking import Parts
+from cvxshear.modal.picking import Parts, Values
 from cvxshear.modal.realization import Impulse
 from cvxshear.modal.result import ModalResult
 from cvxshear.records.record import Finding
@@ -106,10 +106,11 @@ def _half(setting: Replication, half: Bools) -> tuple[Floats, Floats, Floats] | 
 
 
 def _log_frequencies(setting: Replication, keep: Bools) -> Floats | None:
-    values = setting.values(keep)
-    if values is None:
-        return None
-    return np.asarray(np.log(np.abs(values.eigenvalues + setting.shift) / (2 * np.pi)))
+    return _logarithms(setting, setting.values(keep))
+
+
+def _logarithms(setting: Replication, values: Values | None) -> Floats | None:
+    return None if values is None else np.log(np.abs(values.eigenvalues + setting.shift) / (2 * np.pi))
 
 
 def _early_against_late(setting: Replication, result: ModalResult) -> list[Finding]:
@@ -171,10 +172,7 @@ def _later(setting: Replication, keep: Bools | None) -> Floats | None:
     if begun is None:
         return None
     source = ImpulseSource(dataclasses.replace(impulse, start=begun), setting.source.sampling_rate)
-    values = Parts(source, setting.sweep.poles).values(setting.sweep.chosen, None)
-    if values is None:
-        return None
-    return np.asarray(np.log(np.abs(values.eigenvalues + setting.shift) / (2 * np.pi)))
+    return _logarithms(setting, Parts(source, setting.sweep.poles).values(setting.sweep.chosen, None))
 
 
 def _weak_from(impulse: Impulse) -> int | None:

@@ -44,7 +44,9 @@ def assembled(
     relative = np.sqrt(np.array([np.maximum(np.diag(block), 0.0) for block in blocks]))
     independent = np.array([independent_std(block, shape) for block, shape in zip(blocks, full.real, strict=True)])
     scale = np.ones(modes) if full.scales is None else full.scales
-    offset_std = std[len(std) - len(full.clocks.seconds) :]
+    # The phases that a straight line over frequency leaves are no scatter of the data, and as much in doubt of it.
+    left = np.radians(full.clocks.unexplained) / (2 * np.pi * np.sqrt(np.mean(full.frequencies**2)))
+    offset_std = np.hypot(std[len(std) - len(left) :], left)
     names = [*(channel.name for channel in record.channels), "input"]
     return ModalResult(
         name=record.name,

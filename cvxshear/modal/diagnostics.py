@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from scipy import optimize, stats
 
 from cvxshear.modal.amplitude import amplitude_findings
 from cvxshear.modal.estimate import Details, Replication
@@ -92,8 +93,12 @@ ALIKE = 0.8
 its bandwidth from one to the other. That of neighboring floors is 0.3 to 0.7 in frames of up to five stories."""
 GAIN_CHANGED = 0.04
 """Change of a channel's gain between two records that is worth a word: twice what calibrations differ by."""
-GAIN_SEEN = 0.15
-"""Of a mode's largest entry: smaller ones change by noise."""
+REPEATED = 0.003
+"""Of a mode's largest entry: as much a shape changes from one test of a frame to the next by itself."""
+LARGEST_GAIN = 12.0
+"""Largest change of a gain that is looked for: g for m/s2, and room beyond."""
+IMPROBABLE_GAIN = 1e-3
+"""Probability of what one gain leaves, and of what the frame without it leaves more, below which it is no chance."""
 FEWEST_PERIODS = 500
 """Of the lowest mode in an ambient record: the usual advice is 1000 to 2000 (Brincker and Ventura 2015)."""
 
@@ -155,7 +160,6 @@ def found_twice(item: PoleCandidate) -> Finding:
 def clock_findings(record: Record, result: ModalResult, full: Details) -> list[Finding]:
     """Clocks whose phase grows linearly with frequency, by more than the data's scatter."""
     highest = 2 * np.pi * float(full.frequencies.max())
-    typical = 2 * np.pi * float(np.sqrt(np.mean(full.frequencies**2)))
     names = list(result.clock_offsets)
     segments = Segments.of(record) if isinstance(record, TimeRecord) else None
     found = []
@@ -163,9 +167,7 @@ def clock_findings(record: Record, result: ModalResult, full: Details) -> list[F
         result.clock_offsets.items(), full.clocks.unexplained, full.clocks.before, strict=False
     ):
         turn = float(np.degrees(highest * abs(late)))
-        # The phases that the line leaves are no scatter, and as much in doubt of it.
-        doubt = float(np.hypot(std, np.radians(left) / typical))
-        if len(full.frequencies) < 2 or turn < LEAST_TURN or abs(late) < CLOCK_CERTAIN * doubt:
+        if len(full.frequencies) < 2 or turn < LEAST_TURN or abs(late) < CLOCK_CERTAIN * std:
             continue
         if left > STRAIGHT * before:
             continue
@@ -387,22 +389,37 @@ def cables_changed(before: ModalResult, after: ModalResult) -> list[Finding]:
     modes = np.intersect1d(before.modes, after.modes)
     if len(floors) < 3 or len(modes) < 2:
         return []
-    old, new = (
-        item.mode_shapes[np.ix_(np.isin(item.modes, modes), np.isin(item.floors, floors))] for item in (before, after)
-    )
-    seen = np.abs(old) > GAIN_SEEN * np.abs(old).max(axis=1, keepdims=True)
-    ratios = np.where(seen, new / np.where(seen, old, 1.0), np.nan)
-    # The scale of a mode is free: that of the channels' median.
-    ratios = ratios / np.nanmedian(ratios, axis=1, keepdims=True)
-    gains, spread = np.nanmedian(ratios, axis=0), np.nanmax(np.abs(ratios - np.nanmedian(ratios, axis=0)), axis=0)
-    off = np.abs(gains - 1.0)
-    place = int(np.argmax(off))
-    others = np.delete(off, place)
-    if np.sum(seen[:, place]) < 2 or off[place] < GAIN_CHANGED or off[place] < 3 * spread[place]:
+    chosen = [np.ix_(np.isin(item.modes, modes), np.isin(item.floors, floors)) for item in (before, after)]
+    shapes, stds = [], []
+    for item, part in zip((before, after), chosen, strict=True):
+        largest = np.abs(item.mode_shapes[part]).max(axis=1, keepdims=True)
+        shapes.append(item.mode_shapes[part] / largest)
+        stds.append(item.mode_shape_std[part])
+    weights = 1.0 / (stds[0] ** 2 + stds[1] ** 2 + 2 * REPEATED**2)
+
+    def misfit(gain: float, place: int) -> float:
+        """Weighted squares that the first test's shapes leave of the second's, each mode with a scale of its own."""
+        expected = shapes[0] * np.where(np.arange(len(floors)) == place, gain, 1.0)
+        scale = (weights * expected * shapes[1]).sum(axis=1) / (weights * expected**2).sum(axis=1)
+        return float((weights * (shapes[1] - scale[:, None] * expected) ** 2).sum())
+
+    found = []
+    for place in range(len(floors)):
+        for bounds in ((-LARGEST_GAIN, -1 / LARGEST_GAIN), (1 / LARGEST_GAIN, LARGEST_GAIN)):
+            best = optimize.minimize_scalar(
+                misfit, args=(place,), bounds=bounds, method="bounded", options={"xatol": 1e-9}
+            )
+            found.append((float(best.fun), float(best.x), place))
+    found.sort()
+    least, gain, place = found[0]
+    second = min(each for each, _, other in found if other != place)
+    freedom = len(modes) * (len(floors) - 1) - 1
+    # A change of the frame as well, or instead, leaves more than one gain explains.
+    if abs(gain - 1.0) < GAIN_CHANGED or stats.chi2.sf(least, freedom) < IMPROBABLE_GAIN:
         return []
-    if others.max() > off[place] / 3:
+    if min(second, misfit(1.0, place)) < least + stats.chi2.isf(IMPROBABLE_GAIN, 1):
         return []
-    gain, floor = float(gains[place]), int(floors[place])
+    floor = int(floors[place])
     what = "is reversed" if abs(gain + 1.0) < GAIN_CHANGED else f"reads {gain:.3f} times as much"
     return [
         Finding(

@@ -21,7 +21,7 @@ from cvxshear.modal.frf import (
 from cvxshear.modal.picking import FAINT, Doubts, Parts, PoleCandidate, Sweep, Values
 from cvxshear.modal.realization import DampedModes, Impulse, Source
 from cvxshear.records.clocks import Offsets, offsets, undone
-from cvxshear.records.mode_shapes import main_axis, real_shape, signed_projection
+from cvxshear.records.mode_shapes import main_axis, real_shape, rms_phase, signed_projection
 from cvxshear.records.record import Finding, FrfRecord, Record
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
@@ -426,10 +426,9 @@ def _phase_off(setting: Replication, values: Values, left: Floats) -> float:
     products = details(setting, values, None).products
     if products is None:
         return 0.0
-    folded = np.angle(products * np.where(products.real < 0, -1.0, 1.0))
     weight = np.abs(products) ** 2
     weight = weight / weight.sum(axis=(1, 2), keepdims=True) * left[:, None, None] ** 2
-    return float(np.degrees(np.sqrt(np.sum(weight * folded**2) / np.sum(weight))))
+    return rms_phase(products, weight)
 
 
 def _leakage(truncated: bool, why: str, length: float, left: Floats) -> Finding:

@@ -126,7 +126,7 @@ def identify_modes(
                 raise NoSolutionError(error.backend, error.reason + _besides(looked)) from None
             except InputError as error:
                 raise type(error)(str(error) + _besides(looked)) from None
-            result = _with_what_was_seen(looked, result)
+            result = _about_unknown_centers(looked, _with_what_was_seen(looked, result))
             if functions or second == FDD:
                 result = dataclasses.replace(
                     result, functions=measured_functions(record, FUNCTION_RANGE * result.frequencies[-1])
@@ -289,6 +289,26 @@ def _with_first_findings(first: ModalResult, again: ModalResult) -> ModalResult:
         if finding.kind == "clock offset"
     ]
     return dataclasses.replace(again, findings=(*mended, *again.findings), clock_offsets=first.clock_offsets)
+
+
+def _about_unknown_centers(looked: Examined, result: ModalResult) -> ModalResult:
+    """Widen the entries of floors whose motion was not recorded at their center, or nobody knows where that is."""
+    unknown = {item.numbers["floor"]: item.numbers for item in looked.findings if item.numbers.get("placed") is False}
+    if looked.turning is None or not unknown:
+        return result
+    shares = np.array([looked.turning(frequency) for frequency in result.frequencies.tolist()])
+    # Half the sensors' difference over their mean; a center that may be anywhere between them is off by a uniform part.
+    off = np.sqrt(shares / np.maximum(1.0 - shares, 1e-9) / 3.0)
+    shapes = np.abs(result.mode_shapes) / np.abs(result.mode_shapes).max(axis=1, keepdims=True)
+    arms = np.array([unknown[floor].get("arm", 1.0) if floor in unknown else 0.0 for floor in result.floors.tolist()])
+    std = off[:, None] * shapes * arms
+    added = np.concatenate([np.zeros(len(result.modes)), std.ravel()])
+    return dataclasses.replace(
+        result,
+        mode_shape_std=np.hypot(result.mode_shape_std, std),
+        entry_std=np.hypot(result.entry_std, std),
+        covariance=result.covariance + np.diag(added**2),
+    )
 
 
 def _besides(looked: Examined) -> str:

@@ -268,33 +268,32 @@ def _collinear(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandi
     seconds = _clocks(found)
     if seconds is None:
         return found
-    result = []
-    for item in found:
+
+    def reason(item: PoleCandidate) -> str:
         straight = undone(np.array([item.eigenvalue]), item.shape[None], seconds)[0]
         measure = max(collinearity(straight), collinearity(item.shape))
-        if item.physical and measure < criteria.least_collinearity:
-            reason = f"modal phase collinearity {measure:.2f} only"
-            result.append(dataclasses.replace(item, physical=False, reason=reason))
-        else:
-            result.append(item)
-    return result
+        return f"modal phase collinearity {measure:.2f} only" if measure < criteria.least_collinearity else ""
+
+    return _without_those(found, reason)
+
+
+def _without_those(found: list[PoleCandidate], reason: Callable[[PoleCandidate], str]) -> list[PoleCandidate]:
+    """Set candidates aside for which there is a reason."""
+    each = [(item, reason(item) if item.physical else "") for item in found]
+    return [dataclasses.replace(item, physical=False, reason=why) if why else item for item, why in each]
 
 
 def _swaying(found: list[PoleCandidate], turning: Callable[[float], float] | None) -> list[PoleCandidate]:
     """Set the modes aside that are mostly rotation, by the difference of sensors on one floor."""
     if turning is None:
         return found
-    result = []
-    for item in found:
+
+    def reason(item: PoleCandidate) -> str:
         share = turning(item.frequency)
-        if item.physical and share > 0.5:
-            reason = (
-                f"{MOSTLY_ROTATION}: {100 * share:.0f} % of the motion is in the difference of sensors on one floor"
-            )
-            result.append(dataclasses.replace(item, physical=False, reason=reason))
-        else:
-            result.append(item)
-    return result
+        said = f"{MOSTLY_ROTATION}: {100 * share:.0f} % of the motion is in the difference of sensors on one floor"
+        return said if share > 0.5 else ""
+
+    return _without_those(found, reason)
 
 
 def _by_hand(found: list[PoleCandidate], picked: Sequence[float]) -> list[PoleCandidate]:

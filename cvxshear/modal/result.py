@@ -13,8 +13,7 @@ from scipy.optimize import nnls
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.picking import Sweep
 from cvxshear.records.record import Finding
-from cvxshear.util.later import ask
-from cvxshear.util.results import Shown, data_frame
+from cvxshear.util.results import Shown, ask, data_frame
 from cvxshear.util.typing import Complexes, Floats, Ints, Json
 
 if TYPE_CHECKING:

@@ -31,10 +31,10 @@ SAMPLES = 2000
 """Samples of each setup: a coefficient of variation is then known to 1.6 % of itself."""
 
 SEED = 2023
-"""Of the noise where none is given, so that the figures of the documentation come back."""
+"""Seed of the noise where none is given, so that the figures of the documentation come back."""
 
 MOST_SAMPLES = 1_000_000
-"""More take gigabytes at once, and say nothing that a million do not."""
+"""Largest number of samples; more take gigabytes at once, and say nothing that a million do not."""
 
 LARGEST_SEED = 2**63
 """Seeds below it are whole numbers on every platform."""

@@ -6,7 +6,9 @@ and 6. Cases 1 and 2 are its two initial masses; "present" is its own method, "R
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
+from importlib import resources
 
 import numpy as np
 
@@ -25,50 +27,36 @@ PAPER_METHODS = {"two-stage": "present", "qi": "Ref. [23]", "berman": "Ref. [17]
 ITERATIONS = {1: "14", 2: "16"}
 """Section 5.1, of the present method."""
 
+_PRINTED = tomllib.loads(resources.files("cvxshear.paper").joinpath("printed.toml").read_text(encoding="utf-8"))
+"""The tables of figures, with what each holds and in which unit."""
+
 TABLE_1 = {
-    ("two-stage", 1): {(1, 1): "10", (2, 2): "7.5", (3, 3): "5"},
-    ("two-stage", 2): {(1, 1): "10", (2, 2): "7.5", (3, 3): "5"},
-    ("qi", 1): {(1, 1): "9.911", (2, 2): "7.563", (3, 3): "5.236"},
-    ("qi", 2): {(1, 1): "9.379", (2, 2): "7.525", (3, 3): "6.164"},
-    ("berman", 1): {
-        (1, 1): "10.016", (1, 2): "0.226", (1, 3): "0", (2, 2): "7.597", (2, 3): "-0.004", (3, 3): "5.177",
-    },
-    ("berman", 2): {
-        (1, 1): "10.081", (1, 2): "1.129", (1, 3): "0", (2, 2): "7.984", (2, 3): "0.565", (3, 3): "5.887",
-    },
-}  # fmt: skip
+    (method, int(case)): {(int(place[0]), int(place[1])): text for place, text in entries.items()}
+    for method, cases in _PRINTED["table_1"].items()
+    for case, entries in cases.items()
+}
 """Corrected mass matrices, kg, upper triangle: entry (i, j) by method and case."""
 
 MISPRINT = ("berman", 1, (2, 3))
-"""Where Table 1 does not print what its formula gives."""
+"""Method, case and entry of Table 1 that is not what the formula gives."""
 
 TABLE_2 = {
-    ("two-stage", 1): ("1.800", "1.200", "0.600"),
-    ("qi", 1): ("1.824", "1.193", "0.609"),
-    ("berman", 1): ("1.819", "1.153", "0.609"),
-    ("two-stage", 2): ("1.800", "1.200", "0.600"),
-    ("qi", 2): ("1.884", "1.131", "0.633"),
-    ("berman", 2): ("1.888", "0.962", "0.640"),
+    (method, int(case)): tuple(texts)
+    for case, methods in _PRINTED["table_2"].items()
+    for method, texts in methods.items()
 }
 """Identified story stiffnesses, kN/m, by method and case."""
 
 LARGEST_ERRORS = {
-    ("qi", 1): ("4.72", "1.50"),
-    ("qi", 2): ("23.28", "5.75"),
-    ("berman", 1): ("3.54", "3.92"),
-    ("berman", 2): ("17.74", "19.83"),
+    (method, int(case)): tuple(texts)
+    for method, cases in _PRINTED["largest_errors"].items()
+    for case, texts in cases.items()
 }
 """Section 5.1: largest relative errors of the floor masses and of the story stiffnesses, percent."""
 
 PARAMETERS = ("m1", "m2", "m3", "k1", "k2", "k3")
 
-TABLE_3 = {
-    0.01: ("0.038", "-0.055", "0.008", "0.060", "-0.031", "-0.022"),
-    0.02: ("-0.003", "-0.008", "0.017", "0.307", "-0.119", "-0.147"),
-    0.03: ("-0.065", "0.265", "-0.267", "-0.103", "0.196", "-0.316"),
-    0.04: ("-0.516", "0.280", "0.611", "-0.786", "-0.108", "0.397"),
-    0.05: ("-0.303", "0.595", "-0.286", "-0.093", "0.257", "-0.667"),
-}
+TABLE_3 = {float(sigma): tuple(texts) for sigma, texts in _PRINTED["table_3"].items()}
 """Errors of the mean value, percent, by standard deviation of the noise, for each of `PARAMETERS`."""
 
 TABLE_3_SAMPLES = 100
@@ -81,41 +69,14 @@ FIGURE_6 = "about 5"
 STRUCTURES = ("Structure 1", "Structure 2", "Structure 3")
 """The states of the test frame, by their counterweights."""
 
-TABLE_4 = {"Structure 1": ("13.5", "8.6"), "Structure 2": ("27.5", "22.6"), "Structure 3": ("41", "36.1")}
-"""Counterweights on floors 1 and 2, kg."""
+TABLE_4, TABLE_5, TABLE_6_MASS, TABLE_6_NET_MASS, TABLE_6_STIFFNESS, TABLE_7, TABLE_8 = (
+    {structure: tuple(texts) for structure, texts in _PRINTED[f"table_{name}"].items()}
+    for name in ("4", "5", "6_mass", "6_net_mass", "6_stiffness", "7", "8")
+)
+"""Tables of the steel frame by structure, two numbers each."""
 
 TOTAL_NET_MASS = "31.33"
 """Total mass without counterweights (Section 6), kg."""
-
-TABLE_5 = {"Structure 1": ("2.990", "7.934"), "Structure 2": ("2.380", "6.331"), "Structure 3": ("2.030", "5.420")}
-"""Measured natural frequencies, Hz."""
-
-TABLE_6_MASS = {
-    "Structure 1": ("26.545", "26.885"),
-    "Structure 2": ("40.238", "41.192"),
-    "Structure 3": ("53.730", "54.700"),
-}
-"""Identified floor masses, counterweights included, kg."""
-
-TABLE_6_NET_MASS = {
-    "Structure 1": ("13.045", "18.285"),
-    "Structure 2": ("12.738", "18.592"),
-    "Structure 3": ("12.730", "18.600"),
-}
-"""Identified floor masses without counterweights, kg."""
-
-TABLE_6_STIFFNESS = {
-    "Structure 1": ("25.517", "25.176"),
-    "Structure 2": ("25.019", "24.239"),
-    "Structure 3": ("24.054", "23.842"),
-}
-"""Identified story stiffnesses, kN/m."""
-
-TABLE_7 = {"Structure 1": ("3.030", "7.932"), "Structure 2": ("2.421", "6.329"), "Structure 3": ("2.065", "5.418")}
-"""Analytical natural frequencies, Hz."""
-
-TABLE_8 = {"Structure 1": ("1.338", "-0.025"), "Structure 2": ("1.723", "-0.032"), "Structure 3": ("1.724", "-0.037")}
-"""Relative errors of the analytical natural frequencies, percent (Eq. 29)."""
 
 NET_MASS_DIFFERENCE = "2.41"
 STIFFNESS_DIFFERENCE = "5.73"

@@ -1,8 +1,7 @@
 """Priors: what is known of the masses and stiffnesses before anything is measured."""
 
 from cvxshear.priors.base import QUANTITIES, QUANTITY_UNITS, Constraints, Prior, check_prior, check_quantity
-from cvxshear.priors.known import Nominal, Ratio, Value
-from cvxshear.priors.limits import Bounds, Monotone
+from cvxshear.priors.stated import Bounds, Monotone, Nominal, Ratio, Value
 
 __all__ = [
     "QUANTITIES", "QUANTITY_UNITS", "Bounds", "Constraints", "Monotone", "Nominal", "Prior", "Ratio", "Value",

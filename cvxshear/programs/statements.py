@@ -69,14 +69,19 @@ class LeastSquares:
     @property
     def inequalities(self) -> tuple[Floats, Floats]:
         """G and h with the finite bounds as further rows: first G, then lower, then upper bounds."""
+        return self.inequalities_in(None)
+
+    def inequalities_in(self, basis: Floats | None) -> tuple[Floats, Floats]:
+        """Convert the rows and sides of `inequalities` to those for z in x = basis @ z: a bound picks a row of it."""
+        units = np.eye(self.unknowns) if basis is None else basis
         rows, sides = [np.zeros((0, self.unknowns))], [np.zeros(0)]
-        if self.G is not None and self.h is not None:
-            rows.append(self.G)
+        if self.G is not None and self.h is not None and len(self.G):
+            rows.append(self.G if basis is None else self.G @ basis)
             sides.append(self.h)
         for bound, sign in ((self.lower, -1.0), (self.upper, 1.0)):
             if bound is not None:
                 finite = np.isfinite(bound)
-                rows.append(sign * np.eye(self.unknowns)[finite])
+                rows.append(sign * units[finite])
                 sides.append(sign * bound[finite])
         return np.concatenate(rows), np.concatenate(sides)
 

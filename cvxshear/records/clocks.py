@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
+from cvxshear.records.mode_shapes import folded_phase, rms_phase
 from cvxshear.records.record import TimeRecord
 from cvxshear.records.signals import struck
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
@@ -80,6 +81,8 @@ class BandClock:
     time : float, optional
         The mean time, s, and the longest time from it to either end.
     reach : float, optional
+    steepest : float, optional
+        Drift, s a second, at which all lines agree best if only clocks turn them.
     """
 
     middle: float
@@ -91,6 +94,7 @@ class BandClock:
     freedom: int = 0
     time: float = 0.0
     reach: float = 0.0
+    steepest: float = 0.0
 
 
 def drift_of(clocks: Sequence[BandClock], rate: float) -> tuple[float, float]:
@@ -131,6 +135,10 @@ class Segments:
         Between 0 and 1: how far a line stands out of what may be noise.
     times : array, shape (segments,)
         Middle of each, s.
+    groups : list of array of int
+        The segments of each part of the record in which delays are estimated by themselves.
+    hit : array of int, shape (groups,)
+        The floor that a hammer hit in each; 0 for other records.
     length : int
         Samples.
     rate : float
@@ -140,6 +148,8 @@ class Segments:
     spectra: Complexes
     weights: Floats
     times: Floats
+    groups: list[Ints]
+    hit: Ints
     length: int
     rate: float
 
@@ -148,9 +158,9 @@ class Segments:
         """Cut a record into segments and transform them."""
         rate = record.sampling_rate
         length = min(int(SEGMENT * rate), *(run.samples for run in record.runs)) // 2 * 2
-        decaying = record.input == "free_decay" or struck(record)
-        window = _window(length, decaying=decaying)
-        spectra, times, started = [], [], 0
+        blows = struck(record)
+        window = _window(length, decaying=blows or record.input == "free_decay")
+        spectra, times, driven, started = [], [], [], 0
         for run in record.runs:
             both = [run.responses] if run.excitation is None else [run.responses, run.excitation[:, None]]
             values = np.column_stack(both)
@@ -158,6 +168,7 @@ class Segments:
             for start in range(0, run.samples - length + 1, length // 2):
                 spectra.append(np.fft.rfft(values[start : start + length] * window, axis=0))
                 times.append((started + start + length / 2) / rate)
+                driven.append(run.floor if blows else 0)
             started += run.samples
         found = np.array(spectra)
         power = np.abs(found) ** 2
@@ -170,7 +181,12 @@ class Segments:
             weights = np.nan_to_num(power / (power + floor)) ** 2
         weights[:, mains] = 0.0
         weights[:, :2] = 0.0
-        return Segments(found, weights, np.array(times), length, rate)
+        # With dampers a frame answers to a blow at another floor with other phases.
+        apart = [np.flatnonzero(np.array(driven) == floor) for floor in np.unique(driven)]
+        shares = [min(max(1, round(GROUPS * len(each) / len(times))), len(each)) for each in apart]
+        groups = [part for each, count in zip(apart, shares, strict=True) for part in np.array_split(each, count)]
+        hit = np.array([driven[group[0]] for group in groups])
+        return Segments(found, weights, np.array(times), groups, hit, length, rate)
 
     def agreement(self, first: int, second: int) -> tuple[Complexes, Floats, Floats, float]:
         """Find what two clocks agree in: squared phasors and their weights by groups, mean times, and the chance level.
@@ -181,12 +197,11 @@ class Segments:
         size = np.abs(cross)
         weight = self.weights[:, :, first] * self.weights[:, :, second]
         square = weight * np.divide(cross, size, out=np.zeros_like(cross), where=size > 0) ** 2
-        groups = np.array_split(np.arange(len(self.times)), min(GROUPS, len(self.times)))
         many = weight.sum() ** 2 / max(float((weight**2).sum()), 1e-300)
         return (
-            np.array([square[group].sum(axis=0) for group in groups]),
-            np.array([weight[group].sum() for group in groups]),
-            np.array([self.times[group].mean() for group in groups]),
+            np.array([square[group].sum(axis=0) for group in self.groups]),
+            np.array([weight[group].sum() for group in self.groups]),
+            np.array([self.times[group].mean() for group in self.groups]),
             float(1.0 / np.sqrt(2.0 * max(many, 1.0))),
         )
 
@@ -238,12 +253,13 @@ def band_clock(segments: Segments, first: int, second: int) -> BandClock:
     grid, step = grid[near], float(grid[1] - grid[0])
     time = float(np.average(times, weights=weights))
     around = times - time
-    drifting, steady = _best_lines(table, around, step, grid)
+    drifting, steady, steepest = _best_lines(table, around, step, grid)
     found = _fitted(squares, weights, around, grid[drifting[0]], drifting[1], step, segments)
     if drifting[1] and abs(found.slope) < TRUSTED_DRIFT * found.slope_std:
         # A sweep that passes a damper's phases one after the other looks like a drift as well.
         found = _fitted(squares, weights, around, grid[steady], 0, step, segments)
-    return replace(found, chance=chance, time=time)
+    drift = steepest * step / max(float(np.abs(around).max()), 1e-9)
+    return replace(found, chance=chance, time=time, steepest=drift)
 
 
 def _fitted(
@@ -258,8 +274,8 @@ def _fitted(
     sound = high & (np.abs(tops - line) < step * FINER)
     if np.count_nonzero(sound) < 3:
         return BandClock(float(start), step, agreement, 0.0)
-    middle, slope = _line(around[sound], tops[sound], heights[sound])
-    fitted = _over_bands(squares[sound], around[sound], middle + slope * around[sound], segments)
+    slope, middle = np.polyfit(around[sound], tops[sound], 1, w=np.sqrt(heights[sound])).tolist()
+    fitted = _over_bands(squares[sound], around[sound], middle + slope * around[sound], segments, segments.hit[sound])
     return BandClock(
         middle=middle + fitted.middle,
         std=fitted.std,
@@ -329,8 +345,10 @@ def _bands(squares: Complexes) -> Ints:
     return np.unique(np.minimum(edges, squares.shape[1] - 1))
 
 
-def _over_bands(squares: Complexes, times: Floats, line: Floats, segments: Segments) -> BandClock:
+def _over_bands(squares: Complexes, times: Floats, line: Floats, segments: Segments, hit: Ints) -> BandClock:
     """Fit what a line leaves in each part of the record and each band: one delay a band, one drift of them all.
+
+    Bands have other delays where another floor was hit.
 
     A clock is late by the same in every band. The phases that a damper makes differ from band to band, and those that a
     sweep passes through at different times look like a drift where the bands may not have delays of their own.
@@ -343,23 +361,30 @@ def _over_bands(squares: Complexes, times: Floats, line: Floats, segments: Segme
     )
     middles = np.maximum(middles, omega[1])
     late, weight = -np.angle(cells) / (2 * middles), np.abs(cells) * middles**2
-    of_bands = np.maximum(weight.sum(axis=0), 1e-300)
-    mean = (weight * late).sum(axis=0) / of_bands
-    around = times[:, None] - (weight * times[:, None]).sum(axis=0) / of_bands
+    off, around, parts = np.zeros(late.shape), np.zeros(late.shape), 0.0
+    for floor in np.unique(hit):
+        same = hit == floor
+        total = np.maximum(weight[same].sum(axis=0), 1e-300)
+        off[same] = late[same] - (weight * late)[same].sum(axis=0) / total
+        around[same] = times[same, None] - (weight * times[:, None])[same].sum(axis=0) / total
+        parts += float(np.sum(total**2 / np.maximum((weight[same] ** 2).sum(axis=0), 1e-300) - 1.0))
     information = float((weight * around**2).sum())
-    slope = float((weight * around * (late - mean)).sum()) / max(information, 1e-300)
-    parts = of_bands**2 / np.maximum((weight**2).sum(axis=0), 1e-300)
-    freedom = max(int(np.sum(parts - 1.0)) - 1, 1)
-    scatter = float((weight * (late - mean - slope * around) ** 2).sum()) / freedom
-    shares = of_bands / of_bands.sum()
+    slope = float((weight * around * off).sum()) / max(information, 1e-300)
+    freedom = max(int(parts) - 1, 1)
+    scatter = float((weight * (off - slope * around) ** 2).sum()) / freedom
+    of_bands = np.maximum(weight.sum(axis=0), 1e-300)
+    mean, shares = (weight * late).sum(axis=0) / of_bands, of_bands / of_bands.sum()
     middle = float(shares @ mean)
     spread = float(shares @ (mean - middle) ** 2)
     std = float(np.sqrt(scatter / of_bands.sum() + spread))
     return BandClock(middle, std, 1.0, 0.0, slope, float(np.sqrt(scatter / max(information, 1e-300))), freedom)
 
 
-def _best_lines(table: Floats, around: Floats, step: float, grid: Floats) -> tuple[tuple[int, int], int]:
-    """Place on the grid, and steps of drift from the middle to the end, of the largest agreement; then without any."""
+def _best_lines(table: Floats, around: Floats, step: float, grid: Floats) -> tuple[tuple[int, int], int, int]:
+    """Place on the grid, and steps of drift from the middle to the end, of the largest agreement.
+
+    A drift that makes it little larger is none. Then the place without any drift, and the steps of the largest.
+    """
     half = max(float(np.abs(around).max()), 1e-9)
     most = int(FASTEST_DRIFT * half / step) if len(table) > 2 else 0
     best, without = (-np.inf, 0, 0), (-np.inf, 0)
@@ -376,14 +401,8 @@ def _best_lines(table: Floats, around: Floats, step: float, grid: Floats) -> tup
             without = (float(total[place]), place)
         if total[place] > best[0]:
             best = (float(total[place]), place, turns)
-    return ((without[1], 0) if without[0] >= NO_DRIFT * best[0] else (best[1], best[2])), without[1]
-
-
-def _line(times: Floats, tops: Floats, heights: Floats) -> tuple[float, float]:
-    """Value at 0 and slope of a weighted straight line."""
-    rows = np.column_stack([np.ones(len(times)), times]) * np.sqrt(heights)[:, None]
-    value, slope = np.linalg.lstsq(rows, tops * np.sqrt(heights), rcond=None)[0]
-    return float(value), float(slope)
+    line = (without[1], 0) if without[0] >= NO_DRIFT * best[0] else best[1:]
+    return line, without[1], best[2]
 
 
 def _climbed(squares: Complexes, line: Floats, segments: Segments, step: float) -> tuple[Floats, Floats]:
@@ -483,8 +502,8 @@ def offsets(
         reference = int(np.argmin(np.sum(np.abs(seconds[:, None] - seconds[None, :]), axis=1)))
     seconds = seconds - seconds[reference]
     between = phasors * np.conj(phasors[:, [reference]])
-    before = [_angle(column, np.zeros(len(omega))) for column in between.T]
-    left = [_angle(column, omega * each) for column, each in zip(between.T, seconds, strict=True)]
+    before = [rms_phase(column) for column in between.T]
+    left = [rms_phase(column * np.exp(1j * omega * each)) for column, each in zip(between.T, seconds, strict=True)]
     return Offsets(seconds, np.array(left), np.array(before), reference)
 
 
@@ -503,15 +522,6 @@ def _slope(omega: Floats, phasors: Complexes) -> float:
     start = grid[int(np.argmin(cost + 1e-3 * np.abs(grid) / longest))]
     # On the line the remaining angles are small, and least squares in the angle is a division.
     for _ in range(5):
-        now = phasors * np.exp(1j * start * omega)
-        angle = np.angle(now * np.where(now.real < 0, -1.0, 1.0))
-        weight = np.abs(phasors) ** 2
+        angle, weight = folded_phase(phasors * np.exp(1j * start * omega)), np.abs(phasors) ** 2
         start -= float(np.sum(weight * omega * angle) / np.sum(weight * omega**2))
     return float(start)
-
-
-def _angle(phasors: Complexes, turn: Floats) -> float:
-    now = phasors * np.exp(1j * turn)
-    angle = np.angle(now * np.where(now.real < 0, -1.0, 1.0))
-    weight = np.abs(phasors) ** 2
-    return float(np.degrees(np.sqrt(np.sum(weight * angle**2) / np.sum(weight))))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import IN_SI
-from cvxshear.util.typing import Bools, Floats
+from cvxshear.util.typing import Bools, Floats, Ints
 
 UNEVEN = 0.01
 """Largest change of a step, over the usual step: time stamps are rounded, and a gap is at least one step."""
@@ -30,6 +30,11 @@ LEAST_USED = 0.5
 """Share of the samples that sound pieces must hold: a record that has lost more is for a person to look at."""
 
 
+def stretches(there: Bools) -> Ints:
+    """Find where samples are there without a break: first sample and the one after the last, shape (stretches, 2)."""
+    return np.flatnonzero(np.diff(np.concatenate([[False], there, [False]]).astype(np.int8))).reshape(-1, 2)
+
+
 def sound_pieces(sound: Bools) -> list[slice]:
     """Cut rows into pieces between those that are missing; short pieces beside long ones are left out.
 
@@ -42,8 +47,7 @@ def sound_pieces(sound: Bools) -> list[slice]:
     list of slice
         One with all rows where none is missing, or too many are.
     """
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], sound, [False]]).astype(int)) != 0)
-    pieces = [slice(int(start), int(stop)) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
+    pieces = [slice(start, stop) for start, stop in stretches(sound).tolist()]
     longest = max((each.stop - each.start for each in pieces), default=0)
     kept = [each for each in pieces if each.stop - each.start >= max(FEWEST_SAMPLES, longest / 4)]
     used = sum(each.stop - each.start for each in kept)

@@ -69,10 +69,18 @@ def signed_projection(shape: Complexes, straight: Complexes) -> Floats:
 
 def lost_phase(shape: Complexes) -> float:
     """Angle off the main axis that a real shape leaves out, degrees, root mean square weighted by modulus squared."""
-    turned = main_axis(shape)
-    angle = np.angle(turned * np.where(turned.real < 0, -1.0, 1.0))
-    weight = np.abs(turned) ** 2
-    return float(np.degrees(np.sqrt(np.sum(weight * angle**2) / np.sum(weight))))
+    return rms_phase(main_axis(shape))
+
+
+def folded_phase(values: Complexes) -> Floats:
+    """Angle off the real axis to the nearer side, rad."""
+    return np.angle(values * np.where(values.real < 0, -1.0, 1.0))
+
+
+def rms_phase(values: Complexes, weight: Floats | None = None) -> float:
+    """Root mean square angle off the real axis, degrees, weighted by the moduli squared where nothing else is given."""
+    weight = np.abs(values) ** 2 if weight is None else weight
+    return float(np.degrees(np.sqrt(np.sum(weight * folded_phase(values) ** 2) / np.sum(weight))))
 
 
 def sign_changes(shape: Floats) -> int:

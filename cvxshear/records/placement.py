@@ -222,7 +222,7 @@ def findings_of(hypotheses: Sequence[Hypothesis], channels: Sequence[Channel], f
     rivals = [item for item in hypotheses if item.kind != "sound" and item.probability > best.probability / 3]
     if not rivals or rivals[0].probability < DOUBTFUL:
         return []
-    names = list(dict.fromkeys(channels[place].name for item in rivals for place in (*item.places, *item.turned)))
+    names = list(dict.fromkeys(name for item in rivals for name in _named(item, channels)))
     options = [f"{_in_words(item, channels)} ({chance(item.probability)})" for item in rivals]
     missed = next(item.missed for item in hypotheses if item.kind == "sound")
     otherwise = "a mode was missed and " if missed > 0.5 else ""
@@ -246,8 +246,17 @@ def findings_of(hypotheses: Sequence[Hypothesis], channels: Sequence[Channel], f
     ]
 
 
+def _named(item: Hypothesis, channels: Sequence[Channel]) -> list[str]:
+    """List the names of the channels that a hypothesis is about; of two channels either may be the reversed one."""
+    if item.kind == "sign" and len(channels) == 2:
+        return [channel.name for channel in channels]
+    return list(dict.fromkeys(channels[place].name for place in (*item.places, *item.turned)))
+
+
 def _in_words(item: Hypothesis, channels: Sequence[Channel]) -> str:
     named = listed([str(channels[place]) for place in item.places])
+    if item.kind == "sign" and len(channels) == 2:
+        return f"{listed(list(map(str, channels)), 'or')} is reversed"
     if item.kind == "sign":
         return f"{named} {'is' if len(item.places) == 1 else 'are'} reversed"
     if item.kind == "unit":
@@ -263,12 +272,12 @@ def _in_words(item: Hypothesis, channels: Sequence[Channel]) -> str:
 def _said(item: Hypothesis, channels: Sequence[Channel], first: Floats, sound: float) -> Finding:
     shape = "(" + ", ".join(f"{entry:.3f}" for entry in first / first[np.argmax(np.abs(first))]) + ")"
     odds = f"odds {min(item.probability / max(sound, 1e-9), 1e9):.2g} to 1 against a mode that was missed"
-    names = [channels[place].name for place in item.places]
+    names = _named(item, channels)
     numbers = {"channels": names, "probability": item.probability, "first_mode": first.tolist()}
     if item.kind == "unit":
         return in_unit(channels[item.places[0]], item.factor, f"by the lowest mode, {shape}, {odds}")
     if item.kind == "sign":
-        one = len(item.places) == 1
+        one = len(names) == 1
         more = {"channel": names[0]} if one else {}
         return Finding(
             "sign",
@@ -277,12 +286,11 @@ def _said(item: Hypothesis, channels: Sequence[Channel], first: Floats, sound: f
             {**numbers, **more, "corrected": True},
         )
     low, high = (channels[place] for place in item.places)
-    names = list(dict.fromkeys([*names, *(channels[place].name for place in item.turned)]))
     also = "".join(f", and {channels[place]} reversed" for place in item.turned)
     signs = ", and turn that sign round" if item.turned else ""
     return Finding(
         "swapped channels",
         f"{low} and {high} look swapped{also}: the lowest mode is {shape} from the ground up, which no shear frame has "
         f"({odds}). Exchange their floors in the record file{signs}",
-        {**numbers, "channels": names, "corrected": False},
+        {**numbers, "corrected": False},
     )

@@ -9,6 +9,7 @@ import scipy
 from scipy import linalg, ndimage
 
 from cvxshear.records.clocks import mains_lines
+from cvxshear.records.data_frames import stretches
 from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord
 from cvxshear.records.signals import AnyRecord, impulsive, only
 from cvxshear.util.errors import InputError
@@ -206,14 +207,13 @@ def stuck_in(responses: Floats, column: int, rate: float) -> Bools:
     ndarray of bool, shape (samples,)
     """
     values, found = responses[:, column], np.zeros(len(responses), dtype=bool)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], np.diff(values) == 0, [False]]).astype(np.int8)))
-    starts, stops = edges[::2], edges[1::2] + 1
-    long = (stops - starts) >= max(20, int(STUCK * rate))
+    repeats = stretches(np.diff(values) == 0) + np.array([0, 1])
+    long = repeats[np.diff(repeats, axis=1)[:, 0] >= max(20, int(STUCK * rate))]
     others = np.delete(responses, column, axis=1)
-    if not long.any() or not others.shape[1]:
+    if not len(long) or not others.shape[1]:
         return found
     usual = others.std(axis=0)
-    for start, stop in zip(starts[long], stops[long], strict=True):
+    for start, stop in long.tolist():
         moved = np.median(others[start:stop].std(axis=0) / np.maximum(usual, 1e-300)) > 0.3
         # Where all is quiet, converters of few bits repeat themselves; the others then do as well.
         if moved or np.median(np.mean(np.diff(others[start:stop], axis=0) == 0, axis=0)) < 0.2:
@@ -225,8 +225,8 @@ def _stuck(responses: Floats, column: int, where: str, name: str, rate: float) -
     stuck = stuck_in(responses, column, rate)
     if not stuck.any():
         return []
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], stuck, [False]]).astype(np.int8)))
-    count, longest, first = int(stuck.sum()), int(np.max(edges[1::2] - edges[::2])), int(edges[0])
+    where_stuck = stretches(stuck)
+    count, longest, first = int(stuck.sum()), int(np.diff(where_stuck, axis=1).max()), int(where_stuck[0, 0])
     out = bool(count > STUCK_SHARE * len(stuck))
     return [
         Finding(
@@ -264,8 +264,7 @@ def _of_series(values: Floats, where: str, name: str, record: TimeRecord) -> lis
 def _clipped(values: Floats, where: str, name: str) -> Finding | None:
     for extreme in (values.max(), values.min()):
         flat = values == extreme
-        starts = np.flatnonzero(np.diff(np.concatenate([[0], flat.astype(np.int8), [0]])))
-        lengths = starts[1::2] - starts[::2]
+        lengths = np.diff(stretches(flat), axis=1)
         count = int(lengths[lengths >= CLIPPED_RUN].sum())
         levels, times = np.unique(values, return_counts=True)
         edge = times[[-1, -2]] if extreme == levels[-1] and len(times) > 1 else times[:2]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from importlib import resources
 from io import BytesIO, StringIO
 from pathlib import Path
@@ -118,7 +117,7 @@ def _residuals(result: RecordPrediction) -> Sheet:
     measures = ["relative error", "standard deviations off"]
     header = ("configuration", "part", "quantity", *(f"{measure}, {word}" for measure in measures for word in words))
     rows: list[tuple[Cell, ...]] = []
-    for parts in zip(*(_parts(each) for each in sides), strict=True):
+    for parts in zip(*map(_parts, sides), strict=True):
         what = parts[0].noise.replace("_", " ")
         numbers = [*(part.error for part in parts), *(part.deviations for part in parts)]
         rows.append((parts[0].configuration, parts[0].place, what, *numbers))
@@ -141,7 +140,7 @@ MODEL_WRITERS: dict[str, Callable[[RecordPrediction], str | bytes]] = {
     ),
     "xlsx": lambda result: workbook(_sheets(result)),
 }
-"""Of a model, by the ending of the file."""
+"""Writers of a model by the ending of the file."""
 
 
 def matrices(damped: Damped) -> dict[str, Floats]:
@@ -229,7 +228,7 @@ def _links(matrix: Floats) -> list[tuple[int, int, float]]:
 
 TIME, X_TRANSLATION = 1, 1
 ACCELERATION, DISPLACEMENT, FORCE = 12, 8, 13
-"""Of universal files: the function type, the direction, and the kinds of ordinate."""
+"""Numbers of universal files: function type, direction, and kinds of ordinate."""
 
 
 COLUMN_NAMES = {
@@ -237,7 +236,7 @@ COLUMN_NAMES = {
     "story_drift_ratio": "drift_ratio", "story_shear": "shear", "base_shear": "base_shear",
     "overturning_moment": "overturning_moment",
 }  # fmt: skip
-"""Of the columns; those of floor or story 1 end in `_1`."""
+"""Names of the columns by quantity; those of floor or story 1 end in `_1`."""
 
 SERIES_UNITS = {
     "time": "s", "acceleration": "m/s2", "displacement": "m", "drift": "m", "shear": "N", "base_shear": "N",
@@ -248,20 +247,12 @@ SERIES_UNITS = {
 Moved = RecordPrediction | Reconstruction
 
 
-@dataclass(frozen=True, eq=False)
-class _Run:
-    """One run's motion: excitation (m/s2 or N), response, and the deviations that are known, by quantity."""
-
-    excitation: Floats
-    response: Response
-    std: dict[str, Floats]
-
-
-def _runs(result: Moved) -> list[_Run]:
+def _runs(result: Moved) -> list[tuple[Floats, Response, dict[str, Floats]]]:
+    """List each run's excitation (m/s2 or N), its response, and the deviations that are known, by quantity."""
     if isinstance(result, Reconstruction):
-        return [_Run(run.excitation if run.base is None else run.base, run.response, run.std) for run in result.runs]
+        return [(run.excitation if run.base is None else run.base, run.response, run.std) for run in result.runs]
     return [
-        _Run(drive.excitation, response, {name: band for name, band in std.items() if np.isfinite(band).all()})
+        (drive.excitation, response, {name: band for name, band in std.items() if np.isfinite(band).all()})
         for drive, response, std in zip(result.motion.drives, result.after.responses, result.std, strict=True)
     ]
 
@@ -276,15 +267,13 @@ def series(result: Moved) -> dict[str, Floats]:
         those of `COLUMN_NAMES` that apply, each followed by its standard deviations (`drift_std_1`) where known.
     """
     runs = []
-    for place, run in enumerate(_runs(result), 1):
-        columns = {
-            "run": np.full(len(run.excitation), float(place)), "time": run.response.time, "excitation": run.excitation
-        }  # fmt: skip
-        for quantity, values in histories(run.response).items():
+    for place, (excitation, response, std) in enumerate(_runs(result), 1):
+        columns = {"run": np.full(len(excitation), float(place)), "time": response.time, "excitation": excitation}
+        for quantity, values in histories(response).items():
             if values is not None:
                 columns |= _columns(COLUMN_NAMES[quantity], values)
-                if quantity in run.std:
-                    columns |= _columns(f"{COLUMN_NAMES[quantity]}_std", run.std[quantity])
+                if quantity in std:
+                    columns |= _columns(f"{COLUMN_NAMES[quantity]}_std", std[quantity])
         runs.append(columns)
     return {name: np.concatenate([columns[name] for columns in runs]) for name in runs[0]}
 
@@ -342,23 +331,17 @@ def _uff(result: Moved) -> bytes:
     pyuff = load_pyuff()
     sets: list[Json] = []
     forced = _driven(result) == "force"
-    for run, moved in enumerate(_runs(result), 1):
-        response = moved.response
-        driven = "force" if forced else "base acceleration"
-        kind = FORCE if forced else ACCELERATION
-        sets.append(_function(pyuff, f"{driven}, run {run}", kind, 0, response.time, moved.excitation))
-        quantities: list[tuple[str, int, Floats | None]] = [
+    driven, kind_of_drive = ("force", FORCE) if forced else ("base acceleration", ACCELERATION)
+    for run, (excitation, response, _) in enumerate(_runs(result), 1):
+        sets.append(_function(pyuff, f"{driven}, run {run}", kind_of_drive, 0, response.time, excitation))
+        for name, kind, values in (
             ("acceleration", ACCELERATION, response.acceleration),
             ("displacement", DISPLACEMENT, response.displacement),
             ("drift", DISPLACEMENT, response.drift),
             ("story shear", FORCE, response.story_shear),
-        ]
-        for name, kind, values in quantities:
-            if values is not None:
-                sets += [
-                    _function(pyuff, f"{name}, run {run}", kind, floor, response.time, values[:, floor - 1])
-                    for floor in range(1, values.shape[1] + 1)
-                ]
+        ):
+            for floor, history in enumerate(() if values is None else values.T, 1):
+                sets.append(_function(pyuff, f"{name}, run {run}", kind, floor, response.time, history))
     return universal_file(sets)
 
 
@@ -377,4 +360,4 @@ def _function(pyuff: object, name: str, kind: int, floor: int, time: Floats, val
 SERIES_WRITERS: dict[str, Callable[[Moved], bytes]] = {
     "csv": _csv, "mat": lambda result: _mat(series(result)), "npz": lambda result: _npz(series(result)), "uff": _uff,
 }  # fmt: skip
-"""Of time series, by the ending of the file."""
+"""Writers of time series by the ending of the file."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +13,7 @@ from cvxshear.backends import Comparison
 from cvxshear.files.inputs import read_bytes
 from cvxshear.loop import Closure
 from cvxshear.measurement.declaration import Heading
-from cvxshear.measurement.experiment import Experiment
-from cvxshear.methods import Prediction, compare_backends
+from cvxshear.methods import compare_backends
 from cvxshear.modal import ModalResult
 from cvxshear.report.describe import Sentence, Table, describe
 from cvxshear.report.describe.closed_loop import open_questions
@@ -27,18 +25,13 @@ from cvxshear.util.results import as_json
 from cvxshear.util.typing import Json
 
 try:
-    from cvxshear.report import figures  # noqa: F401 - raises here, before the loop is closed, where it is missing
+    # Raises here, before the loop is closed, where a package is missing.
+    from cvxshear.report.figures.drawn_frame import elevations
     from cvxshear.report.pages import drawings, environment, readable_json, versions
 except ImportError as error:
     raise CvxshearError(
         f"the report needs {error.name}, which is not installed: pip install jinja2 matplotlib"
     ) from error
-
-FIRST_SECTIONS = ("verdict",)
-"""Sections of the description that stand on the first screen."""
-
-APPENDIX = ("steps", "effort")
-"""Sections that say how the result was computed; they stand in the appendix, with the agreement of the backends."""
 
 PHOTOGRAPHS = {b"\x89PNG\r\n\x1a\n": "png", b"\xff\xd8\xff": "jpeg"}
 """How the files of pictures begin that a page may hold, and what they are called there."""
@@ -87,9 +80,6 @@ def render(
     heading = result.experiment.report if heading is None else heading
     return page.render(
         document=document,
-        first=[section for section in document.sections if section.key in FIRST_SECTIONS],
-        body=[s for s in document.sections if s.parts and s.key not in (*FIRST_SECTIONS, *APPENDIX)],
-        appendix=[section for section in document.sections if section.parts and section.key in APPENDIX],
         heading=heading,
         photograph=photograph_of(heading),
         headline=capital(headline(result)),
@@ -99,7 +89,6 @@ def render(
         backends=describe(comparison)["worst"],
         left_out=comparison.left_out,
         motion=moving_shapes(result),
-        motion_size=(WIDTH, HEIGHT),
         versions=list(versions()),
         command=command,
         experiment_json=readable_json(as_json(result.experiment)),
@@ -136,9 +125,7 @@ def render_response(result: RecordPrediction | Reconstruction, command: str) -> 
 
 def _response_contents(result: RecordPrediction | Reconstruction) -> Json:
     """Collect what the templates put on a page of a response, or into the section that a loop's report has of it."""
-    drawn = {
-        name: dataclasses.replace(each, section=f"predicted-{each.section}") for name, each in drawings(result).items()
-    }
+    drawn = {name: {**each, "section": f"predicted-{each['section']}"} for name, each in drawings(result).items()}
     return {"prediction": describe(result), "prediction_json": readable_json(result.to_dict()), "figure": drawn}
 
 
@@ -183,75 +170,25 @@ def _record(result: ModalResult, place: int) -> Json:
     }
 
 
-# Mode shapes as drawings that a small script of the page can set in motion.
-
-WIDTH, HEIGHT = 120.0, 170.0
-"""Of one drawing, in its own units."""
-
-MARGIN = 12.0
-"""Free room around the frame of a drawing."""
-HALF = 15.0
-"""Half the width of the drawn frame."""
-
-SWAY = 34.0
-"""Of the largest entry of a shape."""
-
 MOST_MODES = 6
-"""Modes of a configuration that are drawn, from the lowest."""
+"""Modes of a configuration that are drawn in motion, from the lowest."""
 
+ROOF, GROUND = 12.0, 158.0
+"""Heights of the roof and of the ground in the drawing of a mode, from its top; the template has its other measures."""
 
-@dataclass(frozen=True)
-class MovingShape:
-    """One mode of one configuration.
-
-    Parameters
-    ----------
-    label : str
-    sway : tuple of float
-        From the ground up, largest 1 in size.
-    heights : tuple of float
-        Of the ground and the floors in the drawing, from its top.
-    left, right : str
-        Points of the columns at full sway, as a polyline has them.
-    floors : tuple of (float, float, float)
-        Both ends and the height of each floor at full sway.
-    """
-
-    label: str
-    sway: tuple[float, ...]
-    heights: tuple[float, ...]
-    left: str
-    right: str
-    floors: tuple[tuple[float, float, float], ...]
+MovingShape = tuple[str, list[tuple[float, float]]]
+"""Label of a mode; its sway, the largest 1, and the height in the drawing, of the ground and of each floor."""
 
 
 def moving_shapes(result: Closure) -> list[tuple[str, list[MovingShape]]]:
     """List the lowest modes of the final model, by configuration."""
-    shown = range(min(result.experiment.stories, MOST_MODES))
+    z, _ = elevations(result.experiment)
+    heights = (GROUND - (GROUND - ROOF) * np.concatenate([[0.0], z]) / z[-1]).round(2).tolist()
     return [
-        (each.configuration, [_moving(result.experiment, each, mode) for mode in shown])
-        for each in result.estimate.predictions
-    ]
-
-
-def _moving(experiment: Experiment, prediction: Prediction, mode: int) -> MovingShape:
-    declared = experiment.frame.elevations
-    z = np.arange(1.0, experiment.stories + 1) if declared is None else declared
-    heights = HEIGHT - MARGIN - (HEIGHT - 2 * MARGIN) * np.concatenate([[0.0], z]) / z[-1]
-    sway = np.concatenate([[0.0], prediction.mode_shapes[mode]])
-    centre = WIDTH / 2 + SWAY * sway
-    return MovingShape(
-        f"mode {mode + 1}: {prediction.frequencies[mode]:.4g} Hz",
-        tuple(round(float(value), 4) for value in sway),
-        tuple(round(float(value), 2) for value in heights),
-        _points(centre - HALF, heights),
-        _points(centre + HALF, heights),
-        tuple(
-            (round(float(x - HALF), 2), round(float(x + HALF), 2), round(float(y), 2))
-            for x, y in zip(centre[1:], heights[1:], strict=True)
-        ),
-    )
-
-
-def _points(x: np.ndarray, y: np.ndarray) -> str:
-    return " ".join(f"{a:.2f},{b:.2f}" for a, b in zip(x, y, strict=True))
+        (found.configuration, [
+            (f"mode {mode}: {frequency:.4g} Hz", list(zip([0.0, *sway.round(4).tolist()], heights, strict=True)))
+            for mode, (frequency, sway) in enumerate(zip(found.frequencies, found.mode_shapes, strict=True), 1)
+            if mode <= MOST_MODES
+        ])
+        for found in result.estimate.predictions
+    ]  # fmt: skip

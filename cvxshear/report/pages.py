@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
 from typing import Any
@@ -14,6 +13,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from cvxshear.util.text import json_text, printable
+from cvxshear.util.typing import Json
 from cvxshear.version import __version__
 
 PACKAGES = (
@@ -21,29 +21,6 @@ PACKAGES = (
     "daqp",
 )  # fmt: skip
 """Packages whose versions a report names: what computed its numbers."""
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """A figure as it stands in a page.
-
-    Parameters
-    ----------
-    name, title, caption, alternative, section : str
-        As in the table of figures.
-    wide : Markup
-        The drawing as SVG.
-    narrow : Markup or None
-        The same for a telephone; the wide one is moved sideways there where None.
-    """
-
-    name: str
-    title: str
-    caption: str
-    alternative: str
-    section: str
-    wide: Markup
-    narrow: Markup | None
 
 
 @cache
@@ -62,13 +39,19 @@ def environment() -> Environment:
     return found
 
 
-def drawings(*results: Any) -> dict[str, Drawing]:
+def drawings(*results: Any) -> dict[str, Json]:
     """Every figure of the table that can be drawn of these results, by name.
 
     Parameters
     ----------
     *results : object
         All of one type; most figures show one.
+
+    Returns
+    -------
+    dict of str to dict
+        `name`, `title`, `caption`, `alternative` and `section` as in the table of figures; `wide`, the drawing as SVG;
+        `narrow`, the same for a telephone, None where the wide one is moved sideways there.
     """
     # Not above: a notebook shows tables where matplotlib is not installed.
     from cvxshear.report.figures import style  # noqa: PLC0415
@@ -81,8 +64,9 @@ def drawings(*results: Any) -> dict[str, Drawing]:
         if entry.narrow:
             with style.for_narrow_page():
                 narrow = Markup(style.inline_svg(entry.draw(*results), f"{entry.name}-narrow"))
-        words = entry.caption_of(*results), entry.alternative_of(*results)
-        found[entry.name] = Drawing(entry.name, entry.title, *words, entry.section, wide, narrow)
+        words = {"caption": entry.caption_of(*results), "alternative": entry.alternative_of(*results)}
+        place = {"name": entry.name, "title": entry.title, "section": entry.section}
+        found[entry.name] = {**place, **words, "wide": wide, "narrow": narrow}
     return found
 
 

@@ -20,12 +20,12 @@ from cvxshear.effects import catalogue
 from cvxshear.loop import VERDICTS
 from cvxshear.methods import Identification
 from cvxshear.modal import ModalResult
-from cvxshear.report.describe import Document, Facts, Points, Section, Sentence, Table, describe, line
+from cvxshear.report.describe import Facts, Points, Section, Sentence, Table, describe, line
 from cvxshear.report.describe.from_records import doubts_section, poles_table
 from cvxshear.report.describe.identified import damping_section
 from cvxshear.response import IdentifiedDamping
 from cvxshear.screening import Finding
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import optional
 from cvxshear.util.quantities import AUTOMATIC, Units
 from cvxshear.util.text import printable
 
@@ -127,7 +127,7 @@ PAGE = 80
 
 
 def shown(result: object, units: Units = AUTOMATIC) -> Iterator[RenderableType]:
-    """Render a result for a terminal.
+    """Render a result for a terminal: its headline, and every section but those of a full report.
 
     Parameters
     ----------
@@ -136,11 +136,7 @@ def shown(result: object, units: Units = AUTOMATIC) -> Iterator[RenderableType]:
     units : Units, optional
         In which quantities are shown.
     """
-    yield from rendered(describe(result, units))
-
-
-def rendered(document: Document) -> Iterator[RenderableType]:
-    """Render a description for a terminal: its headline, and every section but those of a full report."""
+    document = describe(result, units)
     yield Text(printable(document.headline), style="bold")
     for section in document.brief:
         yield from _section(section)
@@ -288,18 +284,12 @@ def _pictures(result: object) -> list[tuple[str, str]]:
 
 def drawn(result: Any, name: str) -> Any:
     """Draw a figure of a result by its name, the first one where it is empty."""
-    try:
-        from cvxshear.report import figures  # noqa: PLC0415 - matplotlib is optional
-    except ImportError as error:
-        raise InputError(f"figures need {error.name}: pip install matplotlib") from None
+    figures = optional("cvxshear.report.figures", "figures need", "matplotlib")
     first = next(iter(figures.figures_of(type(result))), "")
     return figures.drawn_figure(name or first, result)
 
 
 def picked(result: Any, record_file: Any) -> Any:
     """Open the diagram of modes in which poles are chosen by clicking."""
-    try:
-        from cvxshear.report.figures.picked_poles import opened  # noqa: PLC0415 - matplotlib is optional
-    except ImportError as error:
-        raise InputError(f"choosing poles in a diagram needs {error.name}: pip install matplotlib") from None
-    return opened(result, record_file)
+    needs = "choosing poles in a diagram needs"
+    return optional("cvxshear.report.figures.picked_poles", needs, "matplotlib").opened(result, record_file)

@@ -204,6 +204,8 @@ class DampedModel:
         Story heights, m.
     mass_known : bool, optional
         Whether the masses have a scale, without which forces have none.
+    input_gain : float, optional
+        What drove the frame over what the sensor of the excitation shows.
     """
 
     M: Floats
@@ -212,6 +214,7 @@ class DampedModel:
     gain: Floats
     heights: Floats | None = None
     mass_known: bool = True
+    input_gain: float = 1.0
 
     @cached_property
     def modes(self) -> Modes:

@@ -187,7 +187,8 @@ def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     estimated, n = not setting.base_measured, setting.states
     T = transformation(N)
     restoring = -np.linalg.solve(model.M, np.hstack([model.K, model.C]))
-    missed = np.linalg.solve(setting.mass, T * setting.story_force)
+    # In proportion to the motion: a larger one and as much smaller gains must be the same.
+    missed = model.input_gain * np.linalg.solve(setting.mass, T * setting.story_force)
     rates = np.zeros((n, n))
     rates[:N, N : 2 * N] = np.eye(N)
     rates[N : 2 * N, : 2 * N] = restoring
@@ -201,10 +202,10 @@ def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
         rates[N : 2 * N, 3 * N] = -1.0
         rates[3 * N, 3 * N] = -setting.ground_corner
     elif setting.force_floor:
-        through = np.linalg.solve(model.M, np.eye(N)[setting.force_floor - 1])
+        through = model.input_gain * np.linalg.solve(model.M, np.eye(N)[setting.force_floor - 1])
         load[N : 2 * N] = through
     else:
-        load[N : 2 * N] = -1.0
+        load[N : 2 * N] = -model.input_gain
     density = np.zeros(n)
     density[2 * N : 3 * N] = 2 * setting.corner * noise.force**2
     if estimated:
@@ -225,7 +226,7 @@ def _outputs(model: DampedModel, total: Floats, through: Floats, setting: Settin
     above = np.triu(np.ones((N, N)))
     shear, direct = -above @ model.M @ total, -above @ model.M @ through
     if setting.force_floor:
-        direct = direct + above[:, setting.force_floor - 1]
+        direct = direct + model.input_gain * above[:, setting.force_floor - 1]
     rows = [total, moved, np.diff(moved, axis=0, prepend=0.0), shear]
     weights = [through, np.zeros(2 * N), direct]
     if model.heights is not None:

@@ -23,7 +23,16 @@ from cvxshear.priors import Constraints
 from cvxshear.programs.statements import NamedConstraints
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.innovations import Directions, Likelihood, PredictionErrors
-from cvxshear.response.varied_frame import FORM_STDS, MASS_STDS, NOISE_STD, SCATTER_STDS, FramePrior, Gaussian
+from cvxshear.response.varied_frame import (
+    FORM_STDS,
+    GAIN_STDS,
+    GAIN_UNIT,
+    MASS_STDS,
+    NOISE_STD,
+    SCATTER_STDS,
+    FramePrior,
+    Gaussian,
+)
 from cvxshear.util.typing import Floats
 
 FIRST_SAMPLES, FITTED_SAMPLES = 2_000, 10_000
@@ -60,8 +69,8 @@ KEPT_SETS = 6
 """Changed stories in a set at most, and sets of each size that the next size grows from."""
 
 
-_Widths = tuple[tuple[int, ...], float, float, float]
-"""Changed stories, and the standard deviations of form, stories and masses."""
+_Widths = tuple[tuple[int, ...], float, float, float, float]
+"""What changed by itself, and the standard deviations of form, stories, masses and gains."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,27 +79,30 @@ class Answer:
 
     Parameters
     ----------
-    stories : tuple of int
-        That changed by themselves, from 0.
+    changed : tuple of int
+        Stories, from 0, and sensors that changed by themselves: places in `FramePrior.single`.
     form_std : float
         Standard deviation of the errors of the model's form.
     scatter_std : float
         Standard deviation of the factors of the other stories.
     mass_std : float
         Standard deviation of the factors of the floor masses.
+    gain_std : float
+        Standard deviation of the gains of the sensors.
     probability : float
     """
 
-    stories: tuple[int, ...]
+    changed: tuple[int, ...]
     form_std: float
     scatter_std: float
     mass_std: float
+    gain_std: float
     probability: float
 
     @property
     def prior(self) -> _Widths:
         """Arguments of `FramePrior.gaussian`."""
-        return self.stories, self.form_std, self.scatter_std, self.mass_std
+        return self.changed, self.form_std, self.scatter_std, self.mass_std, self.gain_std
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,15 +141,33 @@ class FittedFrame:
     @cached_property
     def story_probability(self) -> Floats:
         """Probability that each story changed by itself, shape (N,)."""
-        result = np.zeros(self.errors.stories)
+        return self._changed[: self.errors.stories]
+
+    @cached_property
+    def gain_probability(self) -> Floats:
+        """Probability that each sensor's gain is off by itself, shape (m,) with the excitation's last."""
+        return self._changed[self.errors.stories :]
+
+    @cached_property
+    def _changed(self) -> Floats:
+        result = np.zeros(self.errors.stories + self.errors.varied.gains)
         for each in self.answers:
-            result[list(each.stories)] += each.probability
+            result[list(each.changed)] += each.probability
         return result
 
     @property
     def mass_probability(self) -> float:
         """Probability that floor masses changed."""
         return sum(each.probability for each in self.answers if each.mass_std > 0)
+
+    @property
+    def gains(self) -> tuple[Floats, Floats]:
+        """Relative error of each sensor, the excitation's last, and its standard deviation, shapes (m,)."""
+        at = self.errors.varied.sensor_gains
+        values, std = self.p[at], np.sqrt(np.diag(self.covariance)[at])
+        # An excitation that was larger than its sensor shows: that one reads too little.
+        signs = np.where(self.errors.varied.log_gain[-len(values) :, -1] > 0, -1.0, 1.0)
+        return GAIN_UNIT * signs * values, GAIN_UNIT * std
 
     @property
     def factors(self) -> Floats:
@@ -274,7 +304,7 @@ def fit_frame(
         Whether the frame is fitted; otherwise only the noise is.
     """
     p = np.zeros(errors.size) if start is None else start
-    answer = Answer((), FORM_STDS[0], SCATTER_STDS[0], MASS_STDS[0], 1.0)
+    answer = Answer((), FORM_STDS[0], SCATTER_STDS[0], MASS_STDS[0], GAIN_STDS[0], 1.0)
     if not free:
         noise = np.eye(errors.size)[errors.frame.stop :]
         # The frame stays as it was identified: nothing of it is fitted, its uncertainty is in the bands.
@@ -289,7 +319,7 @@ def fit_frame(
         rough = _Posterior(
             errors.shortened(FIRST_SAMPLES, p),
             informative(errors, prior, p, FIRST_INFORMATION),
-            prior.gaussian(range(errors.stories), FORM_STDS[-1], SCATTER_STDS[-1], prior.mass_stds[-1]),
+            prior.widest,
         )
         p = rough.maximum(p, backend, MOST_FIT_STEPS, FORM_STDS[-1], FIRST_FITTED)[0].p
     along, inflation = informative(errors, prior, p), 1.0
@@ -308,9 +338,10 @@ def fit_frame(
         if answer.prior == before.prior and at.likelihood.inflation <= GROWN_INFLATION * inflation:
             break
         inflation = max(inflation, at.likelihood.inflation)
-    if answer.mass_std and at.likelihood.inflation > NONLINEAR:
-        # Masses that leave the record as unlike a linear frame's as this take up what is none of theirs.
-        return fit_frame(errors, dataclasses.replace(prior, heavier_floors=prior.heavier_floors[:, :0]), backend, start)
+    asked = answer.mass_std or answer.gain_std > GAIN_STDS[0] or max(answer.changed, default=0) >= errors.stories
+    if asked and at.likelihood.inflation > NONLINEAR:
+        # Masses and gains that leave the record as unlike a linear frame's as this take up what is none of theirs.
+        return fit_frame(errors, prior.linear_alone, backend, start)
     found = _mixed(errors, prior, at, answers, converged)
     if converged or start is not None:
         return found
@@ -331,8 +362,7 @@ def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: f
     """
     # An unknown first state would hide from a short part what the whole record tells.
     short = errors.shortened(FIRST_SAMPLES, p, free=False)
-    widest = prior.gaussian(range(errors.stories), FORM_STDS[-1], SCATTER_STDS[-1], prior.mass_stds[-1])
-    root = np.asarray(np.linalg.cholesky(widest.covariance), dtype=np.float64)
+    root = np.asarray(np.linalg.cholesky(prior.widest.covariance), dtype=np.float64)
     return short.informed(p, root, least * np.sqrt(short.samples / errors.samples))
 
 
@@ -379,7 +409,7 @@ def _log_evidence(at: _Point, prior: FramePrior, answers: Sequence[Answer]) -> f
     """Log of the probability of the record, all answers together: that of the best one over its share."""
     best = answers[0]
     linear = _Linear(at.likelihood, at.p, prior.gaussian(*best.prior))
-    own = float(linear.evidences(np.zeros((len(at.p), 0)), [()])[0]) + prior.log_odds * len(best.stories)
+    own = float(linear.evidences(np.zeros((len(at.p), 0)), [()])[0]) + float(prior.log_odds[list(best.changed)].sum())
     # The triangle holds what depends on the unknowns; the rest of -2 log likelihood is the same for all of them.
     rest = at.posterior.errors.objective(at.p) - float(at.likelihood.c @ at.likelihood.c)
     return own - float(np.log(best.probability)) - 0.5 * rest
@@ -435,7 +465,7 @@ class _Linear:
 
 
 def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answer, ...]:
-    """Which stories may have changed and how much the form may miss, by the evidence of the linearised likelihood.
+    """Which stories and gains may have changed and how much the form may miss, by the linearised likelihood's evidence.
 
     Sets of each size grow from the best of the size before. All sizes of the form's errors, of the scatter of the
     stories, and of what the masses changed by, are equally probable beforehand.
@@ -447,19 +477,19 @@ def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answ
     prior : FramePrior
     p : ndarray, shape (P,)
     """
-    stories = range(len(prior.identified))
+    single = range(len(prior.single))
     scores: dict[_Widths, float] = {}
-    changes = prior.change_std * np.eye(len(p), len(stories))
-    for widths in itertools.product(FORM_STDS, SCATTER_STDS, prior.mass_stds):
+    changes = np.eye(len(p))[:, prior.single] * prior.single_std
+    for widths in itertools.product(FORM_STDS, SCATTER_STDS, prior.mass_stds, prior.gain_stds):
         linear = _Linear(at, p, prior.gaussian((), *widths))
         level: list[tuple[int, ...]] = [()]
-        for size in range(min(MOST_CHANGES, len(stories)) + 1):
+        for size in range(min(MOST_CHANGES, len(single)) + 1):
             grown = level
             if size:
-                pairs = itertools.product(level, stories)
-                grown = sorted({tuple(sorted({*base, story})) for base, story in pairs if story not in base})
+                pairs = itertools.product(level, single)
+                grown = sorted({tuple(sorted({*base, other})) for base, other in pairs if other not in base})
             own = {
-                each: float(score) + prior.log_odds * size
+                each: float(score + prior.log_odds[list(each)].sum())
                 for each, score in zip(grown, linear.evidences(changes, grown), strict=True)
             }
             scores |= {(each, *widths): score for each, score in own.items()}

@@ -125,9 +125,9 @@ class FrameMotion:
     @staticmethod
     def around(frame: UncertainFrame, recording: Recording, backend: Backend, *, free: bool) -> FrameMotion:
         """Set up the reconstruction of a recording around an identified frame."""
-        varied = VariedFrame.around(frame)
-        model = varied.centre.model
         known, level = recording.input != "none", recording.rms()
+        varied = VariedFrame.around(frame, recording.floors, excited=known)
+        model = varied.centre.model
         frequencies = 2 * np.pi * model.modes.frequencies
         setting = Setting(
             recording.floors, recording.step, recording.force_floor, known, float(frequencies[0]),

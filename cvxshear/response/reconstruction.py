@@ -43,6 +43,10 @@ WIDER = 1.3
 """Ratio of the left-out sensors' errors to their stated deviations, by which all bands are then widened, that is said:
 twenty effective samples scatter by as much."""
 
+GAIN_OFF = 3.0, 0.005
+"""Standard deviations, and relative size, from which on a sensor's gain is named: what a good calibration leaves is
+not."""
+
 LARGEST_ODDS = 1000.0
 """Odds beyond which no number is given: the model is an approximation, and what it misses counts in them too."""
 
@@ -52,7 +56,7 @@ UNSETTLED = "the fit of the frame did not settle, so no number is sure, and its 
 COLOURED = 0.1
 """Correlation of an innovation with an earlier one from which on it is said that the model misses something there."""
 
-QUIET = 0.25
+STILL = 0.25
 """Least strength of a motion, relative to its rms over the record, up to which a line is known from where little moves:
 of simulated records that were cut off at both ends, at 0.3 and more, lines moved peaks by up to four deviations."""
 
@@ -146,6 +150,18 @@ class Reconstruction(Shown):
         return settled and self.frame.mass_probability >= NAMED_CHANGE
 
     @property
+    def gains_off(self) -> tuple[tuple[str, float, float], ...]:
+        """Sensors that read too much or too little: in words, by how much relatively, and its standard deviation."""
+        names = [f"the sensor of floor {floor}" for floor in self.recording.floors]
+        names += [f"the sensor of the {DRIVING[self.recording.input]}"] if self.recording.input != "none" else []
+        deviations, least = GAIN_OFF
+        return tuple(
+            (name, float(value), float(std))
+            for name, value, std in zip(names, *self.frame.gains, strict=True)
+            if self.frame_fitted and abs(value) > max(deviations * std, least)
+        )
+
+    @property
     def change_probability(self) -> Floats | None:
         """Probability that each story changed by itself, shape (N,); None where the frame was not fitted."""
         return self.frame.story_probability if self.frame_fitted else None
@@ -190,6 +206,8 @@ class Reconstruction(Shown):
                     "mass_change_probability": frame.mass_probability if self.frame_fitted else None,
                     "mass_change": self.frame.mass_change[0] if self.masses_changed else none,
                     "mass_change_std": self.frame.mass_change[1] if self.masses_changed else none,
+                    "gain_error": self.frame.gains[0],
+                    "gain_error_std": self.frame.gains[1],
                     "frequencies": self.model.modes.frequencies,
                     "damping_ratios": self.model.ratios,
                     "converged": frame.converged,
@@ -351,6 +369,11 @@ def _warnings(found: Reconstruction) -> list[str]:
         )
     if found.frame_fitted and not found.frame.converged:
         said.append(UNSETTLED)
+    said += [
+        f"{name} reads {percent(abs(value), 1)} ± {percent(std, 1)} too {'much' if value > 0 else 'little'}: the "
+        "record contradicts the frame and its other sensors otherwise; that is taken out of the motion"
+        for name, value, std in found.gains_off
+    ]
     wider = widening(found.checks)
     if wider > WIDER:
         said.append(
@@ -378,7 +401,7 @@ def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
     line = max(float(np.nanmax(np.abs(raw.measured - run.measured) / recorded.rms())) for raw, run in pairs)
     of_lines = line_remarks(line, "a channel's rms")
     quietest = max(float(each.min()) for each in found.recording.envelopes(found.frame.errors.varied.period))
-    if of_lines and quietest > QUIET:
+    if of_lines and quietest > STILL:
         of_lines.append(
             "the record is cut out of the motion, and what is cut off leaves a straight line, too: a peak is known no "
             "better than --no-detrend moves it"

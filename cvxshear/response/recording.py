@@ -12,7 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from cvxshear.files.columns import Columns
-from cvxshear.files.record_file import RecordTables, channels_made
+from cvxshear.files.record_file import RecordTables
 from cvxshear.files.record_tables import ChannelDeclaration, placed
 from cvxshear.records.motion import DRIVEN, Motion, band_limited, trend
 from cvxshear.records.record import Channel, TimeRecord
@@ -346,7 +346,7 @@ def _of_file(path: Path, stories: int) -> Recording:
     with placed(path):
         checks.choice(tables.kind, ("time",), "record: kind, for a reconstruction,")
         for item in tables.responses:
-            _refuse_other_quantity(item.quantity, f'channel "{item.column}"')
+            _refuse_other_quantity(item.quantity, f'channel "{item.name}"')
         # Jumps of the clock and the ends asked for part the file; what a floor misses does not.
         pieces, rate = tables.pieces([])
         runs = []
@@ -356,7 +356,7 @@ def _of_file(path: Path, stories: int) -> Recording:
             together = np.column_stack(measured) if measured else np.zeros((len(excitation), 0))
             runs.append(RecordedRun(together, excitation, piece.name, piece.floor))
         return _recording(
-            channels_made(tables.responses), rate, tables.input, runs, stories,
+            tuple(tables.responses), rate, tables.input, runs, stories,
             added_mass=None if tables.added_mass is None else np.array(tables.added_mass), state=tables.state,
             name=tables.name,
         )  # fmt: skip
@@ -364,8 +364,8 @@ def _of_file(path: Path, stories: int) -> Recording:
 
 def _with_gaps(columns: Columns, item: ChannelDeclaration, path: Path) -> Floats:
     """Return what a sensor recorded; nan where a sample is missing."""
-    columns.check(item.column, item.place or path.name)
-    values = columns.values[:, columns.names.index(item.column)]
+    columns.check(item.name, item.place or path.name)
+    values = columns.values[:, columns.names.index(item.name)]
     if np.isinf(values).any() or np.any(np.abs(values[np.isfinite(values)]) > checks.LARGEST):
-        values = columns.column(item.column, item.place or path.name)
+        values = columns.column(item.name, item.place or path.name)
     return item.factor * values

@@ -180,7 +180,7 @@ def checked(
     directions, noise = other.directions(again, CHECKED_DIRECTIONS), errors.noise_at(again.p)
     outputs = errors.dynamics(again.p).outputs
     place = int(work.recording.floors[channel]) - 1
-    gain = float(work.varied.centre.model.gain[place])
+    gain = float(fitted.model.gain[place])
     row, direct = gain * outputs.rows[place], gain * outputs.direct[place]
     sigma = fitted.errors.noise_at(fitted.p).sensors[channel]
     left, stated, measured, alone = [], [], [], []

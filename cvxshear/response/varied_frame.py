@@ -1,7 +1,8 @@
 """How a frame in a record can differ from the identified one, and how probable each difference is.
 
-Five kinds of unknowns: factors on the story stiffnesses, factors on the damping, the uncertain masses and effects of
-the identified model, what the form of the model misses, and the levels of the noise. The fourth is
+Six kinds of unknowns: factors on the story stiffnesses, factors on the damping, the uncertain masses and effects of
+the identified model, the gains of the sensors, what the form of the model misses, and the levels of the noise. The
+fifth is
 
     dK = sum over i <= j of e_ij omega_i omega_j M (phi_i phi_j' + phi_j phi_i') M / (1 + delta_ij),
 
@@ -12,6 +13,7 @@ for all i and j, and of i = j more with each mode beyond the measured ones; thei
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,12 +21,14 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg
 
+from cvxshear.effects import Effect
+from cvxshear.effects.readings import SensorGain
 from cvxshear.effects.stories import StoryChange
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model.shear import modes, stiffness_matrix
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.uncertain import Damped, UncertainFrame, modal_matrix
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Floats, Ints
 
 AMPLITUDE_STD = 0.15
 """Relative standard deviation of one factor on all story stiffnesses: instrumented buildings soften by some 5 to 30 %
@@ -46,6 +50,14 @@ NOISE_STD = 1.0
 MASS_STDS = (0.0, 0.05)
 """Relative standard deviations by which floor masses changed since the tests, compared by their evidence: not at all,
 or by what is carried into a furnished floor and out of it."""
+
+GAIN_STDS = (0.001, 0.01)
+"""Relative standard deviations of what all sensors, the excitation's too, read too much, compared by their evidence:
+calibrations as good as laboratories have them, and those of the field. A single one that is off by more changed by
+itself, as `SensorGain` expects."""
+
+GAIN_UNIT = 0.01
+"""Relative gain that an unknown of one stands for."""
 
 EXACT_MASS = 1e-6
 """Relative standard deviation of masses below which they were declared as exact."""
@@ -85,8 +97,12 @@ class VariedFrame:
     dM, dK : ndarray, shape (W, N, N)
         Change of the matrices along each direction of the uncertainty of masses and effects, one standard deviation.
     dgain : ndarray, shape (W, N)
+    log_gain : ndarray, shape (W, N + 1)
+        Change of the logarithms of the gains of the floors' sensors and of the excitation.
     form : ndarray, shape (X, N, N)
         Changes of the stiffness matrix for e_ij = 1.
+    gains : int
+        How many of the W directions, the last ones, are gains of sensors.
     """
 
     centre: Damped
@@ -96,11 +112,22 @@ class VariedFrame:
     dM: Floats
     dK: Floats
     dgain: Floats
+    log_gain: Floats
     form: Floats
+    gains: int
 
     @staticmethod
-    def around(frame: UncertainFrame) -> VariedFrame:
-        """Set up the variations around the most probable values of an uncertain frame."""
+    def around(frame: UncertainFrame, floors: Sequence[int] | Ints = (), *, excited: bool = False) -> VariedFrame:
+        """Set up the variations around the most probable values of an uncertain frame.
+
+        Parameters
+        ----------
+        frame : UncertainFrame
+        floors : sequence of int, optional
+            That carry sensors.
+        excited : bool, optional
+            Whether a sensor recorded the excitation.
+        """
         centre = frame.at(np.zeros(frame.size))
         if frame.kind == "modal":
             own = frame.ratios.std
@@ -115,7 +142,16 @@ class VariedFrame:
         )
         measured = max(int(each.modes.max()) for each in frame.fitted.experiment.configurations)
         form = _form(centre.model, measured)
-        return VariedFrame(centre, frame.story_stiffness, frame.ratios.values, own, dM, dK, dgain, form)
+        # A larger motion than the sensor of the excitation shows, and as much smaller gains, are the same: so that
+        # they are along a straight line, gains count by their logarithms.
+        at = [*(int(floor) - 1 for floor in floors), *([-1] if excited else [])]
+        sensors = GAIN_UNIT * np.eye(len(base.M) + 1)[at]
+        gains = len(sensors)
+        dM, dK, dgain = (np.concatenate([each, np.zeros((gains, *each.shape[1:]))]) for each in (dM, dK, dgain))
+        log_gain = np.concatenate([np.zeros((len(moved), len(base.M) + 1)), sensors])
+        return VariedFrame(
+            centre, frame.story_stiffness, frame.ratios.values, own, dM, dK, dgain, log_gain, form, gains
+        )
 
     @cached_property
     def period(self) -> float:
@@ -133,12 +169,20 @@ class VariedFrame:
 
     @property
     def nuisance_share(self) -> Floats:
-        """Relative change of masses and modal stiffnesses along each of their directions, shape (W,)."""
+        """Relative change of masses and modal stiffnesses along each direction, shape (W,); infinite of gains."""
         own = self.centre.model.modes
         masses = np.diagonal(self.dM, axis1=1, axis2=2) / np.diag(self.centre.model.M)
         stiffness = np.sum((own.shapes @ self.dK) * own.shapes, axis=2) / own.eigenvalues
         square: Floats = np.mean(masses**2, axis=1) + np.mean(stiffness**2, axis=1)
-        return np.asarray(np.sqrt(np.maximum(square, 1e-8)), dtype=np.float64)
+        share = np.asarray(np.sqrt(np.maximum(square, 1e-8)), dtype=np.float64)
+        share[len(share) - self.gains :] = np.inf
+        return share
+
+    @property
+    def sensor_gains(self) -> slice:
+        """Which unknowns are gains: of each sensor, then of the excitation's."""
+        N, D, W, _ = self.sizes
+        return slice(N + D + W - self.gains, N + D + W)
 
     def story_factors(self, unknowns: Floats) -> tuple[Floats, Floats]:
         """Return each story's stiffness over the identified one, and its derivatives by the unknowns.
@@ -220,7 +264,9 @@ class VariedFrame:
             C = a * M + b * K
         else:
             C = modal_matrix(M, own, self.ratios * scale)
-        return DampedModel(M, C, K, old.gain + nuisance @ self.dgain, old.heights, old.mass_known)
+        *floors, excitation = np.exp(nuisance @ self.log_gain)
+        gain = (old.gain + nuisance @ self.dgain) * floors
+        return DampedModel(M, C, K, gain, old.heights, old.mass_known, float(excitation))
 
 
 def _form(model: DampedModel, measured: int) -> Floats:
@@ -271,6 +317,8 @@ class ModalRows:
         if not len(centre) or not frame.uncertain:
             return ModalRows(np.zeros((0, N + W + X)), np.zeros(0))
         J = np.array([(described(MODAL_STEP * row) - centre) / MODAL_STEP for row in np.eye(N + W + X)]).T
+        # The tests' sensors had gains of their own.
+        J[:, N + W - varied.gains : N + W] = 0.0
         return ModalRows(-J, centre)
 
 
@@ -306,10 +354,10 @@ class FramePrior:
     ----------
     identified : ndarray, shape (N, N)
         Covariance of the logarithms of the story stiffnesses as they were identified, masses and effects given.
-    change_std : float
-        Of the logarithm of a changed story's factor.
-    probability : float
-        That one story changed.
+    change_std, gain_std : float
+        Of the logarithm of a changed story's factor, and of a sensor's gain that is off.
+    probability, gain_probability : float
+        That one story changed, and that one gain is off.
     own_damping : ndarray, shape (D,)
     sizes : tuple of int
         N, D, W and X.
@@ -317,6 +365,8 @@ class FramePrior:
         Relative change of the frame along each direction of masses and effects.
     heavier_floors : ndarray, shape (N + D + W + X, N) or (N + D + W + X, 0)
         Of the unknowns, where one floor weighs twice as much.
+    sensor_gains : slice
+        Which unknowns are gains of sensors.
     others : int
         Number of noise levels.
     measured : ModalRows
@@ -324,62 +374,98 @@ class FramePrior:
 
     identified: Floats
     change_std: float
+    gain_std: float
     probability: float
+    gain_probability: float
     own_damping: Floats
     sizes: tuple[int, int, int, int]
     nuisance_share: Floats
     heavier_floors: Floats
+    sensor_gains: slice
     others: int
     measured: ModalRows
+    gain_stds: tuple[float, ...] = GAIN_STDS
 
     @staticmethod
     def around(frame: UncertainFrame, varied: VariedFrame, others: int) -> FramePrior:
         """Take what was identified, and what is expected of a story that changed."""
-        change = _expected_change(frame.fitted.experiment)
-        size = float(change.expected_sizes(None)[0])  # type: ignore[arg-type]  # this effect's size needs no scale of the frame
-        probability = 1.0 - (1.0 - change.probability) ** (1.0 / frame.fitted.experiment.stories)
+        experiment = frame.fitted.experiment
+        (size, probability), (gain, off) = (
+            _expected(effect, experiment, count)
+            for effect, count in ((StoryChange(), experiment.stories), (SensorGain(), varied.gains))
+        )
         return FramePrior(
-            frame.conditional_stiffness(), size, probability, varied.own_std, varied.sizes, varied.nuisance_share,
-            varied.heavier_floors, others, ModalRows.around(frame, varied),
+            frame.conditional_stiffness(), size, gain, probability, off, varied.own_std, varied.sizes,
+            varied.nuisance_share, varied.heavier_floors, varied.sensor_gains, others, ModalRows.around(frame, varied),
         )  # fmt: skip
 
     @property
-    def log_odds(self) -> float:
-        """Logarithm of the odds that one story changed."""
-        return float(np.log(self.probability) - np.log1p(-self.probability))
+    def single(self) -> Ints:
+        """Unknowns that may have changed by themselves: of every story, then of every gain, shape (N + G,)."""
+        gains = np.arange(self.sensor_gains.start, self.sensor_gains.stop if len(self.gain_stds) > 1 else 0)
+        return np.concatenate([np.arange(self.sizes[0]), gains])
+
+    @property
+    def single_std(self) -> Floats:
+        """Standard deviation of each of them where it did, shape (N + G,)."""
+        return np.where(np.arange(len(self.single)) < self.sizes[0], self.change_std, self.gain_std / GAIN_UNIT)
+
+    @property
+    def log_odds(self) -> Floats:
+        """Logarithm of the odds that each of them did, shape (N + G,)."""
+        p = np.where(np.arange(len(self.single)) < self.sizes[0], self.probability, self.gain_probability)
+        return np.asarray(np.log(p) - np.log1p(-p), dtype=np.float64)
 
     @property
     def mass_stds(self) -> tuple[float, ...]:
         """What floor masses may have changed by since the tests."""
         return MASS_STDS if self.heavier_floors.shape[1] else MASS_STDS[:1]
 
+    @property
+    def widest(self) -> Gaussian:
+        """The prior with everything changed by itself, and all standard deviations the largest."""
+        stds = FORM_STDS[-1], SCATTER_STDS[-1], self.mass_stds[-1], self.gain_stds[-1]
+        return self.gaussian(range(len(self.single)), *stds)
+
+    @property
+    def linear_alone(self) -> FramePrior:
+        """The same for a record in which neither floor masses nor gains are asked for."""
+        return dataclasses.replace(self, heavier_floors=self.heavier_floors[:, :0], gain_stds=self.gain_stds[:1])
+
     def gaussian(
-        self, changed: Sequence[int], form_std: float, scatter_std: float, mass_std: float = 0.0, *, same: bool = False
-    ) -> Gaussian:
-        """Return the prior with given stories (from 0) changed, and given standard deviations.
+        self, changed: Sequence[int], form_std: float, scatter_std: float, mass_std: float, gain_std: float, *,
+        same: bool = False,
+    ) -> Gaussian:  # fmt: skip
+        """Return the prior with given stories and gains changed, and given standard deviations.
 
         Parameters
         ----------
         changed : sequence of int
+            Places in `single`.
         form_std : float
             Of e_ij.
         scatter_std : float
             Of the factor of each story that did not change.
-        mass_std : float, optional
+        mass_std : float
             Of the factor of each floor mass since the tests.
+        gain_std : float
+            Of the gain of each sensor.
         same : bool, optional
             Whether stiffnesses and damping are still those of the tests.
         """
         N, D, W, X = self.sizes
         # What modes say of masses and effects is no better than the form of the model.
-        nuisances = 1.0 + (form_std / self.nuisance_share) ** 2 / max(W, 1)
+        modal = np.isfinite(self.nuisance_share)
+        nuisances = 1.0 + (form_std / self.nuisance_share) ** 2 / max(int(modal.sum()), 1)
+        nuisances[~modal] = (gain_std / GAIN_UNIT) ** 2
         rest = np.concatenate([nuisances, np.full(X, form_std**2)])
         tested = linalg.block_diag(self.identified, np.diag(rest))
         damping = np.diag(self.own_damping**2) + (0.0 if same else DAMPING_STD**2)
         whole = linalg.block_diag(self.identified, damping, np.diag(rest), NOISE_STD**2 * np.eye(self.others))
         if not same:
             whole[:N, :N] += AMPLITUDE_STD**2 + scatter_std**2 * np.eye(N)
-            whole[list(changed), list(changed)] += self.change_std**2
+            at = self.single[list(changed)]
+            whole[at, at] += self.single_std[list(changed)] ** 2
             frame = N + D + W + X
             whole[:frame, :frame] += mass_std**2 * self.heavier_floors @ self.heavier_floors.T
         # The record's stiffnesses are those of the tests times factors: both move along with the measured modes.
@@ -404,10 +490,9 @@ class Gaussian:
     evidence: float
 
 
-def _expected_change(experiment: Experiment) -> StoryChange:
-    """Return a story's change, as the measurement file expects it or as the catalogue does."""
-    change = StoryChange()
+def _expected(effect: Effect, experiment: Experiment, places: int) -> tuple[float, float]:
+    """Size of an effect, and its probability at each of its places, as the file expects it or the catalogue does."""
     for said in experiment.expected:
-        if said.name == change.name and said.story is None:
-            return change.expecting(size=said.size, probability=said.probability)
-    return change
+        if said.name == effect.name and said.story is None and said.floor is None:
+            effect = effect.expecting(size=said.size, probability=said.probability)
+    return effect.size or effect.usual, 1.0 - (1.0 - effect.probability) ** (1.0 / max(places, 1))

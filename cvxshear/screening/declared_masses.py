@@ -23,14 +23,13 @@ from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import CLOSER, FARTHER, Reading
 from cvxshear.priors import Nominal
 from cvxshear.screening.doubts import Finding
-from cvxshear.screening.repairs import LEFT_TO_GIVEN, MISTAKEN, REFITTED, RIVAL_COST, SUSPICIOUS, UNEXPLAINED
+from cvxshear.screening.repairs import LEFT_TO_GIVEN, REFITTED, RIVAL_COST, SUSPICIOUS, UNEXPLAINED, prior_cost
 from cvxshear.screening.shear_fit import (
     MOST_NEAREST_STEPS,
     ROUGH_STEPS,
     TALLEST_FITTED,
     NearestFrame,
     ShearFrames,
-    modes_of,
     usual_width,
 )
 from cvxshear.util.quantities import quantity
@@ -74,7 +73,7 @@ class Declared:
     @property
     def prior_cost(self) -> float:
         """Minus twice the logarithm of the odds that it is what happened."""
-        return 2 * float(np.log(self.choices / MISTAKEN)) if self.choices else 0.0
+        return prior_cost(self.choices) if self.choices else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,19 +186,10 @@ def _nearest(
     readings: Sequence[Reading], declared: Declared, stiffness: Sequence[Floats], most_steps: int
 ) -> NearestFrame:
     """Fit a frame from the declared masses and these logarithms of stiffnesses, shape (N,)."""
-    problem = ShearFrames(
-        [(reading, mass, reading.weights) for reading, mass in zip(readings, declared.added, strict=True)],
-        expected=declared.expected,
-        width=declared.width,
-    )
-    first, N = readings[0], readings[0].stories
-    fits = []
-    for start in stiffness:
-        mass = declared.expected[:N]
-        found = modes_of(np.exp(mass) + declared.added[0], np.exp(start))
-        scale = 2 * np.mean(first.log_frequencies - np.log(found.frequencies[first.modes]))
-        fits.append(problem.nearest(np.concatenate([mass, start + scale]), most_steps))
-    return min(fits, key=lambda item: item.cost)
+    each = list(zip(readings, declared.added, strict=True))
+    problem = ShearFrames(each, expected=declared.expected, width=declared.width)
+    starts = (np.concatenate([declared.expected[: readings[0].stories], start]) for start in stiffness)
+    return min((problem.nearest(problem.tuned(start), most_steps) for start in starts), key=lambda item: item.cost)
 
 
 def _fitted(readings: Sequence[Reading], declared: Declared, stiffness: Sequence[Floats]) -> MassFit:

@@ -44,6 +44,9 @@ LIGHTEST_FLOOR = 300.0
 HEAVIEST_MODEL_FLOOR = 3000.0
 """Mass (kg) that no floor of a laboratory's model reaches: it would need a crane of its own."""
 
+LIGHTEST_PLATE = 1.0
+"""Mass (kg/m²) of a model's floor that is as wide as its story is high: a plate of aluminium of 0.4 mm has as much."""
+
 HIGHEST_TIMES_FREQUENCY = 130.0
 """Largest product (m Hz) of a building's height and first frequency. The mean is 46 (Ellis 1980), within a factor of
 two or so, and with walls nearly three; rad/s would make the mean 290."""
@@ -191,7 +194,7 @@ def masses(experiment: Experiment) -> Iterator[Finding]:
     height, floor = float(np.mean(frame.story_heights)), frame.known_total / experiment.stories
     if _right_in_kg(experiment, floor) is not False:
         return
-    unit = "t" if height >= BUILDING_STORY else "g"
+    unit = "g" if floor > HEAVIEST_MODEL_FLOOR else "t"
     weights = f"floors of {quantity(floor, 'kg', 3)} each under stories of {significant(height, 3)} m"
     yield _doubt("masses", f"{weights} look like masses in {unit}", "write masses in kg")
 
@@ -464,7 +467,7 @@ def _right_in_kg(experiment: Experiment, floor: float) -> bool | None:
     height = float(np.mean(heights))
     if BUILDING_STORY <= height <= HIGHEST_STORY:
         return floor >= LIGHTEST_FLOOR
-    return floor <= HEAVIEST_MODEL_FLOOR if height <= MODEL_STORY else None
+    return LIGHTEST_PLATE * height**2 <= floor <= HEAVIEST_MODEL_FLOOR if height <= MODEL_STORY else None
 
 
 def implied_total(experiment: Experiment) -> tuple[float, float]:
@@ -480,22 +483,13 @@ def implied_total(experiment: Experiment) -> tuple[float, float]:
     N = experiment.stories
     readings = [Reading.of(each) for each in experiment.configurations]
     added = [each.added_mass for each in experiment.configurations]
-    problem = ShearFrames(
-        [(reading, mass, reading.weights) for reading, mass in zip(readings, added, strict=True)], centred=True
-    )
-    heaviest = max(float(mass.sum()) for mass in added) / N
-
-    def tuned(start: Floats) -> Floats:
-        """Give the floors the added mass, and scale the stiffnesses to the first reading's mean frequency."""
-        start = start + np.repeat([np.log(heaviest), 0.0], N)
-        mass, stiffness = np.split(np.exp(start), 2)
-        off = readings[0].log_frequencies - np.log(modes_of(mass + added[0], stiffness).frequencies[readings[0].modes])
-        return np.asarray(start + np.repeat([0.0, 2 * np.mean(off)], N))
-
-    found = problem.nearest(tuned(np.zeros(2 * N)))
+    problem = ShearFrames(list(zip(readings, added, strict=True)), centred=True)
+    # Floors as heavy as the added mass.
+    begin = np.repeat([np.log(max(float(mass.sum()) for mass in added) / N), 0.0], N)
+    found = problem.nearest(problem.tuned(begin))
     count = sum(reading.count for reading in readings)
     if found.cost > POOR * count:
-        others = (problem.nearest(tuned(start), ROUGH_STEPS) for start in odd_starts(N))
+        others = (problem.nearest(problem.tuned(begin + start), ROUGH_STEPS) for start in odd_starts(N))
         found = problem.nearest(min((found, *others), key=lambda item: item.cost).theta)
     share = np.exp(found.theta[:N])
     if found.at is None or found.cost > POOR * count:

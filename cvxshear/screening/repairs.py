@@ -66,6 +66,16 @@ class Repair:
     reading: Reading
     choices: int
 
+    @property
+    def prior_cost(self) -> float:
+        """Minus twice the logarithm of the odds that it is what happened."""
+        return prior_cost(self.choices)
+
+
+def prior_cost(choices: int) -> float:
+    """Minus twice the logarithm of the odds of a mistake of one kind at one of so many places."""
+    return 2 * float(np.log(choices / MISTAKEN))
+
 
 def sensor_signs(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
     """Each sensor turned round in every mode."""

@@ -28,7 +28,6 @@ from cvxshear.screening.repairs import (
     FITTED,
     KINDS,
     LEFT_TO_GIVEN,
-    MISTAKEN,
     REFITTED,
     RIVAL_COST,
     SUSPICIOUS,
@@ -52,7 +51,6 @@ from cvxshear.screening.shear_fit import (
 from cvxshear.screening.wrong_frequency import wrong_frequency
 from cvxshear.util.errors import InputError
 from cvxshear.util.results import Shown
-from cvxshear.util.typing import Floats
 
 if TYPE_CHECKING:
     from cvxshear.records.record import Finding as RecordFinding
@@ -171,13 +169,10 @@ class Judged:
     repair : Repair
     cost : float
         Of its fit, less 2 log of its prior odds.
-    prior_cost : float
-        The second part of it.
     """
 
     repair: Repair
     cost: float
-    prior_cost: float
 
 
 def judge(reading: Reading) -> tuple[NearestFrame, list[Judged]]:
@@ -210,10 +205,13 @@ def judge(reading: Reading) -> tuple[NearestFrame, list[Judged]]:
         for place in nearest.tolist()
     }
     order = sorted(first, key=lambda place: first[place].cost)[:REFITTED]
-    judged = sorted((_judged(candidates[place], first[place].theta) for place in order), key=lambda item: item.cost)
+    each = ((candidates[place], distance(candidates[place].reading, [first[place].theta])) for place in order)
+    judged = sorted(
+        (Judged(repair, frame.cost + repair.prior_cost) for repair, frame in each), key=lambda item: item.cost
+    )
     best = judged[0]
     left = max(PLAUSIBLE * best.repair.reading.count, UNEXPLAINED * given.cost)
-    if best.cost - best.prior_cost > left or best.cost - given.cost > 2 * np.log(LEFT_TO_GIVEN):
+    if best.cost - best.repair.prior_cost > left or best.cost - given.cost > 2 * np.log(LEFT_TO_GIVEN):
         return given, []
     return given, [item for item in judged if item.cost - best.cost < RIVAL_COST]
 
@@ -221,11 +219,6 @@ def judge(reading: Reading) -> tuple[NearestFrame, list[Judged]]:
 def _may_stand(reading: Reading, given: NearestFrame) -> bool:
     """Whether no repair can be so much more probable, or nothing is farther off than noise."""
     return given.cost < SUSPICIOUS or farthest(reading.closer, given.modes) < FAR_DATUM
-
-
-def _judged(repair: Repair, at: Floats) -> Judged:
-    prior_cost = 2 * float(np.log(repair.choices / MISTAKEN))
-    return Judged(repair, distance(repair.reading, [at]).cost + prior_cost, prior_cost)
 
 
 def mistakes(configuration: Configuration) -> list[Finding]:
@@ -252,6 +245,6 @@ def _explained(name: str, given: NearestFrame, explaining: list[Judged], broken:
     best = explaining[0]
     changes = [(item.repair.name, item.repair.found, item.repair.change) for item in explaining]
     evidence = broken[0] if broken else "no shear frame has these modes"
-    before, after = (float(np.sqrt(cost)) for cost in (given.cost, best.cost - best.prior_cost))
+    before, after = (float(np.sqrt(cost)) for cost in (given.cost, best.cost - best.repair.prior_cost))
     distances = f"(the nearest frame is {before:.0f} standard deviations away, with the change {after:.0f})"
     return Finding.of_changes(name, changes, f"{evidence} {distances}", refuses=True)

@@ -131,9 +131,9 @@ def story_starts(reading: Reading, at: Iterable[Floats]) -> list[Floats]:
     total = Constraints(A=np.concatenate([np.ones((1, N)), np.zeros((1, N))], axis=1), b=np.array([float(N)]))
     unit = [NamedConstraints("unit of mass", total)]
     eigenvalues = (2 * np.pi * np.exp(reading.log_frequencies)) ** 2
-    found = []
+    problem, found = ShearFrames([(reading, np.zeros(N))]), []
     for start in at:
-        theta = np.exp(_tuned(reading, start))
+        theta = np.exp(problem.tuned(start))
         with suppress(CvxshearError):
             for _ in range(START_PASSES):
                 theta = solved_story_equations(
@@ -150,12 +150,6 @@ def _clipped(theta: Floats) -> Floats:
     return np.asarray((mean + np.clip(by_quantity - mean, -STARTING_LOG, STARTING_LOG)).ravel())
 
 
-def _tuned(reading: Reading, theta: Floats) -> Floats:
-    """Scale the frame's stiffnesses to the right mean frequency."""
-    off = np.mean(reading.log_frequencies - np.log(modes_at(theta).frequencies[reading.modes]))
-    return np.asarray(theta + np.repeat([0.0, 2.0 * float(off)], reading.stories))
-
-
 def fit(
     reading: Reading, at: Iterable[Floats], *, weights: Floats | None = None, most_steps: int = MOST_NEAREST_STEPS
 ) -> NearestFrame:
@@ -170,17 +164,17 @@ def fit(
     most_steps : int, optional
         At most, in each.
     """
-    problem = ShearFrames([(reading, np.zeros(reading.stories), reading.weights if weights is None else weights)])
-    found = (problem.nearest(_start(problem, reading, theta), most_steps) for theta in at)
+    problem = ShearFrames([(reading, np.zeros(reading.stories))], weights=weights)
+    found = (problem.nearest(_start(problem, theta), most_steps) for theta in at)
     return min(found, key=lambda item: item.cost)
 
 
-def _start(problem: ShearFrames, reading: Reading, theta: Floats) -> Floats:
+def _start(problem: ShearFrames, theta: Floats) -> Floats:
     """Choose the frame as it is or with nothing far from the mean, whichever is nearer to the reading."""
     near: list[tuple[float, Floats]] = []
     for each in (_clipped(theta), theta):
         try:
-            tuned = _tuned(reading, each)
+            tuned = problem.tuned(each)
             near.append((problem.evaluate(tuned, derivatives=False).objective, tuned))
         except NoModesError:
             continue
@@ -235,25 +229,30 @@ class ShearFrames:
 
     Parameters
     ----------
-    readings : sequence of (Reading, ndarray, ndarray)
-        Each with its added mass, shape (N,), kg, and the weights of its entries, shape (m, n).
+    readings : sequence of (Reading, ndarray)
+        Each with its added mass, shape (N,), kg.
     centred : bool, optional
         Whether masses are compared with their mean, and not with what is expected: where the added masses fix their
         scale.
     expected, width : ndarray, shape (2N,), optional
         Logarithms of masses and stiffnesses that are expected, the stiffnesses up to a factor, and their standard
         deviations; even floors of 1 kg and even stories, with the widths of the loop, where not given.
+    weights : ndarray, shape (m, n), optional
+        Of the entries of every reading, in place of its own.
     """
 
     def __init__(
         self,
-        readings: Sequence[tuple[Reading, Floats, Floats]],
+        readings: Sequence[tuple[Reading, Floats]],
         *,
         centred: bool = False,
         expected: Floats | None = None,
         width: Floats | None = None,
+        weights: Floats | None = None,
     ) -> None:
-        self.readings = readings
+        self.readings = [
+            (reading, added, reading.weights if weights is None else weights) for reading, added in readings
+        ]
         self.stories = N = readings[0][0].stories
         self.expected = np.zeros(2 * N) if expected is None else expected
         about_mean = np.eye(N) - np.full((N, N), 1 / N)
@@ -261,6 +260,13 @@ class ShearFrames:
         self.prior[:N, :N] = about_mean if centred else np.eye(N)
         self.prior[N:, N:] = about_mean
         self.prior /= (usual_width(N) if width is None else width)[:, None]
+
+    def tuned(self, theta: Floats) -> Floats:
+        """Scale the stiffnesses to the mean frequency of the first reading."""
+        reading, added, _ = self.readings[0]
+        mass, stiffness = np.split(np.exp(theta), 2)
+        off = reading.log_frequencies - np.log(modes_of(mass + added, stiffness).frequencies[reading.modes])
+        return np.asarray(theta + np.repeat([0.0, 2.0 * float(np.mean(off))], self.stories))
 
     def nearest(self, start: Floats, most_steps: int = MOST_NEAREST_STEPS) -> NearestFrame:
         """Fit a frame by Gauss-Newton from these logarithms, shape (2N,)."""

@@ -27,8 +27,8 @@ from cvxshear.loop.close import begun
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import FARTHER, FREQUENCY_TOLERANCE, Reading
 from cvxshear.screening.doubts import Finding
-from cvxshear.screening.repairs import LEFT_TO_GIVEN, MISTAKEN, RIVAL_COST, SUSPICIOUS
-from cvxshear.screening.shear_fit import TALLEST_FITTED, NearestFrame, ShearFrames, modes_of
+from cvxshear.screening.repairs import LEFT_TO_GIVEN, RIVAL_COST, SUSPICIOUS, prior_cost
+from cvxshear.screening.shear_fit import TALLEST_FITTED, NearestFrame, ShearFrames
 from cvxshear.util.errors import CvxshearError
 from cvxshear.util.quantities import significant
 from cvxshear.util.typing import Floats
@@ -39,7 +39,7 @@ MISTYPED = 0.3
 AS_STATED = 0.01
 """Probability of the other data's chi-square below which they do not fit as their deviations say."""
 
-FEWEST_SPARE = 3.0
+FEWEST_SPARE = 2.0
 """Data beyond those that the frame takes up, from which on that the others fit means anything."""
 
 
@@ -97,7 +97,7 @@ def _explaining(experiment: Experiment, tests: Sequence[Configuration]) -> Findi
     if spare < FEWEST_SPARE:
         return None
     problem = _problem(experiment, tests, [dataclasses.replace(each, part=FARTHER) for each in readings])
-    about = problem.nearest(_start(experiment, tests, readings)).theta
+    about = problem.nearest(problem.tuned(problem.expected)).theta
     given = _problem(experiment, tests, readings).nearest(about)
     if given.cost < SUSPICIOUS:
         return None
@@ -124,18 +124,8 @@ def _problem(experiment: Experiment, tests: Sequence[Configuration], readings: S
     floor = max(float(each.added_mass.sum()) for each in tests) / N if total is None else total / N
     expected = np.repeat([np.log(floor or 1.0), 0.0], N)
     return ShearFrames(
-        [(reading, each.added_mass, reading.weights) for reading, each in zip(readings, tests, strict=True)],
-        expected=expected,
+        [(reading, each.added_mass) for reading, each in zip(readings, tests, strict=True)], expected=expected
     )
-
-
-def _start(experiment: Experiment, tests: Sequence[Configuration], readings: Sequence[Reading]) -> Floats:
-    """Even floors under even stories, at the right mean frequency."""
-    start = _problem(experiment, tests, readings).expected.copy()
-    N = experiment.stories
-    found = modes_of(np.exp(start[:N]) + tests[0].added_mass, np.ones(N))
-    start[N:] += 2 * np.mean(readings[0].log_frequencies - np.log(found.frequencies[readings[0].modes]))
-    return start
 
 
 def _log_det(found: NearestFrame) -> float:
@@ -164,7 +154,7 @@ def _freed(
     slope = MISTYPED * found.at.J[at]
     std = float(np.sqrt(slope @ np.linalg.pinv(found.at.J.T @ found.at.J) @ slope))
     wider = 2 * float(np.log(MISTYPED / reading.frequency_noise[row]))
-    cost = found.cost + _log_det(found) + wider + 2 * float(np.log(count / MISTAKEN))
+    cost = found.cost + _log_det(found) + wider + prior_cost(count)
     return Freed(test, row, found, cost, float(reading.log_frequencies[row] + MISTYPED * found.at.r[at]), std)
 
 
@@ -214,7 +204,7 @@ def _beyond_effects(experiment: Experiment, tests: Sequence[Configuration], best
         with_effect.probe()
     except CvxshearError:
         return False
-    paid = float(np.log(MISTYPED / wrong.log_frequency_std[best.row]) + np.log(count / MISTAKEN))
+    paid = float(np.log(MISTYPED / wrong.log_frequency_std[best.row])) + prior_cost(count) / 2
     return bool(without.base.score - paid - with_effect.best.score > -np.log(LEFT_TO_GIVEN))
 
 

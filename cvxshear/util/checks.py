@@ -9,7 +9,8 @@ from __future__ import annotations
 import difflib
 import math
 import reprlib
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -21,13 +22,13 @@ from cvxshear.util.typing import Floats, Ints
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 MOST_STORIES = 2000
-"""More are taken for a mistake in the file: the matrices alone would fill the memory."""
+"""Largest number of stories; more are taken for a mistake, since the matrices alone would fill the memory."""
 
 LARGEST = 1e30
-"""No quantity of a structure is larger in SI units, and squares of what passes do not overflow."""
+"""Largest size of a quantity in SI units: none of a structure is larger, and its square does not overflow."""
 
 SMALLEST = 1e-30
-"""Nor is a positive one smaller; squares of what passes do not vanish."""
+"""Smallest positive quantity in SI units: none of a structure is smaller, and its square does not vanish."""
 
 _short = reprlib.Repr()
 _short.maxlevel, _short.maxlist, _short.maxtuple, _short.maxdict = 3, 6, 6, 3
@@ -44,6 +45,15 @@ def shown(value: object) -> str:
         # Python refuses to print whole numbers of more than a few thousand digits.
         text = "a number too long to print"
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+@contextmanager
+def named(where: str) -> Iterator[None]:
+    """Begin the message of an error inside with where it was found."""
+    try:
+        yield
+    except InputError as error:
+        raise type(error)(f"{where}: {error}") from error
 
 
 def put(target: object, name: str, check: Callable[..., object], where: str, **limits: object) -> None:
@@ -105,8 +115,13 @@ def _hint(key: object, known: Collection[str], elsewhere: Mapping[str, str]) -> 
     """Say what to do about a key that nothing knows."""
     if isinstance(key, str) and key in elsewhere:
         return f"it belongs in {elsewhere[key]}"
-    near = difflib.get_close_matches(str(key)[:60].lower(), list(known), n=1, cutoff=0.5)
-    return f"did you mean {near[0]!r}?" if near else f"known keys are {', '.join(sorted(known))}"
+    return near(key, known, 0.5).removeprefix("; ") or f"known keys are {', '.join(sorted(known))}"
+
+
+def near(word: object, known: Iterable[str], cutoff: float = 0.6) -> str:
+    """Guess which of the known names was meant, as the end of a message; empty where none is near."""
+    found = difflib.get_close_matches(str(word)[:60].lower(), list(known), n=1, cutoff=cutoff)
+    return f"; did you mean {found[0]!r}?" if found else ""
 
 
 def number(value: object, where: str, *, above: float = -math.inf, least: float = -math.inf) -> float:
@@ -157,8 +172,7 @@ def text(value: object, where: str) -> str:
 def choice(value: object, options: Sequence[str], where: str) -> str:
     """One of the named options."""
     if not isinstance(value, str) or value not in options:
-        near = difflib.get_close_matches(value[:60].lower(), list(options), n=1) if isinstance(value, str) else []
-        hint = f"; did you mean {near[0]!r}?" if near else ""
+        hint = near(value, options) if isinstance(value, str) else ""
         raise InputError(f"{where} must be one of {', '.join(options)}, not {shown(value)}{hint}")
     return value
 

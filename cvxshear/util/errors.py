@@ -7,6 +7,9 @@ and a solver did not deliver.
 
 from __future__ import annotations
 
+import importlib
+from typing import Any
+
 from cvxshear.util.text import printable
 
 
@@ -60,3 +63,25 @@ class NoSolutionError(CvxshearError, RuntimeError):
     def __reduce__(self) -> tuple[type[NoSolutionError], tuple[str, str]]:
         """Errors come back from other processes, where they are made again from both words."""
         return type(self), (self.backend, self.reason)
+
+
+def optional(module: str, needs: str, package: str = "") -> Any:
+    """Import a module that is there only where an optional package is installed.
+
+    Parameters
+    ----------
+    module : str
+    needs : str
+        What needs it, as the message begins: "workbooks need".
+    package : str, optional
+        What pip installs; what was missing where not given.
+
+    Raises
+    ------
+    InputError
+        Saying what to install.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise InputError(f"{needs} {error.name}: pip install {package or error.name}") from None

@@ -40,7 +40,7 @@ GLANCE = 0.5
 """s between two looks of a process after its parent: well below the two seconds after which it must have ended."""
 
 Progress = Callable[[int, int], None]
-"""Called with the number of things done and to do."""
+"""Function that is called with the number of things done and to do."""
 
 
 def each(

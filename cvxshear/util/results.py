@@ -6,13 +6,13 @@ How a result is shown is asked of whoever has said how: a result itself knows no
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import math
 from collections.abc import Mapping, Sequence
 from enum import Enum
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from cvxshear.util.errors import InputError
-from cvxshear.util.later import ask
+from cvxshear.util.errors import optional
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -135,11 +135,38 @@ def data_frame(columns: Mapping[str, Sequence[object]]) -> pd.DataFrame:
     InputError
         Where pandas is not installed.
     """
-    try:
-        import pandas as pd  # noqa: PLC0415 - optional, and loads slowly
-    except ImportError:
-        raise InputError("to_dataframe needs pandas: pip install pandas") from None
-    return pd.DataFrame(dict(columns))
+    found: pd.DataFrame = optional("pandas", "to_dataframe needs").DataFrame(dict(columns))
+    return found
+
+
+_modules: dict[str, str] = {}
+"""Modules above this room by their task: the public face names them, so that nothing imports upward."""
+
+
+def name_module(task: str, module: str) -> None:
+    """Name the module that does a task; it is imported when it is first asked.
+
+    Parameters
+    ----------
+    task : str
+        "read", of a module with `experiment_from_file`, which takes a path or the name of a built-in example. "show",
+        of one with `line_of` (a result in a short line), `text` (its tables), `notebook_html` (the same for a notebook,
+        or None), `drawn` (one of its figures, by name; the first where the name is empty) and `picked` (the diagram in
+        which poles are chosen).
+    module : str
+    """
+    _modules[task] = module
+
+
+def ask(task: str, function: str, *given: Any) -> Any:
+    """Call a function of the module that does a task, and return what it returns.
+
+    Parameters
+    ----------
+    task, function : str
+    *given : object
+    """
+    return getattr(importlib.import_module(_modules[task]), function)(*given)
 
 
 class Shown(InJson):

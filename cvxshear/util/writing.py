@@ -22,7 +22,7 @@ from cvxshear.util.text import printable
 logger = logging.getLogger(__name__)
 
 OWN_DESCRIPTORS = "/proc/self/fd"
-"""Where /dev/stdout and /dev/fd/3 lead to under Linux; opened anew they would be written from their start."""
+"""Folder that /dev/stdout and /dev/fd/3 lead to under Linux; opened anew they would be written from their start."""
 
 MOST_LINKS = 8
 """A chain of links to an own descriptor is no longer; one that goes in a circle leads nowhere."""

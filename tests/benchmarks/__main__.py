@@ -1,4 +1,4 @@
-"""Print the tables of docs/speed.md: `python -m tests.benchmarks [starting] [scaling] [many] [solvers] [peers]`.
+"""Print the tables of docs/speed.md: `python -m tests.benchmarks [starting] [scaling] [many] [loops] [solvers] ...`.
 
 `python -m tests.benchmarks hard --programs 1000 --seed 1` prints that of docs/theory/backends.md,
 `python -m tests.benchmarks hard-frames --frames 100 --seed 1` that of docs/reliability.md,
@@ -10,7 +10,7 @@ from importlib import import_module
 
 from tests.benchmarks.timing import machine
 
-PARTS = ("starting", "scaling", "many", "solvers", "peers", "response", "planning")
+PARTS = ("starting", "scaling", "many", "loops", "solvers", "peers", "response", "planning")
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks")

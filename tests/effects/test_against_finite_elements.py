@@ -11,6 +11,7 @@ import pytest
 from scipy.linalg import eigh
 
 from cvxshear.data.pairing import numbered
+from cvxshear.effects import Placed, open_classes
 from cvxshear.effects.attached_mass import LEAST_MASS
 from cvxshear.model.shear import frame_modes, modes
 from tests.effects.common import (
@@ -84,6 +85,17 @@ def test_joint_rotation(eta, number):
     """Exact: Bernoulli members, two equal columns whose joints turn alike."""
     frame = fe.with_turning_joints(building(number), eta)
     assert_same(modes_with([placed("joint_rotation")], eta, number=number), sway_modes(frame))
+
+
+@pytest.mark.parametrize("size", [0.05, 0.3, 0.8])
+def test_beams_of_each_floor_by_themselves(size):
+    """Exact: the same portals, the beams of each floor 1 + b times as flexible."""
+    eta, b = 0.4, size * np.array([1.0, -0.5, 0.3, -0.9])
+    frame = fe.with_turning_joints(building(), eta)
+    frame = replace(frame, beam_bending=frame.beam_bending / (1.0 + b))
+    (other_beams,) = (each for each in open_classes() if each.name == "other_beams")
+    effects = [Placed(other_beams.bound(experiment())), placed("joint_rotation")]
+    assert_same(modes_with(effects, tuple(b), eta), sway_modes(frame))
 
 
 def test_joint_rotation_of_two_bays():

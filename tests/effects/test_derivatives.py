@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cvxshear.effects import catalogue, compose
+from cvxshear.effects import Placed, catalogue, compose, open_classes
 from tests.effects.common import HEIGHTS, MASS, NAMES, STIFFNESS, experiment, placed, theta
 
 TOP = float(HEIGHTS.sum())
@@ -135,6 +135,16 @@ def test_an_attached_mass(mass, frequency, number):
     effects = [effect for effect, _ in cases]
     own, scales = flat(list(CASES.values()))
     assert_derivatives(effects, [*own, mass, frequency, 0.3, 5.0], number, [*scales, 1.0, 1.0, 1.0, 1.0])
+
+
+@pytest.mark.parametrize("with_others", [False, True])
+def test_beams_of_each_floor_by_themselves(with_others):
+    """The class alone does nothing: it stands beside joints that turn."""
+    (effect,) = (each.bound(experiment()) for each in open_classes() if each.name == "other_beams")
+    cases = list(CASES.values()) if with_others else [CASES["joint_rotation"]]
+    own, scales = flat(cases)
+    b = [0.3, -0.2, 0.6, -0.7]
+    assert_derivatives([*(each for each, _ in cases), Placed(effect)], [*own, *b], 1, [*scales, 1.0, 1.0, 1.0, 1.0])
 
 
 def test_derivatives_are_symmetric():

@@ -51,7 +51,7 @@ def test_a_fault_of_one_channel_is_named(kind, fault):
         assert 1e6 * first.numbers["drift"] == pytest.approx(case.size, abs=within)
 
 
-def damped_record(kind: str, late: float = 0.0) -> TimeRecord:
+def damped_record(kind: str, late: float = 0.0, hit: int = 0) -> TimeRecord:
     """Five stories at 2 Hz with a dashpot in story 2 alone, 2 to 9 % of damping, modes far from real; floor 2 absent.
 
     Exact for forces held over steps a fifth of a sample long. White base motion, a sweep of a shaker, wind, a knock;
@@ -72,6 +72,8 @@ def damped_record(kind: str, late: float = 0.0) -> TimeRecord:
     if kind == "base":
         base = signal.sosfilt(signal.butter(2, 14.0, fs=rate * finer, output="sos"), random.standard_normal(samples))
         force -= base[:, None]
+    elif hit:
+        force[320:326, hit - 1] = 5.0
     elif kind == "force":
         force[:, 2] = signal.chirp(time, 0.5, time[-1], 14.0)
     elif kind == "none":
@@ -87,10 +89,23 @@ def damped_record(kind: str, late: float = 0.0) -> TimeRecord:
     absolute[:, 3] = np.roll(absolute[:, 3], round(late * rate * finer))
     values = absolute[::finer][:, [0, 2, 3, 4]]
     values = values + 0.005 * values.std(axis=0) * random.standard_normal(values.shape)
-    driven = {"base": base[::finer], "force": force[::finer, 2]}.get(kind)
-    run = Run(values, driven, 3 if kind == "force" else 0)
+    driven = {"base": base[::finer], "force": force[::finer, (hit or 3) - 1]}.get(kind)
+    run = Run(values, driven, (hit or 3) if kind == "force" else 0)
     channels = [Channel(f"floor{floor}", floor) for floor in (1, 3, 4, 5)]
     return TimeRecord(channels, runs=[run], sampling_rate=rate, input=kind, stories=count)
+
+
+def test_a_damper_is_no_drift_where_one_floor_is_hit_after_another():
+    """The phases that a damper makes change with the floor that is hit, and so with time."""
+    runs, random = [], np.random.default_rng(3)
+    for floor in (1, 5):
+        record = damped_record("force", hit=floor)
+        whole = record.runs[0]
+        for _ in range(3):
+            noise = 0.01 * whole.responses[:1600].std(axis=0) * random.standard_normal((1600, 4))
+            runs.append(Run(whole.responses[:1600] + noise, whole.excitation[:1600], floor))
+    found = examined(dataclasses.replace(record, runs=tuple(runs))).findings
+    assert "clock drift" not in {finding.kind for finding in found}
 
 
 @pytest.mark.parametrize("kind", INPUTS)
@@ -283,10 +298,62 @@ def test_a_roof_that_turns_with_the_sway_is_said_mode_by_mode():
     )
 
 
-def test_two_sensors_that_contradict_each_other_are_refused():
+@pytest.mark.parametrize(("factor", "said"), [(-1.0, "reversed"), (9.80665, "another unit"), (0.01, "another unit")])
+def test_two_sensors_that_contradict_each_other_are_refused(factor, said):
     record, _ = torsional_record()
-    with pytest.raises(InputError, match=r'"left" .* and channel "right" .* contradict each other'):
-        identify_modes(scaled(record, {"right": -1.0}))
+    with pytest.raises(InputError, match=rf'channel "(left|right)" .* contradict each other: .* {said}'):
+        identify_modes(scaled(record, {"right": factor}))
+
+
+def test_a_center_somewhere_between_two_sensors_makes_its_entries_as_uncertain():
+    """The roof turns by a fifth of its sway about a center that is nearer to one sensor."""
+    record = base_record(PAPER_FRAME, 0, noise=0.005, duration=300.0)
+    run = record.runs[0]
+    top = run.responses[:, 2]
+    both = np.column_stack([run.responses[:, :2], 1.3 * top, 0.9 * top])
+    channels = (*record.channels[:2], Channel("left", 3), Channel("right", 3))
+    result = identify_modes(dataclasses.replace(record, channels=channels, runs=(Run(both, run.excitation),)))
+    shapes = PAPER_FRAME.modes()[1]
+    ratio = result.mode_shapes[:, 2] / result.mode_shapes[:, 1] * shapes[:, 1] / shapes[:, 2]
+    np.testing.assert_allclose(ratio, 1.1, rtol=0.02)
+    largest = np.abs(result.mode_shapes).max(axis=1)
+    stated = result.entry_std[:, 2] * largest / np.abs(result.mode_shapes[:, 2])
+    # Half of the difference is 0.2 of 1.1, and uniform between the sensors.
+    np.testing.assert_allclose(stated, 0.2 / 1.1 / np.sqrt(3.0), rtol=0.05)
+
+
+def test_one_sensor_beside_the_center_is_as_uncertain_as_the_other_floors_turn():
+    """The roof turns by 0.2 of 1.1 a metre; a sensor half a metre off the center then errs by half of that."""
+    record = base_record(PAPER_FRAME, 0, noise=0.005, duration=300.0)
+    run = record.runs[0]
+    top = run.responses[:, 2]
+    both = np.column_stack([run.responses[:, :2], 1.3 * top, 0.9 * top])
+    places = {"left": (0.0, -1.0), "right": (0.0, 1.0)}
+    roof = [Channel(name, 3, position=place) for name, place in places.items()]
+    middle = dataclasses.replace(record.channels[1], position=(0.0, -0.5))
+    channels = (record.channels[0], middle, *roof)
+    result = identify_modes(dataclasses.replace(record, channels=channels, runs=(Run(both, run.excitation),)))
+    largest = np.abs(result.mode_shapes).max(axis=1)
+    stated = result.entry_std[:, 1] * largest / np.abs(result.mode_shapes[:, 1])
+    np.testing.assert_allclose(stated[:2], 0.1 / 1.1, rtol=0.05)
+    assert any("floor 2 has one sensor, 0.5 m across" in item.message for item in result.findings)
+
+
+def test_a_sensor_that_points_backwards_is_turned_before_rotation_is_looked_for():
+    record, torsion = torsional_record()
+    expected = examined(record).turning(torsion)
+    channels = (*record.channels[:3], dataclasses.replace(record.channels[3], direction=180.0))
+    turned = examined(dataclasses.replace(scaled(record, {"right": -1.0}), channels=channels))
+    assert turned.turning(torsion) == pytest.approx(expected)
+
+
+def test_of_two_channels_either_may_be_the_reversed_one():
+    frequencies, shapes = PAPER_FRAME.modes()
+    seen = shapes[:, [0, 2]] * np.array([1.0, -1.0])
+    channels = [Channel("low", 1), Channel("high", 3)]
+    found = findings_of(weighed(frequencies, seen, np.array([1, 3]), 3), channels, seen[0])
+    assert 'channel "low" (floor 1) or channel "high" (floor 3) is reversed' in found[0].message
+    assert found[0].numbers["channels"] == ["low", "high"]
 
 
 def test_a_sensor_across_the_direction_of_test_is_left_out_and_one_askew_is_turned():

@@ -278,7 +278,7 @@ def test_a_direction_that_the_universal_file_does_not_know_has_its_number(tmp_pa
     assert head[41:55] == "         1   1"
     lines[7] = f"{head[:51]}{direction:4d}{head[55:]}"
     (tmp_path / "a.uff").write_text("\n".join(lines) + "\n")
-    assert read_uff(tmp_path / "a.uff")[0].names == ("time", "1d100" if direction > 0 else "1d100-")
+    assert read_uff(tmp_path / "a.uff").names == ("time", "1d100" if direction > 0 else "1d100-")
 
 
 def test_rows_of_a_shape_are_lines_of_the_file(tmp_path):

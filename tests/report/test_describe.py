@@ -188,10 +188,10 @@ def test_probabilities_come_first_and_are_those_of_the_result(ambiguous):
     document = describe(ambiguous)
     keys = [section.key for section in document.sections]
     assert keys[:4] == ["verdict", "effects", "sets", "candidates"]
-    found = [row.exact[0] for row in table(document, "models").rows]
-    assert found == [item.probability for item in ambiguous.models]
-    rows = table(document, "candidates-table").rows
-    assert [row.exact[:2] for row in rows] == [(item.prior, item.probability) for item in ambiguous.candidates]
+    found = [row.cells[1] for row in table(document, "models").rows]
+    assert found == [chance(item.probability) for item in ambiguous.models]
+    rows = [row.cells[1:3] for row in table(document, "candidates-table").rows]
+    assert rows == [(chance(item.prior), chance(item.probability)) for item in ambiguous.candidates]
     (effect,) = ambiguous.effects
     shown = [row.cells[1] for row in table(document, "effects-table").rows]
     assert shown == [chance(item.probability) for item in (effect, *effect.rivals)]
@@ -226,8 +226,11 @@ def test_frequencies_alone_are_described_too(paper):
 
 def test_the_averaged_frame_stands_beside_the_final_one(paper):
     identified = table(describe(paper), "identified")
-    lowest = identified.rows[-1].cells
-    assert lowest[0] == "1"
+    lowest, total = (row.cells for row in identified.rows[-2:])
+    assert (lowest[0], total[0]) == ("1", "sum")
+    assert [float(total[column]) for column in (1, 3)] == pytest.approx(
+        [31.33, paper.averaged.floor_mass.sum()], rel=1e-4
+    )
     for column, frame in ((1, paper.frame), (3, paper.averaged)):
         assert float(lowest[column].split(" ± ")[0]) == pytest.approx(frame.floor_mass[0], rel=1e-3)
         assert float(lowest[column + 1].split(" ± ")[0]) == pytest.approx(frame.story_stiffness[0] / 1000, rel=1e-3)
@@ -394,7 +397,9 @@ def test_masses_in_tonnes_are_told_so(paper):
     parts = tuple(dataclasses.replace(part, frame=heavy) for part in found.parts)
     first = table(describe(dataclasses.replace(found, parts=parts)), "identified-1")
     assert first.head == ("floor / story", "mass, t", "stiffness, MN/m")
-    assert [float(row.cells[1]) for row in first.rows] == pytest.approx(paper.frame.floor_mass[::-1], rel=1e-3)
+    *floors, total = (float(row.cells[1]) for row in first.rows)
+    assert floors == pytest.approx(paper.frame.floor_mass[::-1], rel=1e-3)
+    assert total == pytest.approx(31.33)
 
 
 def test_parameters_are_said_in_words():
@@ -411,7 +416,7 @@ def test_what_is_held_fast_has_one_format_in_its_column():
         np.zeros(3),
         np.array([9.5e6, 0.0, math.nan]),
     )
-    rows = frame_table(frame, "", Units()).rows
+    *rows, _ = frame_table(frame, "", Units()).rows
     assert [row.cells[1] for row in rows] == ["21.224", "20.612", "21.020"]
     assert [row.cells[2] for row in rows] == ["not determined", "98.3", "120.0 ± 9.5"]
 

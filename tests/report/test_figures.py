@@ -18,8 +18,8 @@ import cvxshear
 from cvxshear.cli import main
 from cvxshear.report import figures, html
 from cvxshear.report.figures import figure_table
-from cvxshear.report.figures.drawn_network import springs_between_levels
 from cvxshear.report.figures.drawn_shapes import mac_tables, mode_shapes
+from cvxshear.report.figures.judged import springs_between_levels
 from cvxshear.report.figures.modal_figures import written
 from cvxshear.report.figures.style import for_narrow_page, inline_svg, letters, power_of_ten, spread, styled
 from cvxshear.util.errors import InputError

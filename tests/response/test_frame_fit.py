@@ -9,22 +9,25 @@ from scipy import stats
 
 from cvxshear.response.frame_fit import LEAST_WEIGHT, _Linear, possible_answers
 from cvxshear.response.innovations import Likelihood
-from cvxshear.response.varied_frame import FORM_STDS, MASS_STDS, SCATTER_STDS, Gaussian
+from cvxshear.response.varied_frame import FORM_STDS, GAIN_STDS, MASS_STDS, SCATTER_STDS, Gaussian
 
 STORIES, CHANGE, PROBABILITY = 3, 0.5, 0.07
+SINGLE, OFF, PROBABILITY_OFF = np.array([0, 1, 2, 4]), 0.8, 0.04
+"""Three stories and one gain, the last of five unknowns."""
 
 
 def drawn(seed, inflation=1.7):
-    """A likelihood of five unknowns, three of them stories, and where it was linearised."""
+    """A likelihood of five unknowns, three stories and a gain among them, and where it was linearised."""
     rng = np.random.default_rng(seed)
     return Likelihood(3.0 * rng.standard_normal((6, 5)), rng.standard_normal(6), inflation), rng.standard_normal(5)
 
 
-def gaussian(changed, form_std, scatter_std=0.003, mass_std=0.0):
+def gaussian(changed, form_std, scatter_std=0.003, mass_std=0.0, gain_std=0.001):
     """A prior whose mean, covariance and evidence depend on how well its form is known."""
-    wide = (form_std + 20 * scatter_std + 5 * mass_std) ** 2
+    wide = (form_std + 20 * scatter_std + 5 * mass_std + 8 * gain_std) ** 2
     spread = np.diag([0.1, 0.2, 0.1, 0.5, 0.5]) ** 2 + 0.3 * form_std + wide * np.eye(5)
-    spread[list(changed), list(changed)] += CHANGE**2
+    at = SINGLE[list(changed)]
+    spread[at, at] += np.where(at < STORIES, CHANGE, OFF) ** 2
     return Gaussian(np.array([0.1, -0.1, 0.0, 0.2, form_std]), spread, -30.0 * form_std)
 
 
@@ -52,20 +55,22 @@ def test_evidence_and_posterior_are_those_of_a_normal_distribution(seed):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_answers_have_the_probabilities_of_all_sets_of_stories_forms_scatters_and_masses(seed):
-    """Odds of 0.07 a changed story; every size of the form's errors, of the scatter, of the masses' as probable."""
+def test_answers_have_the_probabilities_of_all_sets_of_changes_and_of_all_widths(seed):
+    """Odds of 0.07 a changed story, 0.04 a gain; all sizes of form's errors, scatter, masses and gains as probable."""
     at, p = drawn(seed)
-    log_odds = np.log(PROBABILITY / (1 - PROBABILITY))
+    chance = np.array([PROBABILITY] * STORIES + [PROBABILITY_OFF])
+    log_odds = np.log(chance / (1 - chance))
     prior = SimpleNamespace(
-        identified=np.eye(STORIES), change_std=CHANGE, log_odds=log_odds, gaussian=gaussian, mass_stds=MASS_STDS
-    )
+        single=SINGLE, single_std=np.array([CHANGE] * STORIES + [OFF]), log_odds=log_odds, gaussian=gaussian,
+        mass_stds=MASS_STDS, gain_stds=GAIN_STDS,
+    )  # fmt: skip
     found = possible_answers(at, prior, p)
     logs = {
-        (stories, *widths): log_density(at, p, gaussian(stories, *widths)) - 30.0 * widths[0]
-        + size * log_odds
+        (changed, *widths): log_density(at, p, gaussian(changed, *widths)) - 30.0 * widths[0]
+        + log_odds[list(changed)].sum()
         for size in range(STORIES + 1)
-        for stories in itertools.combinations(range(STORIES), size)
-        for widths in itertools.product(FORM_STDS, SCATTER_STDS, MASS_STDS)
+        for changed in itertools.combinations(range(len(SINGLE)), size)
+        for widths in itertools.product(FORM_STDS, SCATTER_STDS, MASS_STDS, GAIN_STDS)
     }  # fmt: skip
     best = max(logs.values())
     kept = {key: np.exp(value - best) for key, value in logs.items() if value > best + np.log(LEAST_WEIGHT)}

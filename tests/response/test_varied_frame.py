@@ -14,45 +14,53 @@ from cvxshear.fit.efficient import efficient
 from cvxshear.measurement.declaration import ExpectedEffect
 from cvxshear.response import DampedModel, Fitted
 from cvxshear.response import varied_frame as module
+from cvxshear.response.dynamics import Noise, Setting, dynamics, recursion
+from cvxshear.response.smoother import Steady
 from cvxshear.response.uncertain import Damped, UncertainFrame
 from cvxshear.response.varied_frame import FramePrior, ModalRows, VariedFrame
 from tests.frames import chain
 from tests.response.common import damped_frame, declared, matrices, pole_ratios
 
-SIZES = (3, 2, 2, 4)
-"""Stories, damping factors, directions of masses and effects, errors of the form."""
+SIZES = (3, 2, 3, 4)
+"""Stories, damping factors, directions of masses and effects with a gain as the last, errors of the form."""
 
 
-@pytest.mark.parametrize("changed", [(), (1,), (0, 2)])
+@pytest.mark.parametrize("changed", [(), (1,), (0, 2), (1, 3)])
 @pytest.mark.parametrize("same", [False, True])
 @pytest.mark.parametrize("mass_std", [0.0, 0.05])
 def test_the_prior_is_conditioned_on_the_modes_like_any_normal_numbers(changed, same, mass_std):
     """Everything is a sum of independent normal numbers w; the modes show some of them with errors of one."""
     rng = np.random.default_rng(3)
     root = 0.01 * rng.standard_normal((3, 3))
-    own, share = np.array([0.3, 0.2]), np.array([0.02, 0.05])
-    measured = ModalRows(20.0 * rng.standard_normal((7, 9)), rng.standard_normal(7))
-    heavier = rng.standard_normal((11, 3))
-    prior = FramePrior(root @ root.T, 0.4, 0.1, own, SIZES, share, heavier, 2, measured)
+    own, share = np.array([0.3, 0.2]), np.array([0.02, 0.05, np.inf])
+    measured = ModalRows(20.0 * rng.standard_normal((7, 10)), rng.standard_normal(7))
+    measured.J[:, 5] = 0.0
+    heavier = rng.standard_normal((12, 3))
+    prior = FramePrior(
+        root @ root.T, 0.4, 0.05, 0.1, 0.02, own, SIZES, share, heavier, slice(7, 8), 2, measured
+    )  # fmt: skip
     form_std, scatter = 0.03, 0.003
-    found = prior.gaussian(changed, form_std, scatter, mass_std, same=same)
+    found = prior.gaussian(changed, form_std, scatter, mass_std, 0.01, same=same)
 
-    nuisances = np.sqrt(1.0 + form_std**2 / share**2 / 2)
+    # Gains count in percent: 1 % of each, and 5 % besides of one that is off.
+    off = 5.0 if 3 in changed and not same else 0.0
+    nuisances = np.array([*np.sqrt(1.0 + form_std**2 / share[:2] ** 2 / 2), np.hypot(1.0, off)])
     shift = 0.0 if same else 1.0
     story = [
         root, shift * 0.15 * np.ones((3, 1)), shift * scatter * np.eye(3),
-        shift * 0.4 * np.eye(3)[:, list(changed)],
+        shift * 0.4 * np.eye(3)[:, [story for story in changed if story < 3]],
     ]  # fmt: skip
     damping = [np.diag(own), shift * 0.5 * np.ones((2, 1))]
     rest = np.diag([*nuisances, *np.full(4, form_std)])
     unknowns = linalg.block_diag(np.hstack(story), np.hstack(damping), rest, np.eye(2))
     tested = linalg.block_diag(root, rest)
-    numbers = np.hstack([tested[:, :3], np.zeros((9, unknowns.shape[1] - 3 - 6 - 2)), tested[:, 3:], np.zeros((9, 2))])
+    width = unknowns.shape[1] - 3 - 7 - 2
+    numbers = np.hstack([tested[:, :3], np.zeros((10, width)), tested[:, 3:], np.zeros((10, 2))])
     seen = measured.J @ numbers
     posterior = np.linalg.inv(np.eye(len(seen.T)) + seen.T @ seen)
     np.testing.assert_allclose(found.mean, unknowns @ posterior @ seen.T @ measured.data, atol=1e-12)
     covariance = unknowns @ posterior @ unknowns.T
-    covariance[:11, :11] += (0.0 if same else mass_std**2) * heavier @ heavier.T
+    covariance[:12, :12] += (0.0 if same else mass_std**2) * heavier @ heavier.T
     np.testing.assert_allclose(found.covariance, covariance, atol=1e-12)
     density = stats.multivariate_normal.logpdf(measured.data, np.zeros(7), np.eye(7) + seen @ seen.T)
     assert found.evidence == pytest.approx(density + 3.5 * np.log(2 * np.pi), rel=1e-9)
@@ -79,10 +87,12 @@ def centre(kind):
 
 def varied(kind, **more):
     damped, stiffness, ratios = centre(kind)
-    none = {"dM": np.zeros((1, 3, 3)), "dK": np.zeros((1, 3, 3)), "dgain": np.zeros((1, 3))}
+    directions = len(more.get("dM", [0]))
+    none = {name: np.zeros((directions, 3, 3)[: 3 if name != "dgain" else 2]) for name in ("dM", "dK", "dgain")}
     frame = VariedFrame(
-        damped, stiffness, ratios, np.ones(2 if kind == "rayleigh" else 3), form=np.zeros((0, 3, 3)), **none
-    )
+        damped, stiffness, ratios, np.ones(2 if kind == "rayleigh" else 3), form=np.zeros((0, 3, 3)),
+        log_gain=np.zeros((directions, 4)), gains=0, **none,
+    )  # fmt: skip
     return replace(frame, **more)
 
 
@@ -120,6 +130,24 @@ def test_a_frame_with_all_masses_and_stiffnesses_larger_moves_alike(kind):
     light, heavy = frame.model(unknowns), frame.model(unknowns + 0.5 * np.eye(8)[6])
     for name in ("M", "C", "K"):
         np.testing.assert_allclose(getattr(heavy, name), 1.15 * getattr(light, name))
+
+
+def test_larger_motions_and_smaller_gains_look_alike():
+    """Two sensors and that of the ground, all off by one factor: the sensors show the same, the floors move more."""
+    log_gain = 0.01 * np.eye(4)[[0, 2, 3]]
+    frame = varied("modal", dM=np.zeros((3, 3, 3)), dK=np.zeros((3, 3, 3)), dgain=np.zeros((3, 3)), log_gain=log_gain)
+    usual, larger = (frame.model(np.array([0.0] * 6 + gains)) for gains in ([0.0] * 3, [-5.0, -5.0, 5.0]))
+    np.testing.assert_allclose(larger.gain[[0, 2]] * larger.input_gain, usual.gain[[0, 2]])
+    assert larger.input_gain == pytest.approx(np.exp(0.05))
+    setting = Setting(np.array([1, 3]), 0.01, 0, True, 10.0, 50.0, np.array([3.0, 2.0, 1.0]), usual.M)
+    noise = Noise(np.array([0.01, 0.02]), 0.05, 0.0)
+    a, b = (dynamics(model, noise, setting) for model in (usual, larger))
+    excitation = np.random.default_rng(2).standard_normal((200, 2))
+    moves = [recursion(each.A, each.driven(excitation), np.zeros(9)) for each in (a, b)]
+    np.testing.assert_allclose(moves[1], np.exp(0.05) * moves[0], atol=1e-12)
+    np.testing.assert_allclose(moves[1] @ b.H.T, moves[0] @ a.H.T, atol=1e-9)
+    # The innovations' covariance, missed forces in it, is the same.
+    np.testing.assert_allclose(Steady.of(b).S, Steady.of(a).S, rtol=1e-6)
 
 
 def test_a_heavier_floor_leaves_the_stories_as_they_are():
@@ -238,11 +266,9 @@ def test_the_prior_has_what_the_file_expects_of_a_story(uncertain):
 
 def test_a_file_may_expect_something_else_of_every_story(uncertain):
     said = {"name": "story_change", "size": 0.3, "probability": 0.2}
-    there, elsewhere = SimpleNamespace(**said, story=None), SimpleNamespace(**{**said, "size": 0.9}, story=2)
-    change = module._expected_change(SimpleNamespace(expected=[elsewhere, there]))
-    assert (float(change.expected_sizes(None)[0]), change.probability) == (0.3, 0.2)
     experiment = replace(
-        uncertain.fitted.experiment, expected=(ExpectedEffect("story_change", size=0.3, probability=0.2),)
+        uncertain.fitted.experiment,
+        expected=(ExpectedEffect("story_change", size=0.9, probability=0.1, story=2), ExpectedEffect(**said)),
     )
     frame = replace(uncertain, fitted=replace(uncertain.fitted, experiment=experiment))
     found = FramePrior.around(frame, VariedFrame.around(frame), 4)

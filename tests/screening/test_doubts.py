@@ -64,6 +64,15 @@ def test_masses_are_told_in_the_units_of_the_library():
     ]
 
 
+def test_the_total_of_a_model_in_tons_is_no_load_in_grams():
+    """Floors of 20 g do not suit stories of half a meter."""
+    mass, load = MASS / 1e4, np.array(ADDED) / 1e4
+    tables = [configuration(mass, STIFFNESS / 1e4), configuration(mass, STIFFNESS / 1e4, load.tolist())]
+    frame = {"total_mass": float(mass.sum()) / 1e3, "story_heights": 0.5}
+    (item,) = screen(Experiment.from_dict(experiment(mass, STIFFNESS, *tables, frame=frame)))
+    assert (item.name, item.found.split(": ")[1]) == ("masses", "total_mass (or floor_masses) looks like t")
+
+
 def test_masses_in_tons_are_told_from_heights_where_one_configuration_is_all_there_is():
     declared = building(frame={"total_mass": 600.0, "story_heights": 3.2})
     declared["configuration"].pop()

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from cvxshear.loop import Closure
 from cvxshear.loop.next_test import NextTest
-from cvxshear.loop.results import AddedEffect, Candidate, EffectSet
+from cvxshear.loop.results import AddedEffect, EffectSet
 from cvxshear.report.describe.consequences import before_after, consequences, residual_section, steps_section
 from cvxshear.report.describe.headline import (
     DOUBT,
@@ -31,6 +31,7 @@ from cvxshear.report.describe.vocabulary import (
     Table,
     describe,
     line,
+    plain_rows,
 )
 from cvxshear.util.quantities import (
     AUTOMATIC,
@@ -77,16 +78,18 @@ def effects_section(result: Closure) -> Section:
     parts: list[Block] = []
     if verdict_of(result).provisional:
         title, caption = "Provisional effects", "Effects that survive while a residual is left"
-        parts.append(Sentence("None of them counts as found, as long as a residual is left.", "warning"))
+        among = "the probabilities are among causes that were tried, none of which explains the data"
+        said = f"None of them counts as found, as long as a residual is left: {among}."
+        parts.append(Sentence(said, "warning"))
     parts.append(Table("effects-table", caption, ("effect", "probability"), rows))
     return Section("effects", title, (*parts, *([Points("remarks", remarks)] if remarks else [])))
 
 
 def _with_rivals(item: AddedEffect) -> Iterator[Row]:
-    yield Row((item.size, chance(item.probability)), exact=(item.probability,))
+    yield Row((item.size, chance(item.probability)))
     for rival in item.rivals:
         words = "cannot be distinguished from" if rival.twin else "or in its place"
-        yield Row((f"   {words}: {rival.placed.label}", chance(rival.probability)), exact=(rival.probability,))
+        yield Row((f"   {words}: {rival.placed.label}", chance(rival.probability)))
     if not item.rivals:
         yield Row(("   rivals: none", ""))
 
@@ -122,10 +125,8 @@ def _parameters(result: Closure, item: AddedEffect) -> Iterator[tuple[str, str]]
 def sets_section(result: Closure) -> Section:
     """Tabulate the sets of effects with their probabilities."""
     chi2 = significants([item.chi2 for item in result.models])
-    rows = tuple(
-        Row((_label(item, result), chance(item.probability), shown), exact=(item.probability, item.chi2))
-        for item, shown in zip(result.models, chi2, strict=True)
-    )
+    pairs = zip(result.models, chi2, strict=True)
+    rows = plain_rows((_label(item, result), chance(item.probability), shown) for item, shown in pairs)
     head = ("set", "probability", "chi-square")
     table = Table("models", "Sets of effects, the most probable first", head, rows, brief=BRIEF_SETS)
     return Section("sets", "Which effects together", (table,) if rows else (), below=True)
@@ -163,7 +164,17 @@ def candidates_section(result: Closure) -> Section:
         "candidates-table",
         f"The most probable first (p: of such a gain in chi-square by chance, counting that {count} were tried)",
         ("effect", "before", "with the data", "chi-square", "dof", "p of gain"),
-        tuple(_candidate_row(item, shown) for item, shown in zip(result.candidates, chi2, strict=True)),
+        plain_rows(
+            (
+                item.placed.label,
+                chance(item.prior),
+                chance(item.probability),
+                shown,
+                str(item.dof),
+                probability(item.p_value),
+            )
+            for item, shown in zip(result.candidates, chi2, strict=True)
+        ),
         brief=BRIEF_CANDIDATES,
     )
     said = tuple(
@@ -191,20 +202,6 @@ def _unmoved(result: Closure) -> Iterator[Sentence]:
             "a little, and a cause gains only by what it improves beyond that; the column p of gain says how often "
             "chance alone does as well."
         )
-
-
-def _candidate_row(item: Candidate, chi2: str) -> Row:
-    return Row(
-        (
-            item.placed.label,
-            chance(item.prior),
-            chance(item.probability),
-            chi2,
-            str(item.dof),
-            probability(item.p_value),
-        ),
-        exact=(item.prior, item.probability, item.chi2, item.dof, item.p_value),
-    )
 
 
 @describe.register
@@ -273,12 +270,16 @@ def limits_section(result: Closure) -> Section:
 
 
 def _limits(result: Closure) -> Iterator[str]:
+    yield from _undetermined(result)
+    for name, lacking in result.not_considered.items():
+        yield f"{capital(name.replace('_', ' '))} was not looked for: that needs {lacking.replace('_', ' ')}."
+
+
+def _undetermined(result: Closure) -> Iterator[str]:
     for names in result.estimate.uncertainty.null_directions:
         yield f"Not determined: {in_words(names)}."
     for text in (*generous_noise(result.estimate.quality), *result.information):
         yield f"{capital(text)}."
-    for name, lacking in result.not_considered.items():
-        yield f"{capital(name.replace('_', ' '))} was not looked for: that needs {lacking.replace('_', ' ')}."
 
 
 def open_questions(result: Closure) -> tuple[str, ...]:
@@ -296,8 +297,7 @@ def open_questions(result: Closure) -> tuple[str, ...]:
             said.append(f"{capital(item.placed.label)} {how} {first.placed.label} ({chance(first.probability)}).")
     if in_doubt(result):
         said.append("The numbers of the measured modes are in question.")
-    said += [f"Not determined: {in_words(names)}." for names in result.estimate.uncertainty.null_directions]
-    said += [f"{capital(text)}." for text in (*generous_noise(result.estimate.quality), *result.information)]
+    said += _undetermined(result)
     more = len(said) - MOST_QUESTIONS
     return (*said[:MOST_QUESTIONS], *([f"{more} more below."] if more > 0 else []))
 

@@ -16,7 +16,7 @@ from cvxshear.loop.residual import by_part
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.model.shear import frame_modes, modes
 from cvxshear.report.describe.headline import noise_facts
-from cvxshear.report.describe.vocabulary import Block, Exact, Row, Section, Sentence, Table, columns
+from cvxshear.report.describe.vocabulary import Block, Exact, Row, Section, Sentence, Table, table
 from cvxshear.util.quantities import (
     AUTOMATIC,
     Units,
@@ -122,16 +122,14 @@ def steps_section(result: Closure) -> Section:
     """Each fit on the way; nothing that the errors do not say where there are two or fewer."""
     errors = percents([step.estimate.quality.max_frequency_error for step in result.steps])
     chi2 = significants([step.estimate.chi2 for step in result.steps])
-    rows = columns(
-        [step.action for step in result.steps],
-        chi2,
-        [str(step.estimate.dof) for step in result.steps],
-        [probability(step.p_value) for step in result.steps],
-        errors,
-    )
-    head = ("step", "chi-square", "dof", "p", "largest frequency error")
-    table = Table("steps-table", "How the model was arrived at, in the noise of the last step", head, rows)
-    return Section("steps", "Step by step", (table,), detail=len(result.steps) < 3, below=True)
+    steps = table("steps-table", "How the model was arrived at, in the noise of the last step", {
+        "step": [step.action for step in result.steps],
+        "chi-square": chi2,
+        "dof": [str(step.estimate.dof) for step in result.steps],
+        "p": [probability(step.p_value) for step in result.steps],
+        "largest frequency error": errors,
+    })  # fmt: skip
+    return Section("steps", "Step by step", (steps,), detail=len(result.steps) < 3, below=True)
 
 
 NOTHING = 1e-9
@@ -238,40 +236,40 @@ def consequences(estimate: Estimate, placed: Placed, units: Units = AUTOMATIC) -
     return [*_stiffness(found, units), *_mass(found, units), *_gain(found), *_frequencies(found)]
 
 
+def _largest(found: list[Change], name: str) -> Iterator[tuple[Change, int, float]]:
+    """Find the configuration and the place where a relative change is largest, and its size; nothing without one."""
+    item = max(found, key=lambda each: float(np.max(np.abs(getattr(each, name)))))
+    place = int(np.argmax(np.abs(getattr(item, name))))
+    if abs(getattr(item, name)[place]) >= NOTHING:
+        yield item, place, float(getattr(item, name)[place])
+
+
 def _stiffness(found: list[Change], units: Units) -> Iterator[str]:
-    shares = np.array([item.stiffness_share for item in found])
-    if np.max(np.abs(shares)) < NOTHING:
-        return
-    worst, story = np.unravel_index(np.argmax(np.abs(shares)), shares.shape)
-    least, other = np.unravel_index(np.argmin(np.abs(shares)), shares.shape)
-    most = found[int(worst)]
-    word, way = ("takes", "from") if shares[worst, story] < 0 else ("adds", "to")
-    factor, unit = units.of_stiffness([10 * float(most.stiffness[story])])
-    sentence = (
-        f"It {word} {abs(most.stiffness[story]) / factor:.3g} {unit}, {percent(abs(shares[worst, story]))} of the "
-        f'story stiffness, {way} story {story + 1} in "{most.configuration}"'
-    )
-    if (worst, story) != (least, other) and abs(shares[least, other]) > NOTHING:
-        sentence += (
-            f', where it does most; least in story {other + 1} in "{found[int(least)].configuration}": '
-            f"{percent(abs(shares[least, other]))}"
+    for most, story, share in _largest(found, "stiffness_share"):
+        least = min(found, key=lambda each: float(np.min(np.abs(each.stiffness_share))))
+        other = int(np.argmin(np.abs(least.stiffness_share)))
+        word, way = ("takes", "from") if share < 0 else ("adds", "to")
+        factor, unit = units.of_stiffness([10 * float(most.stiffness[story])])
+        sentence = (
+            f"It {word} {abs(most.stiffness[story]) / factor:.3g} {unit}, {percent(abs(share))} of the "
+            f'story stiffness, {way} story {story + 1} in "{most.configuration}"'
         )
-    yield sentence + "."
+        smallest = abs(float(least.stiffness_share[other]))
+        if (most, story) != (least, other) and smallest > NOTHING:
+            sentence += (
+                f', where it does most; least in story {other + 1} in "{least.configuration}": {percent(smallest)}'
+            )
+        yield sentence + "."
 
 
 def _mass(found: list[Change], units: Units) -> Iterator[str]:
-    shares = np.array([item.mass_share for item in found])
-    if np.max(np.abs(shares)) < NOTHING:
-        return
-    worst, floor = (int(i) for i in np.unravel_index(np.argmax(np.abs(shares)), shares.shape))
-    most = found[worst]
-    word = "more" if shares[worst, floor] > 0 else "less"
-    factor, unit = units.of_mass([float(most.mass[floor])])
-    size = f"{abs(most.mass[floor]) / factor:.3g} {unit}"
-    yield (
-        f'The inertia at floor {floor + 1} in "{most.configuration}" is {size} {word}, '
-        f"{percent(abs(shares[worst, floor]))} of what the floor carries."
-    )
+    for most, floor, share in _largest(found, "mass_share"):
+        factor, unit = units.of_mass([float(most.mass[floor])])
+        size = f"{abs(most.mass[floor]) / factor:.3g} {unit} {'more' if share > 0 else 'less'}"
+        yield (
+            f'The inertia at floor {floor + 1} in "{most.configuration}" is {size}, {percent(abs(share))} of what the '
+            "floor carries."
+        )
 
 
 def _gain(found: list[Change]) -> Iterator[str]:
@@ -282,12 +280,8 @@ def _gain(found: list[Change]) -> Iterator[str]:
 
 
 def _frequencies(found: list[Change]) -> Iterator[str]:
-    moved = np.array([item.frequencies for item in found])
-    if np.max(np.abs(moved)) < NOTHING:
-        return
-    worst, mode = (int(i) for i in np.unravel_index(np.argmax(np.abs(moved)), moved.shape))
-    word = "lowers" if moved[worst, mode] < 0 else "raises"
-    yield (
-        f'It {word} the natural frequency of mode {mode + 1} in "{found[worst].configuration}" by '
-        f"{percent(abs(moved[worst, mode]))}, more than any other."
-    )
+    for most, mode, moved in _largest(found, "frequencies"):
+        yield (
+            f"It {'lowers' if moved < 0 else 'raises'} the natural frequency of mode {mode + 1} in "
+            f'"{most.configuration}" by {percent(abs(moved))}, more than any other.'
+        )

@@ -7,21 +7,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from cvxshear.modal import ModalResult
-from cvxshear.report.describe.vocabulary import (
-    Block,
-    Document,
-    Facts,
-    Section,
-    Sentence,
-    Table,
-    columns,
-    describe,
-    line,
-)
+from cvxshear.report.describe.vocabulary import Block, Document, Facts, Section, Sentence, Table, describe, line, table
 from cvxshear.screening import Finding, Screening
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import AUTOMATIC, Units, capital, counted, listed, percent, ranged, with_std, with_stds
-from cvxshear.util.typing import Floats
 
 METHOD_WORDS = {
     "era": "eigensystem realization (era)", "okid": "observer identification and eigensystem realization (okid)",
@@ -34,17 +23,6 @@ METHOD_WORDS = {
 def method_in_words(result: ModalResult) -> str:
     """How the modes were found."""
     return METHOD_WORDS.get(result.method, result.method)
-
-
-def scale_in_words(result: ModalResult) -> str:
-    """In what the shapes are given."""
-    return "1/√kg" if result.mass_normalized else "the largest entry is 1"
-
-
-def shape_deviations(result: ModalResult) -> Floats:
-    """Find the standard deviations of the shapes' entries, in the unit of the shapes, shape (m, n)."""
-    largest = np.abs(result.mode_shapes).max(axis=1, keepdims=True)
-    return np.asarray(result.written_entry_std * largest)
 
 
 @describe.register
@@ -75,17 +53,15 @@ def _modes_headline(result: ModalResult) -> str:
 def _table(result: ModalResult) -> Table:
     frequencies = zip(result.frequencies.tolist(), result.written_frequency_std.tolist(), strict=True)
     damping = zip(result.damping_ratios.tolist(), result.written_damping_std.tolist(), strict=True)
-    rows = columns(
-        [str(mode) for mode in result.modes],
-        [with_std(value, value * std, factor=1.0) for value, std in frequencies],
-        # A ratio of nothing at all is one that nobody gave.
-        [with_std(value, std, factor=0.01) if value else "–" for value, std in damping],
-        [f"{value:.4f}" for value in result.phase_collinearity.tolist()],
-        [f"{value:.1f}°" for value in result.lost_phase],
-    )
-    head = ("mode", "frequency, Hz", "damping, %", "MPC", "lost phase")
     title = "Modes ± standard deviation. MPC: phase collinearity, 1 where all floors move in step; lost phase: 0° then"
-    return Table("identified-modes", title, head, rows)
+    return table("identified-modes", title, {
+        "mode": [str(mode) for mode in result.modes],
+        "frequency, Hz": [with_std(value, value * std, factor=1.0) for value, std in frequencies],
+        # A ratio of nothing at all is one that nobody gave.
+        "damping, %": [with_std(value, std, factor=0.01) if value else "–" for value, std in damping],
+        "MPC": [f"{value:.4f}" for value in result.phase_collinearity.tolist()],
+        "lost phase": [f"{value:.1f}°" for value in result.lost_phase],
+    })  # fmt: skip
 
 
 def poles_table(result: ModalResult) -> Table:
@@ -104,34 +80,32 @@ def poles_table(result: ModalResult) -> Table:
     if result.sweep is None:
         raise InputError(f"{result.name}: not identified from a record here, so there are no poles to choose from")
     chosen = {item.members for item in result.sweep.chosen}
-    rows = columns(
-        [str(number) for number in range(1, len(result.sweep.candidates) + 1)],
-        [f"{item.frequency:.4f}" for item in result.sweep.candidates],
-        [percent(item.persistence, 0) for item in result.sweep.candidates],
-        [percent(item.energy, 1) for item in result.sweep.candidates],
-        ["mode" if item.members in chosen else item.reason for item in result.sweep.candidates],
-    )
-    head = ("pole", "frequency, Hz", "orders it is stable in", "share of energy", "taken")
-    return Table("poles", f"{result.name}: --pick with the frequencies, commas between", head, rows, words=(0, 4))
+    candidates = result.sweep.candidates
+    return table("poles", f"{result.name}: --pick with the frequencies, commas between", {
+        "pole": [str(number) for number in range(1, len(candidates) + 1)],
+        "frequency, Hz": [f"{item.frequency:.4f}" for item in candidates],
+        "orders it is stable in": [percent(item.persistence, 0) for item in candidates],
+        "share of energy": [percent(item.energy, 1) for item in candidates],
+        "taken": ["mode" if item.members in chosen else item.reason for item in candidates],
+    }, words=(0, 4))  # fmt: skip
 
 
 def _shapes(result: ModalResult) -> Table:
     """Set the shapes side by side, the top of the frame first."""
-    shapes, stds = result.mode_shapes.tolist(), shape_deviations(result).tolist()
-    rows = columns(
-        [str(floor) for floor in result.floors],
-        *(with_stds(values, std) for values, std in zip(shapes, stds, strict=True)),
-    )
-    title = f"Mode shapes ± standard deviation ({scale_in_words(result)})"
-    return Table(
-        "identified-shapes", title, ("floor", *(f"mode {mode}" for mode in result.modes)), tuple(reversed(rows))
-    )
+    largest = np.abs(result.mode_shapes).max(axis=1, keepdims=True)
+    shapes, stds = result.mode_shapes.tolist(), (result.written_entry_std * largest).tolist()
+    scale = "1/√kg" if result.mass_normalized else "the largest entry is 1"
+    columns = {"floor": [str(floor) for floor in result.floors]}
+    columns |= {f"mode {mode}": with_stds(*pair) for mode, *pair in zip(result.modes, shapes, stds, strict=True)}
+    return table("identified-shapes", f"Mode shapes ± standard deviation ({scale})", columns, top_first=True)
 
 
 @describe.register
 def _screening(result: Screening, units: Units = AUTOMATIC) -> Document:
-    accepted = [Sentence(f"accepted beforehand: {', '.join(result.accepted)}")] if result.accepted else []
-    parts = [*accepted, *(part for item in result.findings for part in _finding(item)), *_record(result)]
+    accepted: list[Block] = [Sentence(f"accepted beforehand: {', '.join(result.accepted)}")] if result.accepted else []
+    parts = [*accepted, *(part for item in result.findings for part in _finding(item))]
+    for said in result.record:
+        parts += [Sentence(f"RECORD: {said.kind}", "warning"), Facts((("  found", said.message),))]
     return Document(
         result.name, f"{result.name}: {_screening_headline(result)}", (Section("findings", "", tuple(parts)),)
     )
@@ -155,13 +129,6 @@ def _finding(item: Finding) -> Iterator[Block]:
             ("  accept", f"{item.how_to_accept}, if it is right as it is"),
         )
     )
-
-
-def _record(result: Screening) -> Iterator[Block]:
-    """List what a record's own diagnostics say."""
-    for item in result.record:
-        yield Sentence(f"RECORD: {item.kind}", "warning")
-        yield Facts((("  found", item.message),))
 
 
 def doubts_section(found: Sequence[Finding]) -> Section:

@@ -121,8 +121,8 @@ def headline(result: Closure) -> str:
     """
     verdict, found = verdict_of(result), result.numberings[0]
     spread = "in no single part" if verdict.provisional else ""
-    added = bool(result.effects)
-    before = result.before
+    added, before = bool(result.effects), result.before
+    unmoved = _only_accuracy(result) if added else bool(found.changes)
     renumbered = ""
     if found.changes:
         before = result.steps[1]
@@ -132,10 +132,10 @@ def headline(result: Closure) -> str:
     said = verdict.says(
         added=added,
         model=_model(result),
-        found=_effects(result.effects),
+        found=_effects(result),
         doubt=_doubt(result),
         place=f"in {listed(result.remains[:2])}" if result.remains else spread,
-        change="" if found.changes and not added else change_in_words(before.estimate, result.estimate),
+        change="" if unmoved else change_in_words(before.estimate, result.estimate),
         within=_within(result),
     )
     return f"{renumbered}{said}."
@@ -172,12 +172,16 @@ def _model(result: Closure) -> str:
     return f"the shear model with {listed([placed.label for placed in result.assumed])}"
 
 
-def _effects(effects: tuple[AddedEffect, ...]) -> str:
-    """Name the effects with their sizes and probabilities, or say how many there are and name the first."""
+def _effects(result: Closure) -> str:
+    """Name the effects with their sizes and probabilities, or say how many there are and name the first.
+
+    Provisional ones stand without a probability: it is one among causes none of which explains the data.
+    """
     said = [
-        f"{item.size[:-1]}; {chance(item.probability)} probable)" if item.size.endswith(")")
+        item.size if verdict_of(result).provisional
+        else f"{item.size[:-1]}; {chance(item.probability)} probable)" if item.size.endswith(")")
         else f"{item.size} ({chance(item.probability)} probable)"
-        for item in effects
+        for item in result.effects
     ]  # fmt: skip
     return listed(said) if len(said) <= NAMED else f"{len(said)} effects were found, the first: {said[0]}"
 
@@ -235,6 +239,8 @@ def evidence_in_words(result: Closure) -> str:
     shares = carried_by(result.before.estimate, result.estimate) if result.effects else {}
     if not shares:
         return ""
+    if _only_accuracy(result):
+        return "The evidence lies in the residuals of the mode shapes, which scatter more than was declared."
     first, share = next(iter(shares.items()))
     kind = plural_of(first)
     if len(shares) == 1:
@@ -243,6 +249,11 @@ def evidence_in_words(result: Closure) -> str:
         return f"The evidence lies in the {kind}: {percent(share, 0)} of the fall in chi-square is theirs."
     said = [f"{plural_of(each)} ({percent(part, 0)})" for each, part in shares.items()]
     return f"The evidence lies in {listed(said)} of the fall in chi-square."
+
+
+def _only_accuracy(result: Closure) -> bool:
+    """Whether nothing was found but that some data are less accurate: no error of the model falls by that."""
+    return all(item.placed.effect.rescales for item in result.effects)
 
 
 def change_in_words(before: Estimate, after: Estimate) -> str:

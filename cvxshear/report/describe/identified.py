@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 
 import numpy as np
 
@@ -19,10 +20,10 @@ from cvxshear.report.describe.vocabulary import (
     Section,
     Sentence,
     Table,
-    columns,
     describe,
     line,
     plain_rows,
+    table,
 )
 from cvxshear.response import IdentifiedDamping
 from cvxshear.util.quantities import (
@@ -44,7 +45,7 @@ from cvxshear.util.quantities import (
 from cvxshear.util.typing import Floats
 
 PLURALS = {"floor_mass": "floor masses", "story_stiffness": "story stiffnesses"}
-"""Of what a frame has one at each floor or story."""
+"""Plurals of the quantities that a frame has one of at each floor or story."""
 
 
 def in_words(names: Iterable[str]) -> str:
@@ -75,7 +76,7 @@ def frame_table(
     key: str = "identified",
     averaged: IdentifiedFrame | None = None,
 ) -> Table:
-    """Floor masses and story stiffnesses, the top of the frame first, and beside them those averaged over models."""
+    """Floor masses with their sum and story stiffnesses, the top first, and beside them those averaged over models."""
     mass_factor, mass_unit = units.of_mass(frame.floor_mass.tolist())
     factor, unit = units.of_stiffness(frame.story_stiffness.tolist())
     head = ["floor / story", f"mass, {mass_unit}", f"stiffness, {unit}"]
@@ -94,7 +95,8 @@ def frame_table(
                 f"{significant(value / size, 2)} (at a bound)" if at_bound else text
                 for value, text, at_bound in zip(values.tolist(), written, stopped, strict=True)
             ])  # fmt: skip
-    return Table(key, title, tuple(head), tuple(reversed(columns(*cells))))
+    sums = [text for each in shown for text in (significant(float(each.floor_mass.sum()) / mass_factor, 5), "")]
+    return Table(key, title, tuple(head), (*reversed(plain_rows(zip(*cells, strict=True))), Row(("sum", *sums))))
 
 
 def in_one_unit(
@@ -152,17 +154,16 @@ def damping_section(result: IdentifiedDamping) -> Section:
 
 def _damping_parts(result: IdentifiedDamping) -> Iterator[Block]:
     measured = np.full(len(result.ratios), np.nan) if result.measured is None else result.measured
-    ratios = plain_rows(
-        (str(mode), with_std(float(ratio), float(std), factor=0.01), significant(100 * float(seen), 3))
-        for mode, (ratio, std, seen) in enumerate(zip(result.ratios, result.ratios_std, measured, strict=True), 1)
-    )
-    yield Table("damping-ratios", f"damping ({result.kind})", ("mode", "ratio, %", "measured, %"), ratios)
+    numbers = [str(number) for number in range(1, len(result.ratios) + 1)]
+    yield table("damping-ratios", f"damping ({result.kind})", {
+        "mode": numbers,
+        "ratio, %": map(partial(with_std, factor=0.01), result.ratios.tolist(), result.ratios_std.tolist()),
+        "measured, %": [significant(100 * float(seen), 3) for seen in measured],
+    })  # fmt: skip
     if result.story_dashpot is not None and result.story_dashpot_std is not None:
-        dashpots = plain_rows(
-            (str(story), with_std(float(dashpot), float(std)))
-            for story, (dashpot, std) in enumerate(zip(result.story_dashpot, result.story_dashpot_std, strict=True), 1)
-        )
-        yield Table("story-dashpots", "story dashpots", ("story", "N s/m"), dashpots[::-1])
+        dashpots = list(map(with_std, result.story_dashpot.tolist(), result.story_dashpot_std.tolist()))
+        stories = [str(story) for story in range(1, len(dashpots) + 1)]
+        yield table("story-dashpots", "story dashpots", {"story": stories, "N s/m": dashpots}, top_first=True)
     if result.rayleigh is not None:
         a, b = result.rayleigh
         yield Sentence(f"C = a M + b K, a = {significant(float(a))} 1/s, b = {significant(float(b))} s")

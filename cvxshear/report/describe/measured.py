@@ -13,7 +13,7 @@ from cvxshear.util.quantities import AUTOMATIC, Units, counted, percents, ranged
 from cvxshear.util.typing import Floats
 
 FLOOR_COLUMNS = 11
-"""Of a table of measured modes beside the modes' numbers; more go below."""
+"""Floors in one table of measured modes: what a page has room for; more go into tables below it."""
 
 
 @describe.register

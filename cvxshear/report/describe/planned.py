@@ -9,7 +9,7 @@ import numpy as np
 from cvxshear.planning.chances import SUFFICES
 from cvxshear.planning.design import UNKNOWN_STD
 from cvxshear.planning.results import Outlook, Plan
-from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, columns, describe, plain_rows
+from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, describe, plain_rows, table
 from cvxshear.util.quantities import AUTOMATIC, Units, counted, percent, percents, significant
 from cvxshear.util.typing import Floats
 
@@ -97,17 +97,16 @@ def grid(result: Plan) -> list[Sentence]:
 def expected_modes(result: Plan) -> Table:
     """Tabulate the modes of the first test, and how well they will be known where that differs from mode to mode."""
     modes = result.expected_modes
-    given = (
-        ("mode", [str(each.mode) for each in modes]),
-        ("frequency, Hz", [significant(each.frequency) for each in modes]),
-        ("std of it", percents([each.frequency_std for each in modes])),
-        ("std of a shape's entry", percents([each.mode_shape_std for each in modes])),
-        ("std of damping", percents([each.damping_std for each in modes])),
-    )
+    given = {
+        "mode": [str(each.mode) for each in modes],
+        "frequency, Hz": [significant(each.frequency) for each in modes],
+        "std of it": percents([each.frequency_std for each in modes]),
+        "std of a shape's entry": percents([each.mode_shape_std for each in modes]),
+        "std of damping": percents([each.damping_std for each in modes]),
+    }
     # What is one number for all modes stands in the sentence about the noise.
-    shown = [(name, cells) for name, cells in given if name == "mode" or len(set(cells)) > 1]
-    title = f"expected modes ({result.names[0]})"
-    return Table("expected-modes", title, tuple(name for name, _ in shown), columns(*(cells for _, cells in shown)))
+    shown = {name: cells for name, cells in given.items() if name == "mode" or len(set(cells)) > 1}
+    return table("expected-modes", f"expected modes ({result.names[0]})", shown)
 
 
 def added_masses(result: Plan, units: Units) -> Table:
@@ -127,19 +126,14 @@ def added_masses(result: Plan, units: Units) -> Table:
 
 def verdicts(result: Plan) -> Table:
     """For each effect, how far its data are from those without it and from those of the others."""
-    rows = plain_rows(
-        (
-            each.label,
-            significant(each.size, 3) + (f" {each.unit}" if each.unit else ""),
-            significant(each.distance, 3),
-            each.nearest or "–",
-            significant(each.nearest_distance, 3),
-            percent(each.probability, 0),
-        )
-        for each in result.apart
-    )
-    head = ("if it is", "expected size", "std from none", "most like", "std from that", "right verdict")
-    return Table("verdicts", "probability of the right verdict", head, rows, words=(0, 3))
+    return table("verdicts", "probability of the right verdict", {
+        "if it is": [each.label for each in result.apart],
+        "expected size": [f"{significant(each.size, 3)} {each.unit or ''}".rstrip() for each in result.apart],
+        "std from none": [significant(each.distance, 3) for each in result.apart],
+        "most like": [each.nearest or "–" for each in result.apart],
+        "std from that": [significant(each.nearest_distance, 3) for each in result.apart],
+        "right verdict": [percent(each.probability, 0) for each in result.apart],
+    }, words=(0, 3))  # fmt: skip
 
 
 def conclusions(result: Plan) -> list[Sentence]:
@@ -196,19 +190,13 @@ def _value(objective: float) -> str:
 
 def counts(result: Plan) -> Table:
     """Tabulate the objective against the number of sensors."""
-    outlooks: dict[int, Outlook] = {
-        len(each.floors): each
-        for each in (result.fewer, result.chosen, result.more, result.everywhere)
-        if each is not None
-    }
-    rows = plain_rows(
-        (
-            str(count),
-            "all" if count == result.model.design.stories else ", ".join(map(str, each.floors)),
-            _value(each.objective),
-            _value(each.bound),
-        )
-        for count, each in sorted(outlooks.items())
-    )
-    head = ("sensors", "floors", "value", "no choice below")
-    return Table("counts", f"{result.measure}, by number of sensors", head, rows)
+    options = (result.fewer, result.chosen, result.more, result.everywhere)
+    outlooks: dict[int, Outlook] = {len(each.floors): each for each in options if each is not None}
+    shown = [outlooks[count] for count in sorted(outlooks)]
+    everywhere = result.model.design.stories
+    return table("counts", f"{result.measure}, by number of sensors", {
+        "sensors": [str(len(each.floors)) for each in shown],
+        "floors": ["all" if len(each.floors) == everywhere else ", ".join(map(str, each.floors)) for each in shown],
+        "value": [_value(each.objective) for each in shown],
+        "no choice below": [_value(each.bound) for each in shown],
+    })  # fmt: skip

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
 from cvxshear.report.describe.consequences import MODELS
 from cvxshear.report.describe.identified import damping_section
-from cvxshear.report.describe.vocabulary import Document, Row, Section, Sentence, Table, describe, plain_rows
+from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, describe, plain_rows, table
 from cvxshear.response import Peaks, Reconstruction, RecordComparison, RecordPrediction
 from cvxshear.response.reconstruction import SIGN_KNOWN, UNSETTLED
 from cvxshear.util.quantities import (
@@ -115,20 +116,19 @@ def _errors(side: RecordComparison, at: int, modes: int) -> Iterator[str]:
 def peaks(found: Peaks) -> Iterator[Sentence | Table]:
     """Largest values at every floor and story, the top first, and the moment; drift ratios stand in another table."""
     values, std = found.values, found.std
-    head, columns = ["floor / story"], []
+    columns = {"floor / story": [str(floor) for floor in range(1, len(values["story_drift"]) + 1)]}
     for name, word, unit in PEAKS:
         if name in values:
             factor, prefixed = (1e-3, "mm") if unit == "m" else scaled(values[name].tolist(), unit)
-            head.append(f"{word}, {prefixed}" if unit else word)
-            columns.append([
-                with_std(float(value), float(deviation), factor=factor)
-                for value, deviation in zip(values[name], std[name], strict=True)
-            ])  # fmt: skip
-    rows = [Row((str(floor), *cells)) for floor, cells in enumerate(zip(*columns, strict=True), 1)]
-    yield Table("prediction-peaks", "peaks ± standard deviation", tuple(head), tuple(reversed(rows)))
+            columns[f"{word}, {prefixed}"] = _each_with_std(found, name, factor)
+    yield table("prediction-peaks", "peaks ± standard deviation", columns, top_first=True)
     if "overturning_moment" in values:
         moment = with_std(float(values["overturning_moment"][0]), float(std["overturning_moment"][0]), "N m")
         yield Sentence(f"overturning moment at the base: {moment}")
+
+
+def _each_with_std(found: Peaks, name: str, factor: float) -> list[str]:
+    return list(map(partial(with_std, factor=factor), found.values[name].tolist(), found.std[name].tolist()))
 
 
 def _peak_parts(result: RecordPrediction) -> Iterator[Sentence | Table]:
@@ -158,10 +158,9 @@ def _peak_parts(result: RecordPrediction) -> Iterator[Sentence | Table]:
 def _drift_ratios(found: Peaks) -> Iterator[Table]:
     """Drift ratios in a table of their own: beside the other peaks they would not fit on a page."""
     if "story_drift_ratio" in found.values:
-        pairs = zip(found.values["story_drift_ratio"], found.std["story_drift_ratio"], strict=True)
-        cells = [with_std(float(value), float(std), factor=0.01) for value, std in pairs]
-        rows = plain_rows((str(story), cells[story - 1]) for story in range(len(cells), 0, -1))
-        yield Table("prediction-drift-ratios", "peak drift ± standard deviation", ("story", "% of height"), rows)
+        cells = _each_with_std(found, "story_drift_ratio", 0.01)
+        columns = {"story": [str(story) for story in range(1, len(cells) + 1)], "% of height": cells}
+        yield table("prediction-drift-ratios", "peak drift ± standard deviation", columns, top_first=True)
 
 
 @describe.register
@@ -240,16 +239,15 @@ def _stories(numbers: list[int]) -> str:
 
 def left_out(result: Reconstruction) -> Table:
     """Each sensor from all others: what was left, and what was stated."""
-    head = ("floor", "rms, m/s²", "error", "stated", "within 95 % band", "prediction alone")
-    rows = plain_rows(
-        (
-            str(each.floor), significant(each.measured, 3), percent(each.error / each.measured, 1),
-            percent(each.stated / each.measured, 1), percent(each.within, 0),
-            "–" if each.prediction_error is None else percent(each.prediction_error / each.measured, 1),
-        )
-        for each in reversed(result.checks)
-    )  # fmt: skip
-    return Table("left-out-sensors", "each measured floor from the other sensors alone", head, rows)
+    alone = [None if each.prediction_error is None else each.prediction_error / each.measured for each in result.checks]
+    return table("left-out-sensors", "each measured floor from the other sensors alone", {
+        "floor": [str(each.floor) for each in result.checks],
+        "rms, m/s²": [significant(each.measured, 3) for each in result.checks],
+        "error": [percent(each.error / each.measured, 1) for each in result.checks],
+        "stated": [percent(each.stated / each.measured, 1) for each in result.checks],
+        "within 95 % band": [percent(each.within, 0) for each in result.checks],
+        "prediction alone": [percent(ratio, 1) for ratio in alone],
+    }, top_first=True)  # fmt: skip
 
 
 def stories(result: Reconstruction) -> Table:
@@ -278,16 +276,14 @@ def stories(result: Reconstruction) -> Table:
 
 def _frame_parts(result: Reconstruction) -> Iterator[Sentence | Table]:
     before = result.frame.errors.varied.centre.model
-    rows = plain_rows(
-        (
-            str(mode + 1), significant(float(before.modes.frequencies[mode])),
-            significant(float(result.model.modes.frequencies[mode])),
-            percent(float(before.ratios[mode]), 2), percent(float(result.model.ratios[mode]), 2),
-        )
-        for mode in range(min(len(result.model.M), MODE_COLUMNS))
-    )  # fmt: skip
-    head = ("mode", "identified, Hz", "in this record, Hz", "damping identified", "damping in this record")
-    yield Table("reconstructed-modes", "modes of the frame", head, rows)
+    shown = slice(min(len(result.model.M), MODE_COLUMNS))
+    yield table("reconstructed-modes", "modes of the frame", {
+        "mode": [str(mode) for mode in range(1, shown.stop + 1)],
+        "identified, Hz": map(significant, before.modes.frequencies[shown].tolist()),
+        "in this record, Hz": map(significant, result.model.modes.frequencies[shown].tolist()),
+        "damping identified": map(percent, before.ratios[shown].tolist()),
+        "damping in this record": map(percent, result.model.ratios[shown].tolist()),
+    })  # fmt: skip
     noise = result.frame.errors.noise_at(result.frame.p)
     yield Sentence(
         f"story forces that the model misses: {percent(noise.force, 1)} of the rms story force; "
@@ -298,15 +294,13 @@ def _frame_parts(result: Reconstruction) -> Iterator[Sentence | Table]:
 def whiteness(result: Reconstruction) -> Table:
     """Noise and innovations of each sensor."""
     noise = result.frame.errors.noise_at(result.frame.p).sensors
-    head = (
-        "floor", "sensor noise, m/s²", "innovations / stated", "largest correlation", "at lag, s", "p (white)",
-        "spikes", "missing",
-    )  # fmt: skip
-    rows = plain_rows(
-        (
-            str(each.floor), significant(float(own), 3), f"{each.size:.2f}", f"{each.correlation:+.2f}",
-            significant(each.lag, 3), probability(each.p_value), str(each.spikes), str(each.missing),
-        )
-        for each, own in reversed(list(zip(result.whiteness, noise, strict=True)))
-    )  # fmt: skip
-    return Table("whiteness", "innovations of the filter", head, rows)
+    return table("whiteness", "innovations of the filter", {
+        "floor": [str(each.floor) for each in result.whiteness],
+        "sensor noise, m/s²": [significant(float(own), 3) for own in noise],
+        "innovations / stated": [f"{each.size:.2f}" for each in result.whiteness],
+        "largest correlation": [f"{each.correlation:+.2f}" for each in result.whiteness],
+        "at lag, s": [significant(each.lag, 3) for each in result.whiteness],
+        "p (white)": [probability(each.p_value) for each in result.whiteness],
+        "spikes": [str(each.spikes) for each in result.whiteness],
+        "missing": [str(each.missing) for each in result.whiteness],
+    }, top_first=True)  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import singledispatch
 from typing import ClassVar
@@ -177,9 +177,12 @@ def plain_rows(cells: Iterable[Sequence[str]]) -> tuple[Row, ...]:
     return tuple(Row(tuple(row)) for row in cells)
 
 
-def columns(*texts: Sequence[str]) -> tuple[Row, ...]:
-    """Rows from whole columns, all of one length."""
-    return plain_rows(zip(*texts, strict=True))
+def table(
+    key: str, title: str, cells: Mapping[str, Iterable[str]], *, words: tuple[int, ...] = (0,), top_first: bool = False
+) -> Table:
+    """Make a table of whole columns, each below its header; with `top_first` their last entries are the first row."""
+    rows = plain_rows(zip(*cells.values(), strict=True))
+    return Table(key, title, tuple(cells), rows[::-1] if top_first else rows, words)
 
 
 @singledispatch

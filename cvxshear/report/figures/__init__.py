@@ -4,11 +4,10 @@
 """
 
 from cvxshear.report.figures.drawn_frame import findings, frame
-from cvxshear.report.figures.drawn_network import springs
 from cvxshear.report.figures.drawn_shapes import shapes
 from cvxshear.report.figures.figure_table import FigureEntry, drawn_figure, figure, figures_of
 from cvxshear.report.figures.frequency_figures import coherence, functions, stabilization
-from cvxshear.report.figures.judged import ranking, residual
+from cvxshear.report.figures.judged import ranking, residual, springs
 from cvxshear.report.figures.modal_figures import mac, modal_mac, modal_shapes
 from cvxshear.report.figures.planned_test import plan
 from cvxshear.report.figures.response import (

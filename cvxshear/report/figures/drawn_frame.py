@@ -117,19 +117,15 @@ def _findings_caption(result: Closure) -> str:
     )
 
 
-def _findings_alternative(result: Closure) -> str:
-    return (
-        f"The frame to scale, one drawing a state; {counted(len(result.effects), 'effect')} marked at the places where "
-        "they act. The sentences above and the table of effects say the same."
-    )
-
-
 @figure(
     "findings",
     Closure,
     title="What was found, and where",
     caption=_findings_caption,
-    alternative=_findings_alternative,
+    alternative=lambda result: (
+        f"The frame to scale, one drawing a state; {counted(len(result.effects), 'effect')} marked at the places where "
+        "they act. The sentences above and the table of effects say the same."
+    ),
     section="verdict",
     narrow=True,
 )
@@ -311,8 +307,6 @@ def _tie(axes: Axes, low: int, high: int, z: Floats, at: _Columns, *, sure: bool
     Closure,
     Identification,
     title="The identified frame",
-    caption="The frame, heights to scale; a slab is the thicker the heavier its floor, a column the wider the stiffer "
-    "its story.",
     alternative="The frame to scale with its identified masses and stiffnesses; the numbers are in the table above.",
     section="frame",
     narrow=True,
@@ -320,9 +314,16 @@ def _tie(axes: Axes, low: int, high: int, z: Floats, at: _Columns, *, sure: bool
 def frame(result: Closure | Identification) -> Figure:
     """Draw the identified frame: heights to scale, slabs by the masses, columns by the stiffnesses.
 
+    The frame, heights to scale; a slab is the thicker the heavier its floor, a column the wider the stiffer its
+    story.
+
     Of an identification of each configuration by itself every one has its panel.
     """
-    frames = _frames(result)
+    if isinstance(result, Closure):
+        frames = [("", result.frame)]
+    else:
+        several = len(result.parts) > 1
+        frames = [(style.letters(part.name) if several else "", part.frame) for part in result.parts]
     rows, columns = style.grid_of(len(frames), 2)
     height = float(np.clip(result.experiment.stories * 2 * LINE, 2.2, 8.0))
     drawn = style.new_figure(
@@ -331,12 +332,6 @@ def frame(result: Closure | Identification) -> Figure:
     for axes, (title, found) in zip(style.panels(drawn, len(frames), columns), frames, strict=True):
         _numbered(axes, result.experiment, found, title, height)
     return drawn
-
-
-def _frames(result: Closure | Identification) -> list[tuple[str, IdentifiedFrame]]:
-    if isinstance(result, Closure):
-        return [("", result.frame)]
-    return [(style.letters(part.name) if len(result.parts) > 1 else "", part.frame) for part in result.parts]
 
 
 def _numbered(axes: Axes, experiment: Experiment, found: IdentifiedFrame, title: str, inches: float) -> None:

@@ -63,7 +63,9 @@ def mode_shapes(estimate: Estimate) -> list[ModeShape]:
         modelled = _modelled(configuration, model, datum)
         noise = estimate.misfit.noise.of(Shapes.noise.name) if datum is not None and not datum.declared else 1.0
         for j, mode in enumerate(configuration.modes.tolist()):
-            unit = _unit(configuration, j)
+            # The largest measured entry, with its sign; 1 where none was measured.
+            entries = configuration.mode_shapes[j, configuration.measured[j]]
+            unit = float(entries[np.argmax(np.abs(entries))]) if entries.size else 1.0
             # Which entry is largest may change with the configuration; the mode keeps its sign.
             unit = -unit if facing.setdefault(mode, modelled[j] / unit) @ modelled[j] / unit < 0 else unit
             result.append(
@@ -94,12 +96,6 @@ def _modelled(configuration: Configuration, model: Model, datum: Shapes | None) 
     return np.asarray(factor[:, None] * full)
 
 
-def _unit(configuration: Configuration, j: int) -> float:
-    """Find the largest measured entry of a mode, with its sign; 1 where none was measured."""
-    entries = configuration.mode_shapes[j, configuration.measured[j]]
-    return float(entries[np.argmax(np.abs(entries))]) if entries.size else 1.0
-
-
 def mac_tables(result: Closure | Identification) -> list[tuple[str, Floats]]:
     """For each configuration its name and the MAC of every measured mode (rows) with every modelled one (columns).
 
@@ -126,9 +122,6 @@ def _mac(experiment: Experiment, name: str, modelled: Floats) -> Floats:
     return table
 
 
-SHAPES_A_ROW = 5
-"""Panels of mode shapes side by side on a page."""
-
 ABOVE, BELOW, TITLE = 0.3, 0.55, 0.5
 """Room, inch, for the legend, the common label, and the two lines of title of a panel."""
 
@@ -136,15 +129,13 @@ SHEAR: dict[str, Any] = {"color": style.BEFORE, "ls": "--", "marker": "D", "mfc"
 """How the shear model's shape is drawn."""
 
 HALF_WIDTH = 0.16
-"""Of the drawn frame, where the largest entry of a shape is 1."""
+"""Half the width of the drawn frame, in units of the largest entry of a shape."""
 
 
 @figure(
     "shapes",
     Closure,
     title="Mode shapes",
-    caption="Each measured mode: dots with error bars are measured, the dashed line is the shear model, the frame is "
-    "the final model.",
     alternative="Measured mode shapes with error bars beside those of the shear model and of the final model.",
     section="shapes",
     narrow=True,
@@ -152,18 +143,15 @@ HALF_WIDTH = 0.16
 def shapes(result: Closure) -> Figure:
     """Every measured mode with its error bars, the final model's as a displaced frame, and the first model's as a line.
 
+    Each measured mode: dots with error bars are measured, the dashed line is the shear model, the frame is the
+    final model.
+
     One panel a configuration and measured mode.
     """
     before, after = mode_shapes(result.before.estimate), mode_shapes(result.estimate)
-    most = max(len(each.frequencies) for each in result.experiment.configurations)
-    fitting = 2 if style.narrow_page() else SHAPES_A_ROW
-    columns = style.even_columns(most, fitting)
-    stories = result.experiment.stories
-    tall = float(np.clip(0.16 * stories, 1.6, 3.0))
     counts = [len(each.frequencies) for each in result.experiment.configurations]
-    rows = sum(-(-count // columns) for count in counts)
+    columns, rows, tall, width = style.shape_grid(counts, result.experiment.stories, 5.6)
     above = 3 * ABOVE if style.narrow_page() else ABOVE
-    width = style.page_width() if style.narrow_page() else max(style.page_width() * columns / fitting, 5.6)
     height = rows * (tall + TITLE) + above + BELOW
     # Panels of one size need no search for a layout, which takes long for many of them.
     figure = style.new_figure(width, height, fixed=True)

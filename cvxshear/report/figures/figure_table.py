@@ -67,14 +67,14 @@ class FigureEntry:
 
 
 _TABLE: dict[type, dict[str, FigureEntry]] = {}
-"""By the type of the result, in the order in which a report shows them."""
+"""Figures by the type of their result, in the order in which a report shows them."""
 
 
 def figure(
     name: str,
     *results: type,
     title: str,
-    caption: Words,
+    caption: Words = "",
     alternative: Words = "",
     section: str = "",
     applies: Callable[..., bool] = lambda *results: True,
@@ -89,7 +89,8 @@ def figure(
     *results : type
         Such as `Closure`; the first figure of a type is drawn where a file is named and no kind.
     title, caption, alternative, section, applies, needs, narrow
-        As in `FigureEntry`; the alternative text is the first line of the function's docstring where empty.
+        As in `FigureEntry`; where empty, the alternative text is the first line of the function's docstring and the
+        caption its second paragraph.
 
     Returns
     -------
@@ -107,8 +108,9 @@ def figure(
             return in_style(*given, **options)
 
         drawn.__doc__ = _documented(draw, results)
-        said = alternative or (inspect.getdoc(draw) or "").partition("\n")[0]
-        entry = FigureEntry(name, drawn, title, caption, said, section, applies, needs, narrow)
+        said = [" ".join(part.split()) for part in (inspect.getdoc(draw) or "").split("\n\n")]
+        words = caption or "".join(part for part in said[1:2] if "---" not in part), alternative or said[0]
+        entry = FigureEntry(name, drawn, title, *words, section, applies, needs, narrow)
         for result in results:
             _TABLE.setdefault(result, {})[name] = entry
         return drawn

@@ -21,11 +21,11 @@ from cvxshear.report.figures.figure_table import figure
 from cvxshear.util.typing import Floats
 
 LABEL_WIDTH = 0.14
-"""inch, what a label standing on end needs in width."""
+"""Width that a label standing on end needs, inch."""
 BAND = 0.42
-"""Of the orders' height: the room for the labels above them."""
+"""Height of the labels above the orders, as a fraction of the orders' height."""
 HIGHEST = 1.3
-"""Times the highest natural frequency: where the axis ends."""
+"""End of the axis of frequencies, as a multiple of the highest natural frequency."""
 POLES: dict[str, dict[str, Any]] = {
     "pole": {"marker": ".", "color": "#B5B5B5", "ms": 3.0},
     "stable": {"marker": "+", "color": style.BEFORE, "ms": 4.5, "mew": 0.8},
@@ -37,14 +37,15 @@ POLES: dict[str, dict[str, Any]] = {
     "stabilization",
     ModalResult,
     title="Stabilization diagram",
-    caption="Poles of models of growing order. A pole that comes back from order to order is stable; the values of a "
-    "mode are medians over its poles. The grey curve is the mode indicator function, logarithmic.",
     applies=lambda *results: all(result.sweep is not None for result in results),
     needs="an order sweep: modes that were identified from a record here",
     narrow=True,
 )
 def stabilization(*results: ModalResult) -> Figure:
     """Poles over model order: all of them, the stable ones, and those the modes rest on.
+
+    Poles of models of growing order. A pole that comes back from order to order is stable; the values of a mode are
+    medians over its poles. The grey curve is the mode indicator function, logarithmic.
 
     Parameters
     ----------
@@ -136,14 +137,15 @@ FUNCTIONS = {
     "functions",
     ModalResult,
     title="Measured and synthesized functions",
-    caption="What was measured, and what the identified poles and shapes make of it, residual terms included. Where "
-    "the curves differ, a mode is missing or its shape is wrong. Grey lines: the natural frequencies.",
     applies=lambda *results: all(result.functions is not None for result in results),
     needs="the functions of the record (identify_modes: functions=True)",
     narrow=True,
 )
 def functions(*results: ModalResult) -> Figure:
     """Measured functions beside those that the identified modes make, floor by floor.
+
+    What was measured, and what the identified poles and shapes make of it, residual terms included. Where the
+    curves differ, a mode is missing or its shape is wrong. Grey lines: the natural frequencies.
 
     Parameters
     ----------
@@ -183,8 +185,6 @@ def functions(*results: ModalResult) -> Figure:
     "coherence",
     ModalResult,
     title="Coherence",
-    caption="The share of each response that is due to the input; where no input was measured, what it has in common "
-    "with the highest floor. Low values beside a resonance are usual, low values at one are not.",
     applies=lambda *results: all(
         result.functions is not None and result.functions.coherence is not None for result in results
     ),
@@ -193,6 +193,9 @@ def functions(*results: ModalResult) -> Figure:
 )
 def coherence(*results: ModalResult) -> Figure:
     """Coherence of each floor's response with what drove it, over frequency.
+
+    The share of each response that is due to the input; where no input was measured, what it has in common with the
+    highest floor. Low values beside a resonance are usual, low values at one are not.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How probable each effect is, and how far the model is from each part of the measurement."""
+"""How probable each effect is, how far the model is from the measurement, and the springs between levels."""
 
 from __future__ import annotations
 
@@ -9,15 +9,18 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 
 from cvxshear.data import Deviation
+from cvxshear.effects.open_class import STANDS_OUT
 from cvxshear.loop import Closure
 from cvxshear.loop.residual import by_part
 from cvxshear.loop.results import Candidate
 from cvxshear.report.figures import style
+from cvxshear.report.figures.drawn_frame import networks
 from cvxshear.report.figures.figure_table import figure
-from cvxshear.util.quantities import chance
+from cvxshear.util.quantities import AUTOMATIC, capital, chance, with_std
 from cvxshear.util.typing import Floats
 
 MOST_BARS = 14
@@ -40,8 +43,6 @@ TICKS = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999)
     "ranking",
     Closure,
     title="Probabilities of the effects",
-    caption="How probable each effect is: before the data (hollow diamonds) and with them (dots). Beyond the dotted "
-    "line an effect is more probable than not.",
     alternative="How probable each effect is before and with the data; the numbers are in the table above.",
     section="candidates",
     applies=lambda result: bool(result.candidates),
@@ -50,6 +51,9 @@ TICKS = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999)
 )
 def ranking(result: Closure) -> Figure:
     """Draw the probability of each effect before the data and with them, on an axis of log odds.
+
+    How probable each effect is: before the data (hollow diamonds) and with them (dots). Beyond the dotted line an
+    effect is more probable than not.
 
     What was added above, what else was looked for below.
     """
@@ -61,7 +65,6 @@ def ranking(result: Closure) -> Figure:
     figure = style.new_figure(style.page_width(), row * max(len(bars), 2) + room)
     axes = figure.subplots()
     axes.axvline(0.0, color="black", ls=":", lw=1.2)
-    _arrows(axes, bars)
     _dots(axes, bars, len(mine))
     wrap = 30 if style.narrow_page() else 90
     labels = ["\n".join(textwrap.wrap(style.letters(item.placed.label, LONGEST_LABEL), wrap - 6)) for item in bars]
@@ -87,26 +90,22 @@ def _log_odds(probabilities: list[float] | tuple[float, ...]) -> Floats:
     return np.asarray(np.log(p) - np.log1p(-p))
 
 
-def _arrows(axes: Axes, bars: list[Candidate]) -> None:
-    before, after = _log_odds([item.prior for item in bars]), _log_odds([item.probability for item in bars])
-    axes.hlines(range(len(bars)), before, after, color="#B0B0B0", lw=1.0, zorder=1)
-    axes.plot(before, range(len(bars)), label="before the data", **HOLLOW)
-
-
 def _dots(axes: Axes, bars: list[Candidate], added: int) -> None:
-    """With the data: full where added, and pointing outwards where the number lies beyond the edge."""
-    after = _log_odds([item.probability for item in bars])
+    """Both probabilities and a line between; with the data full where added, pointing outwards beyond the edge."""
+    places = np.arange(len(bars))
+    before, after = _log_odds([item.prior for item in bars]), _log_odds([item.probability for item in bars])
+    axes.hlines(places, before, after, color="#B0B0B0", lw=1.0, zorder=1)
+    axes.plot(before, places, label="before the data", **HOLLOW)
     inside = np.array([LEAST_DRAWN <= item.probability <= 1.0 - LEAST_DRAWN for item in bars], dtype=bool)
-    mine = np.arange(len(bars)) < added
-    for chosen, label, face, colour in (
-        (mine, "with the data: added", style.AFTER, style.AFTER),
-        (~mine, "with the data: not added", style.GREY, style.GREY),
+    for chosen, label, colour in (
+        (places < added, "with the data: added", style.AFTER),
+        (places >= added, "with the data: not added", style.GREY),
     ):
         for marker, there in (("o", inside), ("<", ~inside & (after < 0)), (">", ~inside & (after > 0))):
             at = np.flatnonzero(chosen & there)
             if len(at):
                 named = label if label not in axes.get_legend_handles_labels()[1] else None
-                axes.plot(after[at], at, ls="none", marker=marker, mfc=face, mec=colour, ms=5.0, label=named)
+                axes.plot(after[at], at, ls="none", marker=marker, color=colour, ms=5.0, label=named)
 
 
 def _percent(value: float, at: object = None) -> str:
@@ -126,7 +125,7 @@ MOST_DECADES = 2
 """Labels on either side of zero."""
 
 ROW, ROOM = 0.19, 1.5
-"""inch, of a row, and of legend and axis."""
+"""Heights of a row, and of legend and axis together, inch."""
 
 Pair = tuple[Deviation, Deviation]
 
@@ -135,9 +134,6 @@ Pair = tuple[Deviation, Deviation]
     "residual",
     Closure,
     title="Residuals",
-    caption="The residual of every part of the measurement for the shear model (hollow diamonds) and with effects "
-    "(dots), both in standard deviations of the final model's noise. Within the grey band it is what noise alone "
-    "makes.",
     alternative="Residual of each part of the measurement in standard deviations, for the shear model and with "
     "effects; the numbers are in the tables above.",
     section="residual",
@@ -145,6 +141,9 @@ Pair = tuple[Deviation, Deviation]
 )
 def residual(result: Closure) -> Figure:
     """How far the model is from each part of the measurement, in standard deviations, before and after.
+
+    The residual of every part of the measurement for the shear model (hollow diamonds) and with effects (dots),
+    both in standard deviations of the final model's noise. Within the grey band it is what noise alone makes.
 
     Both are counted in the noise of the final model.
 
@@ -214,3 +213,72 @@ def _decades(largest: float) -> list[float]:
     first, last = int(np.ceil(np.log10(LINEAR))), int(np.floor(np.log10(2 * largest)))
     powers = [10.0**power for power in range(first, last + 1, -(-(last - first + 1) // MOST_DECADES))]
     return [*(-power for power in reversed(powers)), 0.0, *powers]
+
+
+MOST_LEVELS = 9
+"""Levels up to which a matrix of springs has its numbers written in."""
+
+
+@figure(
+    "springs",
+    Closure,
+    title="Springs between levels",
+    alternative="Matrix of the springs between all pairs of levels; the largest are named in the table of effects.",
+    section="effects",
+    applies=lambda result: bool(networks(result)),
+    needs="springs between levels that no story joins",
+    narrow=True,
+)
+def springs(result: Closure) -> Figure:
+    """Fill the matrix of springs between levels of the effect that has them.
+
+    Every symmetric stiffness is a network of springs between levels. Shown is what the stories do not have:
+    stiffness and standard deviation of each spring; a heavy outline marks what stands out of its deviation.
+    """
+    item, places = networks(result)[0]
+    values, stds = np.full((2, result.experiment.stories + 1, result.experiment.stories + 1), np.nan)
+    for (low, high), name in zip(places, item.parameters, strict=True):
+        std = item.std[name]
+        values[high, low], stds[high, low] = item.parameters[name], np.nan if std is None else std
+    return springs_between_levels(values, stds)
+
+
+def springs_between_levels(values: Floats, stds: Floats) -> Figure:
+    """Draw the matrix of springs between all pairs of levels, those marked that stand out of their deviations.
+
+    Colour and number say the same: orange is stiffer than the shear frame has it, purple softer; a heavy outline marks
+    what is more than `STANDS_OUT` standard deviations from zero.
+
+    Parameters
+    ----------
+    values, stds : ndarray, shape (N + 1, N + 1)
+        Stiffness of the spring between two levels and its standard deviation, N/m; level 0 is the ground. The lower
+        triangle is read; nan where there is no such spring.
+    """
+    count = len(values)
+    lower = np.tril(np.ones((count, count), dtype=bool), -1) & np.isfinite(values)
+    factor, unit = AUTOMATIC.of_stiffness(np.where(lower, values, 0.0).ravel().tolist())
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sizes = np.where(lower, values / stds, np.nan)
+    side = style.page_width() if count > MOST_LEVELS // 2 else 4.2
+    drawn = style.new_figure(side, 0.55 * side + 0.6)
+    axes = drawn.subplots()
+    most = max(float(np.nanmax(np.abs(sizes), initial=0.0)), STANDS_OUT)
+    image = axes.imshow(sizes[1:, :-1], cmap="PuOr_r", vmin=-most, vmax=most, aspect="auto")
+    for row, column in zip(*np.nonzero(lower), strict=True):
+        marked = abs(sizes[row, column]) > STANDS_OUT
+        if marked:
+            axes.add_patch(Rectangle((column - 0.47, row - 1.47), 0.94, 0.94, fc="none", ec="black", lw=2.0, zorder=4))
+        if count <= MOST_LEVELS or marked:
+            said = with_std(values[row, column], stds[row, column], factor=factor)
+            dark = abs(sizes[row, column]) > 0.6 * most
+            axes.text(column, row - 1, said.replace(" ± ", "\n± "), ha="center", va="center", fontsize=6.5,
+                      color="white" if dark else "#010101", weight="bold" if marked else "normal")  # fmt: skip
+    names = ["ground", *(f"floor {floor}" for floor in range(1, count))]
+    axes.set_xticks(range(count - 1), names[:-1], rotation=90 if count > MOST_LEVELS else 0)
+    axes.set_yticks(range(count - 1), names[1:])
+    axes.tick_params(length=0)
+    axes.spines[["left", "bottom"]].set_visible(False)
+    axes.set_title(f"{capital(f'springs between levels, {unit}')}")
+    drawn.colorbar(image, ax=axes, label="standard deviations from zero", shrink=0.8)
+    return drawn

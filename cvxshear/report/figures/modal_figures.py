@@ -16,7 +16,7 @@ from cvxshear.methods import Identification
 from cvxshear.modal import ModalResult
 from cvxshear.records.mode_shapes import scaled_to_one
 from cvxshear.report.figures import style
-from cvxshear.report.figures.drawn_shapes import SHAPES_A_ROW, mac_tables
+from cvxshear.report.figures.drawn_shapes import mac_tables
 from cvxshear.report.figures.figure_table import figure
 from cvxshear.util.quantities import percents
 from cvxshear.util.typing import Floats
@@ -33,8 +33,6 @@ MAC_ROUNDING = 1e-12
     Closure,
     Identification,
     title="Measured and modelled modes",
-    caption="The modal assurance criterion (1 for the same shape, 0 for unrelated ones) of every measured mode with "
-    "every mode of the model: where the diagonal is light and the rest is dark, every mode was recognised.",
     alternative="Modal assurance criterion of every measured mode with every mode of the final model.",
     section="shapes",
     applies=lambda result: any(each.measured.any() for each in result.experiment.configurations),
@@ -43,6 +41,9 @@ MAC_ROUNDING = 1e-12
 )
 def mac(result: Closure | Identification) -> Figure:
     """Draw the MAC matrix of each configuration.
+
+    The modal assurance criterion (1 for the same shape, 0 for unrelated ones) of every measured mode with every
+    mode of the model: where the diagonal is light and the rest is dark, every mode was recognised.
 
     One panel a configuration; dark is 0, light is 1, also in black and white.
     """
@@ -106,26 +107,20 @@ def written(value: float, digits: int) -> str:
     "shapes",
     ModalResult,
     title="Mode shapes",
-    caption="Real normal modes, the largest entry 1; bars are one standard deviation.",
     alternative="Mode shapes; the numbers are in the table above.",
     narrow=True,
 )
 def modal_shapes(*results: ModalResult) -> Figure:
     """Draw the shapes of identified modes, one panel a record and mode, with one standard deviation on either side.
 
+    Real normal modes, the largest entry 1; bars are one standard deviation.
+
     Largest entry 1; a mode that several records hold faces one way in all of them.
     """
-    most = max(len(result.frequencies) for result in results)
-    fitting = 2 if style.narrow_page() else SHAPES_A_ROW
-    columns = style.even_columns(most, fitting)
     counts = [len(result.frequencies) for result in results]
-    rows = sum(-(-count // columns) for count in counts)
     stories = max(result.stories for result in results)
-    tall = float(np.clip(0.16 * stories, 1.5, 3.0))
-    figure = style.new_figure(
-        style.page_width() if style.narrow_page() else max(style.PAGE_WIDTH * columns / fitting, 4.0),
-        rows * (tall + 0.65) + 0.4,
-    )
+    columns, rows, tall, width = style.shape_grid(counts, stories, 4.0)
+    figure = style.new_figure(width, rows * (tall + 0.65) + 0.4)
     groups = style.panels_by_group(figure, counts, columns, sharex=True, sharey=True)
     facing: dict[int, tuple[ModalResult, Floats]] = {}
     for result, drawn in zip(results, groups, strict=True):
@@ -142,13 +137,14 @@ def modal_shapes(*results: ModalResult) -> Figure:
     "mac",
     ModalResult,
     title="Modal assurance criterion",
-    caption="The modes against one another: values beside the diagonal that are not small mean that the sensors "
-    "hardly distinguish two modes.",
     alternative="Matrix of the modal assurance criterion of every mode with every other.",
     narrow=True,
 )
 def modal_mac(*results: ModalResult) -> Figure:
     """Draw the modal assurance criterion of the modes of each record with one another.
+
+    The modes against one another: values beside the diagonal that are not small mean that the sensors hardly
+    distinguish two modes.
 
     One panel a record; beside the diagonal it is near 0 where the sensors distinguish the modes.
     """

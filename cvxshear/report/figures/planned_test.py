@@ -15,26 +15,28 @@ from cvxshear.report.figures.figure_table import figure
 from cvxshear.report.figures.style import AFTER, BEFORE, GREY, PALE, letters, new_figure
 
 STORY = 0.24
-"""inch a story, at least."""
+"""Least height of a story, inch."""
 
 LABEL_LETTERS = 24
 """Letters of a label that stand beside the lowest frame drawn."""
 
 TEST_WIDTH = 0.9
-"""inch a test; its name needs as much."""
+"""Width of a test, inch: what its name needs."""
 
 
 @figure(
     "plan",
     Plan,
     title="The planned tests",
-    caption="Left: the frame of each test with its sensors and the masses to add. Right: the expected accuracy over "
-    "the number of sensors, with the bound below which no choice can be.",
     alternative="Sensors and added masses of each test, and accuracy over the number of sensors.",
     section="tests",
 )
 def plan(result: Plan) -> Figure:
-    """Draw the frame of each test with its added masses and sensors, and accuracy against number of sensors."""
+    """Draw the frame of each test with its added masses and sensors, and accuracy against number of sensors.
+
+    Left: the frame of each test with its sensors and the masses to add. Right: the expected accuracy over the
+    number of sensors, with the bound below which no choice can be.
+    """
     shown = min(len(result.tests), MOST_SHOWN)
     n = result.model.design.stories
     frames = max(2.2, TEST_WIDTH * shown + 0.8)

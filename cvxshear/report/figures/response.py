@@ -24,7 +24,7 @@ MOST_FLOORS = 4
 """Floors that have a panel of their own."""
 
 PERIODS = 16
-"""Of the first mode, that a time history shows; more would be a smear."""
+"""Periods of the first mode that a time history shows; more would be a smear."""
 
 PROFILES = (
     ("floor_acceleration", "acceleration", "m/s²"), ("story_drift", "story drift", "mm"),
@@ -332,7 +332,7 @@ def story_drifts(result: Reconstruction) -> Figure:
                 right.text(100 * limit, levels[-1], style.letters(word), rotation=90, va="top", ha="right", fontsize=7)
     right.set_xlim(left=0)
     right.set_xlabel(unit)
-    right.legend(loc="best")
+    right.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return figure
 
 

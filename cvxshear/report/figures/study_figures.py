@@ -21,17 +21,14 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
 
 BOX = 0.8
-"""Of the distance between two noise levels, what the boxes of all methods take."""
+"""Width of the boxes of all methods together, as a fraction of the distance between two noise levels."""
 
 
-@figure(
-    "boxes",
-    NoiseStudy,
-    title="Scatter of the estimates",
-    caption="Boxes hold the middle half of the estimates with the median; whiskers reach 1.5 box lengths at most.",
-)
+@figure("boxes", NoiseStudy, title="Scatter of the estimates")
 def noise_boxes(study: NoiseStudy) -> Figure:
     """Box plots of the identified masses and stiffnesses at each noise level (the paper's Fig. 5).
+
+    Boxes hold the middle half of the estimates with the median; whiskers reach 1.5 box lengths at most.
 
     Parameters
     ----------
@@ -60,14 +57,11 @@ def noise_boxes(study: NoiseStudy) -> Figure:
     return figure
 
 
-@figure(
-    "variation",
-    NoiseStudy,
-    title="Coefficients of variation",
-    caption="Coefficient of variation of each estimate over the noise level, beside the Cramér-Rao bound.",
-)
+@figure("variation", NoiseStudy, title="Coefficients of variation")
 def noise_variation(study: NoiseStudy) -> Figure:
     """Coefficients of variation beside the Cramer-Rao bound (the paper's Fig. 6).
+
+    Coefficient of variation of each estimate over the noise level, beside the Cramér-Rao bound.
 
     Parameters
     ----------
@@ -178,12 +172,13 @@ MOST_LINES = 6
     "convergence",
     Identification,
     title="The mass iteration",
-    caption="Error of each floor mass over the iterations of the two-stage method.",
     applies=lambda *results: bool(_iterated(*results)),
     needs="a method that iterates on the masses: two-stage",
 )
 def convergence(*results: Identification, true_mass: Floats | None = None) -> Figure:
     """Error of each floor mass over the iterations of the two-stage method (the paper's Fig. 4).
+
+    Error of each floor mass over the iterations of the two-stage method.
 
     Parameters
     ----------
@@ -208,8 +203,11 @@ def convergence(*results: Identification, true_mass: Floats | None = None) -> Fi
     drawn = style.panels(figure, len(parts), columns, sharey=True)
     for place, (axes, part) in enumerate(zip(drawn, parts, strict=True)):
         _panel(axes, part, true_mass)
-        several = sum(item.name == part.name for item in parts) > 1
-        axes.set_title(f"{style.letters(part.name, 20)}{_start(part) if several else ''}", fontsize=8.5)
+        title = style.letters(part.name, 20)
+        if sum(item.name == part.name for item in parts) > 1 and part.history is not None:
+            started = ", ".join(f"{mass:.3g}" for mass in part.history[0, :4])
+            title += f"\nfrom {started}{', …' if part.history.shape[1] > 4 else ''} kg"
+        axes.set_title(title, fontsize=8.5)
         if place % columns == 0:
             axes.set_ylabel("error of the mass, relative" if true_mass is not None else "mass still to go, relative")
     style.legend(figure, drawn[0], min(len(drawn[0].get_lines()), 6))
@@ -219,12 +217,6 @@ def convergence(*results: Identification, true_mass: Floats | None = None) -> Fi
 def _iterated(*results: Identification) -> list[SingleIdentification]:
     """List the parts with more than one step on the masses."""
     return [part for result in results for part in result.parts if part.history is not None and len(part.history) > 1]
-
-
-def _start(part: SingleIdentification) -> str:
-    assert part.history is not None
-    started = ", ".join(f"{mass:.3g}" for mass in part.history[0, :4])
-    return f"\nfrom {started}{', …' if part.history.shape[1] > 4 else ''} kg"
 
 
 def _panel(axes: Axes, part: SingleIdentification, true_mass: Floats | None) -> None:
@@ -248,21 +240,22 @@ def _panel(axes: Axes, part: SingleIdentification, true_mass: Floats | None) -> 
 
 
 DRAWN_AS_NOTHING = 1e-17
-"""Where an answer without any difference is drawn: below what a number of 64 bits can tell."""
+"""Difference at which an answer without any is drawn: below what a number of 64 bits can tell."""
 
 
 @figure(
     "backends",
     Comparison,
     title="Agreement of the backends",
-    caption="Left: how far each backend's answer is from the closed form (from the median of all where a bound is "
-    "active). Right: its time over that of the closed form, on this machine.",
     alternative="Differences between the backends and their times; the numbers are in the table that follows.",
     section="worst",
     narrow=True,
 )
 def backend_differences(comparison: Comparison) -> Figure:
     """Each backend's largest difference from the reference, and its time over that of the closed form.
+
+    Left: how far each backend's answer is from the closed form (from the median of all where a bound is active).
+    Right: its time over that of the closed form, on this machine.
 
     One row a backend, one marker a kind of program; a program that a backend does not take has none.
     """

@@ -47,6 +47,9 @@ PAGE_WIDTH = 7.2
 NARROW_WIDTH = 3.6
 """Width of a figure on a telephone of 390 pixels, inch: letters are as large as on a wide page."""
 
+SHAPES_A_ROW = 5
+"""Panels of mode shapes side by side on a page."""
+
 LONGEST_NAME = 26
 """Letters of a name that a figure shows."""
 
@@ -219,6 +222,14 @@ def even_columns(most: int, fitting: int) -> int:
     return -(-most // -(-most // fitting))
 
 
+def shape_grid(counts: Sequence[int], stories: int, narrowest: float) -> tuple[int, int, float, float]:
+    """Lay out panels of mode shapes, so many a group: columns, rows, and height of a panel and width of all, inch."""
+    fitting = 2 if narrow_page() else SHAPES_A_ROW
+    columns = even_columns(max(counts), fitting)
+    width = page_width() if narrow_page() else max(PAGE_WIDTH * columns / fitting, narrowest)
+    return columns, sum(-(-count // columns) for count in counts), float(np.clip(0.16 * stories, 1.6, 3.0)), width
+
+
 def letters(text: str, longest: int = LONGEST_NAME) -> str:
     """Write a text from a file as a figure can show it: on one line, not too long, of letters that the fonts have."""
     line = " ".join(text.split())
@@ -296,18 +307,7 @@ def save(figure: Figure, path: str | Path) -> None:
     InputError
         Where the ending is another, or the file cannot be written.
     """
-    write_file(path, encoded(figure, kind_of(path)))
-
-
-def kind_of(path: str | Path) -> str:
-    """Tell the kind of figure that a file name asks for.
-
-    Raises
-    ------
-    InputError
-        Where it ends in something else.
-    """
-    return ending_of(path, FIGURE_KINDS, "a figure is written as")
+    write_file(path, encoded(figure, ending_of(path, FIGURE_KINDS, "a figure is written as")))
 
 
 def encoded(figure: Figure, kind: str, *, transparent: bool = False) -> bytes:

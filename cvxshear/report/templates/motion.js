@@ -8,7 +8,7 @@
       columns: svg.querySelectorAll(".column"), floors: svg.querySelectorAll(".floor")
     };
   });
-  const centre = 60, half = 15, largest = 34, period = 2000;
+  const centre = {{ centre }}, half = {{ half }}, largest = {{ largest }}, period = 2000;
   let started = null;
   function draw(part) {
     for (const each of drawings) {

@@ -1,10 +1,13 @@
-"""Files that a command reads and writes, checked against each other before it runs."""
+"""Options of the commands, and the files that they name, checked against each other before a command runs."""
 
 from __future__ import annotations
 
+import copy
+import inspect
+import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
@@ -19,7 +22,7 @@ used: list[str] = []
 """The files that the running command reads, as they were named; what it writes says which they were."""
 
 WRITTEN, READ = f"{__name__}.written", f"{__name__}.read"
-"""Under which a command's context notes its files; options are checked in the order in which they were typed."""
+"""Keys of a command's context for the files it writes and reads; options are checked in the order they were typed."""
 
 
 def output_file(*endings: str) -> Callable[[typer.Context, typer.CallbackParam, str | None], str | None]:
@@ -89,3 +92,60 @@ def _refuse_overlap(written: Iterable[tuple[str, str]], read: Iterable[Path]) ->
         for option, path in written:
             if same_file(path, source):
                 raise InputError(f"{option}: {path} would be written over {source}, which is read; name another file")
+
+
+PARAMETER = re.compile(r"^(\w+)(?: :(?: (--\S+))?(?: (\S+))?)?\n((?: {4}.*\n?)+)", re.MULTILINE)
+"""A parameter in a docstring: its name, what the option and its value are called, and its description."""
+
+
+def documented(command: Callable[..., None]) -> Callable[..., None]:
+    """Take the help of a command's options from its docstring, which lists them as numpydoc does.
+
+    Behind the name of a parameter may stand the name of the option, where it is another one, and what stands for its
+    value in the help: "goal : --for" or "modes : --from FILE". A flag that is off has no name that leaves it off.
+
+    Parameters
+    ----------
+    command : callable
+        Keeps the part of its docstring before the parameters, which is the help of the command itself.
+    """
+    command.__doc__, _, listed = (inspect.getdoc(command) or "").partition("\n\nParameters\n----------\n")
+    hints, types = get_type_hints(command, include_extras=True), get_type_hints(command)
+    for name, called, value, text in PARAMETER.findall(listed):
+        *_, option = getattr(hints[name], "__metadata__", [None])
+        if option is None:
+            flag = f"--{name.replace('_', '-')}" if inspect.signature(command).parameters[name].default is False else ""
+            option = typer.Option(*filter(None, [called or flag]), metavar=value or None)
+        option = copy.copy(option)
+        option.help = " ".join(text.split())
+        command.__annotations__[name] = Annotated[types[name], option]
+    return command
+
+
+File = Annotated[str, typer.Argument(metavar="FILE", callback=input_files)]
+Files = Annotated[list[str], typer.Argument(metavar="FILE...", callback=input_files)]
+
+
+def writes(*names: str, what: str = "", metavar: str = "OUT", endings: Iterable[str] = ()) -> Any:
+    """Declare an option that names a file to write."""
+    return typer.Option(*names, help=what, metavar=metavar, callback=output_file(*endings))
+
+
+FIGURES = (".svg", ".png", ".pdf")
+
+JsonOut = Annotated[
+    str | None, writes("--json", what="Write the result as JSON to this file, '-' for standard output.")
+]
+FigureOut = Annotated[str | None, writes("--figure", what="Draw into this file: .svg, .png or .pdf.", endings=FIGURES)]
+ReportOut = Annotated[
+    str | None, writes("--report", what="Write a report, one HTML file.", metavar="OUT.html", endings=(".html", ".htm"))
+]
+TomlOut = Annotated[str | None, writes("--output", "-o", metavar="TOML", endings=(".toml",))]
+UnitsOption = Annotated[
+    str | None,
+    typer.Option("--units", help="Units that quantities are shown in, such as t,kN,mm.", metavar="MASS,FORCE,LENGTH"),
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")]
+BackendName = Annotated[
+    str, typer.Option("--backend", help="Which solver; 'cvxshear backends' lists them.", metavar="NAME")
+]

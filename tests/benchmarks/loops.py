@@ -1,0 +1,62 @@
+"""What closing the loop costs, and what of that the open classes: `python -m tests.benchmarks loops`.
+
+A frame with a state of its own, one with known added mass and one whose second story lost 15 %; shapes at every floor.
+"""
+
+import time
+
+import numpy as np
+
+from cvxshear import Experiment, close_loop
+from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
+from tests.benchmarks.timing import table
+
+SIZES = (3, 8, 20)
+MODES = 8
+"""Modes that are measured at most."""
+WITHOUT_OPEN = [{"name": "open", "exclude": True}]
+
+
+def measured(stories: int, seed: int = 1) -> dict:
+    """A measurement file of three tests, its numbers 0.1 % and 1 % off."""
+    rng = np.random.default_rng(seed)
+    mass, stiffness = rng.uniform(9.0, 11.0, stories), np.linspace(1.2, 0.8, stories) * 2e4
+    load, softer = np.zeros(stories), stiffness.copy()
+    load[[stories // 2, -1]] = 3.0
+    softer[1] *= 0.85
+    tables = []
+    none = np.zeros(stories)
+    states = (("bare", "before", none, stiffness), ("loaded", "before", load, stiffness), ("after", "after", none, softer))
+    for name, state, added, k in states:
+        found = modes(mass_matrix(mass + added), stiffness_matrix(k))
+        count = min(stories, MODES)
+        shapes = found.shapes[:count] / np.max(np.abs(found.shapes[:count]), axis=1, keepdims=True)
+        tables.append(
+            {
+                "name": name,
+                "state": state,
+                "added_mass": added.tolist(),
+                "frequencies": (found.frequencies[:count] * np.exp(0.001 * rng.standard_normal(count))).tolist(),
+                "mode_shapes": (shapes + 0.01 * rng.standard_normal(shapes.shape)).tolist(),
+                "frequency_std": 0.001,
+                "mode_shape_std": 0.01,
+            }
+        )
+    return {"frame": {"total_mass": float(mass.sum()), "reference": "before"}, "configuration": tables}
+
+
+def main() -> None:
+    """Print processor seconds with the open classes and without, and the sets that were fitted."""
+    rows = []
+    for stories in SIZES:
+        declared = measured(stories)
+        costs = []
+        for given in (declared | {"effect": WITHOUT_OPEN}, declared):
+            began = time.process_time()
+            closure = close_loop(Experiment.from_dict(given))
+            costs.append((time.process_time() - began, closure.fits))
+        (plain, fits), (full, all_fits) = costs
+        found = ", ".join(item.placed.label for item in closure.effects)
+        rows.append([stories, f"{plain:.1f}", fits, f"{full:.1f}", all_fits, f"{full / plain:.2f}", found])
+    head = ["stories", "without open classes", "fits", "with them", "fits", "times", "found"]
+    table("Closing the loop, processor seconds", head, rows)
