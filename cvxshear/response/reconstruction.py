@@ -56,7 +56,7 @@ UNSETTLED = "the fit of the frame did not settle, so no number is sure, and its 
 COLOURED = 0.1
 """Correlation of an innovation with an earlier one from which on it is said that the model misses something there."""
 
-STILL = 0.25
+QUIET_ENOUGH = 0.25
 """Least strength of a motion, relative to its rms over the record, up to which a line is known from where little moves:
 of simulated records that were cut off at both ends, at 0.3 and more, lines moved peaks by up to four deviations."""
 
@@ -401,7 +401,7 @@ def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
     line = max(float(np.nanmax(np.abs(raw.measured - run.measured) / recorded.rms())) for raw, run in pairs)
     of_lines = line_remarks(line, "a channel's rms")
     quietest = max(float(each.min()) for each in found.recording.envelopes(found.frame.errors.varied.period))
-    if of_lines and quietest > STILL:
+    if of_lines and quietest > QUIET_ENOUGH:
         of_lines.append(
             "the record is cut out of the motion, and what is cut off leaves a straight line, too: a peak is known no "
             "better than --no-detrend moves it"
