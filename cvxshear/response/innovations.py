@@ -33,6 +33,10 @@ FIRST_FORCE = 0.02
 """Sensor noise, relative to a channel's rms, and missed story forces, relative to the rms story force, where the fit
 starts and where their priors are centred."""
 
+MOST_INPUT_NOISE = 0.03
+"""Bound on the noise of the excitation's sensor, relative to its rms: with more, what a story that yields does passed for
+it, and the record for that of a linear frame."""
+
 FURTHEST = np.log(10.0)
 """Bound on the logarithm of factors on stiffness and damping: a story ten times softer is another frame."""
 
@@ -166,6 +170,8 @@ class PredictionErrors:
         masses = slice(N + D, N + D + W)
         self.upper[masses] = np.maximum(self.upper[masses], heavier[masses])
         self.upper[force] = np.log(MOST_MISSED / noise.force)
+        if setting.base_measured:
+            self.upper[force + 1] = np.log(MOST_INPUT_NOISE / FIRST_SENSOR)
         self._force = force
 
     def lower(self, form_std: float) -> Floats:
