@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from importlib import resources
 from io import BytesIO, StringIO
@@ -237,6 +238,12 @@ COLUMN_NAMES = {
 }  # fmt: skip
 """Names of the columns by quantity; those of floor or story 1 end in `_1`."""
 
+SERIES_UNITS = {
+    "time": "s", "acceleration": "m/s2", "displacement": "m", "drift": "m", "shear": "N", "base_shear": "N",
+    "overturning_moment": "N m",
+}  # fmt: skip
+"""Units of the columns, which the header of a CSV file has in brackets; a drift ratio has none."""
+
 Moved = RecordPrediction | Reconstruction
 
 
@@ -306,19 +313,24 @@ def series_kind(path: str | Path) -> str:
 
 
 def _csv(result: Moved) -> bytes:
-    columns = series(result)
-    out = StringIO()
+    columns, out = series(result), StringIO()
+    units = SERIES_UNITS | {"excitation": "N" if _driven(result) == "force" else "m/s2"}
+    heads = [f"{name} ({unit})" if (unit := units.get(re.sub(r"_std|_\d+", "", name))) else name for name in columns]
     np.savetxt(
-        out, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="", fmt="%.9g"
+        out, np.column_stack(list(columns.values())), delimiter=",", header=",".join(heads), comments="", fmt="%.9g"
     )
     return out.getvalue().encode()
+
+
+def _driven(result: Moved) -> str:
+    return (result.recording if isinstance(result, Reconstruction) else result.motion).input
 
 
 def _uff(result: Moved) -> bytes:
     """Excitation, accelerations, displacements, drifts and story shears as data sets 58, a node a floor."""
     pyuff = load_pyuff()
     sets: list[Json] = []
-    forced = (result.recording if isinstance(result, Reconstruction) else result.motion).input == "force"
+    forced = _driven(result) == "force"
     driven, kind_of_drive = ("force", FORCE) if forced else ("base acceleration", ACCELERATION)
     for run, (excitation, response, _) in enumerate(_runs(result), 1):
         sets.append(_function(pyuff, f"{driven}, run {run}", kind_of_drive, 0, response.time, excitation))

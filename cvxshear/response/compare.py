@@ -321,6 +321,12 @@ def _around_modes(
     return result
 
 
+def moved_alike(measured: Floats, predicted: Floats) -> Floats:
+    """Correlation of each channel with its prediction over time, shape (n,)."""
+    power: Floats = np.sum(measured**2, axis=0) * np.sum(predicted**2, axis=0)
+    return np.asarray(np.sum(measured * predicted, axis=0) / np.maximum(np.sqrt(power), 1e-300))
+
+
 def moved_against(measured: Sequence[Floats], predicted: Sequence[Floats]) -> Bools:
     """Whether each channel moved against its prediction where all others moved with theirs, shape (n,).
 
@@ -329,7 +335,7 @@ def moved_against(measured: Sequence[Floats], predicted: Sequence[Floats]) -> Bo
     measured, predicted : sequence of ndarray, shape (samples, n)
     """
     y, p = np.concatenate(measured), np.concatenate(predicted)
-    alike = np.sum(y * p, axis=0) / np.maximum(np.sqrt(np.sum(y**2, axis=0) * np.sum(p**2, axis=0)), 1e-300)
+    alike = moved_alike(y, p)
     against = alike < -LIKE
     sure = np.all(against | (alike > LIKE)) and 2 * np.sum(against) < len(against)
     return np.asarray(against & sure, dtype=bool)

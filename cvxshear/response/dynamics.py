@@ -51,7 +51,7 @@ class Noise:
     force : float
         s: of the story forces that the model misses, relative to the rms story force.
     ground : float
-        Of a base acceleration that was not measured, m/s2; 0 where it was.
+        Of a base acceleration that was not measured, m/s2; of the sensor of the excitation where it was, in its unit.
     """
 
     sensors: Floats
@@ -72,8 +72,9 @@ class Dynamics:
     A : ndarray, shape (n, n)
     before, after : ndarray, shape (n,)
         Weights of the excitation at the beginning and at the end of a step.
-    Q : ndarray, shape (n, n)
-        Covariance of w.
+    Q, Q_input : ndarray, shape (n, n)
+        Covariance of w, and the part of it that the noise of the excitation's sensor has: it is there before and after
+        the motion as well.
     H : ndarray, shape (m, n)
     direct : ndarray, shape (m,)
     R : ndarray, shape (m,)
@@ -85,6 +86,7 @@ class Dynamics:
     before: Floats
     after: Floats
     Q: Floats
+    Q_input: Floats
     H: Floats
     direct: Floats
     R: Floats
@@ -213,8 +215,11 @@ def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     A, Q = _van_loan(rates, density, setting.step)
     before, after = _first_order_hold(rates, load, setting.step)
     at = setting.floors - 1
+    # One sample's error moves the frame over both steps that it ends and begins.
+    moved = np.zeros(n) if estimated else noise.ground * (before + after)
+    Q_input = np.outer(moved, moved)
     return Dynamics(
-        A, before, after, Q, total[at] * model.gain[at, None], through[at] * model.gain[at], noise.sensors**2,
+        A, before, after, Q + Q_input, Q_input, total[at] * model.gain[at, None], through[at] * model.gain[at], noise.sensors**2,
         _outputs(model, total, through, setting),
     )  # fmt: skip
 

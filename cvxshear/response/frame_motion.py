@@ -133,7 +133,8 @@ class FrameMotion:
             recording.floors, recording.step, recording.force_floor, known, float(frequencies[0]),
             float(frequencies[-1]), frame.story_stiffness * _drift_rms(model, recording), model.M,
         )  # fmt: skip
-        noise = Noise(FIRST_SENSOR * level, FIRST_FORCE, 0.0 if known else float(level.min()))
+        driven = rms(np.concatenate([run.excitation for run in recording.runs])) if known else 0.0
+        noise = Noise(FIRST_SENSOR * level, FIRST_FORCE, FIRST_SENSOR * driven if known else float(level.min()))
         # Without the base motion a softer first story and another base motion are one and the same.
         return FrameMotion(frame, varied, recording, setting, noise, backend, free and known)
 
@@ -206,7 +207,7 @@ class FrameMotion:
         return errors.shortened(FITTED_SAMPLES, at)
 
     def smoothed(self, errors: PredictionErrors, p: Floats, rows: Floats | None = None) -> list[Smoothed]:
-        """Find the motion of each run, with deviations of all outputs or of those given by rows on the state.
+        """Find the motion of each run, with deviations of outputs that are given by rows on the state, if any.
 
         Parameters
         ----------
@@ -216,7 +217,7 @@ class FrameMotion:
         rows : ndarray, shape (outputs, n), optional
         """
         model = errors.dynamics(p)
-        asked = model.outputs.rows if rows is None else rows
+        asked = np.zeros((0, self.setting.states)) if rows is None else rows
         stationary = np.sqrt(np.maximum(np.sum(model.H @ model.P0 * model.H, axis=1), 1e-300))
         found = []
         for run, envelope in zip(self.recording.runs, self.recording.envelopes(self.varied.period), strict=True):
@@ -226,15 +227,12 @@ class FrameMotion:
             found.append(smooth(model, Observed(run.drive, run.measured, envelope, scale), asked))
         return found
 
-    def runs(
-        self, fitted: FittedFrame, smoothed: list[Smoothed], wider: float, drift_std: float
-    ) -> list[ReconstructedRun]:
+    def runs(self, fitted: FittedFrame, wider: float, drift_std: float) -> list[ReconstructedRun]:
         """Every run's motion, its deviations widened by a factor, those of drifts by a part of the drift besides.
 
         Parameters
         ----------
         fitted : FittedFrame
-        smoothed : list of Smoothed
         wider : float
         drift_std : float
             Standard deviation of a drift, relative to it, that no linear frame has.
@@ -244,9 +242,10 @@ class FrameMotion:
         rows = fitted.errors.dynamics(fitted.p).outputs
         model, n = fitted.model, len(self.varied.story_stiffness)
         result = []
+        smoothed = self.smoothed(fitted.errors, fitted.p, rows.rows)
         for run, found in zip(self.recording.runs, smoothed, strict=True):
-            moved = rows.of(found.states, run.drive)
-            std = found.output_std**2
+            moved, std = rows.of(found.states, run.drive), found.output_std
+            np.square(std, out=std)
             for sides in directions.sides:
                 std += directions.allowance * self.moved_by(sides, noise, run.drive, found) ** 2
             np.sqrt(std, out=std)

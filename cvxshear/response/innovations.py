@@ -33,6 +33,10 @@ FIRST_FORCE = 0.02
 """Sensor noise, relative to a channel's rms, and missed story forces, relative to the rms story force, where the fit
 starts and where their priors are centred."""
 
+MOST_INPUT_NOISE = 0.03
+"""Bound on the noise of the excitation's sensor, relative to its rms: with more, what a story that yields does passed for
+it, and the record for that of a linear frame."""
+
 FURTHEST = np.log(10.0)
 """Bound on the logarithm of factors on stiffness and damping: a story ten times softer is another frame."""
 
@@ -142,7 +146,7 @@ class PredictionErrors:
     """Innovations of candidates for the frame in a record.
 
     Unknowns: those of the frame (`VariedFrame`), and the logarithms of m sensor noises, of the missed story forces, and
-    of the base acceleration where nobody measured it.
+    of the excitation's noise, or of the base acceleration where nobody measured it.
 
     Parameters
     ----------
@@ -158,7 +162,7 @@ class PredictionErrors:
         self.stories = len(varied.story_stiffness)
         self.frame = slice(0, sum(varied.sizes))
         force = self.frame.stop + len(setting.floors)
-        self.size = force + (1 if setting.base_measured else 2)
+        self.size = force + 2
         self.upper = np.full(self.size, FURTHEST_NOISE)
         self.upper[self.frame] = np.repeat([FURTHEST, FURTHEST, FURTHEST_STDS, FURTHEST_FORM], varied.sizes)
         heavier = FURTHEST_MASS * np.linalg.norm(varied.heavier_floors, axis=1)
@@ -166,6 +170,8 @@ class PredictionErrors:
         masses = slice(N + D, N + D + W)
         self.upper[masses] = np.maximum(self.upper[masses], heavier[masses])
         self.upper[force] = np.log(MOST_MISSED / noise.force)
+        if setting.base_measured:
+            self.upper[force + 1] = np.log(MOST_INPUT_NOISE / FIRST_SENSOR)
         self._force = force
 
     def lower(self, form_std: float) -> Floats:
@@ -235,8 +241,8 @@ class PredictionErrors:
         """Return the noise at a point."""
         levels = np.exp(p[self.frame.stop :])
         m = len(self.setting.floors)
-        ground = self.noise.ground * levels[m + 1] if len(levels) > m + 1 else 0.0
-        return Noise(self.noise.sensors * levels[:m], float(self.noise.force * levels[m]), float(ground))
+        force, ground = self.noise.force * levels[m], self.noise.ground * levels[m + 1]
+        return Noise(self.noise.sensors * levels[:m], float(force), float(ground))
 
     def dynamics(self, p: Floats) -> Dynamics:
         """Return the state-space model at a point."""

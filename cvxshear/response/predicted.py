@@ -13,10 +13,12 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.records.motion import Motion
-from cvxshear.response.compare import RecordComparison, compared
-from cvxshear.response.damped import Response, response
+from cvxshear.response.compare import LIKE, RecordComparison, compared, moved_alike, seen
+from cvxshear.response.damped import DampedModel, Response, response
 from cvxshear.response.fitted import Fitted, Models
 from cvxshear.response.peaks import FloorSpectra, Peaks, histories, largest_spectra, peaks_of
+from cvxshear.response.recording import recording_of
+from cvxshear.response.sensor_checks import as_predicted
 from cvxshear.response.sources import (
     DRIVING,
     WORTH_A_WORD,
@@ -160,17 +162,46 @@ def predict(
     """
     solver = backends.get(backend)
     recorded = motion_of(record)
-    motion = recorded.detrended() if detrend else recorded
     models = models_of(source, solver)
     experiment = models.after.experiment
-    state = state_of(experiment, motion, configuration)
+    state = state_of(experiment, recorded, configuration)
+    frame_after = UncertainFrame.of(models.after, state, damping, solver)
+    recorded, faults = _set_right(recorded, frame_after.at(np.zeros(frame_after.size)).model)
+    motion = recorded.detrended() if detrend else recorded
     before = None
     if models.before is not None:
         frame = UncertainFrame.of(models.before, state, damping, solver)
         before = _side(models.before, frame.at(np.zeros(frame.size)), motion)
-    found = _predicted(models, UncertainFrame.of(models.after, state, damping, solver), motion, before)
+    found = _predicted(models, frame_after, motion, before)
     said = [*state_remarks(experiment, recorded, state, named=configuration is not None), *_taken_off(recorded, motion)]
-    return dataclasses.replace(found, remarks=(*said, *found.remarks))
+    # The comparison finds, too, what the model said of the sensors before.
+    said += [each for each in found.remarks if each not in faults]
+    return dataclasses.replace(found, remarks=(*faults, *said))
+
+
+def _set_right(motion: Motion, model: DampedModel) -> tuple[Motion, tuple[str, ...]]:
+    """Return a record without the faults of its sensors, as `reconstruct` takes it, and what was said of them.
+
+    As it is where a sensor that would be left out moves as predicted: the model knows better then.
+    """
+    forces = {drive.floor for drive in motion.drives}
+    known = all(drive.responses is not None and np.isfinite(drive.responses).any() for drive in motion.drives)
+    if not motion.floors.size or not known or len(forces) > 1:
+        return motion, ()
+    found = as_predicted(model, recording_of(motion, len(model.M)))
+    gone = np.setdiff1d(motion.floors, found.floors)
+    gone = gone[gone <= len(model.M)]
+    if gone.size:
+        columns = np.searchsorted(motion.floors, gone)
+        measured = np.concatenate([np.asarray(drive.responses)[:, columns] for drive in motion.drives])
+        predicted = np.concatenate([seen(model, response(model, drive, motion.step), gone) for drive in motion.drives])
+        if np.any(moved_alike(np.nan_to_num(measured), predicted) > LIKE):
+            return motion, ()
+    drives = tuple(
+        dataclasses.replace(drive, excitation=run.excitation, responses=run.measured)
+        for drive, run in zip(motion.drives, found.runs, strict=True)
+    )
+    return dataclasses.replace(motion, drives=drives, floors=found.floors), found.remarks
 
 
 def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Side | None) -> RecordPrediction:

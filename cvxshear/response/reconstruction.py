@@ -19,7 +19,7 @@ from scipy import special
 from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.measurement.experiment import Configuration, Limits
-from cvxshear.response.damped import DampedModel, Response
+from cvxshear.response.damped import DampedModel
 from cvxshear.response.fitted import Fitted
 from cvxshear.response.frame_fit import NONLINEAR, FittedFrame
 from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses, readings_of, shown_by
@@ -50,10 +50,13 @@ not."""
 LARGEST_ODDS = 1000.0
 """Odds beyond which no number is given: the model is an approximation, and what it misses counts in them too."""
 
+UNSETTLED = "the fit of the frame did not settle, so no number is sure, and its deviations may be too small"
+"""Warning that is the first of the findings."""
+
 COLOURED = 0.1
 """Correlation of an innovation with an earlier one from which on it is said that the model misses something there."""
 
-STILL = 0.25
+QUIET_ENOUGH = 0.25
 """Least strength of a motion, relative to its rms over the record, up to which a line is known from where little moves:
 of simulated records that were cut off at both ends, at 0.3 and more, lines moved peaks by up to four deviations."""
 
@@ -287,21 +290,25 @@ def reconstruct(
             progress(next(done), parts)
 
     def fits() -> Iterator[_Fit]:
-        for reading in readings:
-            predicted = predicted_responses(identified, reading)
-            lines = reading.lines(shown_by(identified, predicted, reading), period) if detrend else None
-            work = FrameMotion.around(frame, reading if lines is None else reading.less(lines), solver, free=fit)
-            yield predicted, *work.fitted(detrend=detrend)
+        for each in readings:
+            reading = each
+            if detrend:
+                shown = shown_by(identified, predicted_responses(identified, reading), reading)
+                reading = reading.less(reading.lines(shown, period))
+            work, fitted, smoothed = FrameMotion.around(frame, reading, solver, free=fit).fitted(detrend=detrend)
+            # The states of a long record are large, and found once more with their deviations.
+            yield work, fitted, [dataclasses.replace(own, states=own.states[:1].copy()) for own in smoothed]
             advance()
 
-    (predicted, work, fitted, smoothed), evidences = _most_probable(fits())
+    (work, fitted, smoothed), evidences = _most_probable(fits())
+    predicted = predicted_responses(identified, work.recording)
     advance()
     checks = []
     for channel in range(len(recording.floors)) if leave_out and len(recording.floors) > 1 else ():
         checks.append(checked(work, fitted, smoothed, channel, predicted))
         advance()
     nonlinear = fitted.inflation > NONLINEAR
-    runs = work.runs(fitted, smoothed, widening(checks), NONLINEAR_DRIFT if nonlinear else 0.0)
+    runs = work.runs(fitted, widening(checks), NONLINEAR_DRIFT if nonlinear else 0.0)
     peaks = peaks_of((run.response, run.std) for run in runs)
     passed = None
     if experiment.limits is not None and "story_drift_ratio" in peaks.values:
@@ -323,17 +330,17 @@ def reconstruct(
     return dataclasses.replace(found, remarks=(*said, *_remarks(found, recorded)))
 
 
-_Fit = tuple[list[Response] | None, FrameMotion, FittedFrame, list[Smoothed]]
-"""A prediction, the motion as it was set up, the frame, and its motion."""
+_Fit = tuple[FrameMotion, FittedFrame, list[Smoothed]]
+"""The motion as it was set up, the frame, and its motion without its states but the first."""
 
 
 def _most_probable(fits: Iterator[_Fit]) -> tuple[_Fit, list[float]]:
     """Return the most probable fit, and the log evidence of each; long records fill the memory, so one is kept."""
     best = next(fits)
-    evidences = [best[2].log_evidence]
+    evidences = [best[1].log_evidence]
     for other in fits:
-        evidences.append(other[2].log_evidence)
-        if evidences[-1] > best[2].log_evidence:
+        evidences.append(other[1].log_evidence)
+        if evidences[-1] > best[1].log_evidence:
             best = other
     return best, evidences
 
@@ -361,7 +368,7 @@ def _warnings(found: Reconstruction) -> list[str]:
             "lacks with cvxshear loop"
         )
     if found.frame_fitted and not found.frame.converged:
-        said.append("the fit of the frame did not settle; its deviations may be too small")
+        said.append(UNSETTLED)
     said += [
         f"{name} reads {percent(abs(value), 1)} ± {percent(std, 1)} too {'much' if value > 0 else 'little'}: the "
         "record contradicts the frame and its other sensors otherwise; that is taken out of the motion"
@@ -394,7 +401,7 @@ def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
     line = max(float(np.nanmax(np.abs(raw.measured - run.measured) / recorded.rms())) for raw, run in pairs)
     of_lines = line_remarks(line, "a channel's rms")
     quietest = max(float(each.min()) for each in found.recording.envelopes(found.frame.errors.varied.period))
-    if of_lines and quietest > STILL:
+    if of_lines and quietest > QUIET_ENOUGH:
         of_lines.append(
             "the record is cut out of the motion, and what is cut off leaves a straight line, too: a peak is known no "
             "better than --no-detrend moves it"

@@ -33,6 +33,10 @@ AT_REST = 0.05
 """Acceleration of the first period, relative to the whole record's, up to which a run counts as beginning at rest: what
 sensors of usual noise show of a frame that does not move."""
 
+AMID_MOTION = 0.5
+"""Strength of the motion at its first sample, relative to the rms over the record, from which on a run begins amid it: a
+record that was triggered by the motion begins with its weaker part."""
+
 LINE_LEFT = 1e-12
 """What rounding leaves of a straight line once it is taken off, relative to its largest value, is far less."""
 
@@ -148,9 +152,13 @@ class Recording:
         """
         if self.input != "base":
             return self
-        width = self.averaged(period)
+        lines = [
+            sensor_line(run.excitation, strength)
+            for run, strength in zip(self.runs, self.envelopes(period), strict=True)
+        ]
         runs = [
-            dataclasses.replace(run, excitation=run.excitation - sensor_line(run.excitation, width)) for run in self.runs
+            dataclasses.replace(run, excitation=run.excitation - line)
+            for run, line in zip(self.runs, lines, strict=True)
         ]
         for run, whole in zip(runs, self.runs, strict=True):
             if np.abs(run.excitation).max() <= LINE_LEFT * np.abs(whole.excitation).max():
@@ -178,8 +186,8 @@ class Recording:
         period : float
             Of the first mode, s.
         """
-        width = self.averaged(period)
-        return [sensor_line(run.measured - own, width) for run, own in zip(self.runs, expected, strict=True)]
+        runs = zip(self.runs, expected, self.envelopes(period), strict=True)
+        return [sensor_line(run.measured - own, strength) for run, own, strength in runs]
 
     def less(self, lines: Sequence[Floats]) -> Recording:
         """Take straight lines off the measured accelerations, one array (samples, m) a run."""
@@ -204,10 +212,6 @@ class Recording:
         ]
         return dataclasses.replace(self, runs=tuple(runs))
 
-    def averaged(self, period: float) -> int:
-        """Count the samples over which the strength of the motion is averaged."""
-        return max(4, round(ENVELOPE_PERIODS * period * self.sampling_rate))
-
     def envelopes(self, period: float) -> list[Floats]:
         """Strength of the motion over time in powers of two, relative to its rms over the record; one array a run.
 
@@ -216,7 +220,7 @@ class Recording:
         period : float
             Of the first mode, s.
         """
-        width = self.averaged(period)
+        width = max(1, round(ENVELOPE_PERIODS * period * self.sampling_rate))
         powers = []
         for run in self.runs:
             there = np.isfinite(run.measured)
@@ -232,28 +236,26 @@ class Recording:
         return [np.exp2(np.round(np.log2(each))).astype(np.float64) for each in strengths]
 
 
-def sensor_line(values: Floats, width: int) -> Floats:
-    """Straight line through each column by least squares; where it begins amid the motion, through its quiet part.
+def sensor_line(values: Floats, strength: Floats) -> Floats:
+    """Straight line through each column by least squares; where a run begins amid the motion, that of its quiet part.
 
     A motion that the beginning of the record cuts off is not without a line: with equal weights it came to 6 % of the
-    rms. Then each sample counts by the inverse of the variance around it.
+    rms. Then each sample counts by the inverse of the motion's variance.
 
     Parameters
     ----------
     values : ndarray, shape (samples,) or (samples, columns)
         nan where missing.
-    width : int
-        Samples of `ENVELOPE_PERIODS`.
+    strength : ndarray, shape (samples,)
+        Of the motion, as `Recording.envelopes` has it.
     """
-    lines = trend(values).reshape(len(values), -1)
-    plain, time = values.reshape(lines.shape) - lines, np.linspace(-1.0, 1.0, len(values))
-    for j, column in enumerate(plain.T):
-        own, level = np.isfinite(column), rms(column)
-        if rms(column[: max(2, round(width / ENVELOPE_PERIODS))]) <= AT_REST * level or own.sum() < 2:
-            continue
-        mean, square = (ndimage.uniform_filter1d(np.nan_to_num(each), width) for each in (column, column**2))
-        weights = 1.0 / np.sqrt(np.maximum(square - mean**2, (QUIETEST * level) ** 2))
-        lines[:, j] += np.polyval(np.polyfit(time[own], column[own], 1, w=weights[own]), time)
+    if strength[0] < AMID_MOTION:
+        return trend(values)
+    lines, time = np.zeros((len(values), values.size // len(values))), np.linspace(-1.0, 1.0, len(values))
+    for line, column in zip(lines.T, values.reshape(lines.shape).T, strict=True):
+        own = np.isfinite(column)
+        if own.sum() > 1:
+            line[:] = np.polyval(np.polyfit(time[own], column[own], 1, w=1.0 / strength[own]), time)
     return lines.reshape(values.shape)
 
 

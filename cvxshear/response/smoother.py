@@ -55,7 +55,7 @@ class Observed:
     measured : ndarray, shape (samples, m)
         m/s2; nan where missing.
     envelope : ndarray, shape (samples,)
-        Factor on the standard deviation of the missed story forces, constant over stretches.
+        Factor on the standard deviation of the missed story forces, constant over stretches; none on the noise.
     start_scale : float
         Factor on the standard deviation of the state at the start.
     """
@@ -101,11 +101,20 @@ class _Gain:
     """One sample's matrices of the filter."""
 
     A: Floats
-    P: Floats
+    triangle: Floats
     H: Floats
     inverse_S: Floats
     K: Floats
     innovation_std: Floats
+
+    @property
+    def P(self) -> Floats:  # noqa: N802
+        """Covariance of the predicted state; half of it is stored, since there may be thousands."""
+        n = len(self.A)
+        whole = np.zeros((n, n))
+        whole[np.tril_indices(n)] = self.triangle
+        result: Floats = whole + np.tril(whole, -1).T
+        return result
 
     @property
     def transition(self) -> Floats:
@@ -126,7 +135,10 @@ def smooth(model: Dynamics, run: Observed, rows: Floats) -> Smoothed:
     """
     weights = run.present.astype(np.float64)
     sigma = np.sqrt(model.R)
+    gains: list[_Gain] = []
     for _ in range(MOST_REWEIGHTINGS):
+        # Those of the last round are let go first: there may be thousands.
+        gains.clear()
         gains, which = _gains(model, run, weights)
         states, innovations = _sweeps(model, run, gains, which, weights)
         residual = run.measured - states @ model.H.T - model.shown(run.excitation)
@@ -152,11 +164,11 @@ def _stretches(weights: Floats, envelope: Floats) -> Iterator[tuple[int, int]]:
 def _gains(model: Dynamics, run: Observed, weights: Floats) -> tuple[list[_Gain], Ints]:
     """Compute the filter's gains, each distinct one once, and which of them each sample has."""
     A, R = model.A, model.R
-    P = run.start_scale**2 * model.P0
+    P, lower = run.start_scale**2 * model.P0, np.tril_indices(len(A))
     gains: list[_Gain] = []
     which = np.empty(len(weights), dtype=np.int64)
     for first, last in _stretches(weights, run.envelope):
-        Q = run.envelope[first] ** 2 * model.Q
+        Q = run.envelope[first] ** 2 * (model.Q - model.Q_input) + model.Q_input
         weight = weights[first]
         H = model.H * (weight > 0)[:, None]
         noise = R / np.where(weight > 0, weight, 1.0)
@@ -167,7 +179,7 @@ def _gains(model: Dynamics, run: Observed, weights: Floats) -> tuple[list[_Gain]
             inverse = np.linalg.inv(S)
             K = A @ PH @ inverse
             F = A - K @ H
-            gains.append(_Gain(A, P, H, inverse, K, np.sqrt(np.diag(S))))
+            gains.append(_Gain(A, P[lower], H, inverse, K, np.sqrt(np.diag(S))))
             which[t] = len(gains) - 1
             following = F @ P @ A.T + Q
             following = 0.5 * (following + following.T)
@@ -204,15 +216,15 @@ def _sweeps(model: Dynamics, run: Observed, gains: list[_Gain], which: Ints, wei
     """Smoothed states and innovations in standard deviations: forward, then back."""
     y = np.nan_to_num(run.measured) - model.shown(run.excitation)
     y = np.where(weights > 0, y, 0.0)
-    driven = model.driven(run.excitation)
-    samples, n = driven.shape
+    samples, n = len(y), len(model.A)
     predicted = np.empty((samples, n))
     stretches = list(_constant(which))
     x = np.zeros(n)
     for first, last, at in stretches:
         gain = gains[at]
         F = gain.transition
-        inputs = driven[first:last] + y[first:last] @ gain.K.T
+        inputs = y[first:last] @ gain.K.T
+        inputs += model.driven(run.excitation[first : last + 1])[: last - first]
         predicted[first:last] = recursion(F, inputs, x)
         x = F @ predicted[last - 1] + inputs[-1]
     innovations = np.empty_like(y)
@@ -222,33 +234,35 @@ def _sweeps(model: Dynamics, run: Observed, gains: list[_Gain], which: Ints, wei
         e = y[first:last] - predicted[first:last] @ gain.H.T
         innovations[first:last] = e / gain.innovation_std
         pulled[first:last] = e @ (gain.inverse_S @ gain.H)
-    # r_(t-1) = H' S^-1 e_t + F' r_t, from zero after the last sample.
-    multipliers = np.empty((samples, n))
+    # r_(t-1) = H' S^-1 e_t + F' r_t, from zero after the last sample; what pulls each sample is overwritten by it.
     r = np.zeros(n)
     for first, last, at in reversed(stretches):
         F = gains[at].transition
         # What follows each sample; its own pull is still to be added.
         swept = recursion(F.T, pulled[first:last][::-1], r)[::-1]
-        multipliers[first:last] = swept @ F + pulled[first:last]
-        r = multipliers[first]
+        pulled[first:last] += swept @ F
+        r = pulled[first]
     states = predicted
     for first, last, at in stretches:
-        states[first:last] += multipliers[first:last] @ gains[at].P
+        states[first:last] += pulled[first:last] @ gains[at].P
     return states, np.where(weights > 0, innovations, np.nan)
 
 
 def _deviations(rows: Floats, gains: list[_Gain], which: Ints) -> Floats:
     """Compute standard deviations of smoothed outputs: P - P N P with N = H' S^-1 H + F' N F, backward."""
-    n = len(gains[0].P)
+    n = len(gains[0].A)
     N = np.zeros((n, n))
     result = np.empty((len(which), len(rows)))
+    if not len(rows):
+        return result
     for first, last, at in reversed(list(_constant(which))):
         gain = gains[at]
         F = gain.transition
         own = gain.H.T @ gain.inverse_S @ gain.H
-        spread = rows @ gain.P
+        P = gain.P
+        spread = rows @ P
         plain = np.sum(spread * rows, axis=1)
-        scale = np.sqrt(np.maximum(np.diag(gain.P), 1e-300))
+        scale = np.sqrt(np.maximum(np.diag(P), 1e-300))
         t, limit = last - 1, None
         while t >= first:
             following = own + F.T @ N @ F

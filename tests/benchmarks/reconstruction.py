@@ -136,14 +136,15 @@ def measurement(frame, seed):
     shapes = found.shapes.T[:count]
     largest = np.abs(shapes).max(axis=1, keepdims=True)
     # Values off a drawing are off by what their deviation says, each by itself.
-    drawn = np.exp(np.random.default_rng([5, seed, frame.stories]).standard_normal((2, frame.stories)) * [[0.05], [0.2]])
+    off = np.exp(np.random.default_rng([5, seed, frame.stories]).standard_normal((2, frame.stories)) * [[0.05], [0.2]])
+    mass, stiffness = (off * [frame.floor_mass, frame.story_stiffness]).tolist()
     return {
         "frame": {
             "stories": frame.stories, "story_heights": 3.5, "total_mass": float(frame.floor_mass.sum()),
         },
         "prior": [
-            {"kind": "nominal", "quantity": "floor_mass", "values": (drawn[0] * frame.floor_mass).tolist(), "std": 0.05},
-            {"kind": "nominal", "quantity": "story_stiffness", "values": (drawn[1] * frame.story_stiffness).tolist(), "std": 0.2},
+            {"kind": "nominal", "quantity": "floor_mass", "values": mass, "std": 0.05},
+            {"kind": "nominal", "quantity": "story_stiffness", "values": stiffness, "std": 0.2},
         ],
         "configuration": [{
             "frequencies": (found.frequencies[:count] * np.exp(0.002 * rng.standard_normal(count))).tolist(),

@@ -14,6 +14,7 @@ from tests.response.common import straight
 MASS, STIFFNESS = np.array([4.0, 3.0, 2.0]), np.array([900.0, 700.0, 500.0])
 HEIGHTS = np.array([3.0, 2.8, 2.5])
 GAIN, STORY_FORCE, STEP = np.array([1.0, 1.1, 0.9]), np.array([5.0, 3.0, 2.0]), 0.03
+INPUT = 0.97
 NOISE = Noise(np.array([0.1, 0.2]), 0.04, 0.7)
 CASES = {"base": (0, True), "force": (2, True), "unknown ground": (0, False)}
 
@@ -21,7 +22,7 @@ CASES = {"base": (0, True), "force": (2, True), "unknown ground": (0, False)}
 def frame():
     M, K = chain(MASS, STIFFNESS)
     C = 0.02 * M + 0.003 * K + np.diag([0.0, 0.4, 0.0])
-    return SimpleNamespace(M=M, K=K, C=C, gain=GAIN, heights=HEIGHTS)
+    return SimpleNamespace(M=M, K=K, C=C, gain=GAIN, heights=HEIGHTS, input_gain=INPUT)
 
 
 def setting(case):
@@ -33,11 +34,11 @@ def slope(case, x, p):
     """x' of displacements, velocities, relative story forces and the ground, written out; total accelerations."""
     model, (force_floor, measured) = frame(), CASES[case]
     u, v, f = x[:3], x[3:6], x[6:9]
-    missed = STORY_FORCE * f
+    missed = INPUT * STORY_FORCE * f
     on_floors = missed - np.append(missed[1:], 0.0) - model.K @ u - model.C @ v
-    ground = p if measured else x[9]
+    ground = INPUT * p if measured else x[9]
     if force_floor:
-        on_floors[force_floor - 1] += p
+        on_floors[force_floor - 1] += INPUT * p
         ground = 0.0
     total = on_floors / MASS
     rates = [v, total - ground, -6.0 * f] + ([] if measured else [np.array([-2.5 * x[9]])])
@@ -72,7 +73,7 @@ def test_sensors_and_outputs_show_what_the_equations_say(case):
     _, total = slope(case, x, p)
     np.testing.assert_allclose(found.H @ x + found.direct * p, (GAIN * total)[[0, 2]])
     np.testing.assert_allclose(found.R, [0.01, 0.04])
-    acting = p * (np.arange(1, 4) == force_floor)
+    acting = INPUT * p * (np.arange(1, 4) == force_floor)
     story = [np.sum((acting - MASS * total)[i:]) for i in range(3)]
     # The moment about the base where heights are known, and the ground's acceleration where it is estimated.
     expected = [*total, *x[:3], *np.diff(x[:3], prepend=0.0), *story, HEIGHTS @ story, *x[9:]]
@@ -81,7 +82,10 @@ def test_sensors_and_outputs_show_what_the_equations_say(case):
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_noise_has_the_deviations_that_were_asked_for(case):
-    """Stationary: a twenty-fifth of the rms story force, 0.7 m/s2 of the ground; over a step, the integral of e^At."""
+    """Stationary: a twenty-fifth of the rms story force, 0.7 m/s2 of the ground; over a step, the integral of e^At.
+
+    An error of 0.7 of the excitation's sensor lasts for the two steps that its sample ends and begins.
+    """
     found = dynamics(frame(), NOISE, setting(case))
     np.testing.assert_allclose(found.P0, linalg.solve_discrete_lyapunov(found.A, found.Q), rtol=1e-6, atol=1e-12)
     np.testing.assert_allclose(np.sqrt(np.diag(found.P0))[6:], [0.04] * 3 + [0.7] * (case == "unknown ground"))
@@ -93,7 +97,9 @@ def test_the_noise_has_the_deviations_that_were_asked_for(case):
     nodes, weights = np.polynomial.legendre.leggauss(12)
     powers = [linalg.expm(rates * STEP * (1 + node) / 2) for node in nodes]
     integral = sum(w * STEP / 2 * (e * density) @ e.T for w, e in zip(weights, powers, strict=True))
-    np.testing.assert_allclose(found.Q, integral, rtol=1e-7, atol=1e-15)
+    own = np.zeros(n) if case == "unknown ground" else 0.7 * (found.before + found.after)
+    np.testing.assert_allclose(found.Q_input, np.outer(own, own), rtol=1e-12)
+    np.testing.assert_allclose(found.Q - found.Q_input, integral, rtol=1e-6, atol=1e-12)
     settled = linalg.solve_discrete_are(found.A.T, found.H.T, found.Q, np.diag(found.R))
     np.testing.assert_allclose(settled_covariance(found), settled, rtol=1e-5, atol=1e-10)
 

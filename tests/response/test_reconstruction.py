@@ -365,8 +365,10 @@ def test_warnings_stand_before_the_numbers(softened):
     )  # fmt: skip
     first = [part.text for part in describe(unsure).sections[0].parts]
     assert first[0] == "floor 3 is reversed"
-    assert first[1].startswith("the fit of the frame did not settle")
-    assert unsure.to_dict()["remarks"][:2] == first[:2]
+    assert "did not settle" not in first[1]
+    assert describe(unsure).headline.startswith("The fit of the frame did not settle, so no number is sure")
+    assert unsure.to_dict()["remarks"][0] == first[0]
+    assert unsure.to_dict()["remarks"][1].startswith("the fit of the frame did not settle")
     assert describe(found).sections[0].parts[0].text.startswith(found.fitted.experiment.name)
 
 
@@ -578,4 +580,5 @@ def test_no_motion_is_taken_for_a_sensors_line(softened, first, last, cut):
     if not cut:
         taken = drive.excitation[first:last] + 0.02 - found.runs[0].excitation
         np.testing.assert_allclose(taken, 0.02, atol=0.03)
-        assert np.all(off < 2.5)
+        np.testing.assert_allclose(found.peaks.values["story_drift"], true, rtol=0.01)
+        assert np.all(off < 3)

@@ -11,7 +11,7 @@ from cvxshear.report.describe.consequences import MODELS
 from cvxshear.report.describe.identified import damping_section
 from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, describe, plain_rows, table
 from cvxshear.response import Peaks, Reconstruction, RecordComparison, RecordPrediction
-from cvxshear.response.reconstruction import SIGN_KNOWN
+from cvxshear.response.reconstruction import SIGN_KNOWN, UNSETTLED
 from cvxshear.util.quantities import (
     AUTOMATIC,
     Units,
@@ -166,10 +166,10 @@ def _drift_ratios(found: Peaks) -> Iterator[Table]:
 @describe.register
 def _reconstruction(result: Reconstruction, units: Units = AUTOMATIC) -> Document:
     checks = (Section("checks", "Each sensor from the others", (left_out(result),)),) if result.checks else ()
+    # The headline has said what did not settle.
+    warnings = [Sentence(each, "warning") for each in result.warnings if each != UNSETTLED]
     sections = (
-        Section(
-            "findings", "", (*(Sentence(each, "warning") for each in result.warnings), Sentence(_reconstructed(result)))
-        ),
+        Section("findings", "", (*warnings, Sentence(_reconstructed(result)))),
         *checks,
         Section("motion", "What the stories did", (stories(result), *peaks(result.peaks))),
         Section("frame", "The frame in this record", tuple(_frame_parts(result))),
@@ -194,7 +194,7 @@ def _reconstructed(result: Reconstruction) -> str:
 def _findings(result: Reconstruction) -> Iterator[str]:
     """Say what an owner asks: which story drifted most, against which limit, and whether the building is the same."""
     if result.frame_fitted and not result.frame.converged:
-        yield "the fit of the frame did not settle, so no number below is sure"
+        yield UNSETTLED
     if result.nonlinear:
         yield "the frame did not answer as a linear one, or a sensor is at fault: drifts are rough"
     yield _largest_drift(result.peaks).replace("drifts", "drifted")
