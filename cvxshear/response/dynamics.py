@@ -219,7 +219,8 @@ def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     moved = np.zeros(n) if estimated else noise.ground * (before + after)
     Q_input = np.outer(moved, moved)
     return Dynamics(
-        A, before, after, Q + Q_input, Q_input, total[at] * model.gain[at, None], through[at] * model.gain[at], noise.sensors**2,
+        A, before, after, Q + Q_input, Q_input, total[at] * model.gain[at, None], through[at] * model.gain[at],
+        noise.sensors**2,
         _outputs(model, total, through, setting),
     )  # fmt: skip
 

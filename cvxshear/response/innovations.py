@@ -34,8 +34,8 @@ FIRST_FORCE = 0.02
 starts and where their priors are centred."""
 
 MOST_INPUT_NOISE = 0.03
-"""Bound on the noise of the excitation's sensor, relative to its rms: with more, what a story that yields does passed for
-it, and the record for that of a linear frame."""
+"""Bound on the noise of the excitation's sensor, relative to its rms: with more, what a story that yields does passed
+for it, and the record for that of a linear frame."""
 
 FURTHEST = np.log(10.0)
 """Bound on the logarithm of factors on stiffness and damping: a story ten times softer is another frame."""

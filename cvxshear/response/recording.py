@@ -34,8 +34,8 @@ AT_REST = 0.05
 sensors of usual noise show of a frame that does not move."""
 
 AMID_MOTION = 0.5
-"""Strength of the motion at its first sample, relative to the rms over the record, from which on a run begins amid it: a
-record that was triggered by the motion begins with its weaker part."""
+"""Strength of the motion at its first sample, relative to the rms over the record, from which on a run begins amid it:
+a record that was triggered by the motion begins with its weaker part."""
 
 LINE_LEFT = 1e-12
 """What rounding leaves of a straight line once it is taken off, relative to its largest value, is far less."""

@@ -26,7 +26,8 @@ def measured(stories: int, seed: int = 1) -> dict:
     softer[1] *= 0.85
     tables = []
     none = np.zeros(stories)
-    states = (("bare", "before", none, stiffness), ("loaded", "before", load, stiffness), ("after", "after", none, softer))
+    states = [("bare", "before", none, stiffness), ("loaded", "before", load, stiffness)]
+    states.append(("after", "after", none, softer))
     for name, state, added, k in states:
         found = modes(mass_matrix(mass + added), stiffness_matrix(k))
         count = min(stories, MODES)
