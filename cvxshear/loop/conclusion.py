@@ -147,7 +147,7 @@ def _verdict(
     if unexplained:
         return "unexplained"
     if not added and not numbering.changes:
-        return "adequate" if numbering.probability >= NUMBERED else "ambiguous"
+        return "adequate" if numbering.probability >= NUMBERED and final.dof > 0 else "ambiguous"
     sure = min([numbering.probability, *(item.probability for item in added)]) >= EXPLAINED
     twins = any(rival.twin for item in added for rival in item.rivals)
     if not sure or twins or final.dof <= 0:

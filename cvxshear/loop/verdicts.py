@@ -101,7 +101,7 @@ _ALL = (
     Verdict(
         "ambiguous",
         "The data are explained with the effects that were added, but something else would explain them as well.",
-        "The shear model explains the data; which modes of the frame were measured is in question.",
+        "The shear model explains the data, but so might something that these data cannot tell from it.",
         "{found}; but {doubt}; {change}",
         "{model} explains the data; but {doubt}; {change}",
         "Take what was found and its rivals as possible causes until a test distinguishes them.",

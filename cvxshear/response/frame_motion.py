@@ -228,14 +228,14 @@ class FrameMotion:
         return found
 
     def runs(self, fitted: FittedFrame, wider: float, drift_std: float) -> list[ReconstructedRun]:
-        """Every run's motion, its deviations widened by a factor, those of drifts by a part of the drift besides.
+        """Every run's motion, its deviations widened by a factor, those of drifts by a part of each besides.
 
         Parameters
         ----------
         fitted : FittedFrame
         wider : float
         drift_std : float
-            Standard deviation of a drift, relative to it, that no linear frame has.
+            Standard deviation of a drift, or of a floor's displacement, relative to it, that no linear frame has.
         """
         directions = self.directions(fitted)
         noise = fitted.errors.noise_at(fitted.p)
@@ -251,7 +251,8 @@ class FrameMotion:
             np.sqrt(std, out=std)
             std *= wider
             acceleration, displacement, drift, force = (moved[:, k * n : (k + 1) * n] for k in range(4))
-            np.hypot(std[:, 2 * n : 3 * n], drift_std * drift, out=std[:, 2 * n : 3 * n])
+            own = std[:, n : 3 * n]
+            np.hypot(own, drift_std * np.hstack([displacement, drift]), out=own)
             time = self.recording.step * np.arange(len(moved), dtype=np.float64)
             motion = Response(time, acceleration, displacement, force, model.heights, model.mass_known)
             names = ("floor_acceleration", "floor_displacement", "story_drift", "story_shear")

@@ -152,6 +152,8 @@ def _doubt(result: Closure) -> str:
     doubtful = [item for item in result.effects if item.rivals]
     said = ""
     raised = [each for each in result.candidates if each.probability and each.probability > each.prior]
+    if not result.effects and result.estimate.dof <= 0:
+        return "nothing could speak against it, as there are no more data than unknowns"
     if result.verdict == "adequate" and raised:
         best = raised[0]
         said = f"of what it might lack, {best.placed.label} is the most probable ({chance(best.probability)})"

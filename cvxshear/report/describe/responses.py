@@ -195,9 +195,11 @@ def _findings(result: Reconstruction) -> Iterator[str]:
     """Say what an owner asks: which story drifted most, against which limit, and whether the building is the same."""
     if result.frame_fitted and not result.frame.converged:
         yield UNSETTLED
+    largest = _largest_drift(result.peaks).replace("drifts", "drifted")
     if result.nonlinear:
         yield "the frame did not answer as a linear one, or a sensor is at fault: drifts are rough"
-    yield _largest_drift(result.peaks).replace("drifts", "drifted")
+        largest = f"as far as a linear frame tells, {largest}; a story that yields went further"
+    yield largest
     if result.limits is not None and result.passed is not None:
         for limit, word, chances in zip(result.limits.story_drift, result.limits.names, result.passed, strict=True):
             sure = [int(story) + 1 for story in np.flatnonzero(chances >= CERTAINLY_PASSED)]
