@@ -215,11 +215,17 @@ def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     A, Q = _van_loan(rates, density, setting.step)
     before, after = _first_order_hold(rates, load, setting.step)
     at = setting.floors - 1
+    seen, direct = total, through
+    if model.bracket is not None:
+        # a'' of a = total x + through p with x' = rates x + load p; p' and p'' are left out: dampers alone pass them on.
+        twice = total @ rates
+        seen = total - model.bracket[:, None] * (twice @ rates)
+        direct = through - model.bracket * (twice @ load)
     # One sample's error moves the frame over both steps that it ends and begins.
     moved = np.zeros(n) if estimated else noise.ground * (before + after)
     Q_input = np.outer(moved, moved)
     return Dynamics(
-        A, before, after, Q + Q_input, Q_input, total[at] * model.gain[at, None], through[at] * model.gain[at],
+        A, before, after, Q + Q_input, Q_input, seen[at] * model.gain[at, None], direct[at] * model.gain[at],
         noise.sensors**2,
         _outputs(model, total, through, setting),
     )  # fmt: skip

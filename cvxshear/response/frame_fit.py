@@ -163,11 +163,29 @@ class FittedFrame:
     @property
     def gains(self) -> tuple[Floats, Floats]:
         """Relative error of each sensor, the excitation's last, and its standard deviation, shapes (m,)."""
-        at = self.errors.varied.sensor_gains
-        values, std = self.p[at], np.sqrt(np.diag(self.covariance)[at])
         # An excitation that was larger than its sensor shows: that one reads too little.
-        signs = np.where(self.errors.varied.log_gain[-len(values) :, -1] > 0, -1.0, 1.0)
+        signs = np.where(self._sensors("log_gain")[:, -1] > 0, -1.0, 1.0)
+        values, std = self._unknown_sensors("log_gain")
         return GAIN_UNIT * signs * values, GAIN_UNIT * std
+
+    @property
+    def brackets(self) -> tuple[Floats, Floats]:
+        """What each sensor stands on (`DampedModel.bracket`), and its standard deviation, shapes (m,), s2."""
+        unit = self._sensors("dbracket").sum(axis=1)
+        values, std = self._unknown_sensors("dbracket")
+        return unit * values, unit * std
+
+    def _sensors(self, name: str) -> Floats:
+        """Return the rows of an array of the sensors' directions that are not empty."""
+        rows: Floats = getattr(self.errors.varied, name)
+        return rows[rows.any(axis=1)]
+
+    def _unknown_sensors(self, name: str) -> tuple[Floats, Floats]:
+        """Return those unknowns and their standard deviations."""
+        rows = getattr(self.errors.varied, name)
+        first = self.errors.varied.sensor_gains.stop - len(rows)
+        at = first + np.flatnonzero(rows.any(axis=1))
+        return self.p[at], np.sqrt(np.diag(self.covariance)[at])
 
     @property
     def factors(self) -> Floats:

@@ -29,7 +29,7 @@ from cvxshear.response.sensor_checks import SensorCheck, Whiteness, as_predicted
 from cvxshear.response.smoother import Smoothed
 from cvxshear.response.sources import DRIVING, ModelSource, line_remarks, models_of, state_of, state_remarks
 from cvxshear.response.uncertain import UncertainFrame
-from cvxshear.util.quantities import percent, ranged
+from cvxshear.util.quantities import percent, ranged, significant
 from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Floats, Json
 
@@ -46,6 +46,10 @@ twenty effective samples scatter by as much."""
 GAIN_OFF = 3.0, 0.005
 """Standard deviations, and relative size, from which on a sensor's gain is named: what a good calibration leaves is
 not."""
+
+SOUND_SCORES = 2.0
+"""Inflation of the scores up to which changed masses are named: records of sound linear frames have 1 to 2, and dampers
+that the model lacks pass for masses, with 3 and more."""
 
 LARGEST_ODDS = 1000.0
 """Odds beyond which no number is given: the model is an approximation, and what it misses counts in them too."""
@@ -146,7 +150,7 @@ class Reconstruction(Shown):
     @property
     def masses_changed(self) -> bool:
         """Whether it is named that floors do not weigh what they did in the tests."""
-        settled = self.frame_fitted and self.frame.converged and not self.nonlinear
+        settled = self.frame_fitted and self.frame.converged and self.frame.inflation <= SOUND_SCORES
         return settled and self.frame.mass_probability >= NAMED_CHANGE
 
     @property
@@ -159,6 +163,18 @@ class Reconstruction(Shown):
             (name, float(value), float(std))
             for name, value, std in zip(names, *self.frame.gains, strict=True)
             if self.frame_fitted and abs(value) > max(deviations * std, least)
+        )
+
+    @property
+    def brackets(self) -> tuple[tuple[int, float], ...]:
+        """Floors whose sensor reads more the higher the frequency, and the frequency of what it stands on, Hz."""
+        if not self.frame_fitted:
+            return ()
+        found = zip(self.recording.floors, *self.frame.brackets, strict=True)
+        return tuple(
+            (int(floor), 1.0 / (2 * np.pi * float(np.sqrt(value))))
+            for floor, value, std in found
+            if value > GAIN_OFF[0] * std
         )
 
     @property
@@ -373,6 +389,10 @@ def _warnings(found: Reconstruction) -> list[str]:
         f"{name} reads {percent(abs(value), 1)} ± {percent(std, 1)} too {'much' if value > 0 else 'little'}: the "
         "record contradicts the frame and its other sensors otherwise; that is taken out of the motion"
         for name, value, std in found.gains_off
+    ] + [
+        f"the sensor of floor {floor} reads more the higher the frequency, as on a bracket that swings at "
+        f"{significant(frequency, 2)} Hz; that is taken out of the motion"
+        for floor, frequency in found.brackets
     ]
     wider = widening(found.checks)
     if wider > WIDER:

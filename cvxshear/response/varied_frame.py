@@ -57,7 +57,11 @@ calibrations as good as laboratories have them, and those of the field. A single
 itself, as `SensorGain` expects."""
 
 GAIN_UNIT = 0.01
-"""Relative gain that an unknown of one stands for."""
+"""Relative gain that an unknown of one stands for; of a bracket, at the frequency of the `BRACKET_MODE`."""
+
+BRACKET_MODE = 3
+"""Mode, or the highest there is, at which a sensor on a bracket of its own reads as much too much as one whose gain is
+off: of less in the modes that have most of a building's motion."""
 
 EXACT_MASS = 1e-6
 """Relative standard deviation of masses below which they were declared as exact."""
@@ -99,10 +103,12 @@ class VariedFrame:
     dgain : ndarray, shape (W, N)
     log_gain : ndarray, shape (W, N + 1)
         Change of the logarithms of the gains of the floors' sensors and of the excitation.
+    dbracket : ndarray, shape (W, N)
+        Change of what the floors' sensors stand on, as `DampedModel.bracket`, s2.
     form : ndarray, shape (X, N, N)
         Changes of the stiffness matrix for e_ij = 1.
     gains : int
-        How many of the W directions, the last ones, are gains of sensors.
+        How many of the W directions, the last ones, are brackets and gains of sensors.
     """
 
     centre: Damped
@@ -113,6 +119,7 @@ class VariedFrame:
     dK: Floats
     dgain: Floats
     log_gain: Floats
+    dbracket: Floats
     form: Floats
     gains: int
 
@@ -144,13 +151,17 @@ class VariedFrame:
         form = _form(centre.model, measured)
         # A larger motion than the sensor of the excitation shows, and as much smaller gains, are the same: so that
         # they are along a straight line, gains count by their logarithms.
-        at = [*(int(floor) - 1 for floor in floors), *([-1] if excited else [])]
-        sensors = GAIN_UNIT * np.eye(len(base.M) + 1)[at]
-        gains = len(sensors)
+        at = [int(floor) - 1 for floor in floors]
+        sensors = GAIN_UNIT * np.eye(len(base.M) + 1)[[*at, *([-1] if excited else [])]]
+        squares = centre.model.modes.eigenvalues
+        brackets = GAIN_UNIT / squares[min(BRACKET_MODE, len(squares)) - 1] * np.eye(len(base.M))[at]
+        gains = len(brackets) + len(sensors)
         dM, dK, dgain = (np.concatenate([each, np.zeros((gains, *each.shape[1:]))]) for each in (dM, dK, dgain))
-        log_gain = np.concatenate([np.zeros((len(moved), len(base.M) + 1)), sensors])
+        log_gain, dbracket = np.zeros((len(dM), len(base.M) + 1)), np.zeros_like(dgain)
+        log_gain[len(dM) - len(sensors) :] = sensors
+        dbracket[len(moved) : len(moved) + len(brackets)] = brackets
         return VariedFrame(
-            centre, frame.story_stiffness, frame.ratios.values, own, dM, dK, dgain, log_gain, form, gains
+            centre, frame.story_stiffness, frame.ratios.values, own, dM, dK, dgain, log_gain, dbracket, form, gains
         )
 
     @cached_property
@@ -180,7 +191,7 @@ class VariedFrame:
 
     @property
     def sensor_gains(self) -> slice:
-        """Which unknowns are gains: of each sensor, then of the excitation's."""
+        """Which unknowns are the sensors': what each stands on, the gain of each, then that of the excitation's."""
         N, D, W, _ = self.sizes
         return slice(N + D + W - self.gains, N + D + W)
 
@@ -266,7 +277,8 @@ class VariedFrame:
             C = modal_matrix(M, own, self.ratios * scale)
         *floors, excitation = np.exp(nuisance @ self.log_gain)
         gain = (old.gain + nuisance @ self.dgain) * floors
-        return DampedModel(M, C, K, gain, old.heights, old.mass_known, float(excitation))
+        bracket = nuisance @ self.dbracket
+        return DampedModel(M, C, K, gain, old.heights, old.mass_known, float(excitation), bracket)
 
 
 def _form(model: DampedModel, measured: int) -> Floats:
