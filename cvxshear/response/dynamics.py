@@ -217,7 +217,7 @@ def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     at = setting.floors - 1
     seen, direct = total, through
     if model.bracket is not None:
-        # a'' of a = total x + through p with x' = rates x + load p; p' and p'' are left out: dampers alone pass them on.
+        # a'' of a = total x + through p, x' = rates x + load p; p' and p'' are left out: dampers alone pass them on.
         twice = total @ rates
         seen = total - model.bracket[:, None] * (twice @ rates)
         direct = through - model.bracket * (twice @ load)

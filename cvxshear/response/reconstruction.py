@@ -148,10 +148,15 @@ class Reconstruction(Shown):
         return self.frame.inflation > NONLINEAR
 
     @property
+    def coloured(self) -> tuple[int, ...]:
+        """Floors whose innovations are not white: the model misses a part of the motion there."""
+        return tuple(each.floor for each in self.whiteness if abs(each.correlation) > COLOURED)
+
+    @property
     def masses_changed(self) -> bool:
         """Whether it is named that floors do not weigh what they did in the tests."""
         settled = self.frame_fitted and self.frame.converged and self.frame.inflation <= SOUND_SCORES
-        return settled and self.frame.mass_probability >= NAMED_CHANGE
+        return settled and not self.coloured and self.frame.mass_probability >= NAMED_CHANGE
 
     @property
     def gains_off(self) -> tuple[tuple[str, float, float], ...]:
@@ -443,12 +448,11 @@ def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
         )
     if found.limits is not None and found.passed is None:
         said.append("drift ratios need story_heights in [frame]: the limits cannot be judged")
-    coloured = [each for each in found.whiteness if abs(each.correlation) > COLOURED]
-    if coloured:
+    if found.coloured:
         inflated = np.sqrt(found.frame.inflation)
         more = f", and the deviations of the frame are {inflated:.2g} times those of white innovations"
         said.append(
-            f"the innovations of floor {ranged([each.floor for each in coloured])} are not white: the model misses a "
+            f"the innovations of floor {ranged(found.coloured)} are not white: the model misses a "
             f"part of the motion there{more if inflated > WIDER else ''}; a channel whose clock is late (cvxshear "
             "modes says which), a story that yields or another kind of damping (--damping) does that"
         )

@@ -221,7 +221,7 @@ def _findings(result: Reconstruction) -> Iterator[str]:
         mean, deviation = result.frame.mean_factor
         word = "softer" if mean < 1 else "stiffer"
         size = with_std(100 * abs(mean - 1), 100 * deviation, "%", factor=1.0)
-        known = abs(mean - 1) > SIGN_KNOWN * deviation
+        known = abs(mean - 1) > SIGN_KNOWN * deviation and not result.coloured
         average = f"; on average the stories were {size} {word} than identified" if known else ""
         yield f"no single story changed{average}"
     if result.masses_changed:
