@@ -51,6 +51,10 @@ SOUND_SCORES = 2.0
 """Inflation of the scores up to which changed masses are named: records of sound linear frames have 1 to 2, and dampers
 that the model lacks pass for masses, with 3 and more."""
 
+MOST_TRUSTED_STORIES = 12
+"""Stories up to which the fit of the frame is trusted: of three simulated frames of 20 stories one settled far from the
+truth, with its bands."""
+
 LARGEST_ODDS = 1000.0
 """Odds beyond which no number is given: the model is an approximation, and what it misses counts in them too."""
 
@@ -399,6 +403,12 @@ def _warnings(found: Reconstruction) -> list[str]:
         f"{significant(frequency, 2)} Hz; that is taken out of the motion"
         for floor, frequency in found.brackets
     ]
+    stories = len(found.model.M)
+    if found.frame_fitted and stories > MOST_TRUSTED_STORIES:
+        said.append(
+            f"of {stories} stories the fit of the frame may settle far from the truth: compare with --no-fit, and "
+            "believe no drift that the two do not share"
+        )
     wider = widening(found.checks)
     if wider > WIDER:
         said.append(
