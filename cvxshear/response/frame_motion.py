@@ -171,7 +171,7 @@ class FrameMotion:
                 found.states @ model.H.T + model.shown(run.drive)
                 for run, found in zip(self.recording.runs, smoothed, strict=True)
             ]
-            lines = self.recording.lines(shown, self.varied.period)
+            lines = self.recording.lines(shown)
             work = dataclasses.replace(self, recording=self.recording.less(lines))
             smoothed = work.smoothed(errors, fitted.p)
         if not self.moves_at_first and all(bool(np.all(each.weights == 1.0)) for each in smoothed):

@@ -51,10 +51,6 @@ SOUND_SCORES = 2.0
 """Inflation of the scores up to which changed masses are named: records of sound linear frames have 1 to 2, and dampers
 that the model lacks pass for masses, with 3 and more."""
 
-MOST_TRUSTED_STORIES = 12
-"""Stories up to which the fit of the frame is trusted: of three simulated frames of 20 stories one settled far from the
-truth, with its bands."""
-
 LARGEST_ODDS = 1000.0
 """Odds beyond which no number is given: the model is an approximation, and what it misses counts in them too."""
 
@@ -304,9 +300,8 @@ def reconstruct(
     frame = UncertainFrame.of(models.after, state, damping, solver)
     identified = frame.at(np.zeros(frame.size)).model
     recording = recorded = as_predicted(identified, recording)
-    period = 1.0 / float(identified.modes.frequencies[0])
     if detrend:
-        recording = recording.without_base_line(period)
+        recording = recording.without_base_line()
     readings = readings_of(identified, recording)
     done, parts = itertools.count(1), 2 + len(readings) + (len(recording.floors) if leave_out else 0)
 
@@ -319,7 +314,7 @@ def reconstruct(
             reading = each
             if detrend:
                 shown = shown_by(identified, predicted_responses(identified, reading), reading)
-                reading = reading.less(reading.lines(shown, period))
+                reading = reading.less(reading.lines(shown))
             work, fitted, smoothed = FrameMotion.around(frame, reading, solver, free=fit).fitted(detrend=detrend)
             # The states of a long record are large, and found once more with their deviations.
             yield work, fitted, [dataclasses.replace(own, states=own.states[:1].copy()) for own in smoothed]
@@ -403,12 +398,6 @@ def _warnings(found: Reconstruction) -> list[str]:
         f"{significant(frequency, 2)} Hz; that is taken out of the motion"
         for floor, frequency in found.brackets
     ]
-    stories = len(found.model.M)
-    if found.frame_fitted and stories > MOST_TRUSTED_STORIES:
-        said.append(
-            f"of {stories} stories the fit of the frame may settle far from the truth: compare with --no-fit, and "
-            "believe no drift that the two do not share"
-        )
     wider = widening(found.checks)
     if wider > WIDER:
         said.append(

@@ -34,8 +34,8 @@ AT_REST = 0.05
 sensors of usual noise show of a frame that does not move."""
 
 AMID_MOTION = 0.5
-"""Strength of the motion at its first sample, relative to the rms over the record, from which on a run begins amid it:
-a record that was triggered by the motion begins with its weaker part."""
+"""Strength of the excitation at its first sample, relative to its rms over the record, from which on a run begins amid
+it: a record that was triggered by the motion begins with its weaker part."""
 
 LINE_LEFT = 1e-12
 """What rounding leaves of a straight line once it is taken off, relative to its largest value, is far less."""
@@ -142,24 +142,11 @@ class Recording:
         square: Floats = np.nanmean(np.concatenate([run.measured for run in self.runs]) ** 2, axis=0)
         return np.sqrt(square)
 
-    def without_base_line(self, period: float) -> Recording:
-        """Take the straight line off a measured base acceleration; where nothing else is left, refuse it.
-
-        Parameters
-        ----------
-        period : float
-            Of the first mode, s.
-        """
+    def without_base_line(self) -> Recording:
+        """Take the straight line off a measured base acceleration; where nothing else is left, refuse it."""
         if self.input != "base":
             return self
-        lines = [
-            sensor_line(run.excitation, strength)
-            for run, strength in zip(self.runs, self.envelopes(period), strict=True)
-        ]
-        runs = [
-            dataclasses.replace(run, excitation=run.excitation - line)
-            for run, line in zip(self.runs, lines, strict=True)
-        ]
+        runs = [dataclasses.replace(run, excitation=run.excitation - sensor_line(run.excitation)) for run in self.runs]
         for run, whole in zip(runs, self.runs, strict=True):
             if np.abs(run.excitation).max() <= LINE_LEFT * np.abs(whole.excitation).max():
                 raise InputError(
@@ -173,7 +160,7 @@ class Recording:
         runs = [dataclasses.replace(run, between=band_limited(run.excitation)) for run in self.runs]
         return dataclasses.replace(self, runs=tuple(runs))
 
-    def lines(self, expected: Sequence[Floats], period: float) -> list[Floats]:
+    def lines(self, expected: Sequence[Floats]) -> list[Floats]:
         """Find the straight line of each channel, one array (samples, m) a run.
 
         It is that through what a model does not show. The vibration itself is not without one over a finite time: a
@@ -183,11 +170,8 @@ class Recording:
         ----------
         expected : sequence of ndarray, shape (samples, m)
             Accelerations of a model at the sensors, for each run.
-        period : float
-            Of the first mode, s.
         """
-        runs = zip(self.runs, expected, self.envelopes(period), strict=True)
-        return [sensor_line(run.measured - own, strength) for run, own, strength in runs]
+        return [trend(run.measured - own) for run, own in zip(self.runs, expected, strict=True)]
 
     def less(self, lines: Sequence[Floats]) -> Recording:
         """Take straight lines off the measured accelerations, one array (samples, m) a run."""
@@ -236,27 +220,27 @@ class Recording:
         return [np.exp2(np.round(np.log2(each))).astype(np.float64) for each in strengths]
 
 
-def sensor_line(values: Floats, strength: Floats) -> Floats:
-    """Straight line through each column by least squares; where a run begins amid the motion, that of its quiet part.
+def sensor_line(excitation: Floats) -> Floats:
+    """Straight line through an excitation by least squares; where it begins amid the motion, through its quiet part.
 
     A motion that the beginning of the record cuts off is not without a line: with equal weights it came to 6 % of the
-    rms. Then each sample counts by the inverse of the motion's variance.
+    rms. Then each sample counts by the inverse of the variance around it, over `ENVELOPE_PERIODS` of the excitation.
 
     Parameters
     ----------
-    values : ndarray, shape (samples,) or (samples, columns)
-        nan where missing.
-    strength : ndarray, shape (samples,)
-        Of the motion, as `Recording.envelopes` has it.
+    excitation : ndarray, shape (samples,)
     """
-    if strength[0] < AMID_MOTION:
-        return trend(values)
-    lines, time = np.zeros((len(values), values.size // len(values))), np.linspace(-1.0, 1.0, len(values))
-    for line, column in zip(lines.T, values.reshape(lines.shape).T, strict=True):
-        own = np.isfinite(column)
-        if own.sum() > 1:
-            line[:] = np.polyval(np.polyfit(time[own], column[own], 1, w=1.0 / strength[own]), time)
-    return lines.reshape(values.shape)
+    line, time = trend(excitation), np.linspace(-1.0, 1.0, len(excitation))
+    moved = excitation - line
+    level = rms(moved)
+    if not level:
+        return line
+    # A harmonic of T samples a period changes by 2 pi / T of its rms from one to the next.
+    width = max(1, round(ENVELOPE_PERIODS * 2 * np.pi * level / max(rms(np.diff(moved)), level / len(moved))))
+    strength = np.sqrt(ndimage.uniform_filter1d(moved**2, width, mode="nearest"))
+    if strength[0] < AMID_MOTION * level:
+        return line
+    return np.polyval(np.polyfit(time, excitation, 1, w=1.0 / np.maximum(strength, QUIETEST * level)), time)
 
 
 def rms(values: Floats) -> float:
