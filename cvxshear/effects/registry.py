@@ -14,6 +14,7 @@ from cvxshear.effects.masses import AddedMass, FloorMass, LoadScale, MassCouplin
 from cvxshear.effects.open_class import (
     OtherBeams,
     OtherChanges,
+    OtherFrequencies,
     OtherGains,
     OtherInertia,
     OtherLoads,
@@ -58,6 +59,7 @@ _open_classes: tuple[Effect, ...] = (
     OtherLoads(),
     OtherGains(),
     OtherShapes(),
+    OtherFrequencies(),
 )
 
 
