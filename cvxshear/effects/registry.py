@@ -21,7 +21,7 @@ from cvxshear.effects.open_class import (
     OtherShapes,
     OtherStiffness,
 )
-from cvxshear.effects.readings import SensorGain, WrongPrior
+from cvxshear.effects.readings import ForceScale, SensorGain, ShapeScale, WrongPrior
 from cvxshear.effects.springs import GroundSpring, Spring
 from cvxshear.effects.stories import Bracing, StateStiffness, StoryChange
 from cvxshear.util import checks
@@ -47,6 +47,8 @@ _catalogue: dict[str, Effect] = {
         JointRelease(),
         Bracing(),
         AttachedMass(),
+        ShapeScale(),
+        ForceScale(),
         WrongPrior(),
     )
 }
