@@ -219,13 +219,15 @@ def _findings(result: Reconstruction) -> Iterator[str]:
             size = with_std(100 * abs(change), 100 * deviation, "%", factor=1.0)
             probable = chance(float(result.frame.story_probability[story - 1]))
             yield f"story {story} was {size} {word} than identified, against the others ({probable} probable)"
-    elif result.frame_fitted and result.frame.converged and not result.nonlinear and not result.undetermined:
+    elif result.names_changes:
         mean, deviation = result.frame.mean_factor
         word = "softer" if mean < 1 else "stiffer"
         size = with_std(100 * abs(mean - 1), 100 * deviation, "%", factor=1.0)
         known = abs(mean - 1) > SIGN_KNOWN * deviation and not result.coloured
         average = f"; on average the stories were {size} {word} than identified" if known else ""
         yield f"no single story changed{average}"
+    elif result.frame_fitted and not result.undetermined:
+        yield "what changed since the tests cannot be told"
     if result.masses_changed:
         sizes = [
             f"floor {floor} by {100 * change:+.0f} ± {100 * std:.0f} %"
