@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 from scipy import special
@@ -36,21 +37,20 @@ FEWEST_BLOCKS = 8
 """Blocks of which half, four, still determine the modes and show how they scatter."""
 
 
-def amplitude_findings(setting: Replication, result: ModalResult) -> list[Finding]:
+def amplitude_findings(setting: Replication, result: ModalResult) -> Iterator[Finding]:
     """Modes whose frequency differs between strong and weak motion by more than chance allows."""
     if setting.source.unit == "block" and len(setting.source.groups) >= FEWEST_BLOCKS:
-        return _strong_against_weak(setting, result)
-    if setting.source.impulse() is not None:
-        return _early_against_late(setting, result)
-    return []
+        yield from _strong_against_weak(setting, result)
+    elif setting.source.impulse() is not None:
+        yield from _early_against_late(setting, result)
 
 
-def _strong_against_weak(setting: Replication, result: ModalResult) -> list[Finding]:
+def _strong_against_weak(setting: Replication, result: ModalResult) -> Iterator[Finding]:
     energies = setting.source.energies
     strong = energies > np.median(energies)
     stronger, weaker = _half(setting, strong), _half(setting, ~strong)
     if stronger is None or weaker is None:
-        return []
+        return
     first, first_std, first_freedom = stronger
     second, second_std, second_freedom = weaker
     ratio = float(np.sqrt(energies[strong].mean() / energies[~strong].mean()))
@@ -64,7 +64,6 @@ def _strong_against_weak(setting: Replication, result: ModalResult) -> list[Find
     # A sweep may pass a mode in the weaker half; then all blocks together still tell it better than that half.
     scatter = np.minimum(first_std, result.frequency_std)
     suspected = (ratio > STRONGER) & (scatter > np.maximum(SCATTERS * second_std, SMALLEST_CHANGE))
-    found = []
     for place in np.flatnonzero(certain | suspected).tolist():
         mode, change = int(result.modes[place]), float(changes[place])
         numbers = {"mode": mode, "std": float(std[place]), "amplitude_ratio": ratio}
@@ -82,8 +81,7 @@ def _strong_against_weak(setting: Replication, result: ModalResult) -> list[Find
                 f"{100 * second_std[place]:.2g} % in the weaker, with {ratio:.1f} times the motion; noise makes it the "
                 "other way, so it may depend on amplitude, as in a frame of which a story yields"
             )
-        found.append(Finding("amplitude", f"mode {mode}: {said}", numbers))
-    return found
+        yield Finding("amplitude", f"mode {mode}: {said}", numbers)
 
 
 def _half(setting: Replication, half: Bools) -> tuple[Floats, Floats, Floats] | None:
@@ -113,29 +111,25 @@ def _logarithms(setting: Replication, values: Values | None) -> Floats | None:
     return None if values is None else np.log(np.abs(values.eigenvalues + setting.shift) / (2 * np.pi))
 
 
-def _early_against_late(setting: Replication, result: ModalResult) -> list[Finding]:
+def _early_against_late(setting: Replication, result: ModalResult) -> Iterator[Finding]:
     """Compare the impulse response from its start with the same once it has decayed to a third."""
     later = _later(setting, None)
     if later is None:
-        return []
+        return
     change = np.log(result.frequencies) - later
     if np.all(np.abs(change) < SMALLEST_CHANGE):
-        return []
+        return
     std = np.maximum(result.frequency_std * _grown(setting, result), _std_of_change(setting))
-    found = []
     for place, mode in enumerate(result.modes):
         bound = SIGNIFICANT * std[place]
         if abs(change[place]) > max(bound, SMALLEST_CHANGE):
-            found.append(
-                Finding(
-                    "amplitude",
-                    f"mode {mode}: {result.frequencies[place]:.4f} Hz over the whole decay, "
-                    f"{np.exp(later[place]):.4f} Hz in its later part ({100 * change[place]:+.2f} %, chance allows "
-                    f"{100 * bound:.2f} %): the frequency depends on amplitude",
-                    {"mode": int(mode), "change": float(change[place]), "chance": float(bound)},
-                )
+            yield Finding(
+                "amplitude",
+                f"mode {mode}: {result.frequencies[place]:.4f} Hz over the whole decay, "
+                f"{np.exp(later[place]):.4f} Hz in its later part ({100 * change[place]:+.2f} %, chance allows "
+                f"{100 * bound:.2f} %): the frequency depends on amplitude",
+                {"mode": int(mode), "change": float(change[place]), "chance": float(bound)},
             )
-    return found
 
 
 def _grown(setting: Replication, result: ModalResult) -> Floats:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from scipy import optimize, stats
@@ -112,39 +112,34 @@ def modal_findings(
     *,
     wanted: int,
     turning: Callable[[float], float] | None = None,
-) -> list[Finding]:
+) -> Iterator[Finding]:
     """Everything the modes say about the record they came from.
 
     `wanted` is how many modes were asked for, `turning` the share of rotation at a frequency, Hz.
     """
-    found = clock_findings(record, result, full)
-    found += resolution_findings(record, result)
-    found += reciprocity_findings(full, setting)
-    found += hit_findings(record, setting)
-    found += driving_point_findings(full, setting)
-    found += amplitude_findings(setting, result)
-    found += _mode_findings(record, result, setting, wanted)
+    yield from clock_findings(record, result, full)
+    yield from resolution_findings(record, result)
+    yield from reciprocity_findings(full, setting)
+    yield from hit_findings(record, setting)
+    yield from driving_point_findings(full, setting)
+    yield from amplitude_findings(setting, result)
+    yield from _mode_findings(record, result, setting, wanted)
     shares = [] if turning is None else [turning(frequency) for frequency in result.frequencies.tolist()]
-    found += [
-        Finding(
-            "rotation",
-            f"mode {mode}: {100 * share:.0f} % of the motion at its frequency is rotation, by the difference of "
-            "sensors on one floor; its shape is that of the floors without it",
-            {"mode": mode, "share": share},
-        )
-        for mode, share in zip(result.modes.tolist(), shares, strict=False)
-        if share > ROTATES
-    ]
-    if lost:
-        found.append(
-            Finding(
-                "std",
-                f"without {lost} of the {len(setting.source.groups)} {setting.source.unit}s some mode was not found; "
-                "the standard deviations rest on the others",
-                {"lost": lost},
+    for mode, share in zip(result.modes.tolist(), shares, strict=False):
+        if share > ROTATES:
+            yield Finding(
+                "rotation",
+                f"mode {mode}: {100 * share:.0f} % of the motion at its frequency is rotation, by the difference of "
+                "sensors on one floor; its shape is that of the floors without it",
+                {"mode": mode, "share": share},
             )
+    if lost:
+        yield Finding(
+            "std",
+            f"without {lost} of the {len(setting.source.groups)} {setting.source.unit}s some mode was not found; "
+            "the standard deviations rest on the others",
+            {"lost": lost},
         )
-    return found
 
 
 def found_twice(item: PoleCandidate) -> Finding:
@@ -157,12 +152,11 @@ def found_twice(item: PoleCandidate) -> Finding:
     )
 
 
-def clock_findings(record: Record, result: ModalResult, full: Details) -> list[Finding]:
+def clock_findings(record: Record, result: ModalResult, full: Details) -> Iterator[Finding]:
     """Clocks whose phase grows linearly with frequency, by more than the data's scatter."""
     highest = 2 * np.pi * float(full.frequencies.max())
     names = list(result.clock_offsets)
     segments = Segments.of(record) if isinstance(record, TimeRecord) else None
-    found = []
     for (name, (late, std)), left, before in zip(
         result.clock_offsets.items(), full.clocks.unexplained, full.clocks.before, strict=False
     ):
@@ -175,29 +169,25 @@ def clock_findings(record: Record, result: ModalResult, full: Details) -> list[F
             first, second = names.index(name), full.clocks.reference
             if not straight(segments, first, second, late):
                 continue
-        found.append(
-            Finding(
-                "clock offset",
-                f'the clock of "{name}" is {abs(late) * 1e3:.2f} ms {"late" if late > 0 else "early"} '
-                f'(std {significant(std * 1e3, 2)} ms) against that of "{names[full.clocks.reference]}": '
-                f"a phase of {turn:.1f} degrees at the highest mode; phases of {before:.1f} degrees before, {left:.1f} "
-                "after a straight line over frequency",
-                {
-                    "channel": name,
-                    "seconds": late,
-                    "std": std,
-                    "turn_degrees": turn,
-                    "before_degrees": before,
-                    "left_degrees": left,
-                },
-            )
+        yield Finding(
+            "clock offset",
+            f'the clock of "{name}" is {abs(late) * 1e3:.2f} ms {"late" if late > 0 else "early"} '
+            f'(std {significant(std * 1e3, 2)} ms) against that of "{names[full.clocks.reference]}": '
+            f"a phase of {turn:.1f} degrees at the highest mode; phases of {before:.1f} degrees before, {left:.1f} "
+            "after a straight line over frequency",
+            {
+                "channel": name,
+                "seconds": late,
+                "std": std,
+                "turn_degrees": turn,
+                "before_degrees": before,
+                "left_degrees": left,
+            },
         )
-    return found
 
 
-def resolution_findings(record: Record, result: ModalResult) -> list[Finding]:
+def resolution_findings(record: Record, result: ModalResult) -> Iterator[Finding]:
     """Report a record too short for the damping, or the ambient statistics, that are claimed of it."""
-    found = []
     if isinstance(record, FrfRecord):
         resolution = record.step
     else:
@@ -205,35 +195,29 @@ def resolution_findings(record: Record, result: ModalResult) -> list[Finding]:
     for mode, frequency, damping in zip(result.modes, result.frequencies, result.damping_ratios, strict=True):
         width = 2 * damping * frequency
         if resolution > width:
-            found.append(
-                Finding(
-                    "resolution",
-                    f"mode {mode}: a resolution of {resolution:.3g} Hz is coarser than the half-power bandwidth of "
-                    f"{width:.3g} Hz; its damping rests on the model of exponential decay, not on the line's width",
-                    {"mode": int(mode), "resolution": resolution, "bandwidth": float(width)},
-                )
+            yield Finding(
+                "resolution",
+                f"mode {mode}: a resolution of {resolution:.3g} Hz is coarser than the half-power bandwidth of "
+                f"{width:.3g} Hz; its damping rests on the model of exponential decay, not on the line's width",
+                {"mode": int(mode), "resolution": resolution, "bandwidth": float(width)},
             )
     if not isinstance(record, FrfRecord) and record.input == "none":
         periods = record.duration * float(result.frequencies[0])
         if periods < FEWEST_PERIODS:
-            found.append(
-                Finding(
-                    "resolution",
-                    f"{record.duration:.0f} s hold {periods:.0f} periods of the lowest mode; ambient vibration asks "
-                    f"for {FEWEST_PERIODS} at least",
-                    {"periods": periods, "duration": record.duration},
-                )
+            yield Finding(
+                "resolution",
+                f"{record.duration:.0f} s hold {periods:.0f} periods of the lowest mode; ambient vibration asks "
+                f"for {FEWEST_PERIODS} at least",
+                {"periods": periods, "duration": record.duration},
             )
-    return found
 
 
-def reciprocity_findings(full: Details, setting: Replication) -> list[Finding]:
+def reciprocity_findings(full: Details, setting: Replication) -> Iterator[Finding]:
     """Pairs of driving points whose transfers differ with the direction (Maxwell and Betti say they do not)."""
     if full.products is None or setting.base:
-        return []
+        return
     places = {int(floor): place for place, floor in enumerate(setting.floors)}
     driven = {int(floor): column for column, floor in enumerate(full.driven)}
-    found = []
     for low, high in itertools.combinations(sorted(set(places) & set(driven)), 2):
         up = full.products[:, places[high], driven[low]]
         down = full.products[:, places[low], driven[high]]
@@ -241,29 +225,26 @@ def reciprocity_findings(full: Details, setting: Replication) -> list[Finding]:
         each = np.abs(np.abs(up) - np.abs(down)) / (0.5 * (np.abs(up) + np.abs(down)))
         if each.max() > UNRECIPROCAL:
             worst = int(np.argmax(each))
-            found.append(
-                Finding(
-                    "reciprocity",
-                    f"force at floor {low}, response at floor {high}, and the reverse differ by up to "
-                    f"{100 * each.max():.1f} % (mode {worst + 1}; {100 * ratio:.1f} % over all modes, phase included): "
-                    "a calibration or a driving point is off by that much, and so are masses that rest on it; the "
-                    "standard deviations of the shapes allow for it",
-                    {
-                        "floors": [low, high],
-                        "largest": float(each.max()),
-                        "over_all": float(ratio),
-                        "by_mode": each.tolist(),
-                    },
-                )
+            yield Finding(
+                "reciprocity",
+                f"force at floor {low}, response at floor {high}, and the reverse differ by up to "
+                f"{100 * each.max():.1f} % (mode {worst + 1}; {100 * ratio:.1f} % over all modes, phase included): "
+                "a calibration or a driving point is off by that much, and so are masses that rest on it; the "
+                "standard deviations of the shapes allow for it",
+                {
+                    "floors": [low, high],
+                    "largest": float(each.max()),
+                    "over_all": float(ratio),
+                    "by_mode": each.tolist(),
+                },
             )
-    return found
 
 
-def hit_findings(record: Record, setting: Replication) -> list[Finding]:
+def hit_findings(record: Record, setting: Replication) -> Iterator[Finding]:
     """Name hits that the frame answers otherwise than the other hits at the same floor: another floor was hit."""
-    source, found = setting.source, []
+    source = setting.source
     if isinstance(record, FrfRecord) or not isinstance(source, FrfSource):
-        return []
+        return
     for floor in source.floors.tolist():
         places = [place for place, item in enumerate(source.spectra) if item.floor == floor]
         answers = [source.spectra[place].response_force.ravel() for place in places]
@@ -273,18 +254,15 @@ def hit_findings(record: Record, setting: Replication) -> list[Finding]:
         others = np.flatnonzero(~alike[int(np.argmax(alike.sum(axis=1)))])
         if others.size:
             names = listed([f'"{record.runs[places[place]].name}"' for place in others])
-            found.append(
-                Finding(
-                    "hit",
-                    f"the frame answers to {names} otherwise than to the other hits at floor {floor}: was another "
-                    "floor hit, or the hammer turned round? Each [[run]] of the record file says its input_floor",
-                    {"floor": floor, "runs": [record.runs[places[place]].name for place in others]},
-                )
+            yield Finding(
+                "hit",
+                f"the frame answers to {names} otherwise than to the other hits at floor {floor}: was another "
+                "floor hit, or the hammer turned round? Each [[run]] of the record file says its input_floor",
+                {"floor": floor, "runs": [record.runs[places[place]].name for place in others]},
             )
-    return found
 
 
-def driving_point_findings(full: Details, setting: Replication) -> list[Finding]:
+def driving_point_findings(full: Details, setting: Replication) -> Iterator[Finding]:
     """Name declared driving points at which a mode's residue is negative: the force acted elsewhere.
 
     The residue of mode r with response and force at one floor is phi^2 / (2 i omega), phi real: its sign is the same in
@@ -292,8 +270,7 @@ def driving_point_findings(full: Details, setting: Replication) -> list[Finding]
     was hit; candidates are the floors at which none does.
     """
     if full.products is None or setting.base or full.scales is not None:
-        return []
-    found = []
+        return
     for column, floor in enumerate(full.driven.tolist()):
         # phi of the floor that was hit, up to a positive factor in each mode.
         there = np.einsum("ri,ri->r", full.products[:, :, column].real, full.real) / np.sum(full.real**2, axis=1)
@@ -308,72 +285,58 @@ def driving_point_findings(full: Details, setting: Replication) -> list[Finding]
             said, change = "as if the force's sensor were turned round", "give that channel sign = -1"
         else:
             said, change = "and at no other floor with a sensor are they right", "check input_floor and the channels"
-        found.append(
-            Finding(
-                "scale",
-                f"modes answer to the force at floor {floor} with the wrong sign there, {said}: {change}; the shapes "
-                "are right, their scale is left out, and masses come out per kilogram of the frame until it is mended",
-                {"floor": floor, "positive_at": right},
-            )
+        yield Finding(
+            "scale",
+            f"modes answer to the force at floor {floor} with the wrong sign there, {said}: {change}; the shapes "
+            "are right, their scale is left out, and masses come out per kilogram of the frame until it is mended",
+            {"floor": floor, "positive_at": right},
         )
-    return found
 
 
-def _mode_findings(record: Record, result: ModalResult, setting: Replication, wanted: int) -> list[Finding]:
-    found = []
+def _mode_findings(record: Record, result: ModalResult, setting: Replication, wanted: int) -> Iterator[Finding]:
     sweep = setting.sweep
     by_signs = len(record.channels) == record.stories > 1
     # Fewer than there are stories, by a count or picked by hand, and all of them found.
     asked = len(sweep.chosen) == wanted < record.stories
     if by_signs and len(sweep.chosen) < record.stories:
         absent = sorted(set(range(1, record.stories + 1)) - {int(mode) for mode in result.modes})
-        found.append(
-            Finding(
-                "missing mode",
-                f"{_modes(absent)} of {record.stories} {'was' if len(absent) == 1 else 'were'} "
-                + ("not asked for" if asked else "not found in the record"),
-                {"modes": absent},
-            )
+        yield Finding(
+            "missing mode",
+            f"{_modes(absent)} of {record.stories} {'was' if len(absent) == 1 else 'were'} "
+            + ("not asked for" if asked else "not found in the record"),
+            {"modes": absent},
         )
     if len(record.channels) < record.stories and len(sweep.chosen) < record.stories:
-        found.append(
-            Finding(
-                "missing mode",
-                f"{len(sweep.chosen)} of {record.stories} modes "
-                + ("were asked for" if asked else "were found")
-                + f", and {len(record.channels)} of {record.stories} floors are measured: they are taken to be the "
-                f"lowest that their changes of sign allow ({listed([str(mode) for mode in result.modes])}), which the "
-                "record cannot show",
-                {"measured": len(record.channels), "stories": record.stories},
+        yield Finding(
+            "missing mode",
+            f"{len(sweep.chosen)} of {record.stories} modes "
+            + ("were asked for" if asked else "were found")
+            + f", and {len(record.channels)} of {record.stories} floors are measured: they are taken to be the "
+            f"lowest that their changes of sign allow ({listed([str(mode) for mode in result.modes])}), which the "
+            "record cannot show",
+            {"measured": len(record.channels), "stories": record.stories},
+        )
+    for item in sweep.candidates:
+        if item.physical and not any(item is other for other in sweep.chosen):
+            yield Finding(
+                "other mode",
+                f"{item.frequency:.3f} Hz is stable as well, with {100 * item.energy:.2g} % of the energy, and is "
+                + ("not among the modes asked for" if asked else OTHER),
+                {"frequency": item.frequency, "energy": item.energy},
             )
-        )
-    found.extend(
-        Finding(
-            "other mode",
-            f"{item.frequency:.3f} Hz is stable as well, with {100 * item.energy:.2g} % of the energy, and is "
-            + ("not among the modes asked for" if asked else OTHER),
-            {"frequency": item.frequency, "energy": item.energy},
-        )
-        for item in sweep.candidates
-        if item.physical and not any(item is other for other in sweep.chosen)
-    )
     # A model of noise has poles of rotation as well.
     faint = FAINT * max(item.energy for item in sweep.candidates)
-    found.extend(
-        Finding("rotation", f"{item.frequency:.3f} Hz is set aside: {item.reason}", {"frequency": item.frequency})
-        for item in sweep.candidates
-        if item.reason.startswith(MOSTLY_ROTATION) and item.energy > faint
-    )
+    for item in sweep.candidates:
+        if item.reason.startswith(MOSTLY_ROTATION) and item.energy > faint:
+            said = f"{item.frequency:.3f} Hz is set aside: {item.reason}"
+            yield Finding("rotation", said, {"frequency": item.frequency})
     for mode, phase in zip(result.modes, result.lost_phase, strict=True):
         if phase > COMPLEX:
-            found.append(
-                Finding(
-                    "complex mode",
-                    f"mode {mode} is complex: its real normal mode leaves out {phase:.1f} degrees of phase",
-                    {"mode": int(mode), "degrees": float(phase)},
-                )
+            yield Finding(
+                "complex mode",
+                f"mode {mode} is complex: its real normal mode leaves out {phase:.1f} degrees of phase",
+                {"mode": int(mode), "degrees": float(phase)},
             )
-    return found
 
 
 def _modes(numbers: list[int]) -> str:

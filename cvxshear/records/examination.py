@@ -6,7 +6,7 @@ Every step that changes the record is said in a finding; a record with nothing w
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import scipy
@@ -207,22 +207,20 @@ def _silent(record: TimeRecord, column: int, clock: BandClock) -> Finding:
     )
 
 
-def _perhaps_drifting(name: str, clocks: list[BandClock], least: float) -> list[Finding]:
+def _perhaps_drifting(name: str, clocks: list[BandClock], least: float) -> Iterator[Finding]:
     """Report a clock that seems to drift against every other, in a record that passes one mode after the other."""
     slopes = np.array([clock.steepest for clock in clocks])
     slope, reach = float(np.median(slopes)), float(np.median([clock.reach for clock in clocks]))
     alike = np.abs(slopes - slope).max() < SLOPES_AGREE * abs(slope)
     if len(slopes) < 3 or not alike or abs(slope) * reach < least:
-        return []
-    return [
-        Finding(
-            "clock drift",
-            f'the clock of "{name}" may run {"slow" if slope > 0 else "fast"} by {1e6 * abs(slope):.0f} ppm, by the '
-            "phases against every other clock, or a damper acts near it: where one mode after the other is driven the "
-            "record cannot tell which, and the drift is left in",
-            {"channel": name, "drift": slope, "corrected": False},
-        )
-    ]
+        return
+    yield Finding(
+        "clock drift",
+        f'the clock of "{name}" may run {"slow" if slope > 0 else "fast"} by {1e6 * abs(slope):.0f} ppm, by the '
+        "phases against every other clock, or a damper acts near it: where one mode after the other is driven the "
+        "record cannot tell which, and the drift is left in",
+        {"channel": name, "drift": slope, "corrected": False},
+    )
 
 
 def _drifting(name: str, reference: str, start: float, slope: float, std: float) -> Finding:

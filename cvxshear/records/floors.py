@@ -8,7 +8,7 @@ declared, or the center lies far beyond the sensors, their mean stands for U.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -71,12 +71,11 @@ def one_a_floor(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
     return with_responses(record, centers, tuple(channels)), findings
 
 
-def _beside_the_center(record: Record, groups: Sequence[Ints]) -> list[Finding]:
+def _beside_the_center(record: Record, groups: Sequence[Ints]) -> Iterator[Finding]:
     """Report floors whose one sensor stands beside their center: what they turn by is in its record."""
     across = np.array([np.nan if channel.position is None else channel.position[1] for channel in record.channels])
     # Half the distance of sensors whose difference shows the rotation.
     half = [0.5 * float(np.ptp(across[group])) for group in groups if len(group) > 1 and np.ptp(across[group]) > 0]
-    found = []
     for group in groups:
         channel, off = record.channels[int(group[0])], abs(float(across[group[0]]))
         if len(group) == 1 and off > 0:
@@ -85,15 +84,12 @@ def _beside_the_center(record: Record, groups: Sequence[Ints]) -> list[Finding]:
             )
             # The sensor's place is known, where that of a center between two is anywhere: see `modal.identify`.
             arm = off * np.sqrt(3.0) / np.mean(half) if half else 0.0
-            found.append(
-                Finding(
-                    "rotation",
-                    f"floor {channel.floor} has one sensor, {off:g} m across from its center, whose record holds what "
-                    f"the floor turns by: {seen}",
-                    {"floor": channel.floor, "channels": [channel.name], "placed": False, "arm": float(arm)},
-                )
+            yield Finding(
+                "rotation",
+                f"floor {channel.floor} has one sensor, {off:g} m across from its center, whose record holds what "
+                f"the floor turns by: {seen}",
+                {"floor": channel.floor, "channels": [channel.name], "placed": False, "arm": float(arm)},
             )
-    return found
 
 
 def center_weights(channels: Sequence[Channel], group: Ints) -> tuple[Floats, bool]:
