@@ -103,40 +103,23 @@ def second_opinion(result: ModalResult, other: ModalResult) -> list[Finding]:
         numbers = {"mode": mode, "method": other.name}
         if not near.size:
             closest = int(np.argmin(np.abs(changes)))
-            found.append(
-                Finding(
-                    "second opinion",
-                    f"{other.name} has no mode {mode}, {frequency:.4g} Hz; its nearest is "
-                    f"{other.frequencies[closest]:.4g} Hz, MAC {alike[closest]:.3f}",
-                    {**numbers, "agrees": False},
-                )
+            said = (
+                f"{other.name} has no mode {mode}, {frequency:.4g} Hz; its nearest is "
+                f"{other.frequencies[closest]:.4g} Hz, MAC {alike[closest]:.3f}"
             )
+            found.append(Finding("second opinion", said, {**numbers, "agrees": False}))
             continue
         place = int(near[np.argmin(np.abs(changes[near]))])
         seen.add(place)
-        found.append(
-            Finding(
-                "second opinion",
-                f"{other.name} has mode {mode} at {other.frequencies[place]:.5g} Hz "
-                f"({100 * changes[place]:+.2f} %), MAC {alike[place]:.4f}",
-                {
-                    **numbers,
-                    "agrees": True,
-                    "frequency": float(other.frequencies[place]),
-                    "change": float(changes[place]),
-                    "mac": float(alike[place]),
-                },
-            )
-        )
-    found += [
-        Finding(
-            "second opinion",
-            f"{other.name} has a mode at {frequency:.4g} Hz that is not among these",
-            {"method": other.name, "agrees": False, "frequency": frequency},
-        )
-        for place, frequency in enumerate(other.frequencies.tolist())
-        if place not in seen
-    ]
+        its_own, change, same = (float(each[place]) for each in (other.frequencies, changes, alike))
+        said = f"{other.name} has mode {mode} at {its_own:.5g} Hz ({100 * change:+.2f} %), MAC {same:.4f}"
+        numbers |= {"agrees": True, "frequency": its_own, "change": change, "mac": same}
+        found.append(Finding("second opinion", said, numbers))
+    for place, frequency in enumerate(other.frequencies.tolist()):
+        if place not in seen:
+            said = f"{other.name} has a mode at {frequency:.4g} Hz that is not among these"
+            numbers = {"method": other.name, "agrees": False, "frequency": frequency}
+            found.append(Finding("second opinion", said, numbers))
     return found
 
 

@@ -58,15 +58,13 @@ def overlooked_modes(
         if not 0 < place < len(modes) or moved[-1] > stories:
             continue
         below, above, at = modes[place - 1], modes[place], listed([f"{each:.4g}" for each in resonances])
-        findings.append(
-            Finding(
-                OVERLOOKED_KIND,
-                f"between modes {below} and {above} lies a resonance that is not among them, at {at} Hz; if it is a "
-                f"mode of the frame, what is called mode {above} is mode {above + 1}, and so on (written as "
-                f"other_modes, with a probability of {100 * share:.0f} %)",
-                {"frequency": resonances[0], "modes": moved.tolist(), "probability": share},
-            )
+        said = (
+            f"between modes {below} and {above} lies a resonance that is not among them, at {at} Hz; if it is a "
+            f"mode of the frame, what is called mode {above} is mode {above + 1}, and so on (written as "
+            f"other_modes, with a probability of {100 * share:.0f} %)"
         )
+        numbers = {"frequency": resonances[0], "modes": moved.tolist(), "probability": share}
+        findings.append(Finding(OVERLOOKED_KIND, said, numbers))
     return findings
 
 
@@ -169,20 +167,14 @@ def clock_findings(record: Record, result: ModalResult, full: Details) -> Iterat
             first, second = names.index(name), full.clocks.reference
             if not straight(segments, first, second, late):
                 continue
+        degrees = {"turn_degrees": turn, "before_degrees": before, "left_degrees": left}
         yield Finding(
             "clock offset",
             f'the clock of "{name}" is {abs(late) * 1e3:.2f} ms {"late" if late > 0 else "early"} '
             f'(std {significant(std * 1e3, 2)} ms) against that of "{names[full.clocks.reference]}": '
             f"a phase of {turn:.1f} degrees at the highest mode; phases of {before:.1f} degrees before, {left:.1f} "
             "after a straight line over frequency",
-            {
-                "channel": name,
-                "seconds": late,
-                "std": std,
-                "turn_degrees": turn,
-                "before_degrees": before,
-                "left_degrees": left,
-            },
+            {"channel": name, "seconds": late, "std": std, **degrees},
         )
 
 
@@ -221,7 +213,7 @@ def reciprocity_findings(full: Details, setting: Replication) -> Iterator[Findin
     for low, high in itertools.combinations(sorted(set(places) & set(driven)), 2):
         up = full.products[:, places[high], driven[low]]
         down = full.products[:, places[low], driven[high]]
-        ratio = np.linalg.norm(up - down) / (0.5 * (np.linalg.norm(up) + np.linalg.norm(down)))
+        ratio = float(np.linalg.norm(up - down) / (0.5 * (np.linalg.norm(up) + np.linalg.norm(down))))
         each = np.abs(np.abs(up) - np.abs(down)) / (0.5 * (np.abs(up) + np.abs(down)))
         if each.max() > UNRECIPROCAL:
             worst = int(np.argmax(each))
@@ -231,12 +223,7 @@ def reciprocity_findings(full: Details, setting: Replication) -> Iterator[Findin
                 f"{100 * each.max():.1f} % (mode {worst + 1}; {100 * ratio:.1f} % over all modes, phase included): "
                 "a calibration or a driving point is off by that much, and so are masses that rest on it; the "
                 "standard deviations of the shapes allow for it",
-                {
-                    "floors": [low, high],
-                    "largest": float(each.max()),
-                    "over_all": float(ratio),
-                    "by_mode": each.tolist(),
-                },
+                {"floors": [low, high], "largest": float(each.max()), "over_all": ratio, "by_mode": each.tolist()},
             )
 
 

@@ -132,13 +132,8 @@ def doubted(item: PoleCandidate, of_shape: float, of_frequency: float) -> Doubts
     """Doubt a mode whose standard deviations, over its largest entry and relative, say that it is none."""
     if of_shape <= LARGEST_SHAPE_STD and of_frequency <= LARGEST_FREQUENCY_STD:
         return {}
-    return {
-        item.members: (
-            f"shape scatters by {100 * of_shape:.0f} % and frequency by {100 * of_frequency:.1f} % over the record's "
-            "pieces",
-            of_frequency <= LARGEST_FREQUENCY_STD,
-        )
-    }
+    scatter = f"shape scatters by {100 * of_shape:.0f} % and frequency by {100 * of_frequency:.1f} %"
+    return {item.members: (f"{scatter} over the record's pieces", of_frequency <= LARGEST_FREQUENCY_STD)}
 
 
 def surrogate(residual: Floats, random: np.random.Generator) -> Floats:
@@ -261,12 +256,10 @@ def details(setting: Replication, values: Values, keep: Bools | None, reference:
     straight = undone(values.eigenvalues, values.shapes, clocks.seconds)
     shapes = np.array([main_axis(shape) for shape in straight])
     # A projection is taken of what was recorded, offsets and all; its signs still are those of true clocks.
-    real = np.array(
-        [
-            real_shape(shape) if setting.rule == "magnitude" else signed_projection(raw, shape)
-            for raw, shape in zip(values.shapes, straight, strict=True)
-        ]
-    )
+    if setting.rule == "magnitude":
+        real = np.array([real_shape(shape) for shape in straight])
+    else:
+        real = np.array([signed_projection(*both) for both in zip(values.shapes, straight, strict=True)])
     places = np.argmax(np.abs(real if reference is None else reference.real), axis=1)
     real = real / real[np.arange(len(real)), places][:, None]
     scales = None

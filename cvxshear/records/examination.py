@@ -254,33 +254,24 @@ def _with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     reversed_ = level < -CERTAIN_DELAY * std
     if reversed_.sum() > len(level) / 2:
         reversed_, level = ~reversed_, -level
-        findings.append(
-            Finding(
-                "sign",
-                "the input channel is reversed: at low frequency most floors move against it; turned round",
-                {"channel": "input", "corrected": True},
-            )
-        )
+        said = "the input channel is reversed: at low frequency most floors move against it; turned round"
+        findings.append(Finding("sign", said, {"channel": "input", "corrected": True}))
         factors["input"] = -1.0
     for channel, value, spread, wrong in zip(record.channels, level, std, reversed_, strict=True):
         factor = 1.0
         if wrong:
             factor = -1.0
-            findings.append(
-                Finding(
-                    "sign",
-                    f"{channel} is reversed: at low frequency it moves {value:.3f} ± {spread:.3f} times as much as the "
-                    "base, where every floor moves with it; turned round, check its sign in the record file",
-                    {"channel": channel.name, "gain": float(value), "corrected": True},
-                )
+            said = (
+                f"{channel} is reversed: at low frequency it moves {value:.3f} ± {spread:.3f} times as much as the "
+                "base, where every floor moves with it; turned round, check its sign in the record file"
             )
+            findings.append(Finding("sign", said, {"channel": channel.name, "gain": float(value), "corrected": True}))
         unit = unit_of(abs(float(value)))
         if unit is not None and abs(value) > CERTAIN_DELAY * spread:
             size = IN_SI["acceleration"][unit]
             factor *= size
-            findings.append(
-                in_unit(channel, size, f"it moves {abs(value):.3g} times as much as the base at low frequency")
-            )
+            why = f"it moves {abs(value):.3g} times as much as the base at low frequency"
+            findings.append(in_unit(channel, size, why))
         if factor != 1.0:
             factors[channel.name] = factor
     return (scaled(record, factors) if factors else record), findings

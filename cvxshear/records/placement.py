@@ -121,16 +121,12 @@ def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> 
         for i in range(count)
         for factor in (STANDARD_GRAVITY, 1.0 / STANDARD_GRAVITY)
     ]
-    scores = np.array(
-        [
-            [
-                np.log(before * (1.0 if numbers == (1, 2) else PRIOR_MISSED))
-                + _likelihood(frequencies, item.undone(shapes), floors, stories, numbers)
-                for numbers in FREQUENCY_RATIOS
-            ]
-            for item, before in prior
-        ]
-    )
+    of_numbers = np.log([1.0 if numbers == (1, 2) else PRIOR_MISSED for numbers in FREQUENCY_RATIOS])
+    scores = np.log([[before] for _, before in prior]) + of_numbers
+    scores += [
+        [_likelihood(frequencies, item.undone(shapes), floors, stories, numbers) for numbers in FREQUENCY_RATIOS]
+        for item, _ in prior
+    ]
     shares = np.exp(scores - scores.max())
     shares /= shares.sum()
     each = shares.sum(axis=1)
@@ -236,14 +232,9 @@ def findings_of(hypotheses: Sequence[Hypothesis], channels: Sequence[Channel], f
         if rivals[0].probability > 0.5
         else f"the lowest modes cannot tell what is wrong: {listed(options, 'or')}"
     )
-    return [
-        Finding(
-            rivals[0].kind,
-            f"{said}; look at the cables and units. The record is taken as declared: nothing "
-            f"reaches {100 * SURE:.0f} %",
-            {"channels": names, "probabilities": [item.probability for item in rivals], "corrected": False},
-        )
-    ]
+    said += f"; look at the cables and units. The record is taken as declared: nothing reaches {100 * SURE:.0f} %"
+    numbers = {"channels": names, "probabilities": [item.probability for item in rivals], "corrected": False}
+    return [Finding(rivals[0].kind, said, numbers)]
 
 
 def _named(item: Hypothesis, channels: Sequence[Channel]) -> list[str]:

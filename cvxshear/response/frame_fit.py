@@ -335,7 +335,9 @@ def fit_frame(
         return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged, along, evidence)
     if start is None:
         rough = _Posterior(
-            errors.shortened(FIRST_SAMPLES, p), informative(errors, prior, p, FIRST_INFORMATION), prior.widest
+            errors.shortened(FIRST_SAMPLES, p),
+            informative(errors, prior, p, FIRST_INFORMATION),
+            prior.widest,
         )
         p = rough.maximum(p, backend, MOST_FIT_STEPS, FORM_STDS[-1], FIRST_FITTED)[0].p
     along, inflation = informative(errors, prior, p), 1.0

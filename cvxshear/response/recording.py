@@ -189,9 +189,7 @@ class Recording:
         """Return the recording with one part of each run."""
         runs = [
             dataclasses.replace(
-                run,
-                measured=run.measured[part],
-                excitation=run.excitation[part],
+                run, measured=run.measured[part], excitation=run.excitation[part],
                 between=None if run.between is None else run.between[part],
             )
             for run, part in zip(self.runs, parts, strict=True)

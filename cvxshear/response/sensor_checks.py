@@ -109,7 +109,8 @@ def as_predicted(model: DampedModel, recording: Recording) -> Recording:
     recording = _with_delays(recording, shown)
     measured = [run.measured - trend(run.measured) for run in recording.runs]
     predicted = [
-        np.where(np.isfinite(values), own - trend(own), 0.0) for values, own in zip(measured, shown, strict=True)
+        np.where(np.isfinite(values), own - trend(own), 0.0)
+        for values, own in zip(measured, shown, strict=True)
     ]
     measured = [np.nan_to_num(values) for values in measured]
     against = moved_against(measured, predicted)

@@ -189,13 +189,11 @@ def _beyond_effects(experiment: Experiment, tests: Sequence[Configuration], best
         static=(),
         expected=(),
     )
-    freed = dataclasses.replace(
-        given,
-        configurations=tuple(
-            dataclasses.replace(each, frequency_std=std) if each.name == wrong.name else each
-            for each in given.configurations
-        ),
+    less_sure = (
+        dataclasses.replace(each, frequency_std=std) if each.name == wrong.name else each
+        for each in given.configurations
     )
+    freed = dataclasses.replace(given, configurations=tuple(less_sure))
     # What any story lost or gained in the other states is theirs.
     changed = StoryChange()
     others = tuple(Placed(changed, place) for place in changed.places(given) if place.state in experiment.states)

@@ -122,13 +122,8 @@ def _finding(item: Finding) -> Iterator[Block]:
     word, tone = ("MISTAKE", "mistake") if item.refuses else ("WARNING", "warning")
     where = f' in configuration "{item.configuration}"' if item.configuration else ""
     yield Sentence(f"{word}: {' or '.join((item.name, *item.rivals))}{where}", tone)
-    yield Facts(
-        (
-            ("  found", item.found),
-            ("  change", item.change),
-            ("  accept", f"{item.how_to_accept}, if it is right as it is"),
-        )
-    )
+    accept = f"{item.how_to_accept}, if it is right as it is"
+    yield Facts((("  found", item.found), ("  change", item.change), ("  accept", accept)))
 
 
 def doubts_section(found: Sequence[Finding]) -> Section:

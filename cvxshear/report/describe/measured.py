@@ -82,15 +82,8 @@ def _total(experiment: Experiment, units: Units) -> str:
 
 
 def _test(each: Configuration, mass: tuple[float, str]) -> Row:
-    return Row(
-        (
-            each.name,
-            str(len(each.frequencies)),
-            str(len(each.measured_floors)) if each.measured.any() else "none",
-            _added(each.added_mass, *mass),
-            _noise(each),
-        )
-    )
+    floors = str(len(each.measured_floors)) if each.measured.any() else "none"
+    return Row((each.name, str(len(each.frequencies)), floors, _added(each.added_mass, *mass), _noise(each)))
 
 
 def _noise(each: Configuration) -> str:
@@ -136,18 +129,12 @@ def _modes(each: Configuration, place: int, units: Units) -> Iterator[Block]:
     shape_std = percents(np.max(each.entry_std / scale, axis=1, initial=0.0).tolist())
     frequency_std = percents([float(std) for std in each.log_frequency_std])
     floors = [f"floor {floor}" for floor in each.measured_floors]
-    rows = tuple(
-        Row(
-            (
-                str(mode),
-                significant(float(each.frequencies[j]), 5),
-                frequency_std[j],
-                *("–" if np.isnan(value) else f"{value:+.4f}" for value in each.mode_shapes[j] / scale[j]),
-                shape_std[j] if each.measured[j].any() else "–",
-            )
-        )
-        for j, mode in enumerate(each.modes)
-    )
+    rows = []
+    for j, mode in enumerate(each.modes):
+        shape = ("–" if np.isnan(value) else f"{value:+.4f}" for value in each.mode_shapes[j] / scale[j])
+        of_shape = shape_std[j] if each.measured[j].any() else "–"
+        frequency = significant(float(each.frequencies[j]), 5)
+        rows.append(Row((str(mode), frequency, frequency_std[j], *shape, of_shape)))
     head = ("mode", "frequency, Hz", "std", *floors, "std of the shape")
     title = "Shapes are scaled to a largest entry of 1" if floors else "Frequencies alone"
-    yield from Table(f"modes-{place}", title, head, rows).folded(FLOOR_COLUMNS)
+    yield from Table(f"modes-{place}", title, head, tuple(rows)).folded(FLOOR_COLUMNS)

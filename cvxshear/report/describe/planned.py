@@ -86,12 +86,11 @@ def grid(result: Plan) -> list[Sentence]:
         return []
     if result.arbitrary_masses:
         return [Sentence("Every choice of added masses gives the same within 1 %: the masses named are arbitrary.")]
-    return [
-        Sentence(
-            "With these sensors, masses of the limit or half of it on one floor, on all floors or on either half reach "
-            f"{_value(result.grid_bound)} at best; what lies between was tried, too."
-        )
-    ]
+    said = (
+        "With these sensors, masses of the limit or half of it on one floor, on all floors or on either half reach "
+        f"{_value(result.grid_bound)} at best; what lies between was tried, too."
+    )
+    return [Sentence(said)]
 
 
 def expected_modes(result: Plan) -> Table:
