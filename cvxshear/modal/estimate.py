@@ -9,18 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from cvxshear.modal.frf import (
-    FrfSource,
-    ImpulseSource,
-    modal_products,
-    modal_scale,
-    participations,
-    residues,
-    unwrapped,
-)
+from cvxshear.modal import frf
+from cvxshear.modal.clock_offsets import Offsets, offsets, undone
 from cvxshear.modal.picking import FAINT, Doubts, Parts, PoleCandidate, Sweep, Values
 from cvxshear.modal.realization import DampedModes, Impulse, Source
-from cvxshear.records.clocks import Offsets, offsets, undone
 from cvxshear.records.mode_shapes import main_axis, real_shape, rms_phase, signed_projection
 from cvxshear.records.record import Finding, FrfRecord, Record
 from cvxshear.util.errors import InputError
@@ -244,7 +236,7 @@ class Details(DampedModes):
 def details(setting: Replication, values: Values, keep: Bools | None, reference: Details | None = None) -> Details:
     """Find all parameters of the modes from poles, shapes and the residues of the data kept."""
     products, driven = _products(setting, values, keep)
-    turned = None if products is None else participations(products, values.shapes)
+    turned = None if products is None else frf.participations(products, values.shapes)
     clocks = offsets(
         values.eigenvalues,
         values.shapes,
@@ -265,7 +257,7 @@ def details(setting: Replication, values: Values, keep: Bools | None, reference:
     scales = None
     if products is not None and not setting.base:
         found = [
-            modal_scale(_turned_back(each, value, clocks), shape, setting.floors, driven)
+            frf.modal_scale(_turned_back(each, value, clocks), shape, setting.floors, driven)
             for each, value, shape in zip(products, values.eigenvalues, real, strict=True)
         ]
         known = [scale for scale in found if scale is not None]
@@ -285,11 +277,11 @@ def _products(setting: Replication, values: Values, keep: Bools | None) -> tuple
         return None, np.zeros(0, dtype=np.int64)
     rate = setting.source.sampling_rate
     sequence = impulse.sequence[:LAST_SAMPLE]
-    amplitudes = residues(sequence, values.eigenvalues, rate, impulse.start)
+    amplitudes = frf.residues(sequence, values.eigenvalues, rate, impulse.start)
     if impulse.wrapped:
-        amplitudes = unwrapped(amplitudes, values.eigenvalues, len(impulse.sequence) / rate)
+        amplitudes = frf.unwrapped(amplitudes, values.eigenvalues, len(impulse.sequence) / rate)
     amplitudes = amplitudes / impulse.excited(values.eigenvalues, rate)[:, None, :]
-    return modal_products(amplitudes, values.eigenvalues, rate, setting.quantity, base=setting.base), impulse.driven
+    return frf.modal_products(amplitudes, values.eigenvalues, rate, setting.quantity, base=setting.base), impulse.driven
 
 
 def covariance(setting: Replication, full: Details, seed: int) -> tuple[Floats, str, int]:
@@ -364,7 +356,7 @@ def disturbed(setting: Replication, full: Details, seed: int) -> Floats:
     for _ in range(SURROGATES):
         noise = surrogate(residual.reshape(len(residual), -1), random).reshape(residual.shape)
         noisy = np.concatenate([impulse.sequence[: impulse.start], fit + noise])
-        source = ImpulseSource(dataclasses.replace(impulse, sequence=noisy), setting.source.sampling_rate)
+        source = frf.ImpulseSource(dataclasses.replace(impulse, sequence=noisy), setting.source.sampling_rate)
         other = dataclasses.replace(setting, parts=Parts(source, setting.sweep.poles))
         values = other.values(None)
         if values is not None:
@@ -377,7 +369,7 @@ def disturbed(setting: Replication, full: Details, seed: int) -> Floats:
 
 def _fit(impulse: Impulse, eigenvalues: Complexes, rate: float) -> Floats:
     """Return the chosen modes' part of the impulse responses, from their start on."""
-    amplitudes = residues(impulse.sequence, eigenvalues, rate, impulse.start)
+    amplitudes = frf.residues(impulse.sequence, eigenvalues, rate, impulse.start)
     powers = np.exp(np.outer(np.arange(impulse.start, len(impulse.sequence)), eigenvalues) / rate)
     return np.asarray(2 * np.real(np.einsum("kr,roi->koi", powers, amplitudes)))
 
@@ -393,7 +385,7 @@ def settle_truncation(record: Record, setting: Replication, values: Values) -> l
     are nearer to it, the modes weighted by how much their residues depend on the question.
     """
     source = setting.source
-    if not isinstance(record, FrfRecord) or not isinstance(source, FrfSource):
+    if not isinstance(record, FrfRecord) or not isinstance(source, frf.FrfSource):
         return []
     length = source.samples / source.sampling_rate
     left = np.abs(np.exp(values.eigenvalues * length))

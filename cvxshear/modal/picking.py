@@ -9,19 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.data.pairing import mac
+from cvxshear.modal import stabilization
+from cvxshear.modal.clock_offsets import offsets, undone
 from cvxshear.modal.realization import Poles, Source, realize
-from cvxshear.modal.stabilization import (
-    Cluster,
-    Criteria,
-    center,
-    clusters,
-    energies,
-    nearest,
-    persistence,
-    stable_poles,
-    undivided,
-)
-from cvxshear.records.clocks import offsets, undone
+from cvxshear.modal.stabilization import Cluster, Criteria
 from cvxshear.records.mode_shapes import collinearity, possible_changes, real_shape, sign_changes
 from cvxshear.util.typing import Bools, Complexes, Floats
 
@@ -196,15 +187,15 @@ def sweep_orders(
     """
     factor = source.factor()
     poles = realize(factor, source.outputs, source.sampling_rate, criteria.orders(choose.count))
-    stable = stable_poles(poles, source.sampling_rate, criteria, shift)
+    stable = stabilization.stable_poles(poles, source.sampling_rate, criteria, shift)
     found = []
-    for cluster in clusters(poles, stable, criteria):
+    for cluster in stabilization.clusters(poles, stable, criteria):
         if len(cluster) < 2:
             continue
-        members = undivided(cluster, poles, criteria, shift)
+        members = stabilization.undivided(cluster, poles, criteria, shift)
         values = np.array([poles[i].eigenvalues[j] for i, j in members])
-        value, shape = center(values, np.array([poles[i].shapes[j] for i, j in members]))
-        share = persistence(cluster, poles)
+        value, shape = stabilization.center(values, np.array([poles[i].shapes[j] for i, j in members]))
+        share = stabilization.persistence(cluster, poles)
         found.append(PoleCandidate(tuple(members), value, shape, share, 0.0, *_lasting(cluster, share, criteria)))
     found.sort(key=lambda item: item.frequency)
     found = _weighed(_distinct(_within(found, band), criteria), source.data(), source.sampling_rate)
@@ -246,7 +237,7 @@ def _distinct(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandid
 
 def _weighed(found: list[PoleCandidate], factor: Floats, sampling_rate: float) -> list[PoleCandidate]:
     lasting = [item for item in found if item.physical]
-    shares = energies(factor, [(item.eigenvalue, item.shape) for item in lasting], sampling_rate)
+    shares = stabilization.energies(factor, [(item.eigenvalue, item.shape) for item in lasting], sampling_rate)
     energy = dict(zip(map(id, lasting), shares.tolist(), strict=True))
     return [dataclasses.replace(item, energy=energy.get(id(item), 0.0)) for item in found]
 
@@ -428,11 +419,11 @@ class Parts:
         values, shapes = [], []
         for i, j in item.members:
             poles, whole = self._found[key][i], self._whole[i]
-            k = nearest(poles, complex(whole.eigenvalues[j]), whole.shapes[j])
+            k = stabilization.nearest(poles, complex(whole.eigenvalues[j]), whole.shapes[j])
             if k is not None:
                 values.append(poles.eigenvalues[k])
                 shapes.append(poles.shapes[k])
-        return None if 2 * len(values) < len(item.members) else center(np.array(values), np.array(shapes))
+        return None if 2 * len(values) < len(item.members) else stabilization.center(np.array(values), np.array(shapes))
 
     def values(self, chosen: Sequence[PoleCandidate], keep: Bools | None) -> Values | None:
         """Find the chosen modes on a part of the data; None where one of them is not found there."""

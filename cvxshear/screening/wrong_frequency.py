@@ -26,7 +26,8 @@ from cvxshear.effects.stories import StoryChange
 from cvxshear.loop.close import begun
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import FARTHER, FREQUENCY_TOLERANCE, Reading
-from cvxshear.screening.doubts import Finding
+from cvxshear.screening.compared_tests import by_state
+from cvxshear.screening.finding import Finding
 from cvxshear.screening.repairs import LEFT_TO_GIVEN, RIVAL_COST, SUSPICIOUS, prior_cost
 from cvxshear.screening.shear_fit import TALLEST_FITTED, NearestFrame, ShearFrames
 from cvxshear.util.errors import CvxshearError
@@ -68,10 +69,9 @@ class Freed:
 
 def wrong_frequency(experiment: Experiment) -> Iterator[Finding]:
     """Find a frequency that no other datum agrees with, in the tests of one state or in all of them."""
-    states: dict[str, list[Configuration]] = {}
-    for each in experiment.configurations:
-        states.setdefault(each.state, []).append(each)
-    groups = [*states.values()] + ([list(experiment.configurations)] if len(states) > 1 else [])
+    groups = by_state(experiment.configurations)
+    if len(groups) > 1:
+        groups.append(list(experiment.configurations))
     if experiment.stories > TALLEST_FITTED:
         return
     for tests in groups:
