@@ -70,7 +70,8 @@ def from_arrays(
         raise InputError(f"floors must have {width} entries, one a column of mode_shapes, not {places.size}")
     by_floor, by_frequency = np.argsort(places), np.argsort(values)
     shapes = shapes[by_frequency][:, by_floor]
-    real = np.array([_real(shape) for shape in shapes])
+    # A real shape stands as it is, sign and all.
+    real = np.array([real_shape(shape) if np.any(shape.imag) else shape.real for shape in shapes])
     frequency = _spread(frequency_std, ASSUMED_FREQUENCY_STD, (count,), "frequency_std")[by_frequency]
     entries = _spread(mode_shape_std, ASSUMED_SHAPE_STD, (count, width), "mode_shape_std")[by_frequency][:, by_floor]
     damping = _spread(damping_ratios, 0.0, (count,), "damping_ratios")[by_frequency]
@@ -210,8 +211,3 @@ def _spread(value: ArrayLike | None, default: float, shape: tuple[int, ...], whe
     if not np.all(np.isfinite(array)) or np.any(array < 0):
         raise InputError(f"{where} must be finite and not negative")
     return array
-
-
-def _real(shape: Complexes) -> Floats:
-    """Return a real shape as it stands, sign and all, and the moduli and signs of a complex one."""
-    return shape.real.copy() if not np.any(shape.imag) else real_shape(shape)

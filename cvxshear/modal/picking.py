@@ -152,7 +152,8 @@ class Choice:
         if self.by_signs:
             chosen = _by_signs(usable, self.count, self.order)
         else:
-            chosen = _as_low(_by_energy(usable, self.count), self.stories, self.order)
+            loudest = sorted(usable, key=lambda item: -item.energy)[: self.count]
+            chosen = _as_low(sorted(loudest, key=lambda item: item.frequency), self.stories, self.order)
         numbered = {item.members: item for item in chosen}
         found = [numbered.get(item.members, dataclasses.replace(item, number=0)) for item in found]
         return Sweep(poles, stable, tuple(found), tuple(chosen), self)
@@ -198,7 +199,9 @@ def sweep_orders(
         share = stabilization.persistence(cluster, poles)
         found.append(PoleCandidate(tuple(members), value, shape, share, 0.0, *_lasting(cluster, share, criteria)))
     found.sort(key=lambda item: item.frequency)
-    found = _weighed(_distinct(_within(found, band), criteria), source.data(), source.sampling_rate)
+    if band is not None:
+        found = [item for item in found if band[0] <= item.frequency <= band[1]]
+    found = _weighed(_distinct(found, criteria), source.data(), source.sampling_rate)
     return choose(poles, stable, _swaying(_collinear(found, criteria), turning))
 
 
@@ -208,12 +211,6 @@ def _lasting(cluster: Cluster, share: float, criteria: Criteria) -> tuple[bool, 
     if share < criteria.least_persistence:
         return False, f"stable in {100 * share:.0f} % of the orders only"
     return True, ""
-
-
-def _within(found: list[PoleCandidate], band: tuple[float, float] | None) -> list[PoleCandidate]:
-    if band is None:
-        return found
-    return [item for item in found if band[0] <= item.frequency <= band[1]]
 
 
 def _distinct(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandidate]:
@@ -299,11 +296,6 @@ def _by_hand(found: list[PoleCandidate], picked: Sequence[float]) -> list[PoleCa
         if near:
             chosen.append(min(near, key=lambda item: abs(item.frequency - frequency)))
     return sorted(chosen, key=lambda item: item.frequency)
-
-
-def _by_energy(usable: list[PoleCandidate], count: int) -> list[PoleCandidate]:
-    strongest = sorted(usable, key=lambda item: -item.energy)[:count]
-    return sorted(strongest, key=lambda item: item.frequency)
 
 
 def _by_signs(usable: list[PoleCandidate], count: int, order: Sequence[int] | None = None) -> list[PoleCandidate]:

@@ -68,7 +68,9 @@ def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> Source:
         return _decays(record) if record.input == "free_decay" else _hits(record)
     record = decimated(detrended(record))
     if method == "ssi":
-        return _ambient(record, blocks)
+        after = 2 * continuous.SSI_ROWS
+        pieces = [run.responses[start : stop + after] for run, start, stop in _cuts(record, blocks, 0, after)]
+        return continuous.CovarianceSource(pieces, record.sampling_rate)
     return _driven(record, method, blocks)
 
 
@@ -142,12 +144,6 @@ def _one_floor(record: TimeRecord) -> int:
             'floor, or blows, which method "era" takes together'
         )
     return floors[0]
-
-
-def _ambient(record: TimeRecord, blocks: int) -> Source:
-    after = 2 * continuous.SSI_ROWS
-    pieces = [run.responses[start : stop + after] for run, start, stop in _cuts(record, blocks, 0, after)]
-    return continuous.CovarianceSource(pieces, record.sampling_rate)
 
 
 def _cuts(record: TimeRecord, blocks: int, before: int, after: int) -> Iterator[tuple[Run, int, int]]:

@@ -310,16 +310,7 @@ def entry_signs(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
 
 
 KINDS: tuple[Callable[[Reading, Sequence[Modes]], Iterator[Repair]], ...] = (
-    transposed,
-    floors_from_top,
-    periods,
-    drifts,
-    other_floors,
-    other_units,
-    sensor_signs,
-    exchanged_sensors,
-    other_numbers,
-    other_orders,
-    entry_signs,
-)
+    transposed, floors_from_top, periods, drifts, other_floors, other_units, sensor_signs, exchanged_sensors,
+    other_numbers, other_orders, entry_signs,
+)  # fmt: skip
 """Kinds of repairs, the simplest first: of two that are alike the first is named."""
