@@ -8,6 +8,7 @@ from cvxshear.data.pairing import mac
 from cvxshear.modal.adapters import from_arrays
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.result import ModalResult
+from cvxshear.records.findings import finding
 from cvxshear.records.record import Finding
 from cvxshear.util.errors import InputError, NoSolutionError
 from cvxshear.util.typing import Bools, Complexes, Floats
@@ -103,23 +104,18 @@ def second_opinion(result: ModalResult, other: ModalResult) -> list[Finding]:
         numbers = {"mode": mode, "method": other.name}
         if not near.size:
             closest = int(np.argmin(np.abs(changes)))
-            said = (
-                f"{other.name} has no mode {mode}, {frequency:.4g} Hz; its nearest is "
-                f"{other.frequencies[closest]:.4g} Hz, MAC {alike[closest]:.3f}"
-            )
-            found.append(Finding("second opinion", said, {**numbers, "agrees": False}))
+            near_by = {"own": frequency, "nearest": other.frequencies[closest], "alike": alike[closest]}
+            found.append(finding("second opinion/none", {**numbers, "agrees": False}, **near_by))
             continue
         place = int(near[np.argmin(np.abs(changes[near]))])
         seen.add(place)
         its_own, change, same = (float(each[place]) for each in (other.frequencies, changes, alike))
-        said = f"{other.name} has mode {mode} at {its_own:.5g} Hz ({100 * change:+.2f} %), MAC {same:.4f}"
         numbers |= {"agrees": True, "frequency": its_own, "change": change, "mac": same}
-        found.append(Finding("second opinion", said, numbers))
+        found.append(finding("second opinion", numbers))
     for place, frequency in enumerate(other.frequencies.tolist()):
         if place not in seen:
-            said = f"{other.name} has a mode at {frequency:.4g} Hz that is not among these"
             numbers = {"method": other.name, "agrees": False, "frequency": frequency}
-            found.append(Finding("second opinion", said, numbers))
+            found.append(finding("second opinion/another", numbers))
     return found
 
 

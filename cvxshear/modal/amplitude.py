@@ -13,6 +13,7 @@ from cvxshear.modal.frf import ImpulseSource
 from cvxshear.modal.picking import Parts, Values
 from cvxshear.modal.realization import Impulse
 from cvxshear.modal.result import ModalResult
+from cvxshear.records.findings import finding
 from cvxshear.records.record import Finding
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats
@@ -68,20 +69,12 @@ def _strong_against_weak(setting: Replication, result: ModalResult) -> Iterator[
         mode, change = int(result.modes[place]), float(changes[place])
         numbers = {"mode": mode, "std": float(std[place]), "amplitude_ratio": ratio}
         if certain[place]:
-            numbers["change"] = change
-            said = (
-                f"{np.exp(first[place]):.4f} Hz in the stronger half of the record, {np.exp(second[place]):.4f} Hz in "
-                f"the weaker ({100 * change:+.2f} %, {abs(score[place]):.1f} standard deviations, those of all modes "
-                f"together {abs(together):.1f}; {ratio:.1f} times the motion): the frequency depends on amplitude, and "
-                "the one reported is a mean"
-            )
+            yield finding(
+                "amplitude", {**numbers, "change": change}, strong=np.exp(first[place]), weak=np.exp(second[place]),
+                score=abs(score[place]), together=abs(together),
+            )  # fmt: skip
         else:
-            said = (
-                f"the frequency scatters by {100 * first_std[place]:.2g} % in the stronger half of the record and by "
-                f"{100 * second_std[place]:.2g} % in the weaker, with {ratio:.1f} times the motion; noise makes it the "
-                "other way, so it may depend on amplitude, as in a frame of which a story yields"
-            )
-        yield Finding("amplitude", f"mode {mode}: {said}", numbers)
+            yield finding("amplitude/scatter", numbers, strong=first_std[place], weak=second_std[place])
 
 
 def _half(setting: Replication, half: Bools) -> tuple[Floats, Floats, Floats] | None:
@@ -123,13 +116,8 @@ def _early_against_late(setting: Replication, result: ModalResult) -> Iterator[F
     for place, mode in enumerate(result.modes):
         bound = SIGNIFICANT * std[place]
         if abs(change[place]) > max(bound, SMALLEST_CHANGE):
-            yield Finding(
-                "amplitude",
-                f"mode {mode}: {result.frequencies[place]:.4f} Hz over the whole decay, "
-                f"{np.exp(later[place]):.4f} Hz in its later part ({100 * change[place]:+.2f} %, chance allows "
-                f"{100 * bound:.2f} %): the frequency depends on amplitude",
-                {"mode": int(mode), "change": float(change[place]), "chance": float(bound)},
-            )
+            numbers = {"mode": int(mode), "change": float(change[place]), "chance": float(bound)}
+            yield finding("amplitude/decay", numbers, whole=result.frequencies[place], later=np.exp(later[place]))
 
 
 def _grown(setting: Replication, result: ModalResult) -> Floats:

@@ -13,6 +13,7 @@ from cvxshear.modal import frf
 from cvxshear.modal.clock_offsets import Offsets, offsets, undone
 from cvxshear.modal.picking import FAINT, Doubts, Parts, PoleCandidate, Sweep, Values
 from cvxshear.modal.realization import DampedModes, Impulse, Source
+from cvxshear.records.findings import finding
 from cvxshear.records.mode_shapes import main_axis, real_shape, rms_phase, signed_projection
 from cvxshear.records.record import Finding, FrfRecord, Record
 from cvxshear.util.errors import InputError
@@ -419,10 +420,5 @@ def _phase_off(setting: Replication, values: Values, left: Floats) -> float:
 def _leakage(truncated: bool, why: str, length: float, left: Floats) -> Finding:
     mode = int(np.argmax(left)) + 1
     kind = "those of responses cut off there" if truncated else "samples of the true functions"
-    return Finding(
-        "leakage",
-        f"{100 * left.max():.1f} % of mode {mode}'s impulse response is left at the end of the window of "
-        f"{length:.3g} s; the functions are taken for {kind} ({why}); its residues depend on that by as much, its "
-        "frequency and damping do not",
-        {"mode": mode, "left": float(left.max()), "length": length, "truncated": truncated},
-    )
+    numbers = {"mode": mode, "left": float(left.max()), "length": length, "truncated": truncated}
+    return finding("leakage", numbers, kind=kind, why=why)

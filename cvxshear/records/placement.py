@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.records.examination import in_unit, unit_in_truth
+from cvxshear.records.findings import finding
 from cvxshear.records.record import Channel, Finding
 from cvxshear.util.quantities import STANDARD_GRAVITY, chance, listed
 from cvxshear.util.typing import Floats, Ints
@@ -270,20 +271,14 @@ def _said(item: Hypothesis, channels: Sequence[Channel], first: Floats, sound: f
     if item.kind == "sign":
         one = len(names) == 1
         more = {"channel": names[0]} if one else {}
-        return Finding(
-            "sign",
-            f"{_in_words(item, channels)}: the lowest mode is {shape} from the ground up, and a shear frame's has one "
-            f"sign ({odds}); turned round, check {'its sign' if one else 'their signs'} in the record file",
-            {**numbers, **more, "corrected": True},
-        )
+        what, signs = _in_words(item, channels), "its sign" if one else "their signs"
+        return finding("sign", {**numbers, **more, "corrected": True}, what=what, shape=shape, odds=odds, signs=signs)
     low, high = (channels[place] for place in item.places)
     also = "".join(f", and {channels[place]} reversed" for place in item.turned)
     signs = ", and turn that sign round" if item.turned else ""
     still = [channels[place] for place in item.places if abs(first[place]) < SHAPE_ERROR * np.abs(first).max()]
     dead = "".join(f", unless {channel} carries no motion at all: is its cable cut?" for channel in still)
-    return Finding(
-        "swapped channels",
-        f"{low} and {high} look swapped{also}: the lowest mode is {shape} from the ground up, which no shear frame has "
-        f"({odds}). Exchange their floors in the record file{signs}{dead}",
-        {**numbers, "corrected": False},
-    )
+    return finding(
+        "swapped channels", {**numbers, "corrected": False}, low=low, high=high, also=also, shape=shape, odds=odds,
+        signs=signs, dead=dead,
+    )  # fmt: skip

@@ -11,9 +11,11 @@ from scipy import linalg, ndimage
 
 from cvxshear.records.clocks import mains_lines
 from cvxshear.records.data_frames import stretches
+from cvxshear.records.findings import finding
 from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord
 from cvxshear.records.signals import AnyRecord, impulsive, only
 from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import counted
 from cvxshear.util.typing import Bools, Floats
 
 DEAD = 1e-4
@@ -182,12 +184,9 @@ def _spiked(spikes: Bools, where: str, name: str) -> Iterator[Finding]:
     count = int(spikes.sum())
     if not count:
         return
-    yield Finding(
-        "spikes",
-        f"{where} has {count} spike{'s' if count > 1 else ''} that no other channel shows, the first at sample "
-        f"{int(np.argmax(spikes)) + 1}; replaced by what the samples around them say",
-        {"channel": name, "samples": count},
-    )
+    first = int(np.argmax(spikes)) + 1
+    numbers = {"channel": name, "samples": count}
+    yield finding("spikes", numbers, where=where, spikes=counted(count, "spike"), first=first)
 
 
 def stuck_in(responses: Floats, column: int, rate: float) -> Bools:
@@ -227,27 +226,27 @@ def _stuck(responses: Floats, column: int, where: str, name: str, rate: float) -
     where_stuck = stretches(stuck)
     count, longest, first = int(stuck.sum()), int(np.diff(where_stuck, axis=1).max()), int(where_stuck[0, 0])
     out = bool(count > STUCK_SHARE * len(stuck))
-    yield Finding(
-        "stuck channel",
-        f"{where} sticks at {responses[first, column]:.4g} from sample {first + 1} on: {count} of {len(stuck)} "
-        f"samples repeat the last, up to {longest / rate:.3g} s on end, while the others move"
-        + ("; left out" if out else ""),
-        {"channel": name, "samples": count, "share": float(count / len(stuck)), "out": out},
-    )
+    numbers = {"channel": name, "samples": count, "share": float(count / len(stuck)), "out": out}
+    yield finding(
+        "stuck channel", numbers, where=where, value=responses[first, column], first=first + 1, length=len(stuck),
+        longest=longest / rate, left_out="; left out" if out else "",
+    )  # fmt: skip
 
 
 def _dead(record: Record, levels: Floats) -> list[Finding]:
     typical = float(np.median(levels[levels > 0])) if np.any(levels > 0) else 0.0
-    return [
-        Finding(
-            "dead channel",
-            f"{channel} measures nothing: standard deviation {level:.3g} where the median channel has {typical:.3g}; "
-            "left out",
-            {"channel": channel.name, "floor": channel.floor, "std": float(level), "median_std": typical, "out": True},
-        )
-        for channel, level in zip(record.channels, levels, strict=True)
-        if level <= DEAD * typical
-    ]
+    found = []
+    for channel, level in zip(record.channels, levels.tolist(), strict=True):
+        if level <= DEAD * typical:
+            numbers = {
+                "channel": channel.name,
+                "floor": channel.floor,
+                "std": level,
+                "median_std": typical,
+                "out": True,
+            }
+            found.append(finding("dead channel", numbers, where=channel))
+    return found
 
 
 def _of_series(values: Floats, where: str, name: str, record: TimeRecord) -> Iterator[Finding]:
@@ -269,12 +268,9 @@ def _clipped(values: Floats, where: str, name: str) -> Iterator[Finding]:
         if len(edge) > 1 and edge[0] >= CLIPPED_COUNT * max(1, edge[1]):
             count = max(count, int(edge[0]))
         if count and values.std() > 0 and count < 0.5 * len(values) and abs(extreme - np.median(values)) > values.std():
-            yield Finding(
-                "clipped channel",
-                f"{where} is clipped at {extreme:.4g}: {count} of {len(values)} samples stand there, the first at "
-                f"sample {int(np.argmax(flat)) + 1}",
-                {"channel": name, "level": float(extreme), "samples": count, "share": count / len(values)},
-            )
+            numbers = {"channel": name, "level": float(extreme), "samples": count, "share": count / len(values)}
+            first = int(np.argmax(flat)) + 1
+            yield finding("clipped channel", numbers, where=where, length=len(values), first=first)
             return
 
 
@@ -284,11 +280,7 @@ def _held(values: Floats, where: str, name: str) -> Iterator[Finding]:
     for pace in (2, 3, 4, 5):
         repeats = [np.mean(same[phase::pace]) for phase in range(pace)]
         if sum(share > 0.95 for share in repeats) == pace - 1 and min(repeats) < 0.5:
-            yield Finding(
-                "held samples",
-                f"{where} repeats every value {pace} times: it was sampled at a {pace}th of the rate and filled up",
-                {"channel": name, "repeats": pace},
-            )
+            yield finding("held samples", {"channel": name, "repeats": pace}, where=where)
             return
 
 
@@ -301,12 +293,7 @@ def _drift(values: Floats, where: str, name: str) -> Iterator[Finding]:
     pieces = [float(part.mean()) for part in np.array_split(around, 20)]
     scatter = float(np.std(pieces))
     if level > 0 and abs(change) > DRIFTED * level and abs(change) > 4 * scatter:
-        yield Finding(
-            "drift",
-            f"{where} drifts by {change:.3g} from its first tenth to its last, {abs(change) / level:.2g} of its "
-            "standard deviation; a straight line was taken off",
-            {"channel": name, "change": change, "over_std": abs(change) / level},
-        )
+        yield finding("drift", {"channel": name, "change": change, "over_std": abs(change) / level}, where=where)
 
 
 def _aliased(values: Floats, where: str, name: str, rate: float) -> Iterator[Finding]:
@@ -316,12 +303,7 @@ def _aliased(values: Floats, where: str, name: str, rate: float) -> Iterator[Fin
     share = float(top.sum() / power.sum()) if power.sum() > 0 else 0.0
     # White noise has a tenth of its power up there, and as much just below; a folded line stands out.
     if share > NEAR_NYQUIST and top.max() > 10 * np.median(below):
-        yield Finding(
-            "aliasing",
-            f"{where} has {100 * share:.0f} % of its power in the top tenth of the band up to {rate / 2:g} Hz; what "
-            "lies beyond is folded back into it",
-            {"channel": name, "share": share},
-        )
+        yield finding("aliasing", {"channel": name, "share": share}, where=where, highest=rate / 2)
 
 
 def _humming(values: Floats, where: str, name: str, rate: float) -> Iterator[Finding]:
@@ -345,12 +327,7 @@ def _humming(values: Floats, where: str, name: str, rate: float) -> Iterator[Fin
     if min(early, late) < 0.5 * max(early, late):
         # A mode that dies away may be as narrow; hum lasts.
         return
-    yield Finding(
-        "mains hum",
-        f"{where} hums: {100 * share:.0f} % of its power stands in a line at {loudest:.4g} Hz, where the mains' 50 or "
-        "60 Hz, or a multiple, shows at this sampling rate",
-        {"channel": name, "share": share, "frequency": loudest},
-    )
+    yield finding("mains hum", {"channel": name, "share": share, "frequency": loudest}, where=where)
 
 
 def _level(values: Floats, frequency: float, rate: float) -> float:

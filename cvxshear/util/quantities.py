@@ -283,9 +283,16 @@ def scaled(values: Iterable[float], unit: str) -> tuple[float, str]:
 
 def counted(number: int, noun: str) -> str:
     """Write a number of things, in the plural where they are not one."""
-    if number == 1:
-        return f"1 {noun}"
-    return f"{number} {noun.removesuffix('y')}ies" if noun.endswith("y") else f"{number} {noun}s"
+    return f"{number} {noun if number == 1 else _plural(noun)}"
+
+
+def _plural(noun: str) -> str:
+    return f"{noun.removesuffix('y')}ies" if noun.endswith("y") else f"{noun}s"
+
+
+def numbered(noun: str, numbers: Sequence[int]) -> str:
+    """Name things by their ascending numbers: "floor 2", "stories 1, 3"."""
+    return f"{noun if len(numbers) == 1 else _plural(noun)} {ranged(numbers)}"
 
 
 def ranged(numbers: Sequence[int]) -> str:

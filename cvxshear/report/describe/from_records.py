@@ -10,7 +10,7 @@ from cvxshear.modal import ModalResult
 from cvxshear.report.describe.vocabulary import Block, Document, Facts, Section, Sentence, Table, describe, line, table
 from cvxshear.screening import Finding, Screening
 from cvxshear.util.errors import InputError
-from cvxshear.util.quantities import AUTOMATIC, Units, capital, counted, listed, percent, ranged, with_std, with_stds
+from cvxshear.util.quantities import AUTOMATIC, Units, capital, counted, listed, numbered, percent, with_std, with_stds
 
 METHOD_WORDS = {
     "era": "eigensystem realization (era)", "okid": "observer identification and eigensystem realization (okid)",
@@ -46,8 +46,7 @@ def _line(result: ModalResult) -> str:
 
 
 def _modes_headline(result: ModalResult) -> str:
-    floors = ranged(result.floors.tolist())
-    return f"{counted(len(result.frequencies), 'mode')} at floor{'s' if len(result.floors) > 1 else ''} {floors}"
+    return f"{counted(len(result.frequencies), 'mode')} at {numbered('floor', result.floors.tolist())}"
 
 
 def _table(result: ModalResult) -> Table:

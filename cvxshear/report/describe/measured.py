@@ -9,7 +9,7 @@ import numpy as np
 
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.report.describe.vocabulary import Block, Document, Facts, Row, Section, Sentence, Table, describe, line
-from cvxshear.util.quantities import AUTOMATIC, Units, counted, percents, ranged, significant
+from cvxshear.util.quantities import AUTOMATIC, Units, counted, numbered, percents, significant
 from cvxshear.util.typing import Floats
 
 FLOOR_COLUMNS = 11
@@ -99,7 +99,7 @@ def _added(mass: Floats, factor: float, unit: str) -> str:
     floors = [int(place) + 1 for place in np.flatnonzero(mass)]
     if not floors:
         return "none"
-    return f"{mass.sum() / factor:g} {unit} on floor{'' if len(floors) == 1 else 's'} {ranged(floors)}"
+    return f"{mass.sum() / factor:g} {unit} on {numbered('floor', floors)}"
 
 
 def listed(values: Floats, unit: str, factor: float = 1.0) -> str:
