@@ -75,7 +75,7 @@ class Repair:
         return prior_cost(self.choices)
 
 
-WORDS: dict[str, dict[str, str]] = tomllib.loads(
+REPAIR_WORDS: dict[str, dict[str, str]] = tomllib.loads(
     resources.files("cvxshear.screening").joinpath("repairs.toml").read_text(encoding="utf-8")
 )
 """What each mistake would be, and what to change."""
@@ -83,7 +83,7 @@ WORDS: dict[str, dict[str, str]] = tomllib.loads(
 
 def _repair(kind: str, reading: Reading, choices: int, **gaps: object) -> Repair:
     """Describe a repair in the words of its kind, whose gaps are filled."""
-    words = WORDS[kind]
+    words = REPAIR_WORDS[kind]
     found, change = words["found"].format(**gaps), words["change"].format(**gaps)
     return Repair(words.get("name", kind), found, change, reading, choices)
 

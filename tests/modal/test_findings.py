@@ -15,9 +15,11 @@ def keys_of(node, named):
         return named.get(node.id, set())
     if not isinstance(node, ast.Dict):
         return set()
-    return set().union(
-        *({key.value} if key is not None else keys_of(value, named) for key, value in zip(node.keys, node.values))
-    )
+    found = set()
+    for key, value in zip(node.keys, node.values, strict=True):
+        # None stands for a dict that is spread out.
+        found |= keys_of(value, named) if key is None else {key.value} if isinstance(key, ast.Constant) else set()
+    return found
 
 
 def said():
