@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     import qpsolvers
 
 MAGNIFIED: dict[str, float] = {"highs": 1e4}
-"""Factor of the unknowns and the right sides. HiGHS takes a reduced gradient of some 1e-6 for none, whatever its
-tolerances; on greater numbers that is less."""
+"""Factor on unknowns and right sides: HiGHS takes a reduced gradient of some 1e-6 for none, whatever its tolerances."""
 
 
 class Qpsolvers(CalledSolver):

@@ -23,8 +23,7 @@ SIGNIFICANT = 3.0
 SMALLEST_CHANGE = 1e-3
 """Relative change of a frequency that is said: four degrees of temperature change a steel frame's by as much."""
 SCATTERED = 2.5
-"""The same of the scatter that the two halves have by themselves, by Student's t, besides: of a dozen blocks it is
-known to a fifth."""
+"""The same of the halves' own scatter, by Student's t, besides: a dozen blocks tell it to a fifth."""
 ALL_TOGETHER = 4.0
 """Standard deviations that the changes of all modes have together, their sum over the root of their number: one of 88
 simulated records of linear frames reached 3.0, and their root mean square was 1.2."""

@@ -73,8 +73,7 @@ def left_out(candidates: Sequence[PoleCandidate], chosen: Sequence[PoleCandidate
 CLOCK_CERTAIN = 4.5
 """Standard deviations, of a score of blocks, for a clock that is off: one sound record in some hundreds has one."""
 STRAIGHT = 0.5
-"""Of the phases of a channel: a straight line through the origin must explain three quarters of their squares, or else
-they are no clock's."""
+"""Share of a channel's phases that a clock's straight line may leave: it explains three quarters of their squares."""
 LEAST_TURN = 1.0
 """Degrees at the highest mode; a clock offset that turns it less changes nothing that is reported."""
 COMPLEX = 5.0

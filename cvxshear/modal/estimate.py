@@ -150,8 +150,7 @@ NO_CHANGE = 1e-9
 SURROGATES = 20
 """Noisy copies of the fit: standard deviations from 20 of them are known to a sixth of themselves."""
 FEW_PIECES = 6
-"""Pieces of a record: the scatter of fewer is too small too often to stand alone (that of three by half in one of
-five)."""
+"""Pieces of a record: the scatter of fewer is too small too often (that of three by half in one case of five)."""
 LAST_SAMPLE = 4000
 """Of an impulse response, for its residues; a longer one has decayed."""
 

@@ -25,8 +25,7 @@ BLOCKS = 20
 still holds many periods of the lowest mode."""
 
 LONGEST_PULSE = 0.25
-"""Part of a run between its first hit and its last from which on they are to be parted: more than half of it would
-otherwise go unused."""
+"""Part of a run between its first and last hit that asks to part them: half of it would otherwise go unused."""
 
 
 def default_method(record: Record) -> str:

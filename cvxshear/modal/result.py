@@ -94,8 +94,7 @@ REPRODUCED_TO = 2e-4
 100 ppm off, and a degree takes 0.02 % from the frequency of a steel frame (Young's modulus falls by 0.04 % a degree).
 Without it a day's change of temperature between two tests would be found as a cause."""
 DAMPING_REPRODUCED_TO = 0.01
-"""Relative standard deviation of a damping ratio that no scatter within a record goes below: friction in joints and
-cables changes it by more between two tests."""
+"""Least relative std of a damping ratio: friction in joints and cables changes it by more between two tests."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

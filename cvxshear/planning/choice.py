@@ -44,8 +44,7 @@ TELLING = 1e-3
 others' standard deviations change by less than 0.05 %."""
 
 DIRECTIONS_ASKED = 16
-"""Directions in the program of what is asked for, and as many again of the rest: its time grows with their fourth
-power."""
+"""Directions asked for in the program, and as many again of the rest: its time grows with their fourth power."""
 
 IMPROVES = 1e-9
 """Relative gain from which on an exchange is made; less is rounding."""
@@ -54,8 +53,7 @@ AT_ONCE = 2_000_000
 """Numbers in the information matrices that are formed at a time: 16 MB."""
 
 FEW = 20_000
-"""Number of choices up to which every one is looked at, where the information has `TYPICAL` rows: eighteen floors
-choose six."""
+"""Choices up to which all are looked at, of information with `TYPICAL` rows: eighteen floors choose six."""
 
 TYPICAL = 45
 """Rows of the information of an eighteen-story frame with three modes: a cubic measure of what one choice takes."""
@@ -64,15 +62,13 @@ AT_LAST = 2
 """Factor on `FEW` where windows leave a gap: a few sensors on a tall frame are then all looked at."""
 
 CLOSE_ENOUGH = 0.05
-"""Relative gap between a choice and its bound up to which no closer bound is looked for: expected noise is no better
-known."""
+"""Relative gap to the bound up to which no closer bound is looked for: expected noise is no better known."""
 
 WIDTHS = (4, 6, 8, 10)
 """Numbers of floors in the windows of the closer bound, tried one after the other while the time allows."""
 
 MOST_WORK = 6e7
-"""Parameters times choices within a window times the numbers that each takes, up to which a window is affordable: two
-seconds."""
+"""Parameters times choices in a window times the numbers each takes that are affordable: two seconds."""
 
 ROUNDING_SEED = 2009
 """Seed of the choices that are drawn, so that a plan comes out the same each time."""

@@ -28,8 +28,7 @@ POWER = 24
 by a factor of s^(1/24) at most for s parameters."""
 
 MOST_PARAMETERS = 16
-"""Parameters, those known least, that stand in the program for the worst one: its time grows with their fourth
-power, and the bound is computed with all of them."""
+"""Parameters, those known least, in the program for the worst one: its time grows with their fourth power."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,12 +19,10 @@ from cvxshear.util.results import InJson, Shown
 from cvxshear.util.typing import Floats, Ints, Json
 
 ARBITRARY = 0.01
-"""Relative difference of the best and the worst choice up to which the choice does not matter: expected noise is not
-known to a hundredth."""
+"""Relative difference of best and worst choice up to which it does not matter: noise is not known to a hundredth."""
 
 MISFIT = 0.02
-"""Relative error of the frame's frequencies from which on a plan says so: ten times the noise that is expected of them
-where nothing is declared."""
+"""Relative error of the frame's frequencies that a plan mentions: ten times the noise expected where none is stated."""
 
 MOST_POINTS = 10
 """Numbers of sensors in the curve of accuracy."""

@@ -26,8 +26,7 @@ LEAST_AGREEMENT, MOST_CHANCE = 0.08, 0.55
 """Bounds of that limit: hum has a little in common with everything, up to a sixth of what channels have that measure;
 few lines leave much to chance."""
 AGREED = 0.25
-"""Agreement of a channel's phases with the others' from which on its clock can be told; half of what is usual in an
-ambient record where that is less."""
+"""Agreement of phases that tells a channel's clock; half of what is usual in an ambient record where that is less."""
 IN_COMMON = 30.0
 """Times the agreement that chance makes, from which on drifts are looked for where less than `AGREED` is in common: of
 a long ambient record sampled far beyond its highest mode."""

@@ -182,8 +182,7 @@ NOISE_FROM = 0.8
 at 0.8 of it or below."""
 
 NOISE_SCATTER = 2.0
-"""Size of the estimated spectrum, over that of the noise, up to which it may be the noise's: averages of a dozen pieces
-scatter by a third."""
+"""Ratio of spectrum to noise up to which it may be noise: averages of a dozen pieces scatter by a third."""
 
 SPECTRUM_SAMPLES = 512
 """Samples of a piece whose spectra are averaged: a minute at 100 Hz has some twenty, which scatter by a fifth."""

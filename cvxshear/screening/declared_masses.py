@@ -226,8 +226,7 @@ POOREST = 0.6
 """Standard deviation of the logarithm of a total from which on it says nothing."""
 
 POOR = 4.0
-"""Cost a datum of a fit to which frames with one soft story or heavy floor are tried as well, and above which no shear
-frame is near enough to weigh."""
+"""Cost a datum above which no shear frame is near enough to weigh, and odd frames are tried as starts as well."""
 
 VAGUE = 0.05
 """Weight, in the uncertainty of an implied total, of the rows that keep floors and stories alike."""

@@ -57,8 +57,7 @@ SLOWEST = 0.02
 """Lowest first frequency (Hz): the tallest towers begin at some 0.1 Hz, and long bridges at 0.05 Hz."""
 
 BEST_LABORATORY_STD = 1e-6
-"""Relative standard deviation below which nothing is measured: the best counters and interferometers of a laboratory
-are no better."""
+"""Relative standard deviation below which nothing is measured: the best counters and interferometers are no better."""
 
 LARGEST_STD = {"frequency_std": 0.05, "mode_shape_std": 0.3}
 """Relative standard deviations beyond which nothing is measured any more, so that percent are suspected."""

@@ -25,8 +25,7 @@ MISTAKEN = 1e-2
 """Probability that a configuration has a mistake of one kind: one file in a hundred."""
 
 LEFT_TO_GIVEN = 1e-3
-"""Probability of a reading as given, relative to that of its best repair, below which it is refused: a wrong refusal
-costs more than a mistake that is only suspected."""
+"""Odds of a reading as given, to its best repair's, below which it is refused: wrong refusals cost more than doubts."""
 
 SUSPICIOUS = 25.0
 """Cost of a reading as given below which no repair can be that much more probable: it needs 2 log of 1e5."""

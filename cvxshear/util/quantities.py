@@ -31,8 +31,7 @@ IN_SI = {
     "force": {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605},
 }  # fmt: skip
 CHANNEL_UNITS = {unit: (kind, size) for kind, units in IN_SI.items() for unit, size in units.items()}
-"""Units of a channel: what is measured in it, and what it is in m/s2, m/s, m or N (definitions of the SI and of the
-international foot and pound)."""
+"""Units of a channel: what is measured in it, and its size in m/s2, m/s, m or N (SI, international foot and pound)."""
 
 TONNES = 1e4
 """Mass from which masses are written in tonnes, kg."""
