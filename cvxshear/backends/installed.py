@@ -7,8 +7,6 @@ unknowns. Where the data leave a direction open the Hessian is singular, and the
 Every answer is certified; where it fails the next solver is asked.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from functools import cache

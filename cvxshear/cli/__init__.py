@@ -1,7 +1,5 @@
 """The command line."""
 
-from __future__ import annotations
-
 import sys
 from contextlib import suppress
 from typing import Annotated, Any

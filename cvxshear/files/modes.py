@@ -1,7 +1,5 @@
 """From record files to one measurement: their modes, a configuration each, and what they say of the frame."""
 
-from __future__ import annotations
-
 import dataclasses
 import glob
 import re

@@ -1,7 +1,5 @@
 """What the tables of a record file say: its channels, its runs, and where the samples of a run stand without gaps."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager

@@ -3,8 +3,6 @@
 Their texts stand in the folder `blank`; a record file marks what follows from the names and numbers of its columns.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import re

@@ -16,8 +16,6 @@ is of the order of the modes' lack of orthogonality, and nothing for exact modes
 one-shot answer.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Modes that were identified elsewhere: plain arrays, results of pyOMA2 and of sdypy-EMA."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How modes agree with the measured functions, and with a second opinion: another method's, a peer's, or peaks."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from cvxshear.data.pairing import mac

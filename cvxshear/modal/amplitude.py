@@ -1,7 +1,5 @@
 """Frequencies that depend on amplitude: strong parts of a record against weak ones, a whole decay against its end."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 

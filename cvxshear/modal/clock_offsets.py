@@ -1,7 +1,5 @@
 """How late the clocks of channels are by the phases of modes: finer than by the band, once they are nearly in step."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the identified modes say about the record: clocks, signs, swaps, resolution, reciprocity, amplitude."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 

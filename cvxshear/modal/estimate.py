@@ -1,7 +1,5 @@
 """From the chosen poles to everything that is reported of a mode, on all the data or on a part of it."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

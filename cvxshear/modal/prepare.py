@@ -1,7 +1,5 @@
 """From a record to the source of its Hankel matrix: trend off, decimated to the band, cut into blocks."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable, Iterator

@@ -5,8 +5,6 @@ shape. Stable poles of consecutive orders are chained into clusters; a cluster t
 rest of the sweep is a candidate for a mode.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass

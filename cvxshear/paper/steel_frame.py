@@ -1,7 +1,5 @@
 """Section 6: the two-story steel test frame in three structures, Tables 4 to 8."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ High precision identification method of mass and stiffness matrix for shear-type
 and 6. Cases 1 and 2 are its two initial masses; "present" is its own method, "Ref. [23]" Qi's, "Ref. [17]" Berman's.
 """
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import dataclass
 from importlib import resources

@@ -1,7 +1,5 @@
 """Section 5: the three-story frame, from exact modes by the paper's method and two earlier ones, and from noise."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 

@@ -11,8 +11,6 @@ solver: it is computed afterwards from the weights found. From the weights a cho
 one candidate for another while that improves it.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

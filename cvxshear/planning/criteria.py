@@ -9,8 +9,6 @@ A criterion also states itself for conic solvers, with linear matrix inequalitie
 maximised; for the others [[T, F 0], [(F 0)', M]] >= 0 makes T at least the covariance.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What planning returns: the choice and what it promises, and the planned tests as a file to fill in."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

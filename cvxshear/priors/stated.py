@@ -1,7 +1,5 @@
 """Priors of floor masses and story stiffnesses: what one, all, or the ratio of two is, bounds, change with height."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """Tables that are handed in from Python: arrays, data frames of pandas, data arrays of xarray."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Iterable
 from dataclasses import dataclass
 from itertools import pairwise

@@ -3,8 +3,6 @@
 Every step that changes the record is said in a finding; a record with nothing wrong comes back as it went in.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator
 

@@ -1,7 +1,5 @@
 """What a record gets wrong, in words: the sentences stand in `findings.toml`."""
 
-from __future__ import annotations
-
 import tomllib
 from importlib import resources
 from string import Formatter

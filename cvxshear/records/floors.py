@@ -5,8 +5,6 @@ direction from its center. Sensors whose positions are declared give U and t by 
 declared, or the center lies far beyond the sensors, their mean stands for U.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any

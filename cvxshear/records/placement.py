@@ -7,8 +7,6 @@ holds for two exchanged ones; a factor on a channel spoils the first alone. Agai
 not found, or the second: what is then called the first has another shape, and another ratio of frequencies to the next.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Sequence

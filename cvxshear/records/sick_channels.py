@@ -1,7 +1,5 @@
 """What single channels of a record get wrong, seen before any mode is looked for."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 

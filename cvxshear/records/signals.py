@@ -1,7 +1,5 @@
 """What is done to the samples of a record before anything is made of them: trend off, decimated, clocks right."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar

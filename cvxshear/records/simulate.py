@@ -1,7 +1,5 @@
 """Records of a known shear frame, integrated exactly, for studies of the identification."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

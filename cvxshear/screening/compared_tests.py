@@ -1,7 +1,5 @@
 """What the tests of one file say of each other: copies, one state under two names, modes or units that cannot be."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import combinations, pairwise

@@ -10,8 +10,6 @@ for a change that can be made at K places in a share q of all files, and that es
 to within sigma (Occam's factor of the Laplace approximation).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence

@@ -4,8 +4,6 @@ Nothing in the frequencies and shapes of one test alone says in which unit they 
 function.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

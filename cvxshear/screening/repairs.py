@@ -4,8 +4,6 @@ Each proposes, for a reading, every place at which its mistake can have been mad
 decided here.
 """
 
-from __future__ import annotations
-
 import itertools
 import tomllib
 from collections.abc import Callable, Iterator, Sequence

@@ -12,8 +12,6 @@ deviations say, on more data than the frame takes up, and where no single effect
 the tests, accounts for the data nearly as well.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

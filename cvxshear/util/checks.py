@@ -4,8 +4,6 @@ Every function takes the value, and the place it was found as a person would nam
 value in the type that the library works with, or raises `InputError`.
 """
 
-from __future__ import annotations
-
 import difflib
 import math
 import reprlib

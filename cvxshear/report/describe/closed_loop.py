@@ -1,7 +1,5 @@
 """What closing the loop found: the verdict, how probable everything is, what is left open, what to test next."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from cvxshear.loop import Closure

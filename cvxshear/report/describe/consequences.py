@@ -1,7 +1,5 @@
 """What a closed loop changes: the errors before and after, and what follows for the frame."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 

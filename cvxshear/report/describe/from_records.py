@@ -1,7 +1,5 @@
 """The modes found in a record, and what looks wrong in a record or a measurement file."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The verdict on a frame in a sentence that an engineer would say, with the noise and the numbering behind it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from cvxshear.data import Frequencies, noise_kinds

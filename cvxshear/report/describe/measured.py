@@ -1,7 +1,5 @@
 """What was measured and declared."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 

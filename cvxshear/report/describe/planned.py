@@ -1,7 +1,5 @@
 """A planned test: where to put the sensors and the masses, what that will tell, and what one sensor more would."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

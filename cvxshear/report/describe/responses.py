@@ -1,7 +1,5 @@
 """A predicted response beside what was measured, and the motion of every floor from some sensors."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Studies: the paper's figures beside recomputed ones, the noise study, all backends on the same programs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from itertools import groupby

@@ -1,7 +1,5 @@
 """The frame drawn to scale: what was found on it at its place, its identified masses and stiffnesses."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Measured mode shapes beside those of a model, at all floors and in one scale, as data and as displaced frames."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

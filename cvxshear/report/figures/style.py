@@ -4,8 +4,6 @@ Colours are of the set of Okabe and Ito, which the colour-blind can distinguish;
 line style or a hatch says as well.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
