@@ -82,6 +82,12 @@ LARGEST_FREQUENCY_ERROR = "1.72"
 """Section 7, percent: largest differences between the structures, relative to the larger, and largest of Table 8."""
 
 
+def note(name: str, **gaps: object) -> str:
+    """Write what a reader of recomputed figures should know."""
+    words: str = _PRINTED["notes"][name]
+    return words.format(**gaps)
+
+
 def value(printed: str) -> float:
     """Read a printed figure as a number."""
     return float(printed.removeprefix("about "))
