@@ -10,7 +10,7 @@ from cvxshear.data.pairing import mac
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import NUMBERS_OF_A_COPY, repeated_configurations
 from cvxshear.screening.doubts import near
-from cvxshear.screening.finding import Finding, doubt
+from cvxshear.screening.finding import Finding, doubt, in_words
 from cvxshear.screening.shear_fit import modes_of
 from cvxshear.util.quantities import significant
 
@@ -42,11 +42,9 @@ def by_state(tests: Iterable[Configuration]) -> list[list[Configuration]]:
 
 def repeats(experiment: Experiment) -> Iterator[Finding]:
     """Two tests never agree to the last digit."""
-    change = "leave all but one of them out: a copy is no further test"
     copies = repeated_configurations(experiment)
     for names in copies:
-        said = f"configurations {_listed(names)} repeat each other to the last digit"
-        yield doubt("repeated", said, change, names[1])
+        yield doubt("repeated/copy", names[1], names=_listed(names))
     alike: dict[tuple[bytes, bytes], list[Configuration]] = {}
     for each in experiment.configurations:
         alike.setdefault((each.modes.tobytes(), each.frequencies.tobytes()), []).append(each)
@@ -55,8 +53,7 @@ def repeats(experiment: Experiment) -> Iterator[Finding]:
         if any(set(names) <= set(group) for group in copies) or not _shows_load(experiment, tests):
             continue
         what = "modes" if _same_shapes(tests) else "frequencies"
-        said = f"configurations {_listed(names)} have other added mass, and the same {what} to the last digit"
-        yield doubt("repeated", said, "write what each of them measured: a load changes the frequencies", names[1])
+        yield doubt("repeated/load", names[1], names=_listed(names), what=what)
 
 
 def _listed(names: Iterable[str]) -> str:
@@ -94,8 +91,7 @@ def state_names(experiment: Experiment) -> Iterator[Finding]:
     declared = {each.state for each in experiment.tested if each.state != each.name}
     for first, second in combinations(experiment.states, 2):
         if declared & {first, second} and (_one_slip(first, second) or _one_slip(second, first)):
-            said = f"states {_listed((first, second))} differ by one letter and count as two"
-            yield doubt("states", said, "write the same state where it is one, and names that differ by more if not")
+            yield doubt("states", names=_listed((first, second)))
 
 
 def _one_slip(name: str, other: str) -> bool:
@@ -131,9 +127,7 @@ def look_alike(experiment: Experiment) -> Iterator[Finding]:
             if following != mode + 1 or there.sum() < max(3, following):
                 continue
             if mac(*measured[:, there]) > ALIKE and mac(*others[:, there]) < TOLD_APART:
-                said = f"modes {mode} and {following} look alike at all {there.sum()} sensors"
-                change = "leave out what is no sway mode (torsion, another direction, found twice), number the others"
-                yield doubt("look_alike", said, change, each.name)
+                yield doubt("look_alike", each.name, mode=mode, following=following, sensors=there.sum())
                 break
 
 
@@ -148,11 +142,8 @@ def frequency_units(experiment: Experiment) -> Iterator[Finding]:
     for each, (ratio, words) in wrong:
         # Of two that differ either can be wrong.
         either = " (or those of the other are smaller by it)" if len(tests) == 2 else ""
-        yield Finding(
-            "frequency_unit", each.name,
-            f"all frequencies are {significant(ratio, 3)} times those of other configurations, about {words}{either}",
-            "write frequencies in Hz", refuses=True,
-        )  # fmt: skip
+        name, found, change = in_words("frequency_unit", ratio=significant(ratio, 3), words=words, either=either)
+        yield Finding(name, each.name, found, change, refuses=True)
         if len(tests) == 2:
             return
 

@@ -244,9 +244,7 @@ def total_mass(experiment: Experiment) -> Iterator[Finding]:
     together, its scale free.
     """
     if experiment.frame.total_mass_placeholder:
-        said = f"total_mass = {experiment.frame.total_mass:g} stands for one that nobody gave: masses and stiffnesses "
-        change = "write total_mass in kg, and take total_mass_placeholder out"
-        yield doubt("total_mass", f"{said}are relative to it", change)
+        yield doubt("total_mass/placeholder", total=experiment.frame.total_mass)
         return
     declared = experiment.frame.known_total
     different = {tuple(each.added_mass) for each in experiment.configurations}
@@ -256,25 +254,18 @@ def total_mass(experiment: Experiment) -> Iterator[Finding]:
     off = float(np.log(declared / total))
     if std > POOREST or abs(off) < max(LEAST_CONTRADICTION, CONTRADICTION * std):
         return
-    said = (
-        f"the added masses changed the frequencies as they would those of a frame of {quantity(total, 'kg', 3)} "
-        f"(give or take {100 * std:.0f} %), and {quantity(declared, 'kg', 6)} are declared"
-    )
+    sizes = {"implied": quantity(total, "kg", 3), "percent": 100 * std, "declared": quantity(declared, "kg", 6)}
     heavy = right_in_kg(experiment, declared / experiment.stories)
     load = next((unit for unit, factor in LOAD_UNITS if abs(off - np.log(factor)) < UNIT_OFF), None)
     unit = next((unit for unit, factor in (("g", 1e3), ("t", 1e-3)) if abs(off - np.log(factor)) < UNIT_OFF), None)
     if load is not None and (heavy or unit is None):
         weight = "floors of that weight suit the story heights, so " if heavy else ""
-        yield doubt("added_mass", f"{said}: {weight}added_mass looks like {load}", "write added_mass in kg")
-        return
-    if unit is not None:
+        yield doubt("added_mass", **sizes, weight=weight, load=load)
+    elif unit is not None:
         either = "" if load is None or heavy is False else f", or added_mass like {load}"
-        yield doubt(
-            "masses", f"{said}: total_mass (or floor_masses) looks like {unit}{either}", "write all masses in kg"
-        )
-        return
-    change = "check total_mass (or floor_masses, without the added mass) and each added_mass"
-    yield doubt("total_mass", said, change)
+        yield doubt("masses/total", **sizes, unit=unit, either=either)
+    else:
+        yield doubt("total_mass", **sizes)
 
 
 def implied_total(experiment: Experiment) -> tuple[float, float]:

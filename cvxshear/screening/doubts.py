@@ -71,17 +71,14 @@ def gravity(experiment: Experiment) -> Iterator[Finding]:
     if EARTH[0] <= value <= EARTH[1]:
         return
     unit = next((f" (that would be {unit})" for size, unit in OTHER_GRAVITIES if near(value, size)), "")
-    said = f"gravity = {value:g} m/s² is not the Earth's{unit}"
-    yield doubt("gravity", said, "write it in m/s², 9.81, or leave it out")
+    yield doubt("gravity", value=value, unit=unit)
 
 
 def heights(experiment: Experiment) -> Iterator[Finding]:
     """No story is as high as a tower."""
     found = experiment.frame.story_heights
-    if found is None or found.max() <= HIGHEST_STORY:
-        return
-    said = f"story_heights of up to {found.max():g} m look like mm or cm"
-    yield doubt("heights", said, "write story_heights in m")
+    if found is not None and found.max() > HIGHEST_STORY:
+        yield doubt("heights", highest=found.max())
 
 
 def masses(experiment: Experiment) -> Iterator[Finding]:
@@ -90,11 +87,9 @@ def masses(experiment: Experiment) -> Iterator[Finding]:
     if frame.story_heights is None or frame.known_total is None:
         return
     height, floor = float(np.mean(frame.story_heights)), frame.known_total / experiment.stories
-    if right_in_kg(experiment, floor) is not False:
-        return
-    unit = "g" if floor > HEAVIEST_MODEL_FLOOR else "t"
-    weights = f"floors of {quantity(floor, 'kg', 3)} each under stories of {significant(height, 3)} m"
-    yield doubt("masses", f"{weights} look like masses in {unit}", "write masses in kg")
+    if right_in_kg(experiment, floor) is False:
+        unit = "g" if floor > HEAVIEST_MODEL_FLOOR else "t"
+        yield doubt("masses", floor=quantity(floor, "kg", 3), height=significant(height, 3), unit=unit)
 
 
 def angular_frequency(experiment: Experiment) -> Iterator[Finding]:
@@ -103,18 +98,13 @@ def angular_frequency(experiment: Experiment) -> Iterator[Finding]:
     lowest = next((each.frequencies[0] for each in experiment.configurations if each.modes[0] == 1), None)
     heights = experiment.frame.story_heights
     if ratio is not None:
-        if not near(ratio, 2 * np.pi):
-            return
-        said = f"the frequencies are {ratio:.2f} times those of the nominal masses and stiffnesses, about 2 pi"
+        if near(ratio, 2 * np.pi):
+            yield doubt("angular_frequency/nominal", ratio=ratio)
     elif lowest is not None and heights is not None and BUILDING_STORY <= heights.mean() <= HIGHEST_STORY:
-        if lowest * heights.sum() <= HIGHEST_TIMES_FREQUENCY:
-            return
-        height = significant(heights.sum(), 3)
-        said = f"a first frequency of {significant(lowest, 3)} Hz is high for a building of {height} m"
-    else:
-        return
-    change = "write frequencies in Hz, the angular ones divided by 2 pi"
-    yield doubt("angular_frequency", f"{said}: they look like rad/s", change)
+        height = float(heights.sum())
+        if lowest * height > HIGHEST_TIMES_FREQUENCY:
+            sizes = {"lowest": significant(lowest, 3), "height": significant(height, 3)}
+            yield doubt("angular_frequency/height", **sizes)
 
 
 def added_up(experiment: Experiment) -> Iterator[Finding]:
@@ -128,17 +118,14 @@ def added_up(experiment: Experiment) -> Iterator[Finding]:
     highest = (1 + STEEP) if len(growth) == 1 else HIGHEST_GROUND
     even = usual > 0 and np.max(np.abs(growth / usual - 1)) < STEEP
     if even and (1 - STEEP) < found[0] / usual < highest:
-        said = f"story_heights grow from {found[0]:g} to {found[-1]:g} m as elevations of floors do"
-        yield doubt("elevations", said, "write the height of each story, not the sum of those below")
+        yield doubt("elevations", first=found[0], last=found[-1])
 
 
 def slow(experiment: Experiment) -> Iterator[Finding]:
     """No structure swings once a minute."""
     lowest = min(float(each.frequencies[0]) for each in experiment.configurations)
     if lowest < SLOWEST:
-        said = f"a first frequency of {significant(lowest, 3)} Hz is lower than that of any frame"
-        unit = "it looks like time in milliseconds, or frequencies in kHz"
-        yield doubt("time_unit", f"{said}: {unit}", "write frequencies in Hz, and times in s")
+        yield doubt("time_unit", lowest=significant(lowest, 3))
 
 
 def deviations(experiment: Experiment) -> Iterator[Finding]:
@@ -153,20 +140,16 @@ def deviations(experiment: Experiment) -> Iterator[Finding]:
             if not std.size:
                 continue
             if std.min() < BEST_LABORATORY_STD:
-                yield _deviation(each.name, f"{key} = {std.min():.1g} is finer than any instrument measures")
-            elif np.median(std) > largest:
+                yield doubt("deviations/fine", each.name, key=key, std=std.min())
+            elif (middle := np.median(std)) > largest:
                 of = "frequencies" if key == "frequency_std" else "shapes"
-                yield _deviation(
-                    each.name,
-                    f"the {of} have standard deviations of {100 * np.median(std):.3g} % ({key} = {np.median(std):.3g}) "
-                    "and measure nothing: these are percent, or the record that they come from hardly shows its modes",
-                )
+                yield doubt("deviations/coarse", each.name, of=of, key=key, std=middle, percent=100 * middle)
     frame = experiment.frame
     stated = [("total_mass_std", frame.total_mass_std)]
     stated += [(f"std of the prior {prior.describe()}", getattr(prior, "std", None)) for prior in experiment.priors]
     for words, value in stated:
         if value is not None and float(value) < BEST_LABORATORY_STD:
-            yield _deviation(None, f"{words} = {float(value):.1g} is finer than anything is known; exact without std")
+            yield doubt("deviations/stated", words=words, std=float(value))
 
 
 def rounding(experiment: Experiment) -> Iterator[Finding]:
@@ -181,17 +164,8 @@ def rounding(experiment: Experiment) -> Iterator[Finding]:
             )
             coarse = step / np.sqrt(12.0) > ROUNDED * np.median(std) if len(values) >= FEWEST_ROUNDED else False
             if getattr(each, key) is not None and coarse:
-                what = "frequencies" if key == "frequency_std" else "shapes"
-                said = f"the {what} are rounded to {step:g}, by which they err more than {key} says"
-                yield _deviation(each.name, said, "write all digits, or the standard deviation of what is written")
-
-
-def _deviation(
-    configuration: str | None,
-    said: str,
-    change: str = "write relative standard deviations, 0.01 for 1 %, or leave them out",
-) -> Finding:
-    return doubt("deviations", said, change, configuration)
+                of = "frequencies" if key == "frequency_std" else "shapes"
+                yield doubt("deviations/rounded", each.name, of=of, step=step, key=key)
 
 
 def _over_nominal(experiment: Experiment) -> float | None:

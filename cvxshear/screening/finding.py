@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from importlib import resources
 
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Json
@@ -61,6 +63,19 @@ def in_json(found: Iterable[Finding] | None) -> Json:
     return {} if found is None else {"warnings": [item.to_dict() for item in found]}
 
 
-def doubt(name: str, found: str, change: str, configuration: str | None = None) -> Finding:
-    """Make a finding that warns."""
+WORDS_OF_FINDINGS: dict[str, dict[str, str]] = tomllib.loads(
+    resources.files("cvxshear.screening").joinpath("words.toml").read_text(encoding="utf-8")
+)
+"""What each finding says, and what is to be changed; behind a slash, of one case of it."""
+
+
+def in_words(key: str, /, **gaps: object) -> tuple[str, str, str]:
+    """Name a finding, and say what it is and what to change, the gaps filled."""
+    words = WORDS_OF_FINDINGS[key]
+    return key.partition("/")[0], words["found"].format(**gaps), words["change"].format(**gaps)
+
+
+def doubt(key: str, configuration: str | None = None, /, **gaps: object) -> Finding:
+    """Make a finding that warns, in the words of its key."""
+    name, found, change = in_words(key, **gaps)
     return Finding(name, configuration, found, change, refuses=False)

@@ -5,10 +5,8 @@ decided here.
 """
 
 import itertools
-import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from importlib import resources
 from math import comb
 from typing import Any
 
@@ -17,6 +15,7 @@ from scipy.optimize import linear_sum_assignment
 
 from cvxshear.measurement.reading import Reading
 from cvxshear.model.shear import Modes
+from cvxshear.screening.finding import in_words
 from cvxshear.util.typing import Floats, Ints
 
 MISTAKEN = 1e-2
@@ -72,17 +71,9 @@ class Repair:
         return prior_cost(self.choices)
 
 
-REPAIR_WORDS: dict[str, dict[str, str]] = tomllib.loads(
-    resources.files("cvxshear.screening").joinpath("repairs.toml").read_text(encoding="utf-8")
-)
-"""What each mistake would be, and what to change."""
-
-
-def _repair(kind: str, reading: Reading, choices: int, **gaps: object) -> Repair:
-    """Describe a repair in the words of its kind, whose gaps are filled."""
-    words = REPAIR_WORDS[kind]
-    found, change = words["found"].format(**gaps), words["change"].format(**gaps)
-    return Repair(words.get("name", kind), found, change, reading, choices)
+def _repair(key: str, reading: Reading, choices: int, /, **gaps: object) -> Repair:
+    """Describe a repair in the words of its key."""
+    return Repair(*in_words(key, **gaps), reading, choices)
 
 
 def _picked(reading: Reading, which: Any) -> Reading:
@@ -138,11 +129,11 @@ def other_floors(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
             listed = ", ".join(str(floor + 1) for floor in moved)
             but = "" if np.all(on) else " (0 is the ground: leave its entries out)"
             there = replace(_picked(reading, np.s_[:, on]), floors=moved[on])
-            yield _repair("all_floors", there, choices, low=word, floors=listed, but=but)
+            yield _repair("sensor_floors/all", there, choices, low=word, floors=listed, but=but)
         for column, floor in enumerate(moved.tolist()):
             if 0 <= floor <= top and floor not in floors:
                 there = replace(reading, floors=np.where(np.arange(len(floors)) == column, floor, floors))
-                yield _repair("one_floor", there, choices, low=word, before=floors[column] + 1, floor=floor + 1)
+                yield _repair("sensor_floors/one", there, choices, low=word, before=floors[column] + 1, floor=floor + 1)
 
 
 def other_units(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
