@@ -16,8 +16,7 @@ import numpy as np
 from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
 from cvxshear.backends.certificate import Assembled, Solution
-from cvxshear.backends.qpsolvers_backend import Qpsolvers
-from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS, Solver
+from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS, Qpsolvers, Solver
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError, UnsuitableError
 

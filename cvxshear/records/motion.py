@@ -14,7 +14,7 @@ from cvxshear.records.floors import one_a_floor
 from cvxshear.records.record import Record, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Floats, Ints
 
 DRIVEN = ("base", "force")
 """Kinds of input that are measured, so that a response to them can be predicted."""
@@ -215,20 +215,19 @@ def band_limited(samples: Floats) -> Floats:
     return result[margin : margin + len(samples)]
 
 
-def trend(values: Floats, there: Bools | None = None) -> Floats:
+def trend(values: Floats) -> Floats:
     """Straight line through each column by least squares, of the same shape.
 
     Parameters
     ----------
     values : ndarray, shape (samples,) or (samples, columns)
-    there : ndarray of bool, shape (samples,), optional
-        The samples that count; those that are not nan where not given.
+        Samples that are nan do not count.
     """
     columns = values.reshape(len(values), -1)
     time = np.linspace(-1.0, 1.0, len(values))
     lines = np.zeros_like(columns)
     for j, column in enumerate(columns.T):
-        own = np.isfinite(column) if there is None else there
+        own = np.isfinite(column)
         if own.sum() > 1:
             lines[:, j] = np.polyval(np.polyfit(time[own], column[own], 1), time)
     return lines.reshape(values.shape)
