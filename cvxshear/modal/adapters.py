@@ -130,17 +130,13 @@ def from_pyoma(
             "the pyOMA2 object holds no modes (Fn, Phi): run the algorithm and choose modes first, by mpe or a cluster"
         )
     frequencies = np.atleast_1d(np.asarray(frequencies, dtype=np.float64))
-    std = getattr(result, "Fn_std", None)
-    damping = getattr(result, "Xi", None)
-    return from_arrays(
-        frequencies,
-        np.atleast_2d(np.asarray(shapes).T),
-        floors=floors,
-        stories=stories,
-        damping_ratios=None if damping is None else np.clip(np.atleast_1d(damping), 0.0, None),
-        frequency_std=None if std is None else np.atleast_1d(std) / frequencies,
-        name=name,
-    )
+    std, damping = getattr(result, "Fn_std", None), getattr(result, "Xi", None)
+    known = {
+        "damping_ratios": None if damping is None else np.clip(np.atleast_1d(damping), 0.0, None),
+        "frequency_std": None if std is None else np.atleast_1d(std) / frequencies,
+    }
+    rows = np.atleast_2d(np.asarray(shapes).T)
+    return from_arrays(frequencies, rows, floors=floors, stories=stories, name=name, **known)
 
 
 def from_sdypy(
@@ -177,14 +173,9 @@ def from_sdypy(
     missing = np.flatnonzero(~(values > 0))
     if missing.size:
         raise InputError(f"the sdypy model found no pole for mode {missing[0] + 1}: select another frequency for it")
-    return from_arrays(
-        values,
-        np.atleast_2d(np.asarray(constants).T),
-        floors=floors,
-        stories=stories,
-        damping_ratios=np.clip(np.atleast_1d(np.asarray(model.nat_xi, dtype=np.float64)), 0.0, None),
-        name=name,
-    )
+    damping = np.clip(np.atleast_1d(np.asarray(model.nat_xi, dtype=np.float64)), 0.0, None)
+    rows = np.atleast_2d(np.asarray(constants).T)
+    return from_arrays(values, rows, floors=floors, stories=stories, damping_ratios=damping, name=name)
 
 
 def _finite(value: ArrayLike, where: str, dimensions: int) -> Complexes:

@@ -55,14 +55,8 @@ def frequency_domain_decomposition(functions: Functions, count: int, stories: in
     before, at, after = (height[places + step] for step in (-1, 0, 1))
     step = functions.frequencies[1] - functions.frequencies[0]
     frequencies = functions.frequencies[places] + 0.5 * step * (before - after) / (before - 2 * at + after)
-    return from_arrays(
-        frequencies,
-        left[places, :, 0],
-        floors=functions.floors,
-        stories=stories,
-        frequency_std=step / np.sqrt(12.0) / frequencies,
-        name=FDD,
-    )
+    std, shapes = step / np.sqrt(12.0) / frequencies, left[places, :, 0]
+    return from_arrays(frequencies, shapes, floors=functions.floors, stories=stories, frequency_std=std, name=FDD)
 
 
 def _saddle(height: Floats, place: int) -> float:

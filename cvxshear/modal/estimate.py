@@ -235,14 +235,8 @@ def details(setting: Replication, values: Values, keep: Bools | None, reference:
     """Find all parameters of the modes from poles, shapes and the residues of the data kept."""
     products, driven = _products(setting, values, keep)
     turned = None if products is None else frf.participations(products, values.shapes)
-    clocks = offsets(
-        values.eigenvalues,
-        values.shapes,
-        turned,
-        None if reference is None else reference.clocks.reference,
-        setting.source.sampling_rate,
-        setting.loud,
-    )
+    right, rate = None if reference is None else reference.clocks.reference, setting.source.sampling_rate
+    clocks = offsets(values.eigenvalues, values.shapes, turned, right, rate, setting.loud)
     straight = undone(values.eigenvalues, values.shapes, clocks.seconds)
     shapes = np.array([main_axis(shape) for shape in straight])
     # A projection is taken of what was recorded, offsets and all; its signs still are those of true clocks.

@@ -333,13 +333,7 @@ def descended(
     tolerance : float
         Of the value.
     """
-    found = minimize(
-        function,
-        start,
-        jac=True,
-        method="SLSQP",
-        bounds=Bounds(0.0, 1.0),
-        constraints=within,
-        options={"maxiter": rounds, "ftol": tolerance},
-    )
+    limits: dict[str, Any] = {"bounds": Bounds(0.0, 1.0), "constraints": within}
+    options = {"maxiter": rounds, "ftol": tolerance}
+    found = minimize(function, start, jac=True, method="SLSQP", options=options, **limits)
     return np.asarray(np.clip(found.x, 0.0, 1.0))

@@ -186,16 +186,10 @@ class Plan(Shown):
         first = self.model.expected(self.tests[0])
         frequencies = first.found.frequencies[which]
         damping_std = noise.damping_std(frequencies)
-        return tuple(
-            ExpectedMode(
-                int(mode) + 1,
-                float(frequencies[i]),
-                float(first.frequency_std[i]),
-                float(first.shape_std[i, 0]),
-                None if damping_std is None else float(damping_std[i]),
-            )
-            for i, mode in enumerate(which)
-        )
+        stds = first.frequency_std.tolist(), first.shape_std[:, 0].tolist()
+        of_damping = [None] * len(which) if damping_std is None else damping_std.tolist()
+        columns = zip((which + 1).tolist(), frequencies.tolist(), *stds, of_damping, strict=True)
+        return tuple(ExpectedMode(*each) for each in columns)
 
     @property
     def goal(self) -> str:

@@ -162,13 +162,9 @@ class Motion:
             )
         single, _ = one_a_floor(record)
         measured = single.quantity == "acceleration"
+        forced = single.input == "force"
         drives = tuple(
-            Drive(
-                run.excitation,
-                run.floor if single.input == "force" else 0,
-                run.responses if measured else None,
-                run.name,
-            )
+            Drive(run.excitation, run.floor if forced else 0, run.responses if measured else None, run.name)
             for run in single.runs
             if run.excitation is not None
         )

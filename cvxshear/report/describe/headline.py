@@ -45,14 +45,11 @@ def numbering_sections(result: Closure) -> Iterator[Section]:
     """Tabulate the numberings that were weighed; nothing where the numbers were not in question."""
     if len(result.numberings) == 1 and not result.numberings[0].changes:
         return
-    rows = tuple(
-        Row(
-            (numbers_in_words(item.changes) if item.changes else "the modes are those given", chance(item.probability)),
-            exact=(item.probability,),
-        )
-        for item in result.numberings
-    )
-    table = Table("numberings", "Which modes of the frame were measured", ("numbering", "probability"), rows)
+    rows = []
+    for item in result.numberings:
+        said = numbers_in_words(item.changes) if item.changes else "the modes are those given"
+        rows.append(Row((said, chance(item.probability)), exact=(item.probability,)))
+    table = Table("numberings", "Which modes of the frame were measured", ("numbering", "probability"), tuple(rows))
     yield Section("numbering", "Which modes these are", (table,))
 
 
