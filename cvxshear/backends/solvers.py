@@ -178,14 +178,10 @@ class Qpsolvers(CalledSolver):
 
         scale = MAGNIFIED.get(self.name, 1.0)
         stored = np.asarray if self.name in qpsolvers.dense_solvers else sparse.csc_matrix
-        return qpsolvers.Problem(
-            stored(problem.C.T @ problem.C),
-            -problem.C.T @ (scale * problem.q),
-            stored(problem.F) if len(problem.f) else None,
-            scale * problem.f if len(problem.f) else None,
-            stored(problem.E) if len(problem.e) else None,
-            scale * problem.e if len(problem.e) else None,
-        )
+        inequalities = (stored(problem.F), scale * problem.f) if len(problem.f) else (None, None)
+        equalities = (stored(problem.E), scale * problem.e) if len(problem.e) else (None, None)
+        P, q = stored(problem.C.T @ problem.C), -problem.C.T @ (scale * problem.q)
+        return qpsolvers.Problem(P, q, *inequalities, *equalities)
 
 
 def _status(found: qpsolvers.Solution) -> str:

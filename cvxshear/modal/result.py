@@ -67,12 +67,8 @@ def entry_std(scatter: Floats, shapes: Floats, floors: Ints, findings: Sequence[
     findings : sequence of Finding
     """
     failures = [item.numbers for item in findings if item.kind == "reciprocity"]
-    share = np.array(
-        [
-            np.sqrt(np.mean(np.square([each["by_mode"] for each in failures if floor in each["floors"]] or [[0.0]])))
-            for floor in floors.tolist()
-        ]
-    )
+    of_floors = ([each["by_mode"] for each in failures if floor in each["floors"]] for floor in floors.tolist())
+    share = np.array([np.sqrt(np.mean(np.square(each or [[0.0]]))) for each in of_floors])
     relative = np.abs(shapes) / np.max(np.abs(shapes), axis=1, keepdims=True)
     result: Floats = np.hypot(np.hypot(scatter, SENSOR_STD), relative * share / (2.0 * np.sqrt(2.0)))
     return result

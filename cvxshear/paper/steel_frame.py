@@ -88,11 +88,9 @@ class SteelFrame:
 
     def recovered(self, name: str) -> RecoveredShapes:
         """Read the shapes of Fig. 8 from the printed figures of one structure."""
-        return recovered_shapes(
-            tables.values(tables.TABLE_6_MASS[name]),
-            KILO * tables.values(tables.TABLE_6_STIFFNESS[name]),
-            tables.values(tables.TABLE_5[name]),
-        )
+        printed = (tables.TABLE_6_MASS, tables.TABLE_6_STIFFNESS, tables.TABLE_5)
+        mass, stiffness, frequencies = (tables.values(table[name]) for table in printed)
+        return recovered_shapes(mass, KILO * stiffness, frequencies)
 
 
 def sections(ours: SteelFrame) -> Iterator[Section]:

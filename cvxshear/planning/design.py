@@ -100,12 +100,8 @@ class Design:
     @property
     def scale(self) -> Scale:
         """Mean floor mass and story stiffness, and the heights; effects expect sizes in these."""
-        heights = self.frame.story_heights
-        return Scale(
-            float(self.floor_mass.mean()),
-            float(self.story_stiffness.mean()),
-            np.ones(self.stories) if heights is None else heights,
-        )
+        heights = np.ones(self.stories) if self.frame.story_heights is None else self.frame.story_heights
+        return Scale(float(self.floor_mass.mean()), float(self.story_stiffness.mean()), heights)
 
     @property
     def sizes(self) -> Floats:

@@ -275,16 +275,9 @@ def _fitted(
         return BandClock(float(start), step, agreement, 0.0)
     slope, middle = np.polyfit(around[sound], tops[sound], 1, w=np.sqrt(heights[sound])).tolist()
     fitted = _over_bands(squares[sound], around[sound], middle + slope * around[sound], segments, segments.hit[sound])
-    return BandClock(
-        middle=middle + fitted.middle,
-        std=fitted.std,
-        agreement=agreement,
-        chance=0.0,
-        slope=slope + fitted.slope,
-        slope_std=float(np.hypot(fitted.slope_std, STEADY / segments.rate / half)),
-        freedom=fitted.freedom,
-        reach=half,
-    )
+    middle, slope = middle + fitted.middle, slope + fitted.slope
+    slope_std = float(np.hypot(fitted.slope_std, STEADY / segments.rate / half))
+    return replace(fitted, middle=middle, agreement=agreement, slope=slope, slope_std=slope_std, reach=half)
 
 
 def straight(

@@ -236,13 +236,8 @@ def _dead(record: Record, levels: Floats) -> list[Finding]:
     found = []
     for channel, level in zip(record.channels, levels.tolist(), strict=True):
         if level <= DEAD * typical:
-            numbers = {
-                "channel": channel.name,
-                "floor": channel.floor,
-                "std": level,
-                "median_std": typical,
-                "out": True,
-            }
+            place = {"channel": channel.name, "floor": channel.floor}
+            numbers = {**place, "std": level, "median_std": typical, "out": True}
             found.append(finding("dead channel", numbers, where=channel))
     return found
 

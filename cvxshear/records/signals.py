@@ -89,15 +89,11 @@ def with_responses(
 
 
 def _mapped(record: TimeRecord, change: Callable[[Floats], Floats], rate: float) -> TimeRecord:
-    runs = tuple(
-        dataclasses.replace(
-            run,
-            responses=change(run.responses),
-            excitation=None if run.excitation is None else change(run.excitation[:, None])[:, 0],
-        )
-        for run in record.runs
-    )
-    return dataclasses.replace(record, runs=runs, sampling_rate=rate)
+    runs = []
+    for run in record.runs:
+        excitation = None if run.excitation is None else change(run.excitation[:, None])[:, 0]
+        runs.append(dataclasses.replace(run, responses=change(run.responses), excitation=excitation))
+    return dataclasses.replace(record, runs=tuple(runs), sampling_rate=rate)
 
 
 SINC_TERMS = 48

@@ -16,11 +16,8 @@ FLOOR_COLUMNS = 11
 
 @describe.register
 def _experiment(experiment: Experiment, units: Units = AUTOMATIC) -> Document:
-    return Document(
-        experiment.name,
-        f"{experiment.name}: {_headline(experiment)}",
-        (declared(experiment, units), measured_modes(experiment, units)),
-    )
+    sections = declared(experiment, units), measured_modes(experiment, units)
+    return Document(experiment.name, f"{experiment.name}: {_headline(experiment)}", sections)
 
 
 @line.register
