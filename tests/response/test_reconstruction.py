@@ -485,7 +485,7 @@ def test_limits_have_probabilities(softened):
     ratio = np.abs(drift).max(axis=0) / 3.5
     limits = Limits([0.5 * ratio.min(), 2 * ratio.max()], ("seen", "not seen"))
     after = dataclasses.replace(models.after, experiment=dataclasses.replace(models.after.experiment, limits=limits))
-    said = reconstruct(Models(None, after), motion, leave_out=False).to_dict()
+    said = reconstruct(Models(None, after), motion, fit=False, leave_out=False).to_dict()
     assert [item["name"] for item in said["limits"]] == ["seen", "not seen"]
     assert np.all(np.array(said["limits"][0]["probability"]) > 0.99)
     assert np.all(np.array(said["limits"][1]["probability"]) < 0.01)
@@ -615,7 +615,8 @@ def test_no_motion_is_taken_for_a_sensors_line(softened, first, last, cut):
     part = dataclasses.replace(
         drive, excitation=drive.excitation[first:last] + 0.02, responses=drive.responses[first:last]
     )  # fmt: skip
-    found = reconstruct(models, dataclasses.replace(motion, drives=(part,)), leave_out=False)
+    # What a short record is said to be, it is without a fit.
+    found = reconstruct(models, dataclasses.replace(motion, drives=(part,)), fit=not cut, leave_out=False)
     said = " ".join(found.remarks)
     assert ("the record is cut out of the motion" in said) == cut
     true = np.abs(drift[first:last]).max(axis=0)
