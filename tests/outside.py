@@ -141,6 +141,23 @@ def fast_clock(frame, rng, added, state):
     return f * (1.01 if state["number"] == 2 else 1.0), shapes
 
 
+def neighbor(frame, rng, added, state):
+    """A smaller building of one motion, 3 Hz by itself, tied to a floor by a spring of 0.15 of a story."""
+    n, floor = frame.n, state.setdefault("floor", int(rng.integers(1, frame.n)))
+    mass, tie = 2e4, 0.15 * 2e7
+    K = np.zeros((n + 1, n + 1))
+    K[:n, :n] = chain(frame.stiffness)
+    K[n, n] = mass * (2 * np.pi * 3.0) ** 2
+    ends = np.zeros(n + 1)
+    ends[[floor, n]] = 1.0, -1.0
+    M = np.diag([*(frame.mass + added), mass])
+
+    def kept(values, vectors):
+        return np.delete(np.arange(n + 1), np.argmax(vectors[n] ** 2))
+
+    return modes_of(M, K + tie * np.outer(ends, ends), np.arange(n), kept)
+
+
 OPEN = {"other_stiffness", "other_inertia", "other_changes", "other_loads", "other_gains", "other_shapes"}
 
 KINDS: dict[str, tuple[Callable[..., tuple[np.ndarray, np.ndarray]], set[str], bool]] = {
@@ -152,6 +169,7 @@ KINDS: dict[str, tuple[Callable[..., tuple[np.ndarray, np.ndarray]], set[str], b
     "eccentric floors": (eccentric, {"other_stiffness", "other_inertia"}, False),
     "soil with a base mass": (soil, {"other_stiffness", "other_inertia", "attached_mass"}, False),
     "weights 10 % off": (wrong_weights, {"load_scale", "total_mass", "other_loads"}, True),
+    "neighbor on the ground": (neighbor, {"attached_mass", "ground_spring", "other_stiffness", "other_inertia"}, True),
     "clock 1 % fast": (fast_clock, {"state_stiffness", "state_mass", "other_changes", "other_loads"}, True),
 }
 """Kind of frame: how it is made, the effects that tell its kind, whether masses and stiffnesses are what they were."""

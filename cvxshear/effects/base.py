@@ -164,6 +164,10 @@ class Effect(ABC):
         Whether it takes undeclared story heights as equal.
     beside : str
         Name of the effect without which this one does nothing; empty where it needs none.
+    companion : str
+        Name of an effect beside which, at the same place, this one has another prior probability, `accompanies`; empty
+        where there is none.
+    accompanies : float
     """
 
     name: ClassVar[str]
@@ -189,6 +193,8 @@ class Effect(ABC):
     adds_motion: ClassVar[bool] = False
     uses_heights: ClassVar[bool] = False
     beside: ClassVar[str] = ""
+    companion: ClassVar[str] = ""
+    accompanies: ClassVar[float] = 0.2
 
     @abstractmethod
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:

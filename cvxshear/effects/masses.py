@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 
@@ -73,12 +75,7 @@ class StateMass(Effect):
     granted = "that the floors of {state} did not all become heavier or lighter by one factor"
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        at = np.arange(len(state.floor_mass))
-        M, dM = state.system.M.copy(), state.system.dM.copy()
-        M[at, at] += values[0] * state.floor_mass
-        dM[at, at, at] += values[0]
-        dM[own, at, at] += state.floor_mass
-        return state.with_mass(M, dM)
+        return _all_heavier(state, float(values[0]), own)
 
     def dual(self, place: Place, stories: int) -> tuple[str, Place]:
         return "state_stiffness", place
@@ -133,6 +130,16 @@ def on_floors(floors: Sequence[int], stories: int) -> Floats:
     return units
 
 
+def _all_heavier(state: State, part: float, own: slice) -> State:
+    """Multiply all floor masses by 1 + part."""
+    at = np.arange(len(state.floor_mass))
+    M, dM = state.system.M.copy(), state.system.dM.copy()
+    M[at, at] += part * state.floor_mass
+    dM[at, at, at] += part
+    dM[own, at, at] += state.floor_mass
+    return state.with_mass(M, dM)
+
+
 def _ends(stories: int) -> Floats:
     """Stories that end at each floor: the ground's end of the first does not move, none stands on the top floor."""
     ends = np.full(stories, 2.0)
@@ -141,44 +148,56 @@ def _ends(stories: int) -> Floats:
 
 
 class TotalMass(Effect):
-    """sum of the floor masses = total_mass (1 + e).
+    """sum of the floor masses = total_mass (1 + e), or each of them its declared one times 1 + e.
 
-    Looked for where the total is declared exact and something else tells how heavy the frame is: added masses that
-    differ, scaled shapes, a static test, or a prior that fixes the scale.
+    Looked for where the total, or each floor, is declared exact and something else tells how heavy the frame is: added
+    masses that differ, scaled shapes, a static test, or a prior that fixes the scale.
 
     Expected size 10 %: what was weighed or taken off drawings misses bolts, cladding or live load. Who declares a total
     as exact has weighed it: one in fifty is wrong by so much.
     """
 
     name = "total_mass"
-    summary = "The frame is heavier or lighter than its declared total mass."
-    formula = "sum of m = total_mass (1 + e)"
-    source = "error of the declared total mass"
+    summary = "The frame is heavier or lighter than its declared total mass or floor masses, all by one factor."
+    formula = "sum of m = total_mass (1 + e), or m_i = floor_masses_i (1 + e) for every floor i"
+    source = "error of the declared total mass, or of a density on all floors"
     stage = "mass"
     parameters = (Parameter("e", "", lower=-0.9, upper=9.0),)
     usual = 0.1
     probability = 0.02
     releases = ("total_mass",)
+    granted = "that the frame weighs what was declared"
+
+    by_floor: bool = False
+    """Whether every floor's mass is declared."""
+
+    def bound(self, experiment: Experiment) -> Self:
+        own = copy.copy(self)
+        own.by_floor = experiment.frame.floor_masses is not None
+        return own
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        # It changes what the masses must add up to, not what they do.
-        return state
+        # A total changes what the masses must add up to, not what they do.
+        return _all_heavier(state, float(values[0]), own) if self.by_floor else state
 
     def limits(self, experiment: Experiment, place: Place) -> Constraints:
         total, n = experiment.frame.total_mass, experiment.stories
-        assert total is not None, "it is looked for where a total is declared"
+        if self.by_floor or total is None:
+            return super().limits(experiment, place)
         row = np.concatenate([np.ones(n), np.zeros(n), [-total]])
         return Constraints(A=row[None], b=np.array([total]))
 
     def lacks(self, experiment: Experiment) -> str:
         frame = experiment.frame
-        if frame.total_mass is None or frame.floor_masses is not None or frame.total_mass_std is not None:
-            return "an exact total_mass"
+        if frame.floor_masses is None and (frame.total_mass is None or frame.total_mass_std is not None):
+            return "an exact total_mass or floor_masses"
         if not experiment.scale_known_otherwise:
             return "what else tells the scale of the masses, such as a second test with other added mass"
         return ""
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        if self.by_floor:
+            return f"all floors are {off_by(values[0], std[0], 'heavier', 'lighter')} than declared"
         return f"the frame is {off_by(values[0], std[0], 'heavier', 'lighter')} than its declared total mass"
 
 

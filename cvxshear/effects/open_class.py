@@ -353,3 +353,40 @@ class OtherShapes(OpenClass):
         whose = f"the shapes at floor {place.floor}" if place.floor is not None else "the shapes"
         where = f'{whose} of "{place.state}"' if place.state is not None else whose
         return f"{where} are less accurate than their standard deviation says, in no way that the catalogue holds"
+
+
+class OtherFrequencies(OpenClass):
+    """Every frequency has an error beyond its standard deviation.
+
+    As `OtherShapes`; log s is normal about 0 with a standard deviation of 2, since the formal deviations of a curve fit
+    or of one record know nothing of what differs from test to test: they may be ten to a hundred times too small.
+    """
+
+    name = "other_frequencies"
+    summary = "The frequencies are less accurate than their standard deviations say, all by one factor."
+    formula = "standard deviation of all frequencies times an unknown factor"
+    source = "formal deviations of a curve fit or of one record, rounded digits, days that differ"
+    stage = "shape"
+    probability = 0.01
+    rescales = True
+    usual = 1.0
+    size_width = 2.0
+    holds_in_words = "that the frequencies are as accurate as their standard deviations"
+
+    def entries(self, experiment: Experiment) -> Sequence[Parameter]:
+        return []
+
+    def lacks(self, experiment: Experiment) -> str:
+        declared = any(each.frequency_std is not None for each in experiment.configurations)
+        return "" if declared else "frequencies of a declared accuracy"
+
+    def rescaled(self, tested: Tested, noise: str, floors: Ints, place: Place) -> Bools:
+        declared = isinstance(tested, Configuration) and tested.frequency_std is not None
+        return np.full(len(floors), declared and noise == "frequency")
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        # It changes how much the frequencies count, not what they are.
+        return state
+
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        return "the frequencies are less accurate than their standard deviations say"

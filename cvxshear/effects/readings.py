@@ -10,7 +10,8 @@ import numpy as np
 
 from cvxshear.effects.base import Effect, Parameter, Place, off_by
 from cvxshear.effects.state import Scale, State
-from cvxshear.measurement.experiment import Experiment
+from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.measurement.static_test import StaticTest
 from cvxshear.util.typing import Floats
 
 
@@ -51,6 +52,80 @@ class SensorGain(Effect):
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         size = off_by(values[0], std[0], "too much", "too little")
         return f"the sensor at floor {place.floor} reads {size}{place.in_state}"
+
+
+class ShapeScale(Effect):
+    """The entries of mass-normalized shapes are 1 + g times the true ones: in every test, or in one state.
+
+    They are scaled by the ratio of a force to an acceleration, so that a hammer's or shaker's force that reads too much
+    makes them all too small. Looked for in one state where others have such shapes, too.
+
+    Expected size 5 %, as of other sensors, and as probable as the gain of one of them.
+    """
+
+    name = "shape_scale"
+    summary = "All mass-normalized shapes are too large or too small by one factor: the force was misread."
+    formula = "measured phi = (1 + g) phi, of mass-normalized shapes"
+    source = "calibration error of the force, ISO 7626"
+    stage = "shape"
+    parameters = (Parameter("g", "", lower=-0.9, upper=9.0),)
+    usual = 0.05
+    sits_at = ("state",)
+
+    def places(self, experiment: Experiment) -> list[Place]:
+        states = _normalized(experiment)
+        return [Place() for _ in states[:1]] + [Place(state=state) for state in states if len(states) > 1]
+
+    def lacks(self, experiment: Experiment) -> str:
+        return "" if _normalized(experiment) else "mass-normalized shapes"
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        tested, observation = state.tested, state.observation
+        if isinstance(tested, Configuration) and tested.mass_normalized:
+            for floor in range(len(state.floor_mass)):
+                observation = observation.scaled(floor, 1.0 + values[0], own.start)
+        return dataclasses.replace(state, observation=observation)
+
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        size = off_by(values[0], std[0], "too large", "too small")
+        return f"all mass-normalized shapes{place.in_state} are {size}, as where the force was misread"
+
+
+def _normalized(experiment: Experiment) -> list[str]:
+    """List the states with mass-normalized shapes."""
+    shown = [each for each in experiment.configurations if each.mass_normalized and each.measured.any()]
+    return list(dict.fromkeys(each.state for each in shown))
+
+
+class ForceScale(Effect):
+    """The displacements of every static test are 1 + g times those under the declared forces.
+
+    Expected size 5 %: load cells hold within 1 %, a force that was read off a spring, a crane's scale or from weights
+    that nobody weighed within 10 %; dial gauges in inches for millimetres would be asked about.
+    """
+
+    name = "force_scale"
+    summary = "The forces of the static tests are larger or smaller than declared, all by one factor."
+    formula = "u = (1 + g) K^-1 p"
+    source = "calibration error of a load cell"
+    stage = "shape"
+    parameters = (Parameter("g", "", lower=-0.9, upper=9.0),)
+    usual = 0.05
+
+    def lacks(self, experiment: Experiment) -> str:
+        return "" if experiment.static else "a static test"
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        if not isinstance(state.tested, StaticTest):
+            return state
+        # A larger force on the same frame, and the same force on one that much softer, move it alike.
+        part = 1.0 / (1.0 + values[0])
+        dK = part * state.system.dK
+        dK[own] -= part**2 * state.system.K
+        return state.with_stiffness(part * state.system.K, dK)
+
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        return f"the forces of the static tests are {off_by(values[0], std[0], 'larger', 'smaller')} than declared"
 
 
 class WrongPrior(Effect):

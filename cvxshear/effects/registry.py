@@ -14,13 +14,14 @@ from cvxshear.effects.masses import AddedMass, FloorMass, LoadScale, MassCouplin
 from cvxshear.effects.open_class import (
     OtherBeams,
     OtherChanges,
+    OtherFrequencies,
     OtherGains,
     OtherInertia,
     OtherLoads,
     OtherShapes,
     OtherStiffness,
 )
-from cvxshear.effects.readings import SensorGain, WrongPrior
+from cvxshear.effects.readings import ForceScale, SensorGain, ShapeScale, WrongPrior
 from cvxshear.effects.springs import GroundSpring, Spring
 from cvxshear.effects.stories import Bracing, StateStiffness, StoryChange
 from cvxshear.util import checks
@@ -46,6 +47,8 @@ _catalogue: dict[str, Effect] = {
         JointRelease(),
         Bracing(),
         AttachedMass(),
+        ShapeScale(),
+        ForceScale(),
         WrongPrior(),
     )
 }
@@ -58,6 +61,7 @@ _open_classes: tuple[Effect, ...] = (
     OtherLoads(),
     OtherGains(),
     OtherShapes(),
+    OtherFrequencies(),
 )
 
 

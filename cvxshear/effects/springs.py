@@ -17,7 +17,9 @@ class GroundSpring(Effect):
     """K + s e e' at one floor above the first, where it would be story 1's own stiffness.
 
     Expected size: a tenth of the mean story stiffness. Cables, rods of shakers and neighbours that touch are far
-    softer than a story; a brace that is not would have been seen, which leaves 5 %.
+    softer than a story; a brace that is not would have been seen, which leaves 5 %. Where a mass swings on the floor it
+    is there once in five: most of what swings hangs on a floor alone, but a neighbour stands on the ground, and acts as
+    both effects, exactly.
     """
 
     name = "ground_spring"
@@ -29,6 +31,7 @@ class GroundSpring(Effect):
     stage = "spring"
     parameters = (Parameter("s", "N/m", lower=0.0),)
     probability = 0.05
+    companion = "attached_mass"
     usual, usual_in = 0.1, "story_stiffness"
     sits_at = ("floor",)
     lowest_floor = 2

@@ -28,7 +28,7 @@ from cvxshear.loop.residual import where_it_sits
 from cvxshear.loop.results import AddedEffect, Candidate, Closure, EffectSet, Step
 from cvxshear.loop.search import Search, fits_alike
 from cvxshear.util.errors import NoModesError, NoSolutionError
-from cvxshear.util.quantities import listed
+from cvxshear.util.quantities import listed, significant
 
 EXPLAINED = 0.95
 """Probability at its place that each added effect has where the data are called explained."""
@@ -71,7 +71,8 @@ def conclude(
         is: these judge the effects, whose sizes are provisional then.
     """
     judging = widened or searches
-    posterior = Posterior([model for each in judging for model in each.visited.values()], looked_for)
+    models = [model for each in judging for model in (*each.visited.values(), *each.other_optima)]
+    posterior = Posterior(models, looked_for)
     numbering = posterior.numberings[0]
     # With the modes numbered in one way some effects are there, in another others: one and the same holds them all.
     here = posterior.within(numbering.changes)
@@ -221,16 +222,17 @@ def _added(posterior: Posterior, final: Estimate, placed: Placed) -> AddedEffect
     names = [item.name for item in placed.effect.parameters]
     parameters = dict(zip(names, values.tolist(), strict=True))
     std = {name: None if np.isnan(error) else float(error) for name, error in zip(names, errors, strict=True)}
+    said = placed.effect.phrase(placed.place, values, errors, final.scale, placed.units(final.experiment))
     if placed.effect.rescales:
         factor = final.noise.of(placed.label) or {}
         parameters, std = {"factor": factor["factor"]}, {"factor": factor["std"]}
-    units = placed.units(final.experiment)
+        said = f"{said}: {significant(factor['factor'], 2)} times"
     return AddedEffect(
         placed,
         posterior.of_effects[placed],
         parameters,
         std,
-        placed.effect.phrase(placed.place, values, errors, final.scale, units),
+        said,
         tuple(posterior.rivals(placed)),
         tuple(_remarks(final, placed)),
     )

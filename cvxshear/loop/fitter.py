@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +16,7 @@ from cvxshear.fit.expectation import Expectation
 from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
 from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.loop.evidence import log_evidence
-from cvxshear.loop.hypotheses import Hypothesis
+from cvxshear.loop.hypotheses import Hypothesis, log_odds
 from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.numbering import Numbering
 from cvxshear.measurement.experiment import Experiment
@@ -90,9 +90,20 @@ class Fitter:
         """What the sets are fitted to."""
         return self.numbering.experiment
 
-    def log_prior(self, effects: Iterable[Placed]) -> float:
-        """Sum of the logarithms of the prior odds."""
-        return sum(self._log_odds[placed] for placed in effects)
+    def log_prior(self, effects: Collection[Placed]) -> float:
+        """Sum of the logarithms of the prior odds, each effect's beside its companion where that is there."""
+        there = {(each.effect.name, each.place) for each in (*effects, *self.assumed)}
+        return sum(
+            log_odds(placed.effect.accompanies)
+            if (placed.effect.companion, placed.place) in there
+            else self._log_odds[placed]
+            for placed in effects
+        )
+
+    def log_priors(self, further: Sequence[Placed], effects: frozenset[Placed]) -> Floats:
+        """Logarithms of the prior odds of further effects beside a set, shape (n,)."""
+        own = self.log_prior(effects)
+        return np.array([self.log_prior(effects | {placed}) - own for placed in further])
 
     def proposal(self, start: Estimate, effects: Sequence[Placed], more: Sequence[Floats] = ()) -> FitProposal:
         """Propose a fit of these effects, started from a fit that shares some of them."""

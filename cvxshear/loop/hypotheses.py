@@ -38,7 +38,12 @@ class Hypothesis:
     @property
     def log_odds(self) -> float:
         """Logarithm of the odds that it is there."""
-        return float(np.log(self.probability) - np.log1p(-self.probability))
+        return log_odds(self.probability)
+
+
+def log_odds(probability: float) -> float:
+    """Logarithm of the odds of a probability."""
+    return float(np.log(probability) - np.log1p(-probability))
 
 
 def hypotheses(experiment: Experiment, effects: Sequence[Effect], there: Sequence[Placed] = ()) -> list[Hypothesis]:

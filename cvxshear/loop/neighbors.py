@@ -59,7 +59,7 @@ def promising(model: ModelClass, linear: Linearised, fitter: Fitter, behind: flo
     behind : float
         By how much its logarithm of probability lies below the best: what is added must catch up.
     """
-    odds = np.array([fitter.log_prior([placed]) for placed in linear.lacking])
+    odds = fitter.log_priors(linear.lacking, model.effects)
     gains = linear.gains + odds
     order = np.argsort(-gains, kind="stable")
     floor = max(float(gains[order[0]]), 0.0, behind) - WITHIN
@@ -128,21 +128,51 @@ def named_entries(model: ModelClass, fitter: Fitter) -> list[FitProposal]:
 def with_motions(base: Estimate, fitter: Fitter, best: ModelClass) -> list[FitProposal]:
     """Propose sets of the shear model and one effect that brings a motion of its own, the most promising starts first.
 
-    Derivatives at a mass of none say nothing of it: one step from each of its starts tells which of them to follow.
     Where the best set explains the data, those of a step that leaves much more than it does are not followed.
     """
-    proposals = [
-        dataclasses.replace(
-            fitter.proposal(base, (*base.effects, item.placed)), starts=(np.concatenate([base.theta, start]),)
-        )
-        for item in fitter.hypotheses
-        if item.placed.effect.adds_motion
-        for start in item.placed.effect.starts
-    ]
+    motions = [item.placed for item in fitter.hypotheses if item.placed.effect.adds_motion]
     assert best.estimate is not None, "a best set has a fit"
     most = np.inf if best.improbable else NEAR_ENOUGH * best.estimate.fit.at.objective
-    left = np.array([_after_a_step(proposal) for proposal in proposals])
-    return [proposals[i] for i in np.argsort(left, kind="stable")[:MOTIONS] if left[i] <= most]
+    return _from_starts([(fitter.proposal(base, (*base.effects, motion)), motion) for motion in motions], base, most)
+
+
+def with_companions(base: Estimate, fitter: Fitter, best: ModelClass) -> list[FitProposal]:
+    """Propose the best set with the other of a motion and its companion, from the shear model's frame and all starts.
+
+    With the companion the motion may be another one, which the fit without it is far from.
+    """
+    assert best.estimate is not None, "a best set has a fit"
+    looked_for = [item.placed for item in fitter.hypotheses]
+    pairs = [
+        (companion, motion)
+        for motion in looked_for
+        if motion.effect.adds_motion
+        for companion in looked_for
+        if (companion.effect.companion, companion.place) == (motion.effect.name, motion.place)
+        and len(best.effects & {companion, motion}) == 1
+    ]
+    proposals = []
+    for pair in pairs:
+        rest = [placed for placed in best.estimate.effects if placed not in pair]
+        proposals.append((fitter.proposal(best.estimate, (*rest, *pair)), pair[1]))
+    return _from_starts(proposals, base, np.inf)
+
+
+def _from_starts(proposals: Sequence[tuple[FitProposal, Placed]], base: Estimate, most: float) -> list[FitProposal]:
+    """Start each proposal from the frame of the base and every start of the motion that is its last effect.
+
+    Derivatives at a mass of none say nothing of it: one step from each of its starts tells which of them to follow.
+    """
+    frame = 2 * base.experiment.stories
+    started = [
+        dataclasses.replace(
+            proposal, starts=(np.concatenate([base.theta[:frame], proposal.starts[-1][frame : -len(start)], start]),)
+        )
+        for proposal, motion in proposals
+        for start in motion.effect.starts
+    ]
+    left = np.array([_after_a_step(proposal) for proposal in started])
+    return [started[i] for i in np.argsort(left, kind="stable")[:MOTIONS] if left[i] <= most]
 
 
 def from_frames(starts: Sequence[tuple[Set, Floats]], base: Estimate, fitter: Fitter) -> list[FitProposal]:

@@ -52,6 +52,8 @@ class NextTest(InJson):
         How far the predictions of the accepted model and of its nearest rival lie apart.
     measured_floors : tuple of int or None
         The floors with a sensor, where some are proposed beyond those of that configuration; else None.
+    tells_all : bool
+        Whether no rival is left that no added mass would tell from the accepted model.
     """
 
     floor: int
@@ -59,6 +61,7 @@ class NextTest(InJson):
     state: str
     standard_deviations: float
     measured_floors: tuple[int, ...] | None = None
+    tells_all: bool = True
 
 
 def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None:
@@ -67,8 +70,8 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
     For each state that can still be tested (of declared states the last), each floor and a few masses, the test is
     simulated by the accepted model with the sensors and noise of the state's first configuration, and compared with
     what each rival says of it (`fit/separation.py`).
-    The smallest distance over the rivals counts. Where that stays below `CLEAR`, floors without a sensor get one, the
-    best first, as long as each is worth it.
+    The smallest distance over the rivals counts, without those that no such test tells where one tells others. Where it
+    stays below `CLEAR`, floors without a sensor get one, the best first, as long as each is worth it.
     """
     if not rivals:
         return None
@@ -81,18 +84,28 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
         for floor in range(1, accepted.experiment.stories + 1)
         for mass in masses
     ]
-    found: list[tuple[NextTest, Configuration]] = []
+    possible: list[tuple[NextTest, Configuration]] = []
+    distances = []
     for first, floor, mass in tests:
         try:
             said = _said(accepted, rivals, first, floor, mass)
         except NoModesError:
             # A model buckles under this mass; nobody would test it.
             continue
-        found.append((NextTest(floor, mass, first.state, _apart(said, first.measured_floors - 1)), first))
+        possible.append((NextTest(floor, mass, first.state, 0.0), first))
+        distances.append([each.at(first.measured_floors - 1) for each in said])
+    if not possible:
+        return None
+    apart = np.array(distances)
+    told = apart.max(axis=0) >= WORTHWHILE
+    if told.any():
+        rivals, apart = [rival for rival, tells in zip(rivals, told, strict=True) if tells], apart[:, told]
+    found = [
+        (dataclasses.replace(test, standard_deviations=float(nearest), tells_all=bool(told.all())), first)
+        for (test, first), nearest in zip(possible, apart.min(axis=1), strict=True)
+    ]
     # The first of equals: the state, floor and mass that come first.
     found.sort(key=lambda each: -each[0].standard_deviations)
-    if not found:
-        return None
     best = found[0][0]
     if best.standard_deviations < CLEAR:
         more = [_with_sensors(accepted, rivals, test, first) for test, first in found[:PROMISING]]

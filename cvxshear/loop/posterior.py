@@ -12,7 +12,7 @@ import numpy as np
 from cvxshear.effects import Placed
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.results import IdentifiedFrame
-from cvxshear.loop.hypotheses import Hypothesis
+from cvxshear.loop.hypotheses import Hypothesis, log_odds
 from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.numbering import Changes, NumberingProbability
 from cvxshear.util.results import InJson
@@ -186,7 +186,7 @@ class Posterior:
 
     def _log_odds(self, placed: Placed) -> float:
         """Return the logarithm of an effect's prior odds."""
-        return float(np.log(self._prior[placed]) - np.log1p(-self._prior[placed]))
+        return log_odds(self._prior[placed])
 
     def keeps_odds(self, placed: Placed) -> bool:
         """Tell whether the data left an effect's odds about as they were."""

@@ -24,7 +24,17 @@ from cvxshear.loop.fitter import Fitter
 from cvxshear.loop.hypotheses import OPEN, Hypothesis
 from cvxshear.loop.linear import Linearised
 from cvxshear.loop.model_class import ModelClass
-from cvxshear.loop.neighbors import WITHIN, Set, from_frames, groups, holds_open, named_entries, promising, with_motions
+from cvxshear.loop.neighbors import (
+    WITHIN,
+    Set,
+    from_frames,
+    groups,
+    holds_open,
+    named_entries,
+    promising,
+    with_companions,
+    with_motions,
+)
 from cvxshear.loop.twins import Invariances, invariances
 from cvxshear.util.typing import Floats
 
@@ -88,6 +98,8 @@ class Search:
         self.pruned: set[Set] = set()
         self.thinned: set[Set] = set()
         self.regrouped: set[Set] = set()
+        self.accompanied: set[Set] = set()
+        self.other_optima: list[ModelClass] = []
         self.moved = False
         self.descended = False
         self.base = start
@@ -124,6 +136,7 @@ class Search:
             partial(self._follow, self._regroup, self.regrouped, WITHIN),
             partial(self._follow, self._thin, self.thinned, WITHIN),
             self._add_motions,
+            self._add_companions,
         )
         while not self.spent and any(way() for way in ways):
             pass
@@ -141,7 +154,7 @@ class Search:
         """Where nothing simple explains the data, or an open class has to, look far from the best set first."""
         if not (self._unsatisfied() or holds_open(self.best.effects)):
             return False
-        return self._add_motions() or self._descend_among_causes()
+        return self._add_motions() or self._descend_among_causes() or self._add_companions()
 
     def _descend_among_causes(self) -> bool:
         """Visit, where the best set holds an open class, what causes alone lead to; tell whether one of them is better.
@@ -188,6 +201,20 @@ class Search:
         found = with_motions(base, self.fitter, self.best)
         self._record(self.fitter.models(found))
         return bool(found)
+
+    def _add_companions(self) -> bool:
+        """Visit the best set with what may stand beside the motions that it holds.
+
+        With both the data may leave a ridge with several optima, and all of them count.
+        """
+        best = self.best
+        if best.effects in self.accompanied:
+            return False
+        self.accompanied.add(best.effects)
+        assert self.base.estimate is not None, "the shear model was fitted"
+        found = self.fitter.models(with_companions(self.base.estimate, self.fitter, best))
+        self.other_optima += found
+        return self._record(found)
 
     def _unsatisfied(self) -> bool:
         """Whether nothing simple explains the data so far."""
@@ -411,10 +438,8 @@ class Search:
         if model.estimate is None or not effects:
             return []
         linear = Linearised(model.estimate, effects, self.fitter.expectation)
-        gains = {
-            placed: gain + self.fitter.log_prior([placed])
-            for placed, gain in zip(effects, linear.gains.tolist(), strict=True)
-        }
+        worth = linear.gains + self.fitter.log_priors(effects, model.effects)
+        gains = dict(zip(effects, worth.tolist(), strict=True))
         best = sorted(gains, key=lambda placed: -gains[placed])[:STAND_FOR_A_GROUP]
         sets = [model.effects | {placed} for placed in best]
         self._visit(model.estimate, linear, [each for each in sets if each not in self.visited])

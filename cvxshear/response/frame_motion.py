@@ -253,6 +253,8 @@ class FrameMotion:
             acceleration, displacement, drift, force = (moved[:, k * n : (k + 1) * n] for k in range(4))
             own = std[:, n : 3 * n]
             np.hypot(own, drift_std * np.hstack([displacement, drift]), out=own)
+            forces = slice(3 * n, 4 * n + (model.heights is not None))
+            std[:, forces] = np.hypot(std[:, forces], fitted.scale_std * moved[:, forces])
             time = self.recording.step * np.arange(len(moved), dtype=np.float64)
             motion = Response(time, acceleration, displacement, force, model.heights, model.mass_known)
             names = ("floor_acceleration", "floor_displacement", "story_drift", "story_shear")

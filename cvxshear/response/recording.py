@@ -240,7 +240,8 @@ def sensor_line(excitation: Floats) -> Floats:
     strength = np.sqrt(ndimage.uniform_filter1d(moved**2, width, mode="nearest"))
     if strength[0] < AMID_MOTION * level:
         return line
-    return np.polyval(np.polyfit(time, excitation, 1, w=1.0 / np.maximum(strength, QUIETEST * level)), time)
+    weights = 1.0 / np.maximum(strength, QUIETEST * level)
+    return np.asarray(np.polyval(np.polyfit(time, excitation, 1, w=weights), time), dtype=np.float64)
 
 
 def rms(values: Floats) -> float:

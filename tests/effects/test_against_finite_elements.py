@@ -403,6 +403,25 @@ def test_attached_mass(mass, tuning, floor, number):
     assert_same(model, SwayModes(np.sqrt(eigenvalues) / (2 * np.pi), floors), within=1e-9)
 
 
+def test_a_neighbor_on_the_ground_is_an_attached_mass_and_a_spring_to_the_ground():
+    """Mass m, spring k to the ground, tie t: t k / (t + k) to the ground, m (t / (t + k))^2 on t^2 / (t + k)."""
+    floor, mass, ground, tie = 3, 1.3, 900.0, 400.0
+    M, K = np.diag([*MASS, mass]), np.zeros((5, 5))
+    K[:4, :4] = composed([]).system.K
+    K[4, 4] = ground + tie
+    K[2, 2] += tie
+    K[2, 4] = K[4, 2] = -tie
+    values, vectors = eigh(K, M)
+    part = tie / (tie + ground)
+    state = composed(
+        [placed("ground_spring", floor=floor), placed("attached_mass", floor=floor)],
+        part * ground, part**2 * mass - LEAST_MASS * MASS.mean(), np.sqrt((tie + ground) / mass) / (2 * np.pi),
+    )  # fmt: skip
+    found = modes(state.system.M, state.system.K)
+    np.testing.assert_allclose(found.eigenvalues, values, rtol=1e-9)
+    np.testing.assert_allclose(np.abs(found.shapes[:, :4]), np.abs(vectors.T[:, :4]), atol=1e-9)
+
+
 def test_modes_are_numbered_without_the_attached_mass():
     """Its own mode is left out, wherever among the others it lies; of a pair that share it, what was not measured."""
     plain = sway_modes(building(0)).frequencies

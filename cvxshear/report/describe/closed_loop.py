@@ -310,19 +310,33 @@ def _next(result: Closure, units: Units) -> str:
         return (
             f'Put {significant(test.added_mass / factor, 3)} {unit} more on floor {test.floor} of "{test.state}" and '
             f"measure again{_with_sensors(result, test)}: the rivals would then differ by "
-            f"{test.standard_deviations:.1f} standard deviations."
+            f"{test.standard_deviations:.1f} standard deviations"
+            f"{'' if test.tells_all else ', but for those that no added mass tells'}.{_reference(result)}"
         )
     verdict = verdict_of(result)
     if verdict.certain:
         nothing = f"Nothing: no rival is left that another test would have to rule out. {verdict.advice}"
         return _besides(result) or nothing
     if any(item.rivals for item in result.effects):
-        return f"No added mass up to that of a floor would distinguish the rivals. {verdict.advice}"
+        return f"No added mass up to that of a floor would distinguish the rivals.{_reference(result)} {verdict.advice}"
     if in_doubt(result):
         return (
             "Sensors at more floors: the changes of sign of a shape that is known at every floor show which mode it is."
         )
     return verdict.advice
+
+
+def _reference(result: Closure) -> str:
+    """Say, where causes in several states rival each other, that the file may name the sound state."""
+    experiment = result.estimate.experiment
+    states = {rival.placed.place.state for item in result.effects for rival in item.rivals}
+    states |= {item.placed.place.state for item in result.effects}
+    if experiment.frame.reference is not None or len(states - {None}) < 2:
+        return ""
+    return (
+        f' If the frame was sound in one state, say so ([frame] reference = "{experiment.states[0]}"): what differs is '
+        "then looked for in the others."
+    )
 
 
 def _besides(result: Closure) -> str:

@@ -241,10 +241,10 @@ def evidence_in_words(result: Closure) -> str:
     shares = carried_by(result.before.estimate, result.estimate) if result.effects else {}
     if not shares:
         return ""
-    if _only_accuracy(result):
-        return "The evidence lies in the residuals of the mode shapes, which scatter more than was declared."
     first, share = next(iter(shares.items()))
     kind = plural_of(first)
+    if _only_accuracy(result):
+        return f"The evidence lies in the residuals of the {kind}, which scatter more than was declared."
     if len(shares) == 1:
         return f"The evidence lies in the {kind}; nothing else was measured."
     if share > CARRIES:
