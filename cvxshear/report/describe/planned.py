@@ -148,8 +148,8 @@ def conclusions(result: Plan) -> list[Sentence]:
 def accuracy(result: Plan, units: Units) -> Table:
     """Tabulate the expected deviations of masses and stiffnesses: as planned, one sensor less and more, all floors."""
     design = result.model.design
-    names = ("as planned", "one less", "one more", "all floors")
-    options = zip(names, (result.chosen, result.fewer, result.more, result.everywhere), strict=True)
+    words = ("as planned", "one less", "one more", "all floors")
+    options = zip(words, (result.chosen, result.fewer, result.more, result.everywhere), strict=True)
     shown = [(name, each) for name, each in options if each is not None]
     names = tuple(name for name, _ in shown)
     units = dataclasses.replace(units, relative=True) if design.frame.total_mass_placeholder else units
