@@ -195,12 +195,22 @@ class FittedFrame:
     @property
     def factors_std(self) -> Floats:
         """Standard deviations of the factors, shape (N,): both stiffnesses are uncertain."""
-        return np.asarray(np.sqrt(np.diag(self._factors_covariance)))
+        return np.asarray(np.sqrt(np.diag(self._factors_covariance) + self.scale_std**2))
+
+    @property
+    def scale_std(self) -> float:
+        """Relative standard deviation of the total mass, and so of all stiffnesses, since floors may have changed.
+
+        Base motion tells how each floor changed against the others, not all together.
+        """
+        if not self.errors.setting.base_measured or self.errors.setting.force_floor:
+            return 0.0
+        return MASS_STDS[-1] * float(np.sqrt(self.mass_probability / self.errors.stories))
 
     @property
     def mean_factor(self) -> tuple[float, float]:
         """Mean of the factors, and its standard deviation."""
-        return float(np.mean(self.factors)), float(np.sqrt(np.mean(self._factors_covariance)))
+        return float(np.mean(self.factors)), float(np.sqrt(np.mean(self._factors_covariance) + self.scale_std**2))
 
     @property
     def against_others(self) -> tuple[Floats, Floats]:

@@ -196,6 +196,8 @@ def _findings(result: Reconstruction) -> Iterator[str]:
     if result.nonlinear:
         yield "the frame did not answer as a linear one, or a sensor is at fault: drifts are rough"
         largest = f"as far as a linear frame tells, {largest}; a story that yields went further"
+    if result.undetermined:
+        yield "the tests do not determine the frame: drifts are rough, and what changed since cannot be told"
     yield largest
     if result.limits is not None and result.passed is not None:
         for limit, word, chances in zip(result.limits.story_drift, result.limits.names, result.passed, strict=True):
@@ -216,13 +218,15 @@ def _findings(result: Reconstruction) -> Iterator[str]:
             size = with_std(100 * abs(change), 100 * deviation, "%", factor=1.0)
             probable = chance(float(result.frame.story_probability[story - 1]))
             yield f"story {story} was {size} {word} than identified, against the others ({probable} probable)"
-    elif result.frame_fitted and result.frame.converged and not result.nonlinear:
+    elif result.names_changes:
         mean, deviation = result.frame.mean_factor
         word = "softer" if mean < 1 else "stiffer"
         size = with_std(100 * abs(mean - 1), 100 * deviation, "%", factor=1.0)
         known = abs(mean - 1) > SIGN_KNOWN * deviation and not result.coloured
         average = f"; on average the stories were {size} {word} than identified" if known else ""
         yield f"no single story changed{average}"
+    elif result.frame_fitted and not result.undetermined:
+        yield "what changed since the tests cannot be told"
     if result.masses_changed:
         sizes = [
             f"floor {floor} by {100 * change:+.0f} ± {100 * std:.0f} %"
