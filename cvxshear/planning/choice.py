@@ -333,8 +333,13 @@ def descended(
     tolerance : float
         Of the value.
     """
-    options: dict[str, Any] = {"maxiter": rounds, "ftol": tolerance}
     found = minimize(
-        function, start, jac=True, method="SLSQP", bounds=Bounds(0.0, 1.0), constraints=within, options=options
+        function,
+        start,
+        jac=True,
+        method="SLSQP",
+        bounds=Bounds(0.0, 1.0),
+        constraints=within,
+        options={"maxiter": rounds, "ftol": tolerance},
     )
     return np.asarray(np.clip(found.x, 0.0, 1.0))
