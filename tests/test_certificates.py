@@ -225,6 +225,12 @@ def test_a_direction_that_nothing_determines_is_refused_and_one_that_bounds_clos
         assert determined.certificate.error_bound < 1e-6
 
 
+def test_an_unknown_without_a_name_is_named_by_its_place():
+    program = LeastSquares(np.eye(3), np.ones(3))
+    assert Assembled(program).names == ("unknown 1", "unknown 2", "unknown 3")
+    assert Assembled(program.replace(names=("a", "b", "c"))).names == ("a", "b", "c")
+
+
 @pytest.mark.parametrize("start", ["none", "all", "wrong signs"])
 def test_the_inequalities_that_hold_the_minimizer_are_found_from_any_guess(start):
     rng = np.random.default_rng(5)

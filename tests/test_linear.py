@@ -7,7 +7,7 @@ import pytest
 from scipy import integrate, stats
 
 from cvxshear import Experiment, backends
-from cvxshear.effects import Place, Placed, Scale, named
+from cvxshear.effects import Parameter, Place, Placed, Scale, SensorGain, named
 from cvxshear.fit.efficient import efficient, fitted_with
 from cvxshear.fit.expectation import Expectation
 from cvxshear.fit.misfit import Misfit
@@ -76,6 +76,28 @@ def test_the_gain_is_the_difference_of_evidences(base, linear, placed):
     """Within what the model's curvature leaves: a tenth of a unit of the logarithm, where the gains are of some."""
     expected = log_evidence(refitted(base, placed), EXPECTED) - log_evidence(base, EXPECTED)
     assert linear.gain(placed) == pytest.approx(expected, abs=0.1)
+
+
+class Alike(SensorGain):
+    """An effect of three parameters."""
+
+    name = "alike"
+    parameters = tuple(Parameter(name, "", lower=-1.0, upper=1.0) for name in "abc")
+
+
+def test_parameters_that_the_data_cannot_part_promise_nothing():
+    """One does what the others do together, and rounding makes their curvature negative in that direction."""
+    rng = np.random.default_rng(0)
+    own = next(
+        columns
+        for rows in (rng.standard_normal((6, 2)) for _ in range(50))
+        if np.linalg.slogdet((columns := np.column_stack([rows, rows.sum(axis=1)])).T @ columns)[0] < 0
+    )
+    placed = Placed(Alike(), Place(floor=1))
+    # Each is even between its bounds, so that nothing is added to the curvature.
+    linear = SimpleNamespace(expectation=Expectation(SCALE, {placed: np.full(3, np.inf)}))
+    for r in rng.standard_normal((3, 6)):
+        assert Linearised._gain_of_several(linear, placed, own, r) == -np.inf
 
 
 def test_the_gains_of_pairs_are_the_differences_of_evidences(base, linear):

@@ -6,12 +6,19 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from cvxshear import Experiment, InputError, close_loop
+from cvxshear import Experiment, InputError, backends, close_loop
 from cvxshear.effects import Place, Placed, Scale, compose, named, open_classes
-from cvxshear.fit.expectation import tailed
+from cvxshear.effects.composition import slices
+from cvxshear.fit.efficient import fitted_with
+from cvxshear.fit.expectation import Expectation, tailed
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.duals import dual_frame
 from cvxshear.loop.evidence import log_tailed_interval
+from cvxshear.loop.fitter import Fitter
+from cvxshear.loop.hypotheses import Hypothesis
+from cvxshear.loop.model_class import ModelClass
+from cvxshear.loop.neighbors import named_entries
+from cvxshear.loop.numbering import Numbering
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from tests.fe.experiments import with_turning_joints
 from tests.fe.frame import Building, sway_modes
@@ -272,6 +279,32 @@ def test_no_frame_far_from_the_first_fit_is_overlooked(seed):
     assert len(sets) == len(closure.models)
     assert sets[f'story change at story {seed % 6 + 1} of "after"',] < truth + 0.1
     assert all(item.probability < 0.95 for item in closure.effects if item.placed.place.story != seed % 6 + 1)
+
+
+@pytest.mark.parametrize("gains", [{}, {2: 0.3, 4: -0.2}])
+def test_entries_that_stand_out_of_a_class_are_proposed_by_their_names(gains):
+    """Sensors that read too much or too little; where none does, nothing is proposed."""
+    rng, mass, stiffness = frame(13)
+    tables = [measured_in(mass, stiffness, rng, name=f"t{i}", added=i * np.ones(N)) for i in range(2)]
+    factors = [1.0 + gains.get(floor, 0.0) for floor in range(1, N + 1)]
+    for table in tables:
+        table["mode_shapes"] = (np.array(table["mode_shapes"]) * factors).tolist()
+    given = Experiment.from_dict({"frame": {"total_mass": float(mass.sum())}, "configuration": tables})
+    (effect,) = (each.bound(given) for each in open_classes() if each.name == "other_gains")
+    opened, *causes = (
+        Placed(each, place) for each in (effect, *named(["sensor_gain"])) for place in each.places(given)
+    )
+    backend, expected = backends.get("auto"), Expectation(SCALE)
+    fitter = Fitter(Numbering(given), backend, [Hypothesis(each, 0.1) for each in (opened, *causes)], (), expected)
+    start = np.concatenate([mass, stiffness, np.zeros(N)])
+    estimate = fitted_with(Misfit(given, (opened,), expectation=expected), start, backend)
+    found = named_entries(ModelClass(frozenset([opened]), estimate, 0.0, 0.0), fitter)
+    assert [{each.place.floor for each in proposal.effects} for proposal in found] == ([set(gains)] if gains else [])
+    for proposal in found:
+        (at,) = proposal.starts
+        read = {each.place.floor: float(1.0 + at[own][0]) for each, own in slices(proposal.effects, 2 * N)}
+        # How much all of them read together, only what is expected of sensors tells.
+        assert read[2] / read[4] == pytest.approx((1.0 + gains[2]) / (1.0 + gains[4]), rel=0.05)
 
 
 def test_a_prior_that_does_not_hold_is_named():

@@ -315,7 +315,7 @@ def _limits(effects: Sequence[Placed]) -> tuple[Floats, Floats]:
 def _log_normal_constants(lower: Floats, upper: Floats, stds: Floats) -> Floats:
     """Return the log constants of normal priors truncated at bounds, times sqrt(2 pi); even where a std is infinite."""
     flat = np.isinf(stds)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         even = 0.5 * np.log(2 * np.pi) - np.log(upper - lower)
         normal = -np.log(stds) - np.log(special.ndtr(upper / stds) - special.ndtr(lower / stds))
     return np.where(flat, even, normal)

@@ -46,22 +46,29 @@ def amplitude_findings(setting: Replication, result: ModalResult) -> Iterator[Fi
 def _strong_against_weak(setting: Replication, result: ModalResult) -> Iterator[Finding]:
     energies = setting.source.energies
     strong = energies > np.median(energies)
-    stronger, weaker = _half(setting, strong), _half(setting, ~strong)
+    first, second = _log_frequencies(setting, strong), _log_frequencies(setting, ~strong)
+    if first is None or second is None:
+        return
+    ratio = float(np.sqrt(energies[strong].mean() / energies[~strong].mean()))
+    changes = first - second
+    large = np.abs(changes) > np.maximum(SIGNIFICANT * 2 * result.frequency_std, SMALLEST_CHANGE)
+    scattered = (ratio > STRONGER) & (result.frequency_std > SMALLEST_CHANGE)
+    if not np.any(large | scattered):
+        # How the halves scatter, which takes as long as all the rest, could not make anything of that.
+        return
+    stronger, weaker = _scatter(setting, strong), _scatter(setting, ~strong)
     if stronger is None or weaker is None:
         return
-    first, first_std, first_freedom = stronger
-    second, second_std, second_freedom = weaker
-    ratio = float(np.sqrt(energies[strong].mean() / energies[~strong].mean()))
+    (first_std, first_freedom), (second_std, second_freedom) = stronger, weaker
     # Noise that the stronger half hardly shows may be a tenth of the weaker: each half says itself how it scatters.
     student = special.stdtrit(np.minimum(first_freedom, second_freedom), special.ndtr(SCATTERED))
-    changes, std = first - second, np.hypot(first_std, second_std)
+    std = np.hypot(first_std, second_std)
     score = np.divide(changes, std, out=np.zeros(len(std)), where=std > 0)
     together = float(np.sum(score) / np.sqrt(len(score)))
-    certain = (np.abs(score) > student) | ((abs(together) > ALL_TOGETHER) & (score * together > 0))
-    certain &= np.abs(changes) > np.maximum(SIGNIFICANT * 2 * result.frequency_std, SMALLEST_CHANGE)
+    certain = large & ((np.abs(score) > student) | ((abs(together) > ALL_TOGETHER) & (score * together > 0)))
     # A sweep may pass a mode in the weaker half; then all blocks together still tell it better than that half.
     scatter = np.minimum(first_std, result.frequency_std)
-    suspected = (ratio > STRONGER) & (scatter > np.maximum(SCATTERS * second_std, SMALLEST_CHANGE))
+    suspected = scattered & (scatter > np.maximum(SCATTERS * second_std, SMALLEST_CHANGE))
     for place in np.flatnonzero(certain | suspected).tolist():
         mode, change = int(result.modes[place]), float(changes[place])
         numbers = {"mode": mode, "std": float(std[place]), "amplitude_ratio": ratio}
@@ -74,8 +81,8 @@ def _strong_against_weak(setting: Replication, result: ModalResult) -> Iterator[
             yield finding("amplitude/scatter", numbers, strong=first_std[place], weak=second_std[place])
 
 
-def _half(setting: Replication, half: Bools) -> tuple[Floats, Floats, Floats] | None:
-    """Log frequencies of half of the blocks, their standard deviations by leaving blocks out, degrees of freedom."""
+def _scatter(setting: Replication, half: Bools) -> tuple[Floats, Floats] | None:
+    """Find the standard deviations of the log frequencies of half of the blocks, and their degrees of freedom."""
     blocks = np.flatnonzero(half)
 
     def estimate(keep: Bools) -> Floats | None:
@@ -83,14 +90,11 @@ def _half(setting: Replication, half: Bools) -> tuple[Floats, Floats, Floats] | 
         left[blocks[keep]] = True
         return _log_frequencies(setting, left)
 
-    values = _log_frequencies(setting, half)
-    if values is None:
-        return None
     try:
         covariance, freedom, _ = jackknife(estimate, np.zeros(len(blocks), dtype=np.int64), np.ones(len(blocks)))
     except InputError:
         return None
-    return values, np.sqrt(np.diag(covariance)), freedom
+    return np.sqrt(np.diag(covariance)), freedom
 
 
 def _log_frequencies(setting: Replication, keep: Bools) -> Floats | None:

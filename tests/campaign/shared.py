@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,10 +26,17 @@ def frame(name: str) -> KnownFrame:
     return KnownFrame(masses, STIFFNESSES * (SOFTER if name == "after" else 1.0), 0.01)
 
 
-def write_records(folder: Path, more: str = '\n[frame]\nstory_heights = 0.4\nreference = "bare"\n') -> list[Path]:
+RECORDS = ("bare", "loaded", "after")
+
+
+def write_records(
+    folder: Path, more: str = '\n[frame]\nstory_heights = 0.4\nreference = "bare"\n', names: Sequence[str] = RECORDS
+) -> list[Path]:
     """The record files, their time stamps rounded to a millisecond."""
     files = []
-    for seed, name in enumerate(("bare", "loaded", "after")):
+    for seed, name in enumerate(RECORDS):
+        if name not in names:
+            continue
         run = shaker_record(frame(name), seed, noise=0.01, floor=3, duration=60.0, sampling_rate=RATE).runs[0]
         time = np.arange(run.samples) / RATE
         table = np.column_stack([time, run.excitation, run.responses])

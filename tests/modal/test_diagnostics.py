@@ -132,11 +132,12 @@ def test_a_mode_next_to_half_the_sampling_rate_says_nothing_of_clocks():
 
 
 def test_no_clock_of_a_tall_frame_is_off_whose_highest_mode_is_next_to_half_the_sampling_rate():
-    stories = 14
+    stories = 10
     soft = KnownFrame(np.full(stories, 2e5), np.linspace(1.5e8, 0.8e8, stories), 0.01)
     stiffnesses = soft.stiffnesses * (9.0 / soft.modes()[0][-1]) ** 2
     frame = KnownFrame(soft.masses, stiffnesses, 0.01)
-    result = identify_modes(base_record(frame, 0, noise=0.02, duration=300.0))
+    # Standard deviations from few pieces: the phases are looked at as they stand.
+    result = identify_modes(base_record(frame, 0, noise=0.02, duration=300.0), blocks=7)
     assert len(result.frequencies) == stories
     assert found(result, "clock offset") == []
 
